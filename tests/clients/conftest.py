@@ -42,7 +42,7 @@ def deck_of():
         if stops:
             given["analysis.stop"] = given.pop("solver.stop")
         scene = load_scene(name, given)
-        return make_deck(device.built(scene, device.chip(), device.magnets()))
+        return make_deck(device.built(scene, device.chip(), device.magnets(), others=True))
 
     return make
 

@@ -63,10 +63,11 @@ def magnets():
     )  # fmt: skip
 
 
-def built(scene, model=None, table=None, **words):
+def built(scene, model=None, table=None, others=False, **words):
     """The scene with made-up models: those ports of ``model`` that it needs, and ``table``.
 
-    ``words`` are further fields of the build, such as ``trust``.
+    With ``others``, the parts without these have their real models. ``words`` are further fields of
+    the build, such as ``trust``.
     """
     models: dict[str, Any] = {}
     for part in scene.parts.values():
@@ -75,7 +76,7 @@ def built(scene, model=None, table=None, **words):
             models[part.name] = model.linear().select(kept)
         if part.type.name == "ring_magnet_coils" and table is not None:
             models[part.name] = table
-        if part.type.name == "moving_conductor":
+        if others and part.name not in models:
             models[part.name] = part.type.build(part, scene, Clock(silent))
     result = resolve_build(Build(scene, models, libraries(scene), **words))
     timed = scene.analysis.type == "transient"
