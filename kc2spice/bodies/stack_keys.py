@@ -89,7 +89,7 @@ class Cap(Section):
     )
 
 
-HEIGHT = 2e-3  # m, of the stack of the paper
+HEIGHT = 2e-3  # height of the stack in the paper [m]
 
 
 def _default_height(keys: dict[str, Any]) -> float:

@@ -282,7 +282,7 @@ def _peak(samples: Samples, elements: Elements) -> Elements:
 
 
 def _options(samples: Samples, elements: Elements) -> Iterable[list[FitElement]]:
-    """Elements of every form from which one is chosen."""
+    """Yield candidates for the next branch, or for the leads, each with start values."""
     present = {element.form for element in elements}
     forms = [form for form in PARALLEL if samples.conducting or form not in CONDUCTING]
     low, high = 2 * np.pi * samples.f[0], 2 * np.pi * samples.f[-1]

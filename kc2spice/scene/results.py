@@ -86,9 +86,9 @@ def result_units(build: Build) -> dict[str, str]:
 
 
 def require_probed(build: Build) -> None:
-    """Refuse probes of results that the scene does not have; its models may not be built yet.
+    """Refuse probes of results that the scene does not have.
 
-    Of a part whose results follow from its model, nothing is known until that is built.
+    A part whose results follow from its model is not checked before that model is built.
 
     Raises
     ------

@@ -80,7 +80,7 @@ def _rms(f: np.ndarray, density: np.ndarray) -> float:
 
 
 def checks(waves: Waveforms) -> Iterator[Check]:
-    """Whether there are enough frequencies for the sharpest resonance."""
+    """Check that the noise changes little if every second frequency is left out."""
     if (f := waves["frequency"].real).size > 4:
         even = f.size - (f.size + 1) % 2
         f, density = f[:even], waves[WAVE][:even]

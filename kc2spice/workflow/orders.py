@@ -45,9 +45,11 @@ SMALLER = 0.7  # largest ratio of errors, new to present, that is worth another 
 
 @dataclass(frozen=True)
 class Larger:
-    """A larger order of a body: the ``keys`` of the scene that set it, and its ``states`` and
-    ``error`` under the loads of the run, beside those of the present model. The run with it is
-    expected to take so many ``seconds`` of the simulator's CPU time."""
+    """A larger order of a body, which ``keys`` of the scene set.
+
+    ``states`` and ``error``, under the loads of the run, are pairs for the present and the larger
+    model. ``seconds`` is the expected CPU time of the simulator for a run with the larger model.
+    """
 
     part: str
     keys: dict[str, Any]

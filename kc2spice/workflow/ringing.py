@@ -24,8 +24,8 @@ from kc2spice.sim.ngspice import own_reltol
 
 LASTING = math.log(1e3)  # of an amplitude that counts, over what is left of it at the end
 MANY = 3e5  # time points that are announced: half a minute for 24 states
-# CPU time of ngspice for a time point, and for each state in it [s]: those of kick_and_catch with
-# 24 and with 178 states, measured on a processor of 2.5 GHz.
+# CPU time of ngspice [s] for each time point, and in addition for each state. It was measured with
+# kick_and_catch of 24 and of 178 states on a processor of 2.5 GHz.
 PER_POINT, PER_STATE = 5e-5, 1.4e-6
 
 

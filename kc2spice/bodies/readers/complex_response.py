@@ -388,7 +388,7 @@ def _reflection(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, str]
 def _complex_response(
     frequency: Column, columns: _Columns, titles: Sequence[str], notes: Sequence[str]
 ) -> MeasuredResponse:
-    """The response of a column of complex numbers."""
+    """Return the response that a table has as one column of complex numbers."""
     text, quantity, samples = columns.complex_columns[0]
     if len(columns.complex_columns) > 1:
         readings = [f"{kind} from {name!r}" for name, kind, _ in columns.complex_columns]

@@ -319,7 +319,7 @@ def _matlab(variables: dict[str, np.ndarray], shunt: float | None) -> MeasuredRe
 
 
 def _has_quantity(name: str, quantity: Quantity) -> bool:
-    """Whether a complex array of this name is the quantity."""
+    """Whether ``name`` is a usual name of a complex array of this quantity."""
     kind = complex_quantity(name)
     return kind is not None and kind[0] == quantity
 

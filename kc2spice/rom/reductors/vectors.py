@@ -8,8 +8,8 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 
-# Distance of a unit vector from the span of those before it that is rounding: 450 eps. Rounding of
-# a QR factorisation of a few hundred vectors is about 1e-14.
+# A unit vector is dependent if it is nearer than this (450 eps) to the span of those before it.
+# Rounding in a QR factorisation of a few hundred vectors is about 1e-14.
 DEPENDENT_BY_ROUNDING = 1e-13
 
 
