@@ -97,6 +97,15 @@ def terms(model):
     ]
 
 
+def scales(A):
+    """Powers of two that bring the largest value in each column of a symmetric matrix near one.
+
+    Newtons and volts differ by ten orders; without scales a factor near a resonance has so few
+    correct digits that the refinement stops at once.
+    """
+    return 2.0 ** -np.round(0.5 * np.log2(np.abs(A).max(axis=0).toarray().ravel()))
+
+
 def refined(model, frequency):
     """The response (frequencies, outputs, inputs) of a body's matrices.
 
@@ -111,12 +120,13 @@ def refined(model, frequency):
     for s in 2j * np.pi * np.asarray(frequency):
         values = np.concatenate([np.clongdouble(s) ** p * data for p, _, _, data in equations])
         A = sparse.csc_array((values.astype(complex), (rows, columns)), shape=(size, size))
-        factor, x = splu(A), np.zeros_like(load)
+        D = sparse.diags_array(scales(A))
+        factor, x = splu(sparse.csc_array(D @ A @ D)), np.zeros_like(load)
         last = np.inf
         for _ in range(1 + REFINEMENTS):
             residual = load.copy()
             np.subtract.at(residual, rows, values[:, None] * x[columns])
-            change = factor.solve(residual.astype(complex))
+            change = D @ factor.solve(D @ residual.astype(complex))
             if np.abs(change).max() > 0.5 * last:  # a free body far below its band: as it is
                 break
             x, last = x + change, np.abs(change).max()
