@@ -149,6 +149,11 @@ class Domain:
         return self.driven == "across" and self.power == "across * through"
 
     @property
+    def relaxes(self) -> bool:
+        """Whether nothing in this domain has inertia, as the power is the flow itself: heat."""
+        return self.power == "through"
+
+    @property
     def metered(self) -> bool:
         """Whether the power through a pin follows from what is across and through that pin."""
         return self.conservative and self.power != "velocity of the frame * through"

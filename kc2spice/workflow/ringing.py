@@ -1,4 +1,4 @@
-"""Time points that the ringing of a body costs, expected before a run.
+"""Time points and CPU time of a long run, expected before it starts.
 
 Error control follows every mode that rings, also far above the band of the reduction, where a
 contact excites modes. In a step ``h`` the trapezoidal rule has the error ``(w h)^3 / 12`` of the
@@ -86,14 +86,34 @@ def ringing_of(part: str, model: Resonators, stop: float, reltol: float) -> Ring
     return Ringing(part, points, seconds, float(last.max(initial=0.0)) / (2 * math.pi))
 
 
-def announce_ringing(build: Build, deck: Deck) -> None:
-    """Warn of bodies whose ringing costs more than :data:`MANY` time points, before the run.
+def announce_long_run(build: Build, deck: Deck) -> None:
+    """Warn before a run that takes more than :data:`MANY` time points.
 
-    These are bodies under a contact that decides on the time steps.
+    The cause is the largest time step, or the ringing of a body under a contact that decides on the
+    steps.
     """
     scene = build.scene
-    if scene.analysis.type != "transient" or not any(row.decides for row in scene.numerics):
+    if scene.analysis.type != "transient":
         return
+    if any(row.decides for row in scene.numerics):
+        _announce_ringing(build, deck)
+        return
+    assert build.largest is not None
+    points = scene.stop / build.largest.step
+    if points > MANY:
+        models = [model for model in build.models.values() if isinstance(model, LinearModel)]
+        seconds = points * point_time(sum(model.order for model in models))
+        step = format_quantity(build.largest.step, "s", 3)
+        warnings.warn(
+            f"this run takes at least {points:.2g} time points, {seconds:.2g} s of CPU: its "
+            f"largest time step is {step} ({build.largest.why}). A larger solver.max_step or an "
+            "earlier solver.stop takes fewer",
+            stacklevel=3,
+        )
+
+
+def _announce_ringing(build: Build, deck: Deck) -> None:
+    scene = build.scene
     for name, model in build.models.items():
         modal = resonators(model) if isinstance(model, LinearModel) else None
         if modal is None:

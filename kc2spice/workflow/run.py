@@ -28,7 +28,7 @@ from kc2spice.workflow.decks import prepared, spare_other_decks
 from kc2spice.workflow.models import fact_units, mode_tables, model_facts
 from kc2spice.workflow.orders import suggested_keys, with_larger_orders
 from kc2spice.workflow.refine import Converged, converge
-from kc2spice.workflow.ringing import announce_ringing
+from kc2spice.workflow.ringing import announce_long_run
 from kc2spice.workflow.simulate import Run, kept_on_failure, sampled, simulate_deck
 
 
@@ -180,7 +180,7 @@ def complete(
             )
             if out is not None:
                 spare_other_decks(out, prepared_deck.files)
-            announce_ringing(build, prepared_deck)
+            announce_long_run(build, prepared_deck)
             try:
                 with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
                     result = simulate_deck(build, prepared_deck, work, progress=share)

@@ -20,9 +20,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from kc2spice.core.domains import DOMAINS
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.equations.networks import Network, law_of
+from kc2spice.equations.networks import Network, law_of, pin_kinds
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.report.html import format_quantity
 from kc2spice.scene.checks import Balance, Check
@@ -67,13 +68,21 @@ def largest_step(build: Build) -> StepLimit:
     linearised = linearised_scene(build)
     motions = linearised.motions
     known = not linearised.missing and all(
-        motion is not None and motion.linear.exact for motion in motions
+        motion is not None and (motion.linear.exact or _relaxes(network))
+        for network, motion in zip(linearised.networks, motions, strict=True)
     )
     if not known and start.step > UNKNOWN:
         start = StepLimit(UNKNOWN, "not all of it is linear")
     rule = RULES[scene.solver.method]
     limits = [follows(motion, start, rule) for motion in motions if motion is not None]
     return min([start, *limits], key=lambda limit: limit.step)
+
+
+def _relaxes(network: Network) -> bool:
+    """Whether all pins of a network are of heat, which has no inertia: nothing there can ring, and
+    error control follows any change of its time constants."""
+    kinds = set(pin_kinds(network.laws).values())
+    return all(DOMAINS[kind].relaxes for kind in kinds)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.translate import dialect_files
-from kc2spice.physics import Declaration, DeclaredPart, displacement, seen, voltage
+from kc2spice.physics import Declaration, DeclaredPart, branch, displacement, seen, voltage
 from kc2spice.physics.cards import body
 from kc2spice.reference.integrate import solve_transient
 from kc2spice.reference.system import assemble_system
@@ -355,3 +355,45 @@ def test_what_is_only_seen_brings_in_no_energy(monkeypatch):
     balance = dict(verdict(Waveforms(dict(kc.run(scene).waves), {}), build).balances)["pusher"]
     assert balance.scale > 0
     assert balance.missing < 1e-3 * balance.scale
+
+
+class CoolingKeys(kc.Section):
+    linear: float
+    cubic: float
+
+
+@pytest.fixture
+def cooling(monkeypatch):
+    """A surface that loses ``linear T + cubic T^3`` watts."""
+    loss = "0.5*linear*temperature^2 + 0.25*cubic*temperature^4"
+    declaration = Declaration("cooling", "surface", CoolingKeys, (branch("temperature"),),
+                              content=loss)  # fmt: skip
+    monkeypatch.setitem(parttype._types, "cooling", DeclaredPart(declaration))
+
+
+def test_heat_that_is_lost_by_a_cubic_law_takes_steps_of_its_own_time(cooling):
+    """``C T' = P - a T - b T^3`` by scipy, for a minute: heat cannot ring, so that error control
+    chooses the steps."""
+    capacity, power, a, b = 0.5, 2.0, 0.02, 1e-6
+    scene = load_scene({
+        "name": "cooled",
+        "plate": {"part": "thermal_capacitor", "capacity": capacity,
+                  "pins": {"a": "heater.out", "b": "gnd"}},
+        "surface": {"part": "cooling", "linear": a, "cubic": b,
+                    "pins": {"a": "heater.out", "b": "gnd"}},
+        "heater": {"part": "source", "kind": "heat_flow",
+                   "pulse": {"high": power, "start": 1.0, "width": 30.0, "edge": 1e-3}},
+        "analysis": {"type": "transient", "stop": 61.0},
+        "solver": {"reltol": 1e-5},
+        "probes": {"hot_k": {"of": "plate.temperature"}},
+    })  # fmt: skip
+    waves = kc.run(scene).waves
+    corners = [1.0, 1.001, 31.001, 31.002]
+
+    def rate(t, y):
+        return (power * np.interp(t, corners, [0, 1, 1, 0]) - a * y - b * y**3) / capacity
+
+    exact = solve_ivp(rate, (0, 61), [0.0], "DOP853", t_eval=waves["time"], rtol=1e-10, atol=1e-10,
+                      max_step=0.05).y[0]  # fmt: skip
+    assert waves["time"].size < 20_000
+    np.testing.assert_allclose(waves["plate.temperature"], exact, atol=1e-4 * exact.max())

@@ -7,11 +7,12 @@ import device
 import numpy as np
 import pytest
 
+from kc2spice.core.progress import Clock
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import own_reltol, run_deck
 from kc2spice.workflow import ringing
-from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.decks import make_deck, prepared
 
 KICK = {
     "name": "rings", "kick": {"drive": {"voltage": "100 V", "start": "1 us"}}, "contact": {},
@@ -43,8 +44,27 @@ def test_a_long_ringing_is_announced_before_the_run(monkeypatch):
     build = device.built(load_scene(KICK), chip(0.0))
     monkeypatch.setattr(ringing, "MANY", 2e3)
     with pytest.warns(UserWarning, match=r"kick rings at up to .*Hz .* time points, .* s of CPU"):
-        ringing.announce_ringing(build, make_deck(build))
+        ringing.announce_long_run(build, make_deck(build))
     damped = device.built(load_scene(KICK), chip(0.05))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        ringing.announce_ringing(damped, make_deck(damped))
+        ringing.announce_long_run(damped, make_deck(damped))
+
+
+def test_a_run_of_many_short_steps_is_announced_with_their_cause():
+    """A diode is not linear, so that 10 s take a million steps of at most 10 us."""
+    scene = {
+        "name": "slow",
+        "source": {"part": "source", "sine": {"amplitude": 1.0, "frequency": 0.2}},
+        "d": {"part": "diode", "pins": {"anode": "source.out", "cathode": "load.a"}},
+        "load": {"part": "resistor", "resistance": 1e3, "pins": {"b": "gnd"}},
+        "analysis": {"type": "transient", "stop": 10.0},
+    }
+    build, deck = prepared(load_scene(scene), Clock())
+    with pytest.warns(UserWarning, match=r"1e\+06 time points.* is 10 .s \(not all of it is line"):
+        ringing.announce_long_run(build, deck)
+    shorter = {**scene, "analysis": {"type": "transient", "stop": 2.0}}
+    build, deck = prepared(load_scene(shorter), Clock())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ringing.announce_long_run(build, deck)
