@@ -12,6 +12,7 @@ from functools import cached_property
 from itertools import chain
 from typing import NamedTuple
 
+from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.laws import GROUND, Equations, IdealSource, Law, Reading
 from kc2spice.equations.networks import (
     Network,
@@ -98,7 +99,7 @@ class SceneLaws:
         readings: dict[str, Reading] = {}
         sweeps: dict[tuple[str, str], tuple[str, float]] = {}
         for name, item in self.equations.items():
-            readings |= item.results
+            readings |= _with_quantity_names(name, item.results)
             sweeps |= {(name, key): source for key, source in item.sweeps.items()}
         laws = [*self.laws.values(), *sources.values()]
         return split_networks(laws, self.joins(sources), readings, sweeps)
@@ -128,6 +129,16 @@ class SceneLaws:
         signals = [link for link in links if kinds[link.law_pin] == "signal"]
         driven = [link for link in signals if prescribes(laws, link.law_pin)]
         return frozenset(link.part for link in driven if link.net in loaded)
+
+
+def _with_quantity_names(part: str, results: Mapping[str, Reading]) -> dict[str, Reading]:
+    """Results of a part, those of a flow also under its quantity: ``r.current`` beside ``r.i``."""
+    names = dict(results)
+    for quantity_name, (domain, side) in QUANTITIES.items():
+        symbol = f"{part}.{domain.quantity(side).symbol}"
+        if side == "through" and symbol in results:
+            names.setdefault(f"{part}.{quantity_name}", results[symbol])
+    return names
 
 
 def _by_name(equations: Mapping[str, Equations]) -> dict[str, Law]:

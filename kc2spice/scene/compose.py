@@ -232,11 +232,8 @@ def _metered(scene: Scene) -> Iterator[tuple[str, str]]:
             paired = part.reduced and not domain.reference  # a result of the body
             if (
                 (quantity == "power" and pin in powered)
-                or quantity == f"{pin}.power"
-                or (
-                    quantity in (f"{pin}.{flow}", flow if first else "")
-                    and not (paired and _is_read(part, pin, scene))
-                )
+                or quantity in (f"{pin}.power", f"{pin}.{flow}")
+                or (first and quantity == flow and not (paired and _is_read(part, pin, scene)))
             ):
                 yield name, pin
 

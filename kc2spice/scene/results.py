@@ -183,7 +183,7 @@ def _element_vectors(part: Part, build: Build) -> dict[str, Vector]:
     return {name: replace(ends[0], expression=text)} if text else {}
 
 
-def powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Powers]:
+def powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
     """``PART.power`` and ``PART.PIN.power`` [W] that probes ask for, by what they are the sums of:
     all that goes into a part, and what a source gives."""
     result: dict[str, Powers] = {}
@@ -196,7 +196,7 @@ def powers(build: Build, known: Mapping[str, Vector]) -> dict[str, Powers]:
                 PowerTerm(f"{n}.{d.across.symbol}", f"{n}.{d.quantity('through').symbol}", d.power)
                 for d in domains
             )
-        if terms and all(term.names <= known.keys() for term in terms):
+        if terms and all(term.names <= set(known) for term in terms):
             result[f"{n}.power"] = terms
     for name, pin in build.scene.meters:
         part = build.scene.parts[name]

@@ -7,7 +7,7 @@ import os
 import shutil
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -166,7 +166,7 @@ def simulate_deck(
         message += "0 on; values that they keep between calls must be reset there"
         warnings.warn(message, stacklevel=2)
     used = simulator_cpu(build) - begin
-    waves = _with_powers(result.waves, deck)
+    waves = with_powers(result.waves, deck.powers)
     results = metrics(waves, build)
     return Run(
         deck=result.deck,
@@ -181,11 +181,11 @@ def simulate_deck(
     )
 
 
-def _with_powers(waves: Waveforms, deck: Deck) -> Waveforms:
+def with_powers(waves: Waveforms, powers: Mapping[str, Sequence[PowerTerm]]) -> Waveforms:
     """The waves and these powers: at every instant, or in ``ac`` the mean over a period."""
     result = {
         name: np.asarray(sum(_power(term, waves) for term in terms))
-        for name, terms in deck.powers.items()
+        for name, terms in powers.items()
     }
     return replace(waves, data={**waves.data, **result})
 

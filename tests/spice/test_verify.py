@@ -9,6 +9,7 @@ import pytest
 from device import built, models
 from hard_cases.kit import kick
 
+from kc2spice.core.domains import DOMAINS
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.library import subcircuits
@@ -324,3 +325,55 @@ def contact_gates(build, waves):
     """Gates of the scene's contact; its other checks need more waves."""
     part = build.scene.parts["contact"]
     return [next(row for row in part.type.checks(part, build, waves) if isinstance(row, Gate))]
+
+
+# Source, element and the power of the element [W], by domain: 1 unit through or across of 50 Hz.
+ELEMENTS = {
+    "electrical": ("voltage", "resistor", {"resistance": 50.0}, 1 / 50),
+    "translation": ("force", "damper", {"damping": 4.0}, 1 / 4),
+    "thermal": ("heat_flow", "thermal_resistor", {"resistance": 20.0}, 1.0),
+    "acoustic": ("pressure", "acoustic_resistor", {"resistance": 2e6}, 0.5e-6),
+}
+
+
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_probes_of_flows_and_powers_are_compared_by_any_of_their_names(name, tmp_path):
+    """Mean powers by closed forms: half the peak of a sine, nothing of a heat flow that swings."""
+    domain = DOMAINS[name]
+    kind, element, keys, peak = ELEMENTS[name]
+    sine = {"amplitude": 1.0, "frequency": 50.0}
+    through = domain.quantity("through")
+    results = {"symbol": through.symbol, "word": through.name, "watts": "power"}
+    probes = {key: {"of": f"e.{of}", "take": "max"} for key, of in results.items()}
+    scene = {
+        "name": "probed",
+        "e": {"part": element, **keys, "pins": {"a": "drive.out", "b": "gnd"}},
+        "drive": {"part": "source", "kind": kind, "sine": sine},
+        "analysis": {"type": "transient", "stop": 0.04},
+        "solver": {"max_step": 1e-4},
+        "probes": probes | {"given": {"of": "drive.power", "take": "max"}},
+    }
+    record = verify([load_scene(scene)], tmp_path / "out")["scenes"]["probed"]
+    assert record["passed"], failed(record)
+    for answers in record["answers"].values():
+        assert answers["symbol"] == answers["word"]
+        assert answers["watts"] == pytest.approx(peak, rel=2e-3)
+        assert answers["given"] == pytest.approx(peak, rel=2e-3)
+    assert record["answers"].keys() == {"ngspice", "rom"}
+
+
+def test_probes_that_the_laws_do_not_contain_are_listed(tmp_path):
+    scene = {
+        "name": "beam",
+        "beam": {
+            "part": "bimorph", "length": 0.03, "width": 0.01, "wiring": "series",
+            "layers": [{"material": m, "thickness": 3e-4} for m in ("PZT-5A", "brass", "PZT-5A")],
+            "damping": {"quality": 50}, "rom": {"band": [0, 2e3]}, "pins": {"anode": "drive.out"},
+        },
+        "drive": {"part": "source", "ac": 1.0},
+        "analysis": {"type": "ac", "start": 10, "stop": 1e3, "points": 5},
+        "probes": {"taken": {"of": "beam.anode.current"}, "tip": {"of": "beam.u.tip"}},
+    }  # fmt: skip
+    record = verify([load_scene(scene)], tmp_path / "out")["scenes"]["beam"]
+    print(record["notes"], record["answers"])
+    assert any("taken (beam.anode.current)" in note for note in record["notes"])

@@ -22,7 +22,7 @@ from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import Waveforms, write_record
 from kc2spice.equations.replay import replayed_nets, replayed_vectors
 from kc2spice.equations.scene_laws import scene_laws
-from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.deck import Deck, PowerTerm
 from kc2spice.netlist.include_scan import Flat, checked
 from kc2spice.netlist.library import Subcircuit, subcircuits
 from kc2spice.report.pages import Findings, comparison, write_verify
@@ -30,11 +30,12 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import PAIRS, Check, Gate, Verdict
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
+from kc2spice.scene.results import powers
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.metrics import metrics, verdict
 from kc2spice.workflow.refine import FREE_SHARE, MOST_UNKNOWNS, factor_bytes
-from kc2spice.workflow.simulate import ran
+from kc2spice.workflow.simulate import ran, with_powers
 from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.full_models import finer_build, full_build, full_solution
 from kc2spice.workflow.verify.law_solution import solve
@@ -68,8 +69,14 @@ class OutputError:
 
 
 def solution(waves: Waveforms, build: Build) -> Solution:
-    """A solution with those metrics of the scene's parts and probes that its waves tell."""
+    """A solution with those powers and metrics that follow from its waves."""
+    known = {name: terms for name, terms in powers(build, waves.data).items() if _has(waves, terms)}
+    waves = with_powers(waves, known)
     return Solution(waves, *metrics(waves, build, partial=True))
+
+
+def _has(waves: Waveforms, terms: Iterable[PowerTerm]) -> bool:
+    return all(term.names <= set(waves) for term in terms)
 
 
 def gate_limits(
@@ -399,6 +406,7 @@ class _Verification:
         result.answers |= {key: item.metrics for key, item in solutions.items()}
         outputs = self._pairs("scene", solutions)
         result.checks += self._generic(solutions, outputs)
+        result.notes += self._uncompared(solutions)
         if build.scene.analysis.type == "transient":
             self._finer(waves, solutions, LONGER * spent + SPARE)
         self._own_checks()
@@ -502,6 +510,15 @@ class _Verification:
         if outputs:
             last = max(outputs, key=lambda output: output.rms)
             yield Check(f"every wave (rms), worst {last.output}, ngspice to laws", last.rms, wave)
+
+    def _uncompared(self, solutions: Mapping[str, Solution]) -> Iterator[str]:
+        """A note on the probes whose results the laws do not contain."""
+        simulated, exact = solutions["ngspice"].metrics, solutions["rom"].metrics
+        probes = self.build.scene.probes
+        missing = [name for name in probes if name in simulated and name not in exact]
+        if missing:
+            words = ", ".join(f"{name} ({probes[name].of})" for name in missing)
+            yield f"probes that are not compared, as the laws have no such result: {words}"
 
     def _own_checks(self) -> None:
         """Add checks of the ngspice run to the findings.
