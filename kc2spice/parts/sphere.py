@@ -129,7 +129,7 @@ def rigid_sphere(
         speeds={"bottom": "v"},
         given=(weight, size, pull, fast, place),
         base="base",
-        validity=f"{declaration.validity}; moves along its axis only",
+        validity=f"{declaration.valid_range}; moves along its axis only",
         sign=SIGN,
     )
 

@@ -156,7 +156,9 @@ def loop(name: str) -> Branch:
     return Branch("current", name, "", "", name)
 
 
-def _unknown_name(part: str, what: str, strange: Iterable[str], known: Iterable[str]) -> UsageError:
+def _unknown_name(
+    part: str, what: str, strange: Iterable[str], known: Iterable[str], hint: str = ""
+) -> UsageError:
     """The error of names in the equation ``what`` of a part that are none of the ``known`` ones."""
     unknown = list(strange)
     first = unknown[0]
@@ -166,8 +168,17 @@ def _unknown_name(part: str, what: str, strange: Iterable[str], known: Iterable[
         where=part,
         got=", ".join(unknown),
         expected=f"one of {candidates(first, choices)}" if choices else "numbers",
-        hint=did_you_mean(first, choices) or f"declare {first}, or use one of these names",
+        hint=hint
+        or did_you_mean(first, choices)
+        or f"add the key {first} to the section of keys, or use one of these names",
     )
+
+
+# Where a term belongs that an equation must not contain.
+_OTHER_PLACES = {
+    "energy": "state energy that depends on {} in coenergy, and losses in content",
+    "coenergy": "state losses that depend on {} in content, and the energy of a mass in kinetic",
+}
 
 
 @dataclass(frozen=True)
@@ -185,6 +196,8 @@ class Declaration:
     expression that must stay above zero.
     ``stops`` maps words for a stop to an expression that is above zero where it is met.
     ``neglected`` are rows of an effect, why it has no model, and what its absence changes.
+    ``validity`` is the range in which the equations hold; by default at constant temperature, or
+    with the keys at any temperature where the part has pins of heat.
 
     Of netlists alone: ``outputs`` are pins of displacements that are affine in one of a branch;
     ``speeds`` are the nodes of velocities of rigid bodies, which take the force,
@@ -215,7 +228,7 @@ class Declaration:
     stops: Mapping[str, str] = field(default_factory=dict)
     neglected: tuple[tuple[str, str, str], ...] = ()
     rating: str = "not known"
-    validity: str = "constant temperature; nothing here heats up, ages or breaks"
+    validity: str = ""
     sign: str = (
         "um and N count along plus less minus; 1 A into a pin pushes the part that way with 1 N"
     )
@@ -232,7 +245,7 @@ class Declaration:
         known = {*self.parameters, *self.coordinates, *self.rates, *self.states, *self.signals}
         for what, tree in self._stated():
             if unknown := sorted(names(tree) - known):
-                raise _unknown_name(self.name, what, unknown, known)
+                raise _unknown_name(self.name, what, unknown, known, self._coordinate_of(unknown))
         self._only("energy", self._tree("energy"), {b.name for b in self.acting if b.moves})
         self._only("coenergy", self._tree("coenergy"), {b.name for b in self.acting})
         passive = {name for b in self.branches if not b.through for name in (b.name, b.name + RATE)}
@@ -240,10 +253,38 @@ class Declaration:
         for name, tree in self.signal_trees.items():
             self._only(f"signal {name}", tree, earlier)
             earlier.add(name)
+        self._require_loss()
+
+    def _coordinate_of(self, strange: Iterable[str]) -> str:
+        """Hint on a quantity whose coordinate has another name, empty if none is among them."""
+        named = {b.kind: b.name for b in self.branches if b.kind != b.name}
+        kinds = (kind for kind in strange if kind in named)
+        return next((f"the coordinate of {kind!r} is {named[kind]}" for kind in kinds), "")
 
     def _only(self, what: str, tree: Tree, allowed: set[str]) -> None:
-        if strange := names(tree) - allowed - set(self.parameters):
-            raise _unknown_name(self.name, what, sorted(strange), {*allowed, *self.parameters})
+        strange = sorted(names(tree) - allowed - set(self.parameters))
+        if strange:
+            words = ", ".join(strange)
+            raise UsageError(
+                f"the {what} must not depend on {words}",
+                where=self.name,
+                got=words,
+                expected=f"keys and {', '.join(sorted(allowed)) or 'numbers'}",
+                hint=_OTHER_PLACES.get(what, "").format(words) or None,
+            )
+
+    def _require_loss(self) -> None:
+        """Refuse a content without effect, such as one of a displacement in place of its rate."""
+        tree = self._tree("content")
+        loss = {b.name + RATE * b.moves for b in self.acting}
+        if tree != ZERO and not names(tree) & loss:
+            raise UsageError(
+                "the content has no effect",
+                where=self.name,
+                got=self.content,
+                expected=f"an expression of {' or '.join(sorted(loss))}",
+                hint="losses follow from rates: x_rate is the velocity of a displacement x",
+            )
 
     def _stated(self) -> Iterable[tuple[str, Tree]]:
         yield from ((what, self._tree(what)) for what in _STATED)
@@ -281,6 +322,15 @@ class Declaration:
             for pin in filter(None, (b.plus, b.minus, b.less)):
                 result.setdefault(pin, b.domain)
         return result
+
+    @property
+    def valid_range(self) -> str:
+        """Range in which the equations hold, in words."""
+        if self.validity:
+            return self.validity
+        if any(domain.relaxes for domain in self.domains.values()):
+            return "keys independent of temperature; nothing here ages or breaks"
+        return "constant temperature; nothing here heats up, ages or breaks"
 
     @cached_property
     def closed(self) -> Declaration:

@@ -207,7 +207,8 @@ def _limit_checks(
         if names(tree) - set(d.parameters) <= set(known):
             value = float(np.min(evaluated(tree, d.values(part.keys) | known)))
             advice = f"{d.limits[what]} must stay above zero"
-            yield Check(f"{what} of {part.name}{where}", -value, 0.0, "over the limit", advice)
+            beyond = max(-value, 0.0)
+            yield Check(f"{what} of {part.name}{where}", beyond, 0.0, "beyond the limit", advice)
 
 
 def _inner(build: Build, part: Part, node: str, pin: str) -> str:
@@ -290,7 +291,7 @@ def declared_subcircuit(
     params = keys + d.given
     words: dict[str, Any] = {
         "rating": d.rating,
-        "validity": d.validity,
+        "validity": d.valid_range,
         "mesh": d.mesh,
     }
     head = part_header(header, f"{name}: {d.title}", pins, params, sign=d.sign, **words)

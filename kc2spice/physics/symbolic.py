@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError, candidates
+from kc2spice.core.errors import UsageError, candidates, did_you_mean
 from kc2spice.netlist.expression import (
     Binary,
     Call,
@@ -42,6 +42,17 @@ SLOPE = "_slope"  # ends the name of a table's derivative
 _DIGITS = 11  # digits of a literal in an expression that ngspice keeps
 # Derivatives by the argument u.
 # Functions with a special number of arguments.
+_PAGE = "docs/reference/declarations.md"
+_OTHER_FORMS = {
+    "abs": "write max(0, x) + max(0, -x) for |x|",
+    "log": "write ln(x) for the natural logarithm, ln(x)/ln(10) for the decimal one",
+    "log10": "write ln(x)/ln(10)",
+    "pow": "write x^2, or exp(n*ln(x)) if n is not a whole number",
+    "min": "write a - max(0, a - b) for the smaller one of a and b",
+    "sgn": "write above(x) - above(-x)",
+    "sign": "write above(x) - above(-x)",
+    "tan": "write sin(x)/cos(x)",
+}
 _SPECIAL = ("max(0, …)", "above(…)", "clip(…)", "poly(…, numbers)", "integral(…, x)")
 _CHAIN = {
     "exp": "exp(u)", "ln": "1/u", "sqrt": "0.5/sqrt(u)", "sin": "cos(u)", "cos": "-sin(u)",
@@ -77,7 +88,8 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
                     "no such function in physics",
                     where=where,
                     got=name,
-                    expected="one of " + candidates(name, functions, "docs/how-to/own_part.md"),
+                    expected="one of " + candidates(name, functions, _PAGE),
+                    hint=_OTHER_FORMS.get(name) or did_you_mean(name, [*_CHAIN, *tables]),
                 )
             case Choice() | CircuitVariable():
                 raise UsageError(
@@ -86,7 +98,11 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
                     got=text,
                     hint="write max(0, x) for a condition x > 0",
                 )
-    return simplified(_stepped(tree))
+    try:
+        return simplified(_stepped(tree))
+    except UsageError as error:
+        error.where = error.where or where
+        raise
 
 
 def _stepped(tree: Tree) -> Tree:
@@ -317,11 +333,20 @@ def _terms(tree: Tree) -> list[_Product]:
         case Binary("^", base, Number(power)) if float(power).is_integer():
             factors = [_single(base)] * int(float(power))
             return [reduce(_Product.times, factors, _Product(Fraction(1)))]
-        case Binary("^", _, _):
+        case Binary("^", base, Unary("-", power)):
+            return [_single(Binary("^", base, power)).inverse()]
+        case Binary("^", base, power):
             raise UsageError(
-                "the exponent is not a whole number", got=Writer().write(tree), hint="exp(n*ln(x))"
+                "the exponent is not a whole number",
+                got=Writer().write(tree),
+                expected="a whole number behind ^",
+                hint=f"write {Writer().write(_as_exponential(base, power))} for a positive base",
             )
     return [_Product(Fraction(1), (rebuilt(tree, simplified),))] if _lives(tree) else []
+
+
+def _as_exponential(base: Tree, power: Tree) -> Tree:
+    return Call("exp", (Binary("*", power, Call("ln", (base,))),))
 
 
 def _added(tree: Tree, sign: int = 1) -> Iterator[_Product]:

@@ -512,7 +512,12 @@ def _type(name: str, table: Mapping[str, Any]) -> PartType:
         )
     result = part_type(selected) if isinstance(selected, str) else None
     if result is None:
-        raise unknown("unknown part type", selected, type_names(), f"{name}.part", _PARTS)
+        error = unknown("unknown part type", selected, type_names(), f"{name}.part", _PARTS)
+        error.hint = error.hint or (
+            "a part type of your own needs kc.register_part in Python, or an installed package "
+            "with an entry point in the group kc2spice.parts"
+        )
+        raise error
     return result
 
 
