@@ -12,7 +12,19 @@ from typing import TYPE_CHECKING, Any
 from kc2spice.core import __version__ as __version__
 
 if TYPE_CHECKING:
-    from kc2spice.api import Result, Table, build, deck, reduce, register_part, run, simulate, sweep
+    from kc2spice.api import (
+        Result,
+        Table,
+        build,
+        deck,
+        export,
+        reduce,
+        register_part,
+        run,
+        simulate,
+        sweep,
+        verify,
+    )
     from kc2spice.bodies.readers import read_model
     from kc2spice.core import errors
     from kc2spice.core.domains import Domain
@@ -51,6 +63,7 @@ __all__ = [
     "build",
     "deck",
     "errors",
+    "export",
     "fit",
     "load_scene",
     "read_lib",
@@ -62,6 +75,7 @@ __all__ = [
     "simulate",
     "subcircuit",
     "sweep",
+    "verify",
 ]
 _HOMES = {
     **dict.fromkeys(("LinearModel", "Port", "Certificate"), "rom.linear_model"),

@@ -45,11 +45,13 @@ __all__ = [
     "Table",
     "build",
     "deck",
+    "export",
     "reduce",
     "register_part",
     "run",
     "simulate",
     "sweep",
+    "verify",
 ]
 AnyScene = Scene | str | Path | Mapping[str, Any]  # what :func:`kc2spice.load_scene` takes
 Function = Callable[[float, Mapping[str, float]], float]
@@ -372,6 +374,100 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
         waves = run_deck(deck, Path(work), timeout=timeout)
     record = {"scene": deck.name, "version": __version__, "netlist": deck.main}
     return _result(deck, waves, record)
+
+
+def export(
+    scene: AnyScene, out: str | Path, *, dialect: str = "ngspice", trust: bool = False
+) -> list[Path]:
+    """Write netlists and symbols of a scene into a directory, without a simulation.
+
+    Parameters
+    ----------
+    scene : Scene, str, Path or mapping
+        Scene, name of a built-in scene, path of a TOML file, or its tables.
+    out : str or Path
+        Directory of the files, which is made if it does not exist.
+    dialect : str, optional
+        Dialect of the netlists, by default ngspice.
+    trust : bool, optional
+        Whether included netlists may run commands and access files. By default they may not.
+
+    Returns
+    -------
+    list of Path
+        Paths of the files.
+
+    Raises
+    ------
+    UsageError : an unknown dialect, or one that has no words for a part of the scene.
+    GateMissedError : the circuit of a body misses the tolerance of its reduction.
+
+    Examples
+    --------
+    >>> import kc2spice as kc
+    >>> lamp = {
+    ...     "name": "lamp",
+    ...     "drive": {"part": "source", "dc": "12 V"},
+    ...     "lamp": {"part": "resistor", "resistance": "6 Ohm", "pins": {"a": "drive.out"}},
+    ...     "analysis": {"type": "op"},
+    ... }
+    >>> [path.name for path in kc.export(lamp, "netlists", dialect="xyce")]
+    ['lamp.cir']
+    """
+    from kc2spice.workflow.export import export_scene  # which `run` does not need
+
+    return export_scene(load_scene(scene), Path(out), dialect, trust=trust)
+
+
+def verify(
+    scene: AnyScene, out: str | Path | None = None, *, full: bool = False, trust: bool = False
+) -> dict[str, Any]:
+    """Compare the netlist of a scene in ngspice with independent solutions.
+
+    These are the laws of its parts with reduced models, integrated in scipy, and the full models.
+
+    Parameters
+    ----------
+    scene : Scene, str, Path or mapping
+        Scene, name of a built-in scene, path of a TOML file, or its tables.
+    out : str or Path, optional
+        Directory of ``verify.json`` and ``verify.html``. By default no files are written.
+    full : bool, optional
+        Whether full models are followed to the end of the scene and solved at all frequencies.
+    trust : bool, optional
+        Whether included netlists may run commands and access files. By default they may not.
+
+    Returns
+    -------
+    dict
+        Whether it ``passed``, and its ``checks``, ``errors``, ``metrics`` and ``notes``.
+
+    Raises
+    ------
+    MissingToolError : no ngspice.
+    SimulationError : one of the solutions ended without a result.
+
+    Examples
+    --------
+    >>> import kc2spice as kc
+    >>> lamp = {
+    ...     "name": "lamp",
+    ...     "drive": {"part": "source", "dc": "12 V"},
+    ...     "lamp": {"part": "resistor", "resistance": "6 Ohm", "pins": {"a": "drive.out"}},
+    ...     "analysis": {"type": "op"},
+    ...     "probes": {"current_a": {"of": "lamp.i"}},
+    ... }
+    >>> kc.verify(lamp)["passed"]
+    True
+    """
+    from kc2spice.workflow.verify.verify import verify_scenes  # as above
+
+    loaded = load_scene(scene)
+    with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
+        folder = Path(work) / "verify" if out is None else Path(out)
+        record = verify_scenes([loaded], folder, full=full, trust=trust)
+    result: dict[str, Any] = record["scenes"][loaded.name]
+    return result
 
 
 @dataclass(frozen=True, repr=False, eq=False)

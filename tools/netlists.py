@@ -32,7 +32,7 @@ from kc2spice.netlist.printers.kicad import Symbol, element_symbols, part_symbol
 from kc2spice.netlist.read import statements
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.scene.model import Scene
-from kc2spice.workflow.export import export
+from kc2spice.workflow.export import export_scene
 
 ROOT = Path(__file__).parents[1]
 NETLISTS, EXAMPLES = ROOT / "netlists", ROOT / "docs" / "examples" / "dialects"
@@ -85,7 +85,7 @@ def shipped(scene: str) -> Scene:
 
 def scene_files(scene: str, out: Path) -> list[Path]:
     """Deck and libraries of a scene, written into ``out``: what ngspice needs of an export."""
-    written = export(shipped(scene), out)
+    written = export_scene(shipped(scene), out)
     kept = [p for p in written if p.suffix == ".cir" or _is_library(p)]
     for path in set(written) - set(kept):
         path.unlink()
@@ -95,10 +95,10 @@ def scene_files(scene: str, out: Path) -> list[Path]:
 def example_files(scene: str, out: Path) -> None:
     """A scene in every other dialect: KiCad's project and LTspice's libraries stand alone, too."""
     for dialect in ("ltspice", "xyce", "verilog-a"):
-        export(load_scene(scene), out / dialect, dialect)
+        export_scene(load_scene(scene), out / dialect, dialect)
     with TemporaryDirectory() as place:
         (out / "kicad").mkdir()
-        for path in export(load_scene(scene), Path(place)):
+        for path in export_scene(load_scene(scene), Path(place)):
             if "kicad" in path.name or path.suffix in (".wbk", "") or _is_library(path):
                 shutil.copy(path, out / "kicad")
 

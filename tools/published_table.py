@@ -31,7 +31,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.run import run_scene
-from kc2spice.workflow.verify.verify import verify
+from kc2spice.workflow.verify.verify import verify_scenes
 
 ROOT = Path(__file__).parents[1]
 CASES = ROOT / "docs" / "published"
@@ -202,7 +202,7 @@ def case(name: str, entry: Mapping[str, Any]) -> tuple[dict[str, Answer], Path]:
     scene = load_scene(str(CASES / entry["scene"]), entry.get("set", []))
     out = Path(tempfile.mkdtemp()) / name
     if entry.get("full", True):
-        answers = verify([scene], out)["scenes"][scene.name]["answers"]
+        answers = verify_scenes([scene], out)["scenes"][scene.name]["answers"]
     else:
         answers = {"ngspice": run_scene(scene, out)["metrics"]}
     names = [key for key, value in entry.items() if isinstance(value, dict) and "value" in value]

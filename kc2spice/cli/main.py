@@ -379,7 +379,7 @@ def _export(
             hint="for example  kc2spice export impact",
         )
     else:
-        from kc2spice.workflow.export import export as write
+        from kc2spice.workflow.export import export_scene
 
         short = [] if tolerance is None else [f"rom.tolerance={tolerance}"]
         try:
@@ -390,7 +390,7 @@ def _export(
             raise
         out, head = out or Path(loaded.name), {"scene": loaded.name}
         with caller.progress() as progress:
-            files = write(loaded, out, dialect, progress, trust=trust, count=count)
+            files = export_scene(loaded, out, dialect, progress, trust=trust, count=count)
     if caller.reads({**head, "files": [path.name for path in files]}, files[0].parent):
         print_table("files", [(str(path),) for path in files])
 
@@ -411,7 +411,7 @@ def _verify(
     Writes verify.json and verify.html into DIR. Exit code 4 if an error exceeds its gate.
     """
     from kc2spice.scene.load import gallery
-    from kc2spice.workflow.verify.verify import verify as verify_scenes
+    from kc2spice.workflow.verify.verify import verify_scenes
 
     if (scene is None) is not all_:
         got = "neither of them" if scene is None else f"{scene} and --all"

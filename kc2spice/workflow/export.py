@@ -21,7 +21,7 @@ from kc2spice.synthesis.emitted import require_circuit
 from kc2spice.workflow.decks import prepared, spare_other_decks
 
 
-def export(
+def export_scene(
     scene: Scene,
     out: Path,
     dialect: str = "ngspice",

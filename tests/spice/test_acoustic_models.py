@@ -9,9 +9,9 @@ from kc2spice.netlist.nodal import NodalCircuit
 from kc2spice.netlist.translate import DIALECTS
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.export import export
+from kc2spice.workflow.export import export_scene
 from kc2spice.workflow.reduce_files import first_deck
-from kc2spice.workflow.verify.verify import verify
+from kc2spice.workflow.verify.verify import verify_scenes
 
 DENSITY, SPEED = 1.204, 343.2  # kg/m3 and m/s, air at 20 C
 VOLUME, AREA, LENGTH = 1e-6, 2e-6, 3e-3  # m3 of a cavity, m2 and m of its neck
@@ -82,7 +82,7 @@ def scene_of(folder, text):
 
 def assert_verified(scene, folder):
     """Netlist, reduced model, full model and laws agree."""
-    found = verify([scene], folder / "verified")["scenes"]["sound"]
+    found = verify_scenes([scene], folder / "verified")["scenes"]["sound"]
     assert found["passed"], [check for check in found["checks"] if not check["passed"]]
 
 
@@ -222,7 +222,7 @@ def test_the_emitted_ports_are_passive(tmp_path):
 def test_every_dialect_has_the_acoustic_pins(tmp_path, dialect):
     resonator(tmp_path)
     scene = scene_of(tmp_path, driven("neck", "mouth"))
-    files = export(scene, tmp_path / "out", dialect)
+    files = export_scene(scene, tmp_path / "out", dialect)
     texts = [path.read_text() for path in files if path.suffix in (".lib", ".va")]
     assert any("mouth unit=Pa flow=cm3/s" in text for text in texts)
     assert any("ambient unit=Pa flow=cm3/s" in text for text in texts)

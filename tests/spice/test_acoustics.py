@@ -14,7 +14,7 @@ from kc2spice.physics import Declaration, branch
 from kc2spice.physics.part import declared_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.verify.verify import verify
+from kc2spice.workflow.verify.verify import verify_scenes
 
 DENSITY, SPEED = 1.204, 343.2  # kg/m3 and m/s, air at 20 C
 VOLUME, AREA, LENGTH = 1e-6, 2e-6, 3e-3  # m3 of a buzzer's housing, m2 and m of its hole
@@ -61,7 +61,7 @@ def scene_of(tmp_path, text):
 
 def assert_verified(scene, tmp_path):
     """Netlist and laws agree."""
-    found = verify([scene], tmp_path / "verified")["scenes"]["housing"]
+    found = verify_scenes([scene], tmp_path / "verified")["scenes"]["housing"]
     assert found["passed"], [check for check in found["checks"] if not check["passed"]]
 
 

@@ -14,7 +14,7 @@ from kc2spice.sim.shared import run_shared
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.refine import time_again
 from kc2spice.workflow.run import complete
-from kc2spice.workflow.verify.verify import verify
+from kc2spice.workflow.verify.verify import verify_scenes
 
 PERIOD, DELAY = 10e-6, 4e-6  # s
 
@@ -68,8 +68,8 @@ def test_a_file_runs_only_when_it_is_trusted(tmp_path):
         built(loaded)
     assert "--trust" in caught.value.hint
     with pytest.raises(UsageError, match="runs a Python file"):
-        verify([loaded], tmp_path / "out")
-    assert verify([loaded], tmp_path / "out", trust=True)["scenes"]["controlled"]["passed"]
+        verify_scenes([loaded], tmp_path / "out")
+    assert verify_scenes([loaded], tmp_path / "out", trust=True)["scenes"]["controlled"]["passed"]
     call = part.type.settable(part, built(loaded, trust=True))["out"].call
     node = loaded.net("digits", "y")
     assert call(0.0, {node: 1.0}) == 7.0

@@ -13,7 +13,7 @@ import kc2spice as kc
 from kc2spice.core.progress import Clock
 from kc2spice.scene.checks import Balance
 from kc2spice.workflow.decks import prepared
-from kc2spice.workflow.export import export
+from kc2spice.workflow.export import export_scene
 from kc2spice.workflow.run import run_scene
 from kc2spice.workflow.simulate import ran
 
@@ -22,7 +22,7 @@ SCENES = {"duffing": ("spring", "cubic_spring"), "loudspeaker": ("coil", "voice_
 
 def edited(scene, folder, old, new, file=None):
     """The scene's deck beside a library in which ``old`` is replaced."""
-    export(kc.load_scene(scene), folder / "ex")
+    export_scene(kc.load_scene(scene), folder / "ex")
     path = folder / "ex" / (file or f"{SCENES[scene][1]}.lib")
     text = path.read_text()
     assert old in text

@@ -11,8 +11,8 @@ from kc2spice.netlist.expression import literal
 from kc2spice.netlist.nodal import NodalCircuit
 from kc2spice.netlist.translate import DIALECTS
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.export import export
-from kc2spice.workflow.verify.verify import verify
+from kc2spice.workflow.export import export_scene
+from kc2spice.workflow.verify.verify import verify_scenes
 
 SLAB = """
 gravity = 0.0
@@ -52,7 +52,7 @@ def scene_of(tmp_path, text):
 
 def assert_verified(scene, tmp_path):
     """Netlist, reduced model, full model and laws agree."""
-    found = verify([scene], tmp_path / "verified")["scenes"]["heated"]
+    found = verify_scenes([scene], tmp_path / "verified")["scenes"]["heated"]
     assert found["passed"], [check for check in found["checks"] if not check["passed"]]
 
 
@@ -225,7 +225,7 @@ def test_all_dialects_write_heat_models_and_elements(tmp_path, dialect):
     slab(tmp_path, [0.4, 0.1], [0.2, 0.05], {"top": 0, "foot": 1})
     pins = 'pins = { top = "drive.out" }\n'
     scene = scene_of(tmp_path, SLAB + pins + ELEMENTS + DRIVE)
-    written = export(scene, tmp_path / dialect, dialect)
+    written = export_scene(scene, tmp_path / dialect, dialect)
     text = "".join(path.read_text(encoding="utf-8") for path in written)
     assert re.search(r"@pin \d ambient unit=K flow=W", text)
     if dialect == "ngspice":

@@ -12,7 +12,7 @@ from kc2spice.netlist import read_lib
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.export import export
+from kc2spice.workflow.export import export_scene
 
 
 def test_two_parts_whose_pins_read_alike_keep_their_voltages(tmp_path, monkeypatch):
@@ -73,7 +73,7 @@ def test_a_library_carries_the_part_number_or_scene_and_part(scene, part, number
     (tmp_path / "m.toml").write_text(ports)
     path = tmp_path / f"{scene}.toml"
     path.write_text(MATRICES.format(part=part, number=number))
-    files = {file.name for file in export(load_scene(path), tmp_path / "out")}
+    files = {file.name for file in export_scene(load_scene(path), tmp_path / "out")}
     assert f"{name}.lib" in files
     (library,) = read_lib(tmp_path / "out" / f"{name}.lib")
     assert library.name == name

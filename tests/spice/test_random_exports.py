@@ -18,7 +18,7 @@ from kc2spice.core.errors import GateMissedError, Kc2spiceError
 from kc2spice.core.progress import Clock
 from kc2spice.netlist import read_lib
 from kc2spice.parts._box import number_of, varied, with_values
-from kc2spice.workflow.export import export
+from kc2spice.workflow.export import export_scene
 from kc2spice.workflow.reduce_files import export_rom, reduce_file
 
 FLOOR = 1e-6  # of an entry's peak, as the error estimate is defined
@@ -275,7 +275,7 @@ def scene_of(rng, make, parameters=None):
 def test_bodies(family, seed, tmp_path):
     rng = np.random.default_rng([seed, *family.encode()])
     scene, band = refused(scene_of, rng, BODIES[family][0])
-    refused(export, scene, tmp_path / "out")
+    refused(export_scene, scene, tmp_path / "out")
     (part,) = read_lib(tmp_path / "out" / "scene_body.lib")
     body = scene.parts["body"]
     full = body.type.build(body, scene, Clock(), full=True)
@@ -322,7 +322,7 @@ def test_parametric_bodies(family, tmp_path):
     ranges = {k: number_of(part, k, k)[0] * np.array([1 - w, 1 + w]) for k, w in widths.items()}
     keys["rom"]["parameters"] = {k: ends.tolist() for k, ends in ranges.items()}
     scene = kc.load_scene(scene)
-    refused(export, scene, tmp_path / "out")
+    refused(export_scene, scene, tmp_path / "out")
     (library,) = read_lib(tmp_path / "out" / "scene_body.lib")
     body = scene.parts["body"]
     names = {item.key: item.param.name for item in varied(body)}

@@ -209,10 +209,10 @@ def test_a_netlist_on_a_shaken_body_warns(tmp_path: Path):
 
 
 def test_dialects_have_the_frame_too(tmp_path: Path):
-    from kc2spice.workflow.export import export
+    from kc2spice.workflow.export import export_scene
 
     for dialect in ("xyce", "ltspice", "verilog-a"):
-        export(load_scene(beam()), tmp_path / dialect, dialect=dialect)
+        export_scene(load_scene(beam()), tmp_path / dialect, dialect=dialect)
     assert "along_frame" in (tmp_path / "xyce" / "mass.lib").read_text()
 
 

@@ -10,7 +10,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.translate import dialect_files
 from kc2spice.workflow.decks import prepared
-from kc2spice.workflow.export import export
+from kc2spice.workflow.export import export_scene
 
 HEATED = {
     "name": "heated",
@@ -72,7 +72,7 @@ def test_a_deck_of_volts_and_amperes_states_no_units():
 
 
 def test_kicad_shows_values_with_their_units(tmp_path):
-    files = export(kc.load_scene(HEATED), tmp_path)
+    files = export_scene(kc.load_scene(HEATED), tmp_path)
     (sheet,) = (path for path in files if path.suffix == ".kicad_sch")
     text = sheet.read_text(encoding="utf-8")
     assert re.search(r'"Value" "[^"]*20 K/W"', text)

@@ -22,7 +22,7 @@ from kc2spice.workflow.verify import bodies
 from kc2spice.workflow.verify.full_models import full_solution
 from kc2spice.workflow.verify.full_transient import Difference
 from kc2spice.workflow.verify.law_solution import solve
-from kc2spice.workflow.verify.verify import verify
+from kc2spice.workflow.verify.verify import verify_scenes
 
 module = importlib.import_module("kc2spice.workflow.verify.verify")
 
@@ -58,7 +58,7 @@ def failed(record):
 def test_a_circuit_of_plain_parts_is_verified(tmp_path):
     (tmp_path / "rlc.toml").write_text(RLC)
     scene = load_scene(tmp_path / "rlc.toml")
-    record = verify([scene], tmp_path / "out")["scenes"]["rlc"]
+    record = verify_scenes([scene], tmp_path / "out")["scenes"]["rlc"]
     assert record["passed"], failed(record)
     assert record["left_out"] == []
     assert {"ngspice_vs_rom"} == set(record["errors"])
@@ -96,7 +96,7 @@ def test_each_solution_is_compared_with_both_others(wrong, tmp_path, monkeypatch
         )  # fmt: skip
     if wrong == "ngspice":
         monkeypatch.setattr(module, "ran", lambda *asked: scaled(ran(*asked)))
-    record = verify([scene], tmp_path / "out")["scenes"]["imprint"]
+    record = verify_scenes([scene], tmp_path / "out")["scenes"]["imprint"]
     pairs = {c["name"]: c["passed"] for c in record["checks"] if c["name"].startswith("static")}
     assert pairs == {
         f"static force, {words}": wrong not in pair
@@ -168,7 +168,7 @@ def test_a_signal_input_listens_to_a_loaded_node(kind, tmp_path):
     text = SIGNAL.format(drive=drive, analysis=analysis).replace("20 nF", f"{1e6 / POLE} nF")
     (tmp_path / "heard.toml").write_text(text)
     scene = load_scene(tmp_path / "heard.toml")
-    record = verify([scene], tmp_path / "out")["scenes"]["heard"]
+    record = verify_scenes([scene], tmp_path / "out")["scenes"]["heard"]
     assert record["passed"], failed(record)
     assert record["left_out"] == []
     build = models(scene)
@@ -189,7 +189,8 @@ def test_a_signal_that_drives_a_load_is_taken_from_ngspice(tmp_path):
     drive, analysis = "dc = 1.0", "type = 'transient'\nstop = 1e-4"
     load = "[load]\npart = 'resistor'\nresistance = 5.0\npins = { a = 'filter.y' }\n"
     (tmp_path / "heard.toml").write_text(SIGNAL.format(drive=drive, analysis=analysis) + load)
-    record = verify([load_scene(tmp_path / "heard.toml")], tmp_path / "out")["scenes"]["heard"]
+    scene = load_scene(tmp_path / "heard.toml")
+    record = verify_scenes([scene], tmp_path / "out")["scenes"]["heard"]
     assert record["passed"], failed(record)
     assert record["left_out"] == ["filter"]
 
@@ -287,9 +288,8 @@ points = 3
 def test_eddy_currents_are_resolved_to_twice_what_a_scene_has(key, passed, tmp_path):
     """Whatever the part's own key says."""
     (tmp_path / "eddy.toml").write_text(EDDY.format(key=key))
-    checks = verify([load_scene(tmp_path / "eddy.toml")], tmp_path / "out")["scenes"]["eddy"][
-        "checks"
-    ]
+    scene = load_scene(tmp_path / "eddy.toml")
+    checks = verify_scenes([scene], tmp_path / "out")["scenes"]["eddy"]["checks"]
     found = [c for c in checks if "voltages of ring" in c["name"]]
     assert [c["passed"] for c in found] == [passed, passed]
 
@@ -353,7 +353,7 @@ def test_probes_of_flows_and_powers_are_compared_by_any_of_their_names(name, tmp
         "solver": {"max_step": 1e-4},
         "probes": probes | {"given": {"of": "drive.power", "take": "max"}},
     }
-    record = verify([load_scene(scene)], tmp_path / "out")["scenes"]["probed"]
+    record = verify_scenes([load_scene(scene)], tmp_path / "out")["scenes"]["probed"]
     assert record["passed"], failed(record)
     for answers in record["answers"].values():
         assert answers["symbol"] == answers["word"]
@@ -374,6 +374,6 @@ def test_probes_that_the_laws_do_not_contain_are_listed(tmp_path):
         "analysis": {"type": "ac", "start": 10, "stop": 1e3, "points": 5},
         "probes": {"taken": {"of": "beam.anode.current"}, "tip": {"of": "beam.u.tip"}},
     }  # fmt: skip
-    record = verify([load_scene(scene)], tmp_path / "out")["scenes"]["beam"]
+    record = verify_scenes([load_scene(scene)], tmp_path / "out")["scenes"]["beam"]
     print(record["notes"], record["answers"])
     assert any("taken (beam.anode.current)" in note for note in record["notes"])

@@ -46,8 +46,8 @@ import kc2spice as kc
 from kc2spice.netlist.printers.symbol_layout import layout
 from kc2spice.netlist.translate import DIALECTS
 from kc2spice.physics import Declaration, DeclaredPart, branch
-from kc2spice.workflow.export import export
-from kc2spice.workflow.verify.verify import verify
+from kc2spice.workflow.export import export_scene
+from kc2spice.workflow.verify.verify import verify_scenes
 
 
 class PipeKeys(kc.Section):
@@ -105,7 +105,7 @@ units = {"drive.head": "Pa", "surge.mouth.discharge": "m3/s", "pipe.power": "W"}
 assert {name: result.units[name] for name in units} == units
 
 for dialect in DIALECTS:
-    files = export(scene, Path(dialect), dialect)
+    files = export_scene(scene, Path(dialect), dialect)
     text = "".join(p.read_text() for p in files if p.suffix in (".lib", ".va"))
     assert "mouth unit=kPa flow=dm3/s" in text
     assert "tank unit=kPa flow=dm3/s" in text
@@ -114,7 +114,7 @@ part = next(part for part in result.deck.parts if "surge" in part.name)
 sides = {place.name: place.side for place in layout(part).places}
 assert sides["tank"] == "bottom" and sides["mouth"] == "left"
 
-found = verify([scene], Path("verified"))["scenes"]["network"]
+found = verify_scenes([scene], Path("verified"))["scenes"]["network"]
 assert found["passed"], [check for check in found["checks"] if not check["passed"]]
 
 steady = {

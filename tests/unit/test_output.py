@@ -13,7 +13,7 @@ import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.export import export
+from kc2spice.workflow.export import export_scene
 from kc2spice.workflow.reduce_files import export_rom, reduce_file
 
 
@@ -215,7 +215,7 @@ def test_an_export_spares_what_another_deck_there_includes(tmp_path):
 
     def exported(name, radius):
         scene = load_scene({"name": name, "sphere": {"radius": radius}, "solver": {"stop": 1e-3}})
-        return export(scene, tmp_path, "ngspice")
+        return export_scene(scene, tmp_path, "ngspice")
 
     exported("fall", 1e-3)
     exported("drop", 1e-3)  # the same design: both decks run

@@ -8,7 +8,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import checked, included_netlist
 from kc2spice.netlist.lint import lint
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.verify.verify import verify
+from kc2spice.workflow.verify.verify import verify_scenes
 
 AMPLIFIER = """* a vendor's amplifier
 .subckt amp inp inn out
@@ -153,7 +153,7 @@ def test_hostile_decks_are_not_verified(name, tmp_path):
     for line in (".include\tpart.lib", f".inc\t{tmp_path}/part.lib", AMPLIFIER + text):
         deck.write_bytes(f"* deck\n{line}\n.end\n".encode())
         with pytest.raises(UsageError) as caught:
-            verify([load_scene("harmonic")], tmp_path / "out", deck=deck)
+            verify_scenes([load_scene("harmonic")], tmp_path / "out", deck=deck)
         assert "deck.cir" in caught.value.where
     assert not (tmp_path / "out").exists()
 

@@ -252,7 +252,7 @@ NOISE = 1e-6  # the same of noise: Boltzmann's constant has seven digits in ngsp
 RECORDED, RECORDED_BALANCE = 5.0, 1e-5
 
 
-def verify(
+def verify_scenes(
     scenes: Sequence[Scene],
     out: Path,
     *,
