@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from kc2spice.netlist.circuit import Param, Pin
     from kc2spice.netlist.deck import Deck
     from kc2spice.netlist.library import Subcircuit, read_lib
+    from kc2spice.netlist.printers.dialect import Dialect
+    from kc2spice.netlist.printers.dialect_registry import register_dialect
     from kc2spice.rom.linear_model import Certificate, LinearModel, Port
     from kc2spice.rom.reduction import Reduction
     from kc2spice.rom.reductors.base import Reductor
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Certificate",
     "Deck",
+    "Dialect",
     "Domain",
     "LinearModel",
     "Param",
@@ -69,6 +72,7 @@ __all__ = [
     "read_lib",
     "read_model",
     "reduce",
+    "register_dialect",
     "register_part",
     "register_reductor",
     "run",
@@ -82,6 +86,7 @@ _HOMES = {
     **dict.fromkeys(("Pin", "Param"), "netlist.circuit"),
     **dict.fromkeys(("PartType", "Scene", "Terminal"), "scene.model"),
     "Deck": "netlist.deck",
+    "Dialect": "netlist.printers.dialect",
     "Domain": "core.domains",
     "Section": "core.quantities",
     "fit": "workflow.fit",
@@ -91,6 +96,7 @@ _HOMES = {
     "RationalKrylov": "rom.reductors.rational_krylov",
     "Reduction": "rom.reduction",
     "Reductor": "rom.reductors.base",
+    "register_dialect": "netlist.printers.dialect_registry",
     "register_reductor": "rom.reductors.registry",
     "subcircuit": "synthesis.realize",
 }  # within the package; all others are of its module api

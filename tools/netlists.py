@@ -28,6 +28,7 @@ from typing import Any
 
 import kc2spice
 from kc2spice.netlist import read_lib
+from kc2spice.netlist.printers.dialect_registry import NGSPICE, dialect_names
 from kc2spice.netlist.printers.kicad import Symbol, element_symbols, part_symbol, symbol_library
 from kc2spice.netlist.read import statements
 from kc2spice.scene.load import gallery, load_scene
@@ -94,7 +95,7 @@ def scene_files(scene: str, out: Path) -> list[Path]:
 
 def example_files(scene: str, out: Path) -> None:
     """A scene in every other dialect: KiCad's project and LTspice's libraries stand alone, too."""
-    for dialect in ("ltspice", "xyce", "verilog-a"):
+    for dialect in filter(NGSPICE.__ne__, dialect_names()):
         export_scene(load_scene(scene), out / dialect, dialect)
     with TemporaryDirectory() as place:
         (out / "kicad").mkdir()

@@ -33,6 +33,14 @@ def _names(incomplete: str) -> list[str]:
     return sorted(n[:-5] for n in names if n.startswith(incomplete) and n.endswith(".toml"))
 
 
+def _dialects() -> str:
+    """Built-in dialects in words, by their files: importing their printers takes 0.2 s."""
+    folder = resources.files("kc2spice") / "netlist" / "printers" / "dialects"
+    stems = (item.name.removesuffix(".py") for item in folder.iterdir())
+    names = sorted(stem for stem in stems if stem.isidentifier() and stem[0] != "_")
+    return ", ".join(("ngspice", *names, "verilog-a"))
+
+
 def _directory(text: str) -> Path:
     if not text.strip():  # Path("") would be where one stands
         raise UsageError(
@@ -110,7 +118,8 @@ PARAMETERS = {
     "png": typer.Option("--png", help="Write the figures of the report as PNG files too."),
     "keep": typer.Option("--keep", help="Keep raw file and log of the simulator."),
     "dialect": typer.Option(
-        metavar="DIALECT", help="Simulator to write for: ngspice, xyce, ltspice or verilog-a."
+        metavar="DIALECT",
+        help=f"Simulator to write for: {_dialects()}, or that of an installed package.",
     ),
     "export.tolerance": typer.Option(
         metavar="X", help="Tolerance of every reduction. Default: that of the scene."

@@ -5,20 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import added, terms
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.printers import ltspice
-from kc2spice.netlist.printers.dialect import Dialect
+from kc2spice.netlist.printers.dialect_registry import (
+    NGSPICE,
+    VERILOG_A,
+    deck_dialects,
+    dialect_named,
+)
 from kc2spice.netlist.printers.kicad import project
 from kc2spice.netlist.printers.ngspice import located
 from kc2spice.netlist.printers.verilog_a import module_files, testbench
-from kc2spice.netlist.printers.xyce import Xyce
-
-PRINTERS: dict[str, type[Dialect]] = {"xyce": Xyce, "ltspice": ltspice.LTspice}
-DECKS = ("ngspice", *PRINTERS)
-DIALECTS = (*DECKS, "verilog-a")
 
 
 def translate(deck: Deck, dialect: str) -> Deck:
@@ -28,11 +27,9 @@ def translate(deck: Deck, dialect: str) -> Deck:
     ------
     UsageError : an unknown dialect, or a construct that it cannot say.
     """
-    if dialect == "ngspice":
+    if dialect == NGSPICE:
         return deck
-    if dialect not in PRINTERS:
-        raise unknown("unknown dialect", dialect, DIALECTS, "--dialect")
-    printer = PRINTERS[dialect](deck)
+    printer = dialect_named(dialect)(deck)
     main = deck.printed_for(f"* Run it with:  {printer.command} {deck.main}")
     trees = {**deck.located, deck.main: located(main, deck.main) if deck.text is None else main}
     files = {name: printer.file(tree) for name, tree in trees.items()}
@@ -56,7 +53,7 @@ def dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
     ------
     UsageError : an unknown dialect, a construct that it cannot say, or not one module.
     """
-    if dialect != "verilog-a":
+    if dialect != VERILOG_A:
         return translate(deck, dialect).files
     files: dict[str, str] = {}
     left_out: list[UsageError] = []
@@ -78,20 +75,25 @@ def dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
 def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
     """``{file name: text}`` of the symbols of ``deck``, whose libraries are written in ``dialect``.
 
-    KiCad simulates with ngspice: a project of the whole deck with its symbol library. LTspice
-    needs its own words: its symbols name ``NAME.lib`` where the libraries are written in its
-    dialect, else ``NAME.ltspice.lib``, which come along.
+    KiCad simulates with ngspice: a project of the whole deck with its symbol library. Symbols of
+    other simulators name the library ``NAME.lib`` in their dialect. Beside libraries for ngspice
+    they name ``NAME.DIALECT.lib``, which come along.
 
     Raises
     ------
-    UsageError : a part that LTspice cannot simulate, a card that KiCad has no symbol for.
+    UsageError : a part that such a simulator does not have, a card that KiCad has no symbol for.
     """
-    files = project(deck) if dialect == "ngspice" else {}
-    if dialect in ("ngspice", "ltspice"):
+    if dialect == VERILOG_A:
+        return {}
+    files = project(deck) if dialect == NGSPICE else {}
+    spoken = deck_dialects() if dialect == NGSPICE else (dialect,)
+    for name in filter(NGSPICE.__ne__, spoken):
+        printer = dialect_named(name)()
         for part in deck.parts:
             stem = part.filename.removesuffix(".lib")
-            library = f"{stem}.lib" if dialect == "ltspice" else f"{stem}.ltspice.lib"
-            files[f"{stem}.asy"] = ltspice.symbol(part, library)
-            if dialect == "ngspice":
-                files[library] = ltspice.LTspice().file(part.located)
+            library = f"{stem}.{name}.lib" if dialect == NGSPICE else f"{stem}.lib"
+            symbols = printer.symbols(part, library)
+            files |= symbols
+            if symbols and dialect == NGSPICE:
+                files[library] = printer.file(part.located)
     return files

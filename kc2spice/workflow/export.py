@@ -9,9 +9,10 @@ from kc2spice.core.errors import unknown
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.printers.dialect_registry import deck_dialects, dialect_names
 from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.netlist.transforms import array_deck
-from kc2spice.netlist.translate import DECKS, DIALECTS, dialect_files, symbol_files
+from kc2spice.netlist.translate import dialect_files, symbol_files
 from kc2spice.parts._linear_body import LinearBody, reduction_target
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import Build, Scene
@@ -42,7 +43,7 @@ def export_scene(
         :func:`kc2spice.workflow.decks.spare_other_decks`.
     GateMissedError : the circuit of a body misses the tolerance of its reduction.
     """
-    known = DIALECTS if count is None else DECKS
+    known = dialect_names() if count is None else deck_dialects()
     if dialect not in known:
         message = "unknown dialect" if count is None else "no array of copies in this dialect"
         raise unknown(message, dialect, known, "--dialect")

@@ -27,8 +27,9 @@ from kc2spice.core.untrusted_files import identifier
 from kc2spice.netlist.deck import Deck, ac
 from kc2spice.netlist.elements import titled
 from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.netlist.printers.plot_script import plot_script
-from kc2spice.netlist.translate import DIALECTS, dialect_files, symbol_files
+from kc2spice.netlist.translate import dialect_files, symbol_files
 from kc2spice.parts._linear_body import LinearBody, full_alone, scene_band
 from kc2spice.rom.band import SMALL, natural_band
 from kc2spice.rom.branch_fit import one_port
@@ -400,8 +401,8 @@ def export_rom(
     UsageError : not a reduced model, or one that has no such subcircuit, or a dialect that cannot
         be written, or see :func:`kc2spice.workflow.decks.spare_other_decks`; nothing was written.
     """
-    if dialect not in DIALECTS:
-        raise unknown("unknown dialect", dialect, DIALECTS, "--dialect")
+    if dialect not in dialect_names():
+        raise unknown("unknown dialect", dialect, dialect_names(), "--dialect")
     path = Path(path)
     reduced = read_rom(path)
     name = identifier(path.stem, "rom")

@@ -6,7 +6,7 @@ import scipy
 
 import kc2spice as kc
 from kc2spice.netlist.nodal import NodalCircuit
-from kc2spice.netlist.translate import DIALECTS
+from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.export import export_scene
@@ -218,7 +218,7 @@ def test_the_emitted_ports_are_passive(tmp_path):
         assert np.linalg.eigvalsh(Y + Y.conj().T).min() >= -1e-9 * np.abs(Y).max()
 
 
-@pytest.mark.parametrize("dialect", DIALECTS)
+@pytest.mark.parametrize("dialect", dialect_names())
 def test_every_dialect_has_the_acoustic_pins(tmp_path, dialect):
     resonator(tmp_path)
     scene = scene_of(tmp_path, driven("neck", "mouth"))

@@ -15,8 +15,9 @@ from networks import FUNCTIONS, H, Network
 import kc2spice as kc
 from kc2spice.core.untrusted_files import parse_toml
 from kc2spice.netlist.library import Header
+from kc2spice.netlist.printers.dialect_registry import dialect_named, dialect_names
 from kc2spice.netlist.printers.verilog_a import module_files
-from kc2spice.netlist.translate import PRINTERS, dialect_files
+from kc2spice.netlist.translate import dialect_files
 from kc2spice.parts.two_terminal_types import TABLE
 from kc2spice.physics import contact, law
 from kc2spice.physics.contact import Normal
@@ -26,7 +27,7 @@ from kc2spice.scene.model import Build
 from kc2spice.scene.parttype import part_types
 
 DECLARED = {n: kind for n, kind in part_types().items() if hasattr(kind, "declaration")}
-DIALECTS = ("ngspice", "xyce", "ltspice", "verilog-a")
+DIALECTS = dialect_names()
 PLAIN = {row.name for row in TABLE}  # cards of a deck, of which there is no module
 PRINTED = [(n, d) for n in sorted(DECLARED) for d in DIALECTS if d != "verilog-a" or n not in PLAIN]
 SIZES = {
@@ -322,7 +323,7 @@ def worst_cards(kind, dialect):
     if dialect == "verilog-a":
         (text,) = module_files(part).values()
     elif dialect != "ngspice":
-        text = PRINTERS[dialect]().file(part.circuit)
+        text = dialect_named(dialect)().file(part.circuit)
     values = {p.name: p.default for p in part.params}
     if normal.radius:  # the network has no lags
         normal = replace(normal, pace=0.0)

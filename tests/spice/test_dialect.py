@@ -11,7 +11,8 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.library import Header
-from kc2spice.netlist.translate import DIALECTS, PRINTERS, dialect_files, translate
+from kc2spice.netlist.printers.dialect_registry import dialect_named, dialect_names
+from kc2spice.netlist.translate import dialect_files, translate
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import declared_subcircuit as declared
 from kc2spice.sim.ngspice import run_deck
@@ -173,7 +174,7 @@ def test_every_law_of_a_contact_is_in_the_grammar(dialect):
     card = grammar(dialect)
     for law in LAWS.values():
         part = pressing(law)
-        text = PRINTERS[dialect]().file(part.circuit)
+        text = dialect_named(dialect)().file(part.circuit)
         assert len(cards(text)) == len(cards(part.text))
         for line in cards(text):
             card.parse_string(line)
@@ -206,7 +207,7 @@ REFUSED = [
     "B1 a 0 I=pwl(V(c), 0, 1, 1, 1, 1)", "B1 a 0 I=limit(V(c), 0, 1)", "B1 a 0 I=V(b)*hertz",
     "E1 a 0 LAPLACE {V(b)} {1/(1+s)}", ".model d D(IS=1e-14 LEVEL=3)", ".csparam c=1",
     ".model n NMOS(LEVEL=49)", ".control\n.endc", "Z1 a b c d", "A1 a b c", ".width out=80",
-    ".save @m1[gm]", ".save nothing", "V1 a 0 PWL(file=x)",
+    ".save @m1[gm]", ".save nothing", "V1 a 0 PWL(file=x)", "R1 a 0 1 scale=2", "C1 a 0 1u tc3=1",
 ]  # fmt: skip
 
 
@@ -254,7 +255,7 @@ def test_xyce_is_told_what_it_does_otherwise():
 def test_unknown_dialects_are_refused(loop):
     with pytest.raises(UsageError, match="unknown dialect") as caught:
         translate(loop, "hspice")
-    assert caught.value.expected == "one of " + ", ".join(DIALECTS)
+    assert caught.value.expected == "one of " + ", ".join(dialect_names())
 
 
 # ---------------------------------------------------------------------------------- meaning
@@ -327,3 +328,30 @@ def test_start_values_name_nodes_as_results_do(dialect, name):
     assert f".ic V({name})=200 V(a)=1\n" in text
     others = [line for line in text.splitlines() if not line.startswith(".ic")]
     assert any(f"V({name})" in line for line in others)  # as a result
+
+
+# Numbers on cards as ngspice 39 reads them (print of @r1[resistance]), and the double that each is.
+READ_BY_NGSPICE = {
+    "5Meg": 5e6, "1M": 1e-3, "3mil": 3 * 25.4e-6, "2a": 2.0, "4x": 4.0, "10Ohm": 10.0,
+    "1kOhm": 1e3, "2.5uF": 2.5e-6, "7e3Hz": 7e3, "1e-3": 1e-3, "47": 47.0,
+}  # fmt: skip
+# Scale factors that the manuals of LTspice and Xyce both have.
+SHARED = {"t": 1e12, "g": 1e9, "meg": 1e6, "k": 1e3, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12,
+          "f": 1e-15, "": 1.0}  # fmt: skip
+
+
+@pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
+@pytest.mark.parametrize("word", READ_BY_NGSPICE)
+def test_a_number_is_the_same_double_in_all_dialects(word, dialect):
+    """No letters remain but scale factors that every simulator reads alike: LTspice has no atto."""
+    card = translate(one(f"R1 a 0 {word} noisy=0"), dialect).files["one.cir"].splitlines()[1]
+    *_, written = card.split()
+    digits, letters = re.fullmatch(r"([\d.]+(?:e[-+]?\d+)?)([a-z]*)", written.lower()).groups()
+    assert float(digits) * SHARED[letters] == pytest.approx(READ_BY_NGSPICE[word], rel=1e-15)
+
+
+def test_a_refusal_names_one_action():
+    with pytest.raises(UsageError) as caught:
+        translate(one("R1 a 0 1 scale=2"), "xyce")
+    assert "parameter scale of this R card" in str(caught.value)
+    assert caught.value.hint.startswith("rewrite this card")

@@ -9,7 +9,7 @@ import scipy
 import kc2spice as kc
 from kc2spice.netlist.expression import literal
 from kc2spice.netlist.nodal import NodalCircuit
-from kc2spice.netlist.translate import DIALECTS
+from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.export import export_scene
 from kc2spice.workflow.verify.verify import verify_scenes
@@ -220,7 +220,7 @@ def test_reduced_heat_models_keep_static_resistances():
     np.testing.assert_allclose(small.transfer([0.0])[0].real, exact, rtol=1e-9)
 
 
-@pytest.mark.parametrize("dialect", DIALECTS)
+@pytest.mark.parametrize("dialect", dialect_names())
 def test_all_dialects_write_heat_models_and_elements(tmp_path, dialect):
     slab(tmp_path, [0.4, 0.1], [0.2, 0.05], {"top": 0, "foot": 1})
     pins = 'pins = { top = "drive.out" }\n'

@@ -6,9 +6,13 @@ Sources: Xyce Reference Guide (devices B, S, X, commands .PRINT and .SUBCKT) and
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import ClassVar
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Circuit, Directive, Element, Function, Item, Model, Parameters
@@ -22,8 +26,10 @@ from kc2spice.netlist.expression import (
     Trace,
     Tree,
     Unary,
+    parse,
     vector,
 )
+from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import INCLUDES
 
@@ -43,15 +49,48 @@ COMMON = EVERYWHERE.union(["acosh", "asinh", "atanh", "ceil", "int", "log10", "s
 _EULER = "2.718281828459045"
 
 
-class Dialect(Printer, ABC):
-    """One simulator's spelling, of the files of a ``deck`` or of libraries alone; subclasses
-    override what differs from each other."""
+# Parameters of cards that Xyce and LTspice have as ngspice does.
+_PARAMETERS = {
+    "r": {"tc", "tc1", "tc2", "temp"},
+    "c": {"ic", "m"},
+    "l": {"ic", "m"},
+    "v": set[str](),
+    "i": set[str](),
+    "d": {"area", "m", "temp"},
+    "q": {"area", "m", "temp"},
+    "j": {"area", "m", "temp"},
+    "m": {"l", "w", "ad", "as", "pd", "ps", "nrd", "nrs", "m", "temp"},
+}
+_NOISE = frozenset({"noisy"})  # of a noise analysis alone, which is refused
+_EXPONENT = r"e[-+]?\d+"
+_NUMBER = re.compile(
+    rf"(?<![\w.])(?:\d+\.?\d*|\.\d+)(?:{_EXPONENT})?((?!{_EXPONENT})[a-z]\w*)(?![\w.])", re.I
+)
+_SCALES = frozenset({"t", "g", "meg", "k", "m", "u", "n", "p", "f"})  # the same in all
 
+
+class Dialect(Printer, ABC):
+    """One simulator's spelling of a netlist; a subclass states what differs from ngspice.
+
+    ``dialect`` is the name for ``--dialect``, ``title`` the name of the simulator in messages and
+    ``command`` what runs a deck. ``keyword`` stands before parameters of subcircuits. ``functions``
+    are those of expressions that the simulator has, ``rewritten`` those that :meth:`call` writes in
+    other words. ``known_options`` are settings that it has too, behind ``option_prefix``; other
+    ones become comments. ``joined`` commands are written as one card. ``parameters`` are those of
+    each kind of card. ``temperature`` is the name of the temperature in expressions.
+
+    ``deck`` is the deck that is printed, None for a library alone, and :attr:`analysis` its
+    analysis. :meth:`refusal` is the error for what the simulator has no words for.
+    """
+
+    dialect: ClassVar[str] = ""
     command = ""
     option_prefix = ".options"
     known_options: frozenset[str] = frozenset()
     joined = frozenset({".save"})  # Xyce writes one file per ``.print``
     functions = COMMON
+    rewritten = frozenset({"pow", "pwl"})
+    parameters: Mapping[str, set[str]] = MappingProxyType(_PARAMETERS)
     temperature = ""
     measure_keyword = ".meas"
 
@@ -60,6 +99,18 @@ class Dialect(Printer, ABC):
         self.deck = deck
         self.defined: set[str] = set()
         self.unmeasured: set[str] = set()  # names of measures without an equivalent
+
+    @cached_property
+    def analysis(self) -> Directive:
+        """The card of the deck's analysis; a library is one of a transient from initial states."""
+        items = self.deck.trees[self.deck.main].items if self.deck else ()
+        cards = (item for item in items if isinstance(item, Directive))
+        analyses = (card for card in cards if card.keyword in ANALYSES)
+        return min(analyses, key=lambda card: card.keyword, default=Directive(".tran", ("uic",)))
+
+    def symbols(self, part: Subcircuit, library: str) -> dict[str, str]:
+        """Symbols of a part by file name, of which ``library`` is the file; by default none."""
+        return {}
 
     # -- cards ------------------------------------------------------------------------------
 
@@ -143,14 +194,28 @@ class Dialect(Printer, ABC):
     def refusal(self, got: str | None, what: str, expected: str | None = None) -> UsageError:
         """The error for a construct that this dialect has no words for."""
         message, got = f"{self.title} has no equivalent of {what}", got and got[:120]
-        return UsageError(message, where=self.where, got=got, expected=expected)
+        hint = "rewrite this card, or export for ngspice, which reads it as it is"
+        return UsageError(message, where=self.where, got=got, expected=expected, hint=hint)
 
     def element(self, part: Element) -> str:
         laplace = part.kind in "eg" and len(part.nodes) == 2 and not part.quantity
         files = any("file" in w.lower() for w in (*part.values, *part.parameters))
         if part.kind not in _SHARED or laplace or files or (part.kind in "eg" and part.parameters):
             raise self.refusal(part.written, f"this {part.kind.upper()} card")
+        known = self.parameters.get(part.kind)
+        if known is not None:
+            part = replace(part, parameters=self._known_parameters(part, known))
         return super().element(part)
+
+    def _known_parameters(self, part: Element, known: set[str]) -> dict[str, str]:
+        """Parameters of a card, without those of a noise analysis, which no dialect has."""
+        given = {k: v for k, v in part.parameters.items() if k.lower() not in _NOISE}
+        strange = [key for key in given if key.lower() not in known]
+        if strange:
+            what = f"the parameter {strange[0]} of this {part.kind.upper()} card"
+            expected = ", ".join(sorted(known)) or "no parameters"
+            raise self.refusal(part.written, what, expected)
+        return given
 
     def model(self, model: Model) -> str:
         """A switch, or a semiconductor of the parameters that all have."""
@@ -197,8 +262,9 @@ class Dialect(Printer, ABC):
         return ":".join([*trace.path, *trace.names])
 
     def number(self, text: str) -> str:
-        """Numbers as they are: scale factors differ between simulators."""
-        return text
+        """Numbers as they are, but for letters that are not read alike: units behind a number, and
+        scale factors such as ``mil``, ``a`` or ``x``."""
+        return _NUMBER.sub(_plain_number, text)
 
     # -- expressions ------------------------------------------------------------------------
 
@@ -227,7 +293,7 @@ class Dialect(Printer, ABC):
             return self.write(Binary("^", *arguments))
         spelled = "ln" if function == "log" else function
         if spelled not in self.functions and function not in self.defined:
-            known = ", ".join(sorted(self.functions | {"pow", "pwl"}))
+            known = ", ".join(sorted(self.functions | self.rewritten))
             raise self.refusal(None, f"the function {function}", known)
         return super().call(spelled, arguments)
 
@@ -248,6 +314,14 @@ class Dialect(Printer, ABC):
             case Binary("&&" | "||" | "==" | "!=") | Unary("!"):
                 return self.write(_truth(tree), level)
         return super().write(tree, level)
+
+
+def _plain_number(match: re.Match[str]) -> str:
+    """A number with a scale factor that all simulators have, or the same double without letters."""
+    if match[1].lower() in _SCALES:
+        return match[0]
+    tree = parse(match[0])
+    return tree.text if isinstance(tree, Number) else match[0]
 
 
 _ONE, _ZERO = Number("1"), Number("0")

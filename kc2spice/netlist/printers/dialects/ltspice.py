@@ -8,6 +8,7 @@ from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.expression import Trace
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.dialect import Dialect
+from kc2spice.netlist.printers.dialect_registry import register_dialect
 from kc2spice.netlist.printers.symbol_layout import layout
 from kc2spice.netlist.spelling import number
 
@@ -15,9 +16,11 @@ GRID = 32  # LTspice's units, two of its grid: pins must lie on multiples of 16
 _SIDES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM", "top": "TOP"}
 
 
+@register_dialect
 class LTspice(Dialect):
     """Its behavioural sources take parameters as numbers in braces, as text."""
 
+    dialect = "ltspice"
     title = "LTspice"
     command = "LTspice -b"
     keyword = "params:"
@@ -67,8 +70,12 @@ class LTspice(Dialect):
         inner = (name[0], *(item[1:] for item in trace.path), name[1:])
         return ":".join(inner) if trace.path else name
 
+    def symbols(self, part: Subcircuit, library: str) -> dict[str, str]:
+        stem = part.filename.removesuffix(".lib")
+        return {f"{stem}.asy": _symbol(part, library)}
 
-def symbol(part: Subcircuit, library: str) -> str:
+
+def _symbol(part: Subcircuit, library: str) -> str:
     """The symbol of one part; ``library`` is the file that LTspice includes for it."""
     box = layout(part)
     x, y = GRID * box.width, GRID * box.height

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 
 from kc2spice.netlist.circuit import Directive, Element
-from kc2spice.netlist.deck import ANALYSES, Deck
+from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import Number, Tree, literal
 from kc2spice.netlist.printers.dialect import COMMON, Dialect
+from kc2spice.netlist.printers.dialect_registry import register_dialect
 from kc2spice.netlist.scope import GROUND
 from kc2spice.netlist.spelling import number, tidy
 
@@ -22,11 +22,13 @@ SWITCH_BAND = 1e-3  # V on either side of the threshold: its switch has no jump
 _SCALES = {"tran": "TIME", "ac": "FREQ"}  # words of measures for the scale
 
 
+@register_dialect
 class Xyce(Dialect):
     """Its ``uramp`` lacks the chain rule (release 7.5), and of two ``.options timeint`` the last
     replaces the first.
     """
 
+    dialect = "xyce"
     title = "Xyce"
     command = "Xyce"
     keyword = "PARAMS:"
@@ -34,16 +36,9 @@ class Xyce(Dialect):
     known_options = frozenset({"reltol", "abstol", "method"})
     joined = frozenset({".save", ".options"})  # Xyce uses only the last .options card
     functions = COMMON - {"uramp"}
+    rewritten = Dialect.rewritten | {"uramp"}
     temperature = "TEMP"
     measure_keyword = ".measure"
-
-    @cached_property
-    def analysis(self) -> Directive:
-        """The card of the deck's analysis; a library is one of a transient from initial states."""
-        items = self.deck.trees[self.deck.main].items if self.deck else ()
-        cards = (item for item in items if isinstance(item, Directive))
-        analyses = (card for card in cards if card.keyword in ANALYSES)
-        return min(analyses, key=lambda card: card.keyword, default=Directive(".tran", ("uic",)))
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """``max(0, x)`` is differentiated, ``uramp(x)`` is not."""

@@ -1,0 +1,125 @@
+"""Dialects of netlists by name: those of this package, of installed packages, and registered ones.
+
+A module of :mod:`kc2spice.netlist.printers.dialects` is named after its dialect. Other packages
+name theirs as entry points of the group :data:`GROUP`.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+
+from kc2spice.core.errors import UsageError, unknown
+from kc2spice.netlist.printers.dialect import Dialect
+
+GROUP = "kc2spice.dialects"
+PACKAGE = "kc2spice.netlist.printers.dialects"
+NGSPICE, VERILOG_A = "ngspice", "verilog-a"  # the printer that others derive from; no netlist
+_dialects: dict[str, type[Dialect]] = {}
+
+
+def register_dialect(dialect: type[Dialect]) -> type[Dialect]:
+    """Register a simulator's dialect under its name, for ``--dialect`` and :func:`kc2spice.export`.
+
+    A second dialect of the same name replaces the first one.
+
+    Parameters
+    ----------
+    dialect : type of Dialect
+        Subclass of :class:`kc2spice.Dialect` with the attribute ``dialect``, its name.
+
+    Returns
+    -------
+    type of Dialect
+        The same class, so that this function can be a decorator.
+
+    Raises
+    ------
+    UsageError : it is no such class, lacks a method, or has the name ngspice or verilog-a.
+
+    Examples
+    --------
+    >>> import kc2spice as kc
+    >>> @kc.register_dialect
+    ... class Example(kc.Dialect):
+    ...     dialect, title, command = "example", "Example", "example -batch"
+    ...     def scaled(self, kind, name, expression):
+    ...         return f".meas {kind} {name} PARAM {expression}"
+    ...     def magnitude(self, vector):
+    ...         return f"mag({vector})"
+    ...     def real_part(self, vector):
+    ...         return f"re({vector})"
+    ...     def switch(self, name, values):
+    ...         return f".model {name} SW({' '.join(f'{k}={v}' for k, v in values.items())})"
+    >>> lamp = {
+    ...     "name": "lamp",
+    ...     "drive": {"part": "source", "dc": "12 V"},
+    ...     "lamp": {"part": "resistor", "resistance": "6 Ohm", "pins": {"a": "drive.out"}},
+    ...     "analysis": {"type": "op"},
+    ... }
+    >>> [path.name for path in kc.export(lamp, "for_example", dialect="example")]
+    ['lamp.cir']
+    """
+    _require_dialect(dialect)
+    _dialects[dialect.dialect] = dialect
+    return dialect
+
+
+def _require_dialect(value: object) -> None:
+    """Check that a value is a class of a dialect that can be instantiated."""
+    got, hint = repr(value), "derive a class from kc.Dialect and register the class"
+    if isinstance(value, type) and issubclass(value, Dialect):
+        missing = ", ".join(sorted(getattr(value, "__abstractmethods__", ())))
+        if not missing and value.dialect and value.dialect not in (NGSPICE, VERILOG_A):
+            return
+        got = f"{value.__name__} with the name {value.dialect!r}"
+        hint = f"define {missing}" if missing else f"set dialect = 'NAME' in {value.__name__}"
+    raise UsageError(
+        "not a dialect of netlists",
+        where="register_dialect",
+        got=got,
+        expected="a subclass of kc.Dialect with a name of its own and all methods",
+        hint=hint,
+    )
+
+
+@cache
+def _modules() -> tuple[str, ...]:
+    """Dialects of this package."""
+    return tuple(module.name for module in pkgutil.iter_modules(import_module(PACKAGE).__path__))
+
+
+@cache
+def _foreign() -> tuple[EntryPoint, ...]:
+    """Dialects of other distributions; the search reads the metadata of all of them."""
+    return tuple(entry_points(group=GROUP))
+
+
+def deck_dialects() -> tuple[str, ...]:
+    """Return the names of all dialects in which a deck can be written, ngspice first."""
+    foreign = (entry.name for entry in _foreign())
+    return tuple(dict.fromkeys((NGSPICE, *_modules(), *foreign, *_dialects)))
+
+
+def dialect_names() -> tuple[str, ...]:
+    """Return the names of all dialects of an export: those of decks, and Verilog-A of parts."""
+    return (*deck_dialects(), VERILOG_A)
+
+
+def dialect_named(name: str) -> type[Dialect]:
+    """Return the printer of a dialect; its module is imported when needed.
+
+    Raises
+    ------
+    UsageError : no dialect with a printer has this name.
+    """
+    if name not in _dialects and name in _modules():
+        import_module(f"{PACKAGE}.{name}")
+    for entry in _foreign():
+        if name not in _dialects and entry.name == name:
+            register_dialect(entry.load())
+    if name not in _dialects:
+        raise unknown("unknown dialect", name, dialect_names(), "--dialect")
+    return _dialects[name]
