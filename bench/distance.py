@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from kc2spice.parts._touching import separation
+from kc2spice.parts.mechanics._touching import separation
 
 
 def compare(waves, reference):

@@ -132,7 +132,7 @@ def domains_page() -> str:
         "## Add a domain",
         "",
         "A domain is one row of the table in `kc2spice/core/domains.py`. Its two-terminal parts "
-        "are rows of the table in `kc2spice/parts/two_terminal_types.py`. "
+        "are rows of the table in `kc2spice/parts/electronics/two_terminal_types.py`. "
         "`tests/unit/test_new_domain.py` adds a row and uses it in all of these places.",
         "",
     ])  # fmt: skip

@@ -272,8 +272,8 @@ def declared_subcircuit(
 
     Examples
     --------
-    >>> from kc2spice.parts.two_terminal_types import TABLE
-    >>> from kc2spice.parts.two_terminal_types import declaration as declared
+    >>> from kc2spice.parts.electronics.two_terminal_types import TABLE
+    >>> from kc2spice.parts.electronics.two_terminal_types import declaration as declared
     >>> from kc2spice.netlist.library import Header
     >>> spring = declared(next(row for row in TABLE if row.name == "spring"))
     >>> declared_subcircuit(Header("demo", "0"), "leaf", spring, {"stiffness": 100.0})

@@ -107,23 +107,27 @@ def register(part_type: PartType) -> PartType:
 def type_names() -> tuple[str, ...]:
     """Names of all part types; of the package's modules only the tables are loaded.
 
-    A module of ``kc2spice.parts`` is named after its type; one that ends in ``_types`` is a table
-    that registers several, and one that begins with ``_`` is shared by several.
+    ``kc2spice.parts`` has a folder for each family. A module there is named after its type; one
+    that ends in ``_types`` registers several types, and one that begins with ``_`` is shared.
     """
     modules = _modules()
-    for name in modules:
+    for name, module in modules.items():
         if name.endswith(TABLE):
-            import_module(f"{PACKAGE}.{name}")
+            import_module(module)
     foreign = (entry.name for entry in _foreign())
     built_in = (name for name in modules if not name.endswith(TABLE))
     return tuple(sorted({*_types, *foreign, *built_in}))
 
 
 @cache
-def _modules() -> tuple[str, ...]:
-    """Modules of the package that have part types."""
-    result = pkgutil.iter_modules(import_module(PACKAGE).__path__)
-    return tuple(module.name for module in result if not module.name.startswith("_"))
+def _modules() -> Mapping[str, str]:
+    """Modules of part types with their full names, from all families of the package."""
+    result: dict[str, str] = {}
+    for family in pkgutil.iter_modules(import_module(PACKAGE).__path__, f"{PACKAGE}."):
+        modules = pkgutil.iter_modules(import_module(family.name).__path__)
+        public = (item.name for item in modules if not item.name.startswith("_"))
+        result |= {name: f"{family.name}.{name}" for name in public}
+    return result
 
 
 @cache
@@ -136,7 +140,7 @@ def part_type(name: str) -> PartType | None:
     """The part type of this name, None where there is none; its module is loaded when needed, and
     tables and other packages are looked into only for what no module is named after."""
     if name not in _types and name in _modules():
-        import_module(f"{PACKAGE}.{name}")
+        import_module(_modules()[name])
     if name not in _types and name in type_names():
         for entry in _foreign():
             result = entry.load() if entry.name == name else None

@@ -10,7 +10,7 @@ from typing import Any
 from kc2spice.core.progress import Clock
 from kc2spice.equations.scene_laws import with_laws
 from kc2spice.netlist.library import Header
-from kc2spice.parts._linear_body import LinearBody
+from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import mode_table
 from kc2spice.scene.model import Build, Names, Scene, scene_hash

@@ -23,7 +23,7 @@ from kc2spice.core.memory import available_bytes
 from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.progress import ERROR_BUDGET, Clock
 from kc2spice.core.waveforms import interpolate
-from kc2spice.parts._meshed import MeshedBody
+from kc2spice.parts.bodies._meshed import MeshedBody
 from kc2spice.scene.axes import Axis, axes, finest_axes, key_prefix, keys_at
 from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene

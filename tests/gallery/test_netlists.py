@@ -14,7 +14,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import literal
 from kc2spice.netlist.library import read_lib
-from kc2spice.parts._linear_body import LinearBody
+from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import run_deck
 

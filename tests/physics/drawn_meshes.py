@@ -16,8 +16,8 @@ from test_body import write
 from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.mesh_error import MESH_ERROR
-from kc2spice.parts import bimorph, disc, langevin
-from kc2spice.parts.body import device
+from kc2spice.parts.bodies import bimorph, disc, langevin
+from kc2spice.parts.bodies.body import device
 
 SEED = 20261127
 SMALL = 1e-3  # errors of a thousandth and less are no reason to refine: both must be

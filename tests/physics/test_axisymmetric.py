@@ -14,7 +14,7 @@ from kc2spice.bodies.device import Block, Bonded, node_shares
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
-from kc2spice.parts import disc, langevin
+from kc2spice.parts.bodies import disc, langevin
 
 approx = partial(pytest.approx, abs=0.0)  # its default of 1e-12 is a picofarad
 PZT = material("PZT-5A")

@@ -6,7 +6,7 @@ from pydantic import ValidationError
 
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
-from kc2spice.parts.bimorph import BimorphKeys, bimorph_body
+from kc2spice.parts.bodies.bimorph import BimorphKeys, bimorph_body
 
 PZT = material("PZT-5A")
 

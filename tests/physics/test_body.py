@@ -10,8 +10,8 @@ from scipy.sparse.linalg import eigsh
 
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import material
-from kc2spice.parts import bimorph, disc
-from kc2spice.parts.body import BodyKeys, device
+from kc2spice.parts.bodies import bimorph, disc
+from kc2spice.parts.bodies.body import BodyKeys, device
 
 
 def write(path, draw, *, size, order=2, mesh=3):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from kc2spice.parts import disc
+from kc2spice.parts.bodies import disc
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = tomllib.loads((ROOT / "docs" / "published.toml").read_text("utf-8"))

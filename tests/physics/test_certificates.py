@@ -10,7 +10,7 @@ from mor_families import damped_chain
 from scipy import sparse
 
 from bench.beam import hermite_beam
-from kc2spice.parts import disc
+from kc2spice.parts.bodies import disc
 from kc2spice.rom.certification import certified
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.linear_model import LinearModel

@@ -13,7 +13,7 @@ from kc2spice.bodies.undamped import undamped_answers
 from kc2spice.fem.enrichment import assemble_enrichment, enrich, shape_functions
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid, assemble_solid
-from kc2spice.parts import disc
+from kc2spice.parts.bodies import disc
 
 STEEL, PZT = material("steel"), material("PZT-5A").poled((0, 0, 1))
 

@@ -23,8 +23,8 @@ from kc2spice.core.errors import UsageError
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid
-from kc2spice.parts import disc, langevin
-from kc2spice.parts._pictures import OBLIQUE, deformed, shapes
+from kc2spice.parts.bodies import disc, langevin
+from kc2spice.parts.bodies._pictures import OBLIQUE, deformed, shapes
 from kc2spice.rom.linear_model import Port
 from kc2spice.scene.load import load_scene
 

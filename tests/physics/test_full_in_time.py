@@ -8,8 +8,8 @@ from scipy import sparse
 
 from kc2spice.core import laws
 from kc2spice.core.waveforms import constant, linear
-from kc2spice.parts.mass import point_mass
-from kc2spice.parts.two_terminal_types import element
+from kc2spice.parts.electronics.two_terminal_types import element
+from kc2spice.parts.mechanics.mass import point_mass
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.reference.equilibrium import solve_operating_point
 from kc2spice.reference.fixed_step import steps

@@ -7,8 +7,8 @@ from scipy.linalg import expm
 from kc2spice.core import laws as L
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import linear, sine
-from kc2spice.parts.mass import point_mass
-from kc2spice.parts.two_terminal_types import element
+from kc2spice.parts.electronics.two_terminal_types import element
+from kc2spice.parts.mechanics.mass import point_mass
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.reference.equilibrium import solve_operating_point

@@ -16,8 +16,8 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import material
 from kc2spice.fem.recovery import energy_products
 from kc2spice.netlist.library import Header
-from kc2spice.parts import bimorph, disc, langevin
-from kc2spice.parts.body import device
+from kc2spice.parts.bodies import bimorph, disc, langevin
+from kc2spice.parts.bodies.body import device
 from kc2spice.scene.axes import plan
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.models import build_models

@@ -16,7 +16,7 @@ from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.fem.magnet_rings import Ladder, roughness
 from kc2spice.fem.materials import material
 from kc2spice.netlist.library import Header
-from kc2spice.parts import moving_conductor
+from kc2spice.parts.magnetics import moving_conductor
 from kc2spice.physics.contact import SPACED
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.scene.axes import plan

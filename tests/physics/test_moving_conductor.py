@@ -14,7 +14,7 @@ import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.fem.magnet_rings import Winding, divide_section, ladder
-from kc2spice.parts.moving_conductor import ROUGH, declared
+from kc2spice.parts.magnetics.moving_conductor import ROUGH, declared
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.load import load_scene
 

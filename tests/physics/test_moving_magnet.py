@@ -11,7 +11,7 @@ from scipy.special import j1
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.magnet_rings import Winding, current_body
-from kc2spice.parts.moving_magnet import demagnetising
+from kc2spice.parts.magnetics.moving_magnet import demagnetising
 
 COIL = Winding(1.75e-3, 0.46e-3, 1.5e-3, 2.72e-3, 280.0)
 RADIUS, TALL, BR = 1.5e-3, 1.6e-3, 1.02

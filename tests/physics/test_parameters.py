@@ -13,7 +13,7 @@ from scipy.stats import norm, qmc
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
-from kc2spice.parts._box import with_values
+from kc2spice.parts.bodies._box import with_values
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.parametric import ParameterAxis, parametric
 from kc2spice.rom.varying import over_box

@@ -24,7 +24,7 @@ from kc2spice.bodies.pressure import (
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import material
-from kc2spice.parts._touching import Pair
+from kc2spice.parts.mechanics._touching import Pair
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 

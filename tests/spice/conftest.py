@@ -4,11 +4,11 @@ import device
 import pytest
 
 from kc2spice.netlist.library import Header
-from kc2spice.parts._template import opamp_subcircuit
-from kc2spice.parts._touching import ring_gaps
-from kc2spice.parts.pid import Control, pid_subcircuit
-from kc2spice.parts.ring_magnet_coils import coils_subcircuit
-from kc2spice.parts.sphere import SphereKeys, rigid_sphere
+from kc2spice.parts.control.pid import Control, pid_subcircuit
+from kc2spice.parts.electronics._template import opamp_subcircuit
+from kc2spice.parts.magnetics.ring_magnet_coils import coils_subcircuit
+from kc2spice.parts.mechanics._touching import ring_gaps
+from kc2spice.parts.mechanics.sphere import SphereKeys, rigid_sphere
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import declared_subcircuit as declared
 from kc2spice.scene.load import load_scene

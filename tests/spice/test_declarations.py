@@ -18,7 +18,7 @@ from kc2spice.netlist.library import Header
 from kc2spice.netlist.printers.dialect_registry import dialect_named, dialect_names
 from kc2spice.netlist.printers.verilog_a import module_files
 from kc2spice.netlist.translate import dialect_files
-from kc2spice.parts.two_terminal_types import TABLE
+from kc2spice.parts.electronics.two_terminal_types import TABLE
 from kc2spice.physics import contact, law
 from kc2spice.physics.contact import Normal
 from kc2spice.physics.part import declared_subcircuit

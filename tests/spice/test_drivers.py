@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from device import bench
 
-from kc2spice.parts._template import Load, opamp_subcircuit, parameters
-from kc2spice.parts.driver_types import (
+from kc2spice.parts.electronics._template import Load, opamp_subcircuit, parameters
+from kc2spice.parts.electronics.driver_types import (
     Amplifier,
     AmplifierKeys,
     ChargeDrive,

@@ -10,8 +10,8 @@ import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.bimorph import bimorph_body
-from kc2spice.parts.gap import branches_of
+from kc2spice.parts.bodies.bimorph import bimorph_body
+from kc2spice.parts.electrostatics.gap import branches_of
 from kc2spice.physics.symbolic import evaluated
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build

@@ -5,9 +5,9 @@ import pytest
 from device import bench
 
 from kc2spice.core.magnets import products
-from kc2spice.parts._template import opamp_subcircuit
-from kc2spice.parts.pid import Control, pid_subcircuit
-from kc2spice.parts.ring_magnet_coils import coils_subcircuit
+from kc2spice.parts.control.pid import Control, pid_subcircuit
+from kc2spice.parts.electronics._template import opamp_subcircuit
+from kc2spice.parts.magnetics.ring_magnet_coils import coils_subcircuit
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.output import classify
 

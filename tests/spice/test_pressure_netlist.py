@@ -3,7 +3,7 @@
 import pytest
 from device import models
 
-from kc2spice.parts._touching import separation
+from kc2spice.parts.mechanics._touching import separation
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.verify.law_solution import solve

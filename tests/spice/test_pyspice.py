@@ -8,8 +8,8 @@ from device import deck_of
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.netlist.deck import Deck
-from kc2spice.parts._template import opamp_subcircuit
-from kc2spice.parts.sphere import rigid_sphere
+from kc2spice.parts.electronics._template import opamp_subcircuit
+from kc2spice.parts.mechanics.sphere import rigid_sphere
 from kc2spice.physics.part import declared_subcircuit as declared
 from kc2spice.pyspice import subcircuit
 from kc2spice.scene.rows import Sampled

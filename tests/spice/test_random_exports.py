@@ -17,7 +17,7 @@ import kc2spice as kc
 from kc2spice.core.errors import GateMissedError, Kc2spiceError
 from kc2spice.core.progress import Clock
 from kc2spice.netlist import read_lib
-from kc2spice.parts._box import number_of, varied, with_values
+from kc2spice.parts.bodies._box import number_of, varied, with_values
 from kc2spice.workflow.export import export_scene
 from kc2spice.workflow.reduce_files import export_rom, reduce_file
 

@@ -12,7 +12,7 @@ from kc2spice.cli.main import app
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import Notch, submodel
 from kc2spice.equations.scene_laws import SceneLaws
-from kc2spice.parts._linear_body import COARSE_MESH
+from kc2spice.parts.bodies._linear_body import COARSE_MESH
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.parttype import part_type, type_names

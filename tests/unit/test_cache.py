@@ -16,7 +16,8 @@ from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core import cache
 from kc2spice.core.cache import cached
 from kc2spice.core.progress import Clock, silent
-from kc2spice.parts import _linear_body, ring_magnet_coils
+from kc2spice.parts.bodies import _linear_body
+from kc2spice.parts.magnetics import ring_magnet_coils
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.models import build_models
 

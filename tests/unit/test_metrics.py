@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts._touching import separation
-from kc2spice.parts.pid import settling_time
+from kc2spice.parts.control.pid import settling_time
+from kc2spice.parts.mechanics._touching import separation
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.resolve import resolve_build

@@ -6,7 +6,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from kc2spice.fem.materials import material
-from kc2spice.parts import _neglected, bimorph, disc
+from kc2spice.parts.bodies import _neglected, bimorph, disc
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.rows import Neglected
 

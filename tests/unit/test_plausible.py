@@ -8,7 +8,8 @@ from kc2spice.bodies.stack_keys import Cap, Chip
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import role_of
 from kc2spice.core.waveforms import PulseKeys
-from kc2spice.parts import bimorph, mass
+from kc2spice.parts.bodies import bimorph
+from kc2spice.parts.mechanics import mass
 from kc2spice.scene.load import load_scene
 
 

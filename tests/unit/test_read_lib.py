@@ -7,8 +7,8 @@ from kc2spice.netlist import read_lib
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.library import Header
 from kc2spice.netlist.transforms import with_parameters
-from kc2spice.parts.pid import Control, pid_subcircuit
-from kc2spice.parts.sphere import rigid_sphere
+from kc2spice.parts.control.pid import Control, pid_subcircuit
+from kc2spice.parts.mechanics.sphere import rigid_sphere
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import declared_subcircuit as declared
 

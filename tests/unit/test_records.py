@@ -14,7 +14,7 @@ import pytest
 import kc2spice as kc
 from kc2spice.core.progress import Clock
 from kc2spice.core.workspace import Workspace
-from kc2spice.parts._touching import Pair
+from kc2spice.parts.mechanics._touching import Pair
 from kc2spice.scene.model import (
     DeclaredScene,
     GovernedScene,

@@ -10,7 +10,7 @@ from tables import power, print_table
 import kc2spice as kc
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.library import Header
-from kc2spice.parts.sphere import SphereKeys, rigid_sphere
+from kc2spice.parts.mechanics.sphere import SphereKeys, rigid_sphere
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import declared_subcircuit
 

@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 
 import kc2spice as kc
 from kc2spice.fem.magnet_rings import Winding, divide_section
-from kc2spice.parts.moving_conductor import turns
+from kc2spice.parts.magnetics.moving_conductor import turns
 
 ROOT = Path(__file__).parents[3]
 SCENE = tomllib.loads((ROOT / "kc2spice/scenes/levitated_disc.toml").read_text("utf-8"))

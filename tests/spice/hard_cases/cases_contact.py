@@ -9,7 +9,7 @@ from hard_cases.modal_kick import Kick
 from scipy.integrate import solve_ivp
 
 from bench.distance import compare
-from kc2spice.parts.sphere import SphereKeys, rigid_sphere
+from kc2spice.parts.mechanics.sphere import SphereKeys, rigid_sphere
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import declared_subcircuit as declared
 from kc2spice.synthesis.realize import subcircuit

@@ -5,7 +5,7 @@ import numpy as np
 from device import chip, deck_of
 from hard_cases.kit import HEADER, LATCH, bench_deck, case
 
-from kc2spice.parts._template import opamp_subcircuit
+from kc2spice.parts.electronics._template import opamp_subcircuit
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.scene.load import load_scene

@@ -10,7 +10,7 @@ from device import bench as bench_deck  # noqa: F401
 from device import built, chip, magnets
 
 from kc2spice.netlist.library import Header
-from kc2spice.parts._touching import separation
+from kc2spice.parts.mechanics._touching import separation
 from kc2spice.scene.checks import require
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck

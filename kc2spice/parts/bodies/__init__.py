@@ -1,0 +1,1 @@
+"""Finite-element bodies and models of matrices: reduced, with typed ports."""

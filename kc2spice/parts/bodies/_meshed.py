@@ -1,0 +1,334 @@
+"""Bodies whose stress and field a run recovers on their mesh, where the key ``fields`` asks for it.
+
+The full model's motion under the port waveforms of the run (:mod:`kc2spice.bodies.fields`) gives
+the largest principal stress and field of every material beside its limit, a VTU file of the instant
+of the largest stress and a picture of the body at that instant. The shapes of its lowest modes are
+there in ``ac`` as well.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core.domains import ACCELERATION, TRANSLATION
+from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
+from kc2spice.core.mesh_error import mesh_errors
+from kc2spice.core.progress import Clock
+from kc2spice.core.quantities import Time
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts.bodies._linear_body import COARSE_MESH, LinearBody, LinearKeys
+from kc2spice.parts.bodies._neglected import (
+    Envelope,
+    beam_envelope,
+    disc_envelope,
+    neglected_effects,
+)
+from kc2spice.parts.bodies._pictures import deformed, shapes
+from kc2spice.rom.linear_model import LinearModel, Port
+from kc2spice.scene.checks import Balance, Check, Metric
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    Scene,
+)
+from kc2spice.scene.plausible import layers as plausible_layers
+from kc2spice.scene.rows import Neglected
+
+if TYPE_CHECKING:
+    from kc2spice.bodies.device import Bonded
+    from kc2spice.bodies.fields import Extreme, NodalMotion
+    from kc2spice.bodies.undamped import FiniteElementModel
+
+TOO_COARSE = "refine the mesh (its key refine), or set error_budget, which refines all settings"
+MOST = 20  # instants that one run writes
+MODES = 6  # drawn at most, the lowest ones
+_SINGULAR = "look at the VTU file: edges of clamps and corners exceed any limit when refined"
+# Word and unit of the metrics, panel and scale of the plot, and what going beyond means.
+_QUANTITIES = {
+    "principal_stress": (
+        "stress", "pa", "largest principal stress in MPa", f"it may crack; {_SINGULAR}",
+    ),
+    "electric_field": (
+        "field", "v_m", "largest field in kV/mm", "it may break down; lower the drive",
+    ),
+    "opposing_field": (
+        "opposing_field", "v_m", "largest field against the poling in kV/mm",
+        "it may depolarise; drive it along its poling, or less far",
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """Motion of a body in a run and the extremes of its fields."""
+
+    motion: NodalMotion
+    extremes: tuple[Extreme, ...]
+
+    @property
+    def worst(self) -> Extreme:
+        """The stress nearest to or farthest beyond its limit; the largest without any limit."""
+        stresses = [item for item in self.extremes if item.quantity == "principal_stress"]
+        limited = [item for item in stresses if item.limit]
+        if not limited:
+            return max(stresses, key=lambda item: item.value)
+        return max(limited, key=lambda item: item.value / (item.limit or 1.0))
+
+
+class FieldKeys(LinearKeys):
+    """Whether a run recovers what happens inside the body; instants become VTU files."""
+
+    fields: bool | Annotated[tuple[Time, ...], Field(min_length=1, max_length=MOST)] | None = Field(
+        None,
+        description=(
+            "Whether fields are computed, or a list of instants for which VTU files are written"
+        ),
+    )
+
+
+class MeshedBody(LinearBody):
+    """A body with a key ``fields``; a subclass makes its device."""
+
+    @abstractmethod
+    def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
+        """Its outer size, for the sizes of effects that it lacks."""
+
+    def support(self, part: Part) -> str:
+        """Support of the body in words."""
+        return f"support is {part.keys.support}, ideal"
+
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+        yield from super().neglected(part, scene)
+        yield from neglected_effects(part.name, self.envelope(part, scene), self.support(part))
+
+    @abstractmethod
+    def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
+        """The full model with its mesh."""
+
+    def device(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
+        """The same; the latest of the type stays in the workspace of the scene, as the next scene
+        often asks for another reduction of it."""
+        key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
+        return scene.workspace.latest(f"device {self.name}", key, lambda: self.make(part, scene))
+
+    def full(self, part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
+        with clock.stage("assemble", f"mesh and matrices of {part.name}"):
+            return self.device(part, scene).model
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
+        kind = scene.analysis.type
+        if kind != "transient" and (chosen(part) or (part.keys.fields and kind != "ac")):
+            expected = "a transient, fields = true in ac for the shapes of modes, or false"
+            problem = "fields are recovered from waveforms over time"
+            yield wrong(f"{part.name}.fields", problem, f"analysis {kind}", expected)
+            return
+        outside = [t for t in chosen(part) if not 0 <= t <= scene.stop]
+        if outside:
+            problem = "instant outside the run"
+            expected = f"0 to {scene.stop:g} s"
+            yield wrong(f"{part.name}.fields", problem, f"{outside[0]:g} s", expected)
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+        result = dict(super().metrics(part, build, waves))
+        recovered = self.recovered(part, build, waves)
+        if recovered is None:
+            return result
+        for item in recovered.extremes:
+            quantity, word, *_ = _QUANTITIES[item.quantity]
+            of = f"{_slug(item.material)}_{word}"
+            result[f"{quantity}_{of}"] = Metric(item.value, item.unit)
+            if item.limit is not None:
+                result[f"{quantity}_limit_{of}"] = Metric(item.limit, item.unit)
+        return result | {"worst_stress_time_s": Metric(recovered.worst.instant, "s")}
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
+        yield from super().checks(part, build, waves)
+        for words, error in mesh_errors(build.facts(part)).items():
+            if words in COARSE_MESH:
+                name = f"mesh of {part.name}, {words}"
+                yield Check(
+                    name, error, COARSE_MESH[words], "relative, estimated", TOO_COARSE, "warn"
+                )
+        recovered = self.recovered(part, build, waves)
+        for item in recovered.extremes if recovered else ():
+            if item.limit is not None:
+                what = item.quantity.replace("_", " ")
+                name = f"{what} in {item.material} of {part.name}"
+                advice = _QUANTITIES[item.quantity][-1]
+                yield Check(name, item.value, item.limit, item.unit, advice, "warn")
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
+        yield from super().figures(part, build, waves)
+        if part.keys.fields:
+            from kc2spice.bodies.fields import lowest_modes
+
+            device, model = self.device(part, build.scene), build.model(part, LinearModel)
+            end = np.inf if model.certificate is None else model.certificate.band_hz[1]
+            hertz, columns = lowest_modes(device, MODES, end)
+            if hertz.size:
+                name, title = f"{part.name}_modes", f"Modes of {part.name}"
+                caption = "Modes that its ports excite, electrodes shorted, undamped; colours are "
+                caption += "displacements relative to the largest."
+                panels = tuple(shapes(device, hertz, columns))
+                yield Figure(name, title, caption, panels, columns=3)
+        recovered = self.recovered(part, build, waves)
+        if recovered is not None:
+            from kc2spice.bodies.fields import write_vtu
+
+            yield _over_time(part.name, recovered)
+            worst = recovered.worst
+            summary = f"the instant of the worst stress: {1e-6 * worst.value:.3g} MPa in "
+            instants = {"": (worst.instant, summary + worst.material)}
+            instants |= {f"_{k}": (t, "as chosen") for k, t in enumerate(chosen(part), 1)}
+            for stem, (t, what) in instants.items():
+                device, state = recovered.motion.device, recovered.motion.at(t)
+                panel, factor = deformed(device, *state)
+                caption = f"At {1e3 * t:.4g} ms, {what}; displacements times {factor:g}."
+                name = f"{part.name}_deformed{stem}"
+                yield Figure(name, f"Deformed {part.name}", caption, (panel,))
+                fields = partial(write_vtu, device=device, z=state[0], voltages=state[1])
+                yield Written(f"{part.name}_fields{stem}.vtu", fields)
+
+    def recovered(self, part: Part, build: Build, waves: Waveforms) -> Recovered | None:
+        """Return the motion inside the body during a transient.
+
+        The result is None without the key ``fields``.
+
+        Raises
+        ------
+        UsageError : the run does not record the load of a port.
+        """
+        if not part.keys.fields or "time" not in waves:
+            return None
+
+        def recover_fields() -> tuple[Waveforms, Recovered]:
+            from kc2spice.bodies.fields import extremes, recover
+
+            loads = self.loads(part, build, waves)
+            port_names = [port.name for port in self.used_ports(part, build.scene)]
+            if unknown := [name for name in port_names if name not in loads]:
+                got = f"a force on {unknown[0]} that its part does not record"
+                expected = "contacts, springs, dampers, masses and sources"
+                problem = "fields need every load of the body"
+                raise wrong(f"{part.name}.fields", problem, got, expected)
+            motion = recover(self.device(part, build.scene), waves["time"], loads)
+            return waves, Recovered(motion, tuple(extremes(motion)))
+
+        # The identity of the waves is a key for as long as the result contains them.
+        kind = f"fields of {part.name}"
+        return build.workspace.latest(kind, id(waves), recover_fields)[1]
+
+
+def chosen(part: Part) -> tuple[float, ...]:
+    """Instants [s] that the user asks for."""
+    return part.keys.fields if isinstance(part.keys.fields, tuple) else ()
+
+
+class BondedBody(MeshedBody):
+    """A body of blocks: a subclass gives their :meth:`structure` from its keys."""
+
+    discretisations = ("mesh.refine",)
+    structure: Callable[[Any, str], Bonded]
+
+    def bonded(self, part: Part) -> Bonded:
+        """Its blocks, electrodes, supports and ports."""
+        return _bonded(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
+
+    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
+        return self.bonded(part).every_port
+
+    def directions(self, part: Part, scene: DeclaredScene) -> Mapping[str, tuple[float, ...]]:
+        """All of its motions are upwards."""
+        moved = (TRANSLATION, ACCELERATION)
+        ports = (port for port in self.ports(part, scene) if port.domain in moved)
+        return {port.terminals[0]: (0.0, 0.0, 1.0) for port in ports}
+
+    def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
+        return self.bonded(part).device()
+
+    def varied(self, part: Part, scene: GovernedScene, clock: Clock, like: Part) -> LinearModel:
+        return replace(self.bonded(part), like=self.bonded(like)).device().model
+
+    def by_material(self, part: Part) -> float | None:
+        return self.bonded(part).rated
+
+    def dimensions(self, part: Part) -> int:
+        return len(self.bonded(part).blocks[0].box)
+
+    def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
+        blocks = self.bonded(part).blocks
+        if len(blocks[0].box) == 3:
+            return beam_envelope(blocks)
+        baffled = part.keys.support not in ("free", "back")
+        return disc_envelope(blocks, baffled, hasattr(part.keys, "layers"))
+
+    def indentation_modulus(self, part: Part) -> float | None:
+        top = self.bonded(part).blocks[-1].material
+        return top.indentation_modulus if hasattr(part.keys, "layers") else None
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        """As those of all bodies, and what :func:`kc2spice.scene.plausible.layers` says of layers
+        of their own diameters, or all as wide as the body."""
+        yield from super().problems(part, scene)
+        layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)
+        result = [
+            (width or layer.diameter, layer.thickness, block.material.piezoelectric)
+            for layer, block in zip(layers, self.bonded(part).blocks, strict=False)
+        ]
+        yield from plausible_layers(f"{part.name}.layers", result, plate=width is None)
+
+    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+        """Blocks from the side, the highest at zero, those of a bore on both sides of it; each kind
+        is named once."""
+        blocks, known = self.bonded(part).blocks, set[str]()
+        top = max(block.box[-1][1] for block in blocks)
+        for block in blocks:
+            made_of, (inner, outer), (low, high) = block.material, block.box[0], block.box[-1]
+            if len(block.box) == 3:  # a beam, about its middle
+                outer /= 2
+            label = f"{part.name}: {made_of.name}, {2e3 * outer:g} mm by {1e3 * (high - low):g} mm"
+            kind: Literal["ceramic", "metal"] = "ceramic" if made_of.piezoelectric else "metal"
+            for x in ((outer + inner) / 2, -(outer + inner) / 2) if inner else (0.0,):
+                wide = outer - inner if inner else 2 * outer
+                legend = "" if label in known else label
+                yield Shape(x, (low + high) / 2 - top, wide, high - low, kind, legend)
+                known.add(label)
+
+
+@lru_cache(maxsize=32)
+def _bonded(kind: BondedBody, keys: str, name: str) -> Bonded:
+    return kind.structure(kind.schema.model_validate_json(keys), name)
+
+
+def _slug(material: str) -> str:
+    """Part of a metric's name: letters, digits and single underscores."""
+    return re.sub(r"[^a-z0-9]+", "_", material.lower()).strip("_")
+
+
+def _over_time(name: str, recovered: Recovered) -> Figure:
+    panels = []
+    for quantity, (_, _, label, _) in _QUANTITIES.items():
+        rows = [e for e in recovered.extremes if e.quantity == quantity]
+        if quantity == "opposing_field":  # else the panel above says it all
+            rows = [e for e in rows if e.limit and e.value > 0]
+        if not rows:
+            continue
+        curves = tuple(Curve(e.material, 1e3 * e.time, 1e-6 * e.curve) for e in rows)
+        limits = dict.fromkeys(e.limit for e in rows if e.limit and e.value > 0.2 * e.limit)
+        levels = tuple((1e-6 * limit, "limit") for limit in limits)
+        panels.append(Panel("time in ms", label, curves, levels=levels))
+    caption = "Largest value in each material at any Gauss point; limits where they are near."
+    return Figure(f"{name}_stress", f"Stress and field in {name}", caption, tuple(panels))

@@ -1,0 +1,215 @@
+"""The part ``bimorph``: a layered rectangular beam or plate that bends.
+
+Unimorphs, series and parallel bimorphs, and beams of metal alone (then without electrical pins).
+
+x runs along the length from the clamp, y along the width, z up. Every layer is a solid of
+quadratic hexahedra, so plate action, the clamp's hindrance of lateral contraction and the field
+inside the layers are there without a theory of beams. Both faces of a piezoelectric layer are
+electrodes all over; faces across a conductor, and between two piezoelectric layers, are one. A
+positive voltage at the anode bends the tip up: layers above the middle are poled to contract,
+those below to stretch.
+
+* *series*: anode on top, cathode at the bottom, all between floating;
+* *parallel*: the levels of electrodes are anode and cathode by turns, the top one anode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import accumulate, chain, pairwise, product
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, StringConstraints, model_validator
+
+from kc2spice.bodies.device import Block, Bonded, Box
+from kc2spice.core.errors import wrong
+from kc2spice.core.quantities import (
+    Count,
+    Extent,
+    Length,
+    Mass,
+    Section,
+    Thickness,
+    Width,
+    validated,
+)
+from kc2spice.fem.body_keys import Damping, Mesh
+from kc2spice.fem.materials import material
+from kc2spice.parts.bodies._meshed import BondedBody, FieldKeys
+from kc2spice.scene.parttype import register
+
+LENGTHWISE, ACROSS = 20, 4  # elements at refine = 1
+GRADING = 1.6
+
+
+class BimorphLayer(Section):
+    """One layer, over the whole beam."""
+
+    material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
+    thickness: Thickness = Field(gt=0, description="Thickness of the layer")
+
+
+class BimorphKeys(FieldKeys):
+    """``support``: *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported*
+    (on knife edges under both ends), *free*, or *quarter*: clamped at x = 0 and y = 0, with mirror
+    planes at the other sides, a quarter of a plate held all round and of its loads. ``tip_mass``
+    is spread over the end face. ``points`` are further ports on the centre line of the top (of the
+    whole plate), by distance from the clamp.
+    """
+
+    length: Extent = Field(gt=0, description="Free length of the beam")
+    width: Width = Field(gt=0, description="Width of the beam")
+    layers: tuple[BimorphLayer, ...] = Field(min_length=1)
+    wiring: Literal["series", "parallel"] | None = Field(
+        None, description="Electrical connection of two ceramic layers"
+    )
+    tip_mass: Mass = Field(0.0, ge=0, description="Mass that is spread evenly over the end face")
+    support: Literal["cantilever", "clamped", "simply_supported", "free", "quarter"] = Field(
+        "cantilever", description="Mechanical support of the beam"
+    )
+    points: dict[
+        Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")], Length
+    ] = Field(
+        default_factory=dict,
+        description="Further ports on the top face, by their distance from the clamp",
+    )
+    patches: Count | None = Field(
+        None,
+        ge=1,
+        le=64,
+        description=(
+            "Number of ports patch1, patch2, … on equal strips of the bottom face, in each row"
+        ),
+    )
+    rows: Count | None = Field(
+        None, ge=2, le=16, description="Number of rows of patches across the beam; by default one"
+    )
+    damping: Damping = Damping()
+    mesh: Mesh = Mesh()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> BimorphKeys:
+        if self.rows and self.patches is None:
+            raise ValueError("rows: there are no patches")
+        for name, x in self.points.items():
+            if name in ("tip", "base", "anode", "cathode") or name.startswith("patch"):
+                raise ValueError(f"points: {name} is a port already")
+            if not 0 <= x <= self.length:
+                raise ValueError(f"points.{name} is not on the beam")
+        return self
+
+
+def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> Bonded:
+    """The layers with electrodes, support, ports and the mass at the tip. ``mesh.refine`` divides
+    edges in the plane, and every second one through the thickness, where a quadratic element holds
+    all that plates do.
+
+    Raises
+    ------
+    UsageError : a material that does not exist, wiring without a piezoelectric layer.
+    """
+    beam = validated(BimorphKeys, keys, where)
+    materials = [
+        material(layer.material, f"{where}.layers[{number}].material")
+        for number, layer in enumerate(beam.layers)
+    ]
+    heights = [*accumulate((layer.thickness for layer in beam.layers), initial=0.0)]
+    active = [k for k, one in enumerate(materials) if one.piezoelectric]
+    if beam.wiring is not None and not active:
+        raise wrong("wiring", "wiring without a piezoelectric layer", beam.wiring)
+    length, width, top = beam.length, beam.width, heights[-1]
+
+    def plane(height: float) -> Box:
+        return (0.0, length), (0.0, width), (height, height)
+
+    def across(x: float, y: tuple[float, float], z: tuple[float, float]) -> Box:
+        return (x, x), y, z
+
+    # electrodes from the bottom up; across a conductor, and between two ceramics, they are one
+    ends = [heights[k + upper] for k in active for upper in (0, 1)]
+    levels = [ends[:1], *zip(ends[1:-1:2], ends[2::2], strict=True), ends[-1:]] if active else []
+    series = beam.wiring != "parallel"
+    faces = [[plane(height) for height in level] for level in levels]
+    electrodes = {"anode": faces[::-2], "cathode": faces[-2::-2]}
+    if series:
+        electrodes = {"anode": faces[-1:], "cathode": faces[:1]}
+    blocks = []
+    for k, (one, span) in enumerate(zip(materials, pairwise(heights), strict=True)):
+        above = sum(span) / 2 >= top / 2 * (1 - 1e-9)
+        # the field of a positive voltage points down in all in series, by turns from the top else
+        down = series or k not in active or (active.index(k) - len(active)) % 2
+        poled = one.poled((0, 0, -1.0 if down == above else 1.0)) if k in active else one
+        box = ((0.0, length), (0.0, width), span)
+        blocks.append(Block(box, replace(poled, name=f"layers[{k}] ({one.name})")))
+    full_width, end = (0.0, width), across(length, (0.0, width), (0.0, top))
+    clamp = ("xyz", across(0.0, full_width, (0.0, top)))
+    fixed = {
+        "cantilever": [clamp],
+        "clamped": [clamp, ("xyz", end)],
+        # one corner of each edge is held: the width may change
+        "simply_supported": [
+            ("xz", across(0.0, full_width, (0.0, 0.0))),
+            ("z", across(length, full_width, (0.0, 0.0))),
+            *(("y", across(x, (0.0, 0.0), (0.0, 0.0))) for x in (0.0, length)),
+        ],
+        "free": [],
+        "quarter": [
+            clamp,
+            ("xyz", ((0.0, length), (0.0, 0.0), (0.0, top))),
+            ("x", end),
+            ("y", ((0.0, length), (width, width), (0.0, top))),
+        ],
+    }[beam.support]
+    clamped = beam.support in ("clamped", "quarter")
+    ports = {} if clamped else {"tip": end}
+    middle = (width, width) if beam.support == "quarter" else (width / 2, width / 2)
+    ports |= {name: across(x, middle, (top, top)) for name, x in beam.points.items()}
+    strips = pairwise(np.linspace(0, length, (beam.patches or 0) + 1).tolist())
+    rows = pairwise(np.linspace(0, width, (beam.rows or 1) + 1).tolist())
+    ports |= {
+        f"patch{k}": (strip, row, (0.0, 0.0))
+        for k, (row, strip) in enumerate(product(rows, strips), 1)
+    }
+    return Bonded(
+        blocks,
+        {pin: [*chain(*result)] for pin, result in electrodes.items()} if active else {},
+        faces[1:-1] if series else (),
+        ports,
+        fixed,
+        masses=[(beam.tip_mass, end)],
+        moved=beam.support != "free",
+        grid=_grid(beam, heights),
+        damping=beam.damping,
+        where=where,
+    )
+
+
+def _grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
+    """Lines along the beam, finer towards clamps, across it and through the layers."""
+    refine, rows = beam.mesh.refine, beam.rows or 1
+    s = np.linspace(0, 1, LENGTHWISE * refine + 1)
+    if beam.patches:  # as many in each
+        s = np.linspace(0, 1, -(-LENGTHWISE * refine // beam.patches) * beam.patches + 1)
+    elif beam.support == "cantilever":
+        s = s**GRADING
+    elif beam.support == "clamped":
+        s = 0.5 + 0.5 * np.sign(s - 0.5) * (1 - (1 - np.abs(2 * s - 1)) ** GRADING)
+    cuts = [np.linspace(*pair, (refine + 1) // 2 + 1)[:-1] for pair in pairwise(heights)]
+    return (
+        np.union1d(beam.length * s, list(beam.points.values())),
+        np.linspace(0, beam.width, -(-ACROSS * refine // rows) * rows + 1),
+        np.append(np.concatenate(cuts), heights[-1]),
+    )
+
+
+class Bimorph(BondedBody):
+    name = "bimorph"
+    title = "layered beam that bends (3-D piezoelectric FE, reduced)"
+    schema = BimorphKeys
+    source = "FE (piezoelectric, hexahedra)"
+    structure = staticmethod(bimorph_body)
+
+
+register(Bimorph())

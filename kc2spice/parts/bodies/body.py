@@ -1,0 +1,555 @@
+"""The part ``body``: the user's own mesh or CAD file as a linear model with named ports.
+
+Groups of the file name materials, supports, electrodes and ports::
+
+    [bracket]
+    part = "body"
+    mesh = "bracket.step"
+    unit = "mm"                   # needed with .msh and .brep; STEP files state their own
+    size = "2 mm"                 # of the elements, CAD files only
+    materials = { frame = "aluminium", patch = "PZT-5A" }
+    poling = { patch = [0, 0, 1] }    # "radial" and "tangential" are about the z axis
+    fixed = ["foot"]              # or { group = "foot", axes = "z" } for a roller
+    electrodes = { anode = "top", cathode = "bottom" }
+    ports = [
+        { name = "tip", group = "end", axis = "z" },
+        { name = "base", kind = "base", axis = "z" },
+    ]
+
+In a CAD file, groups are its labels and what ``groups`` picks, by points that lie in an entity or
+by a box: ``groups = { top = { faces = [["5 mm", 0, "1 mm"]] }, end = { faces_in = [[…], […]] } }``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import numpy as np
+from pydantic import Field, StringConstraints, model_validator
+
+from kc2spice.bodies import device as fe
+from kc2spice.bodies.undamped import FiniteElementModel
+from kc2spice.core.cache import cached
+from kc2spice.core.domains import ACCELERATION, ELECTRICAL, ROTATION, TRANSLATION
+from kc2spice.core.errors import UsageError, candidates, part_named, wrong
+from kc2spice.core.figure import Curve, Figure, Panel, Written
+from kc2spice.core.quantities import Count, Length, Notch, Section, validated
+from kc2spice.core.untrusted_files import file_in_folder
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem import mesh_file
+from kc2spice.fem.body_keys import Damping
+from kc2spice.fem.materials import CylindricalAxes, Material, material
+from kc2spice.fem.solid import Solid
+from kc2spice.parts.bodies._linear_body import file_stamp
+from kc2spice.parts.bodies._meshed import FieldKeys, MeshedBody
+from kc2spice.parts.bodies._neglected import Envelope, box_envelope
+from kc2spice.parts.bodies._pictures import edges
+from kc2spice.rom.linear_model import Port
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    Scene,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected
+
+Point: TypeAlias = tuple[Length, Length, Length]
+Vector: TypeAlias = tuple[float, float, float]
+Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
+_MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
+# Components of a poling along the radius, around and along the axis.
+_CYLINDRICAL = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0)}
+_REFERENCES = ("cathode", "gnd", "ground")
+
+
+class GroupKeys(Section):
+    """A group of a CAD file: entities that contain one of the points, or that lie in a box."""
+
+    solids: tuple[Point, ...] = Field((), description="Solids that contain one of these points")
+    faces: tuple[Point, ...] = Field((), description="Faces that contain one of these points")
+    curves: tuple[Point, ...] = Field((), description="Curves that contain one of these points")
+    points: tuple[Point, ...] = Field((), description="Geometric points at one of these places")
+    solids_in: tuple[Point, Point] | None = Field(
+        None, description="Solids inside a box, given by two of its corners"
+    )
+    faces_in: tuple[Point, Point] | None = Field(
+        None, description="Faces inside a box, given by two of its corners"
+    )
+    curves_in: tuple[Point, Point] | None = Field(
+        None, description="Curves inside a box, given by two of its corners"
+    )
+    points_in: tuple[Point, Point] | None = Field(
+        None, description="Geometric points inside a box, given by two of its corners"
+    )
+
+    @model_validator(mode="after")
+    def _one(self) -> GroupKeys:
+        if len({key.removesuffix("_in") for key in self.model_fields_set}) != 1:
+            raise ValueError("pick solids, faces, curves or points: one of them")
+        return self
+
+    def pick(self, unit: float) -> dict[str, Any]:
+        """Selection for the mesh reader, in a file of this unit [m]."""
+        kind = next(iter(self.model_fields_set)).removesuffix("_in")
+        dimension = ("points", "curves", "faces", "solids").index(kind)
+        at, box = (np.divide(getattr(self, key) or (), unit) for key in (kind, f"{kind}_in"))
+        return {"dimension": dimension, "at": at.tolist(), "box": box.tolist() or None}
+
+
+class FixedKeys(Section):
+    """A group whose displacement is zero along some axes (``x`` is the radius if axisymmetric)."""
+
+    group: str = Field(description="Mesh group whose nodes are clamped")
+    axes: Annotated[str, StringConstraints(pattern="^[xyz]{1,3}$")] = Field(
+        "xyz",
+        description=(
+            "Axes along which the nodes are clamped; x is the radius of an axisymmetric mesh"
+        ),
+    )
+
+
+class PortKeys(Section):
+    """A mechanical port.
+
+    ``kind``: *mean* is the mean displacement of a group (elements, faces, curves such as a ring,
+    points) along ``axis``, its conjugate a force spread over it; *rigid* makes a face move as one
+    and gives one motion (``x`` … ``rz``), or all six as ``NAME_x`` … ``NAME_rz`` without axis;
+    *base* is the acceleration of what the body is fixed to. ``at`` names the mesh node nearest to
+    a point instead of a group.
+    """
+
+    name: Name = Field(description="Name of the port and of its pin")
+    group: str | None = Field(None, description="Mesh group on which the port acts")
+    at: Point | None = Field(None, description="Point whose nearest mesh node is the port")
+    axis: Literal["x", "y", "z", "rx", "ry", "rz"] | Vector | None = Field(
+        None, description="Direction of the displacement, or axis of the rotation"
+    )
+    kind: Literal["mean", "rigid", "base"] = Field(
+        "mean", description="Kind of port: mean displacement of a group, rigid face, or shaken base"
+    )
+
+    @model_validator(mode="after")
+    def _complete(self) -> PortKeys:
+        places = (self.group is not None) + (self.at is not None)
+        if places != (0 if self.kind == "base" else 1) or (self.kind == "rigid" and self.at):
+            needs = {"mean": "needs group or at", "rigid": "needs group", "base": "accepts neither"}
+            raise ValueError(f'kind = "{self.kind}" {needs[self.kind]}')
+        turning = isinstance(self.axis, str) and self.axis.startswith("r")
+        if self.kind != "rigid" and (self.axis is None or turning):
+            raise ValueError("needs an axis: x, y, z or three numbers")
+        if self.kind == "rigid" and isinstance(self.axis, tuple):
+            raise ValueError("a rigid face moves along x, y, z, rx, ry or rz")
+        if isinstance(self.axis, tuple) and not any(self.axis):
+            raise ValueError("axis has no length")
+        return self
+
+    @property
+    def motions(self) -> tuple[str, ...]:
+        """Motions of a rigid face that are ports."""
+        return _MOTIONS if self.axis is None else (str(self.axis),)
+
+    @property
+    def ports(self) -> tuple[Port, ...]:
+        """Ports of the model for this entry."""
+        if self.kind != "rigid":
+            return (Port(self.name, (ACCELERATION if self.kind == "base" else TRANSLATION).port),)
+        names = [self.name if self.axis else f"{self.name}_{motion}" for motion in self.motions]
+        return tuple(
+            Port(name, (ROTATION if motion.startswith("r") else TRANSLATION).port)
+            for name, motion in zip(names, self.motions, strict=True)
+        )
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit vector (3,) of a translation."""
+        if isinstance(self.axis, str):
+            return np.eye(3)["xyz".index(self.axis)]
+        axis = np.asarray(self.axis, float)
+        return np.asarray(axis / np.linalg.norm(axis))
+
+
+class CylindricalKeys(Section):
+    """A poling that turns about an axis with its place, as in rings and tubes."""
+
+    direction: Vector = Field(description="Radial, hoop and axial component of the poling")
+    axis: Vector = Field((0.0, 0.0, 1.0), description="Direction of the cylinder's axis")
+    through: Point = Field((0.0, 0.0, 0.0), description="Point on the cylinder's axis")
+
+    @model_validator(mode="after")
+    def _directed(self) -> CylindricalKeys:
+        if not any(self.direction) or not any(self.axis):
+            raise ValueError("direction and axis need a length")
+        return self
+
+
+class BodyKeys(FieldKeys):
+    """Body from a mesh or CAD file.
+
+    The electrode ``cathode`` (otherwise ``gnd``, ``ground``, or the last) is the return pin of all
+    others. ``floating`` electrodes are equipotential and carry no charge.
+    """
+
+    mesh: Annotated[str, StringConstraints(min_length=1, max_length=255)] = Field(
+        description=("Mesh or CAD file beside the scene: gmsh and other meshes, STEP, BREP, IGES")
+    )
+    unit: str | None = Field(
+        None,
+        description=("Length unit of the file's coordinates, required where the file states none"),
+    )
+    size: Length | None = Field(
+        None, gt=0, description="Size of the elements that a CAD file is divided into"
+    )
+    refine: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
+        1, ge=1, le=8, description="Factor by which the size of all elements is divided"
+    )
+    merge: Length | None = Field(
+        None,
+        ge=0,
+        description=(
+            "Distance up to which two nodes are merged; 0 leaves solids that touch unconnected"
+        ),
+    )
+    axisymmetric: bool = Field(
+        False,
+        description=(
+            "Whether the mesh is the half plane of a body of revolution, with x as radius"
+        ),
+    )
+    groups: dict[str, GroupKeys] = Field(default_factory=dict)
+    materials: dict[str, str | dict[str, Any]] = Field(
+        min_length=1, description="Material of each mesh group, a name or a table"
+    )
+    poling: dict[str, Vector | Literal["radial", "tangential"] | CylindricalKeys] = Field(
+        default_factory=dict,
+        description=(
+            "Direction of the third material axis of each mesh group: a vector (default z), "
+            '"radial" or "tangential" about z, or a table with direction, axis and through'
+        ),
+    )
+    fixed: tuple[str | FixedKeys, ...] = Field(
+        (), description="Mesh groups whose nodes are clamped"
+    )
+    electrodes: dict[Name, str | tuple[str, ...]] = Field(
+        default_factory=dict,
+        description="Mesh group or groups of each electrode, by the name of its pin",
+    )
+    floating: tuple[str, ...] = Field(
+        (), description="Mesh groups that are conductors without a pin"
+    )
+    ports: tuple[PortKeys, ...] = ()
+    damping: Damping = Damping()
+
+    @property
+    def reference(self) -> str:
+        """The electrode that voltages are counted from; none without electrodes."""
+        last = next(reversed(self.electrodes), "")
+        return next((name for name in _REFERENCES if name in self.electrodes), last)
+
+    @property
+    def every_port(self) -> tuple[Port, ...]:
+        """All ports of the model, electrical ports first."""
+        pairs = [(name, self.reference) for name in self.electrodes if name != self.reference]
+        electrical = (Port(pair[0], ELECTRICAL.port, pins=pair) for pair in pairs)
+        return (*electrical, *(port for item in self.ports for port in item.ports))
+
+    @model_validator(mode="after")
+    def _consistent(self) -> BodyKeys:
+        stray = set(self.poling) - set(self.materials)
+        if stray:
+            raise ValueError(f"poling of groups without material: {', '.join(sorted(stray))}")
+        vectors = (item for item in self.poling.values() if isinstance(item, tuple))
+        if not all(any(direction) for direction in vectors):
+            raise ValueError("poling without a direction")
+        if len(self.electrodes) == 1:
+            raise ValueError("a single electrode has no voltage: name the reference electrode")
+        if not self.electrodes and not self.ports:
+            raise ValueError("needs electrodes or ports")
+        names = [port.name for port in self.ports]
+        twice = {n for n in names if names.count(n) > 1} | (set(names) & set(self.electrodes))
+        if twice:
+            raise ValueError(f"ports or electrodes of one name: {', '.join(sorted(twice))}")
+        return self
+
+
+def device(
+    keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body"
+) -> FiniteElementModel:
+    """Read the mesh (relative to ``home``), name its groups, assemble.
+
+    ``refine`` divides the size of the elements; a ``.msh`` is split so often that its edges are at
+    most 1/refine of what they were.
+
+    Raises
+    ------
+    UsageError : a file that cannot be read; a group that is missing, empty, of the wrong
+        dimension, or used twice; elements without material; an electrode on a material that is
+        not piezoelectric.
+    """
+    keys = validated(BodyKeys, keys, where)
+    with part_named(where):
+        path = file_in_folder(home, keys.mesh, "mesh")
+        unit = mesh_file.length_unit(path, keys.unit)
+        result = mesh_file.read_mesh(
+            path,
+            unit=unit,
+            size=None if keys.size is None else keys.size / keys.refine,
+            picks={name: group.pick(unit) for name, group in keys.groups.items()},
+            dimension=2 if keys.axisymmetric else 3,
+            splits=0 if keys.size else int(np.ceil(np.log2(keys.refine))),
+            merge=keys.merge,
+        )
+        solid = _solid(keys, result)
+        assembled = fe.make_device(solid, _setup(keys, result, solid))
+    axes = ("radius", "height") if keys.axisymmetric else "xyz"
+    sides = zip(axes, 1e3 * np.ptp(result.mesh.p, axis=1), strict=True)
+    facts = {**assembled.model.facts, **{f"extent_{axis}_mm": float(side) for axis, side in sides}}
+    return replace(assembled, model=replace(assembled.model, facts=facts))
+
+
+def _solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
+    owner = np.full(groups.mesh.nelements, -1)
+    materials = []
+    for number, (name, name_or_table) in enumerate(keys.materials.items()):
+        where = f"materials.{name}"
+        cells = groups.group(name, where, 0).members
+        if (owner[cells] >= 0).any():
+            other = list(keys.materials)[int(owner[cells].max())]
+            raise UsageError(
+                "some elements have two materials",
+                where=where,
+                got=f"elements that are also in the group {other}",
+                expected="groups without common elements",
+                hint=f"delete materials.{name}, or take the elements out of one group",
+            )
+        owner[cells] = number
+        made_of = _poled(material(name_or_table, where), keys, name)
+        materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
+    if (owner < 0).any():
+        solids = [name for name, group in groups.groups.items() if group.codimension == 0]
+        rest = [name for name in solids if name not in keys.materials] or solids
+        expected = "a material for every element"
+        got = f"{np.sum(owner < 0)} elements without material"
+        hint = f"add a material for one of these groups: {candidates('', rest)}"
+        raise wrong("materials", "some elements have no material", got, expected, hint)
+    return Solid(groups.mesh, tuple(materials), owner, keys.axisymmetric)
+
+
+def _poled(plain: Material, keys: BodyKeys, group: str) -> Material:
+    """The material of a group, poled; of an axisymmetric body every poling off its axis turns with
+    the place.
+
+    Raises
+    ------
+    UsageError : an axis beside that of an axisymmetric mesh.
+    """
+    direction = keys.poling.get(group, (0.0, 0.0, 1.0))
+    if isinstance(direction, str):
+        direction = CylindricalKeys(direction=_CYLINDRICAL[direction])
+    if isinstance(direction, CylindricalKeys):
+        about = CylindricalAxes(direction.axis, direction.through)
+        along_z = not any(direction.axis[:2]) and not any(direction.through[:2])
+        if keys.axisymmetric and not along_z:
+            problem = "an axisymmetric mesh has one axis, z through the origin"
+            raise wrong(f"poling.{group}", problem, hint="leave out axis and through")
+        return replace(plain.poled(direction.direction), cylinder=about)
+    poled = plain.poled(direction)
+    return (
+        replace(poled, cylinder=CylindricalAxes())
+        if keys.axisymmetric and any(direction[:2])
+        else poled
+    )
+
+
+def _setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Setup:
+    electrodes = {}
+    for pin, stated in keys.electrodes.items():
+        names = [stated] if isinstance(stated, str) else stated
+        result = [_electrode(solid, groups, name, f"electrodes.{pin}") for name in names]
+        electrodes[pin] = np.unique(np.concatenate(result))
+    kinds = {
+        kind: [port for port in keys.ports if port.kind == kind]
+        for kind in ("mean", "rigid", "base")
+    }
+    unit, faces = dict(zip(_MOTIONS, np.eye(6), strict=True)), []
+    for port in kinds["rigid"]:
+        where = f"ports.{port.name}"
+        if solid.axisymmetric:
+            problem = "an axisymmetric body has no rigid faces"
+            raise wrong(where, problem, "rigid", "mean or base", 'write  kind = "mean"')
+        nodes = _facet_nodes(solid, groups.group(str(port.group), where, 1).members)
+        moves = [unit[motion] for motion in port.motions]
+        faces.append(fe.RigidFace(nodes, [*zip(port.ports, moves, strict=True)]))
+    return fe.Setup(
+        fixed=_fixed(keys, groups, solid),
+        electrodes=electrodes,
+        reference=keys.reference,
+        floating=[_electrode(solid, groups, name, "floating") for name in keys.floating],
+        shapes=[
+            fe.ForceShape(
+                port.ports[0], fe.spread(_shares(port, groups, solid), port.direction, solid)
+            )
+            for port in kinds["mean"]
+        ],
+        faces=faces,
+        base=[(port.ports[0], port.direction) for port in kinds["base"]],
+        damping=keys.damping,
+    )
+
+
+def _facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
+    return np.unique(solid.basis(1).get_dofs(facets).flatten())
+
+
+def _electrode(solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: str) -> np.ndarray:
+    """Nodes of an electrode, which must lie on something piezoelectric."""
+    facets = groups.group(name, where, 1).members
+    active = np.array([m.piezoelectric for m in solid.materials])[solid.owner]
+    sides = solid.mesh.f2t[:, facets]
+    if not (active[sides] & (sides >= 0)).any():
+        made_of = {solid.materials[k].name for k in solid.owner[sides[sides >= 0]]}
+        problem = "electrode on a material that is not piezoelectric"
+        got = f"{name} on {', '.join(sorted(made_of))}"
+        hint = 'give its group a piezoelectric material, such as "PZT-5A"'
+        raise wrong(where, problem, got, "a face of a piezoelectric group", hint)
+    return _facet_nodes(solid, facets)
+
+
+def _fixed(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
+    d, nodes = solid.components, solid.places.shape[1]
+    fixed = np.zeros((nodes, d), bool)
+    letters = "xyz" if d == 3 else "xz"
+    for entry in keys.fixed:
+        support = FixedKeys(group=entry) if isinstance(entry, str) else entry
+        group = groups.group(support.group, "fixed")
+        members = group.members
+        if group.codimension == 0:
+            members = solid.nodes(members)
+        elif group.codimension == 1:
+            members = _facet_nodes(solid, members)
+        for axis in set(support.axes) & set(letters):
+            fixed[members, letters.index(axis)] = True
+    if solid.axisymmetric:
+        on_axis = solid.places[0] < 1e-9 * np.ptp(solid.mesh.p)
+        fixed[on_axis, 0] = True
+    return fixed.ravel()
+
+
+def _shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
+    """Parts (nodes,) of a unit force over the port's group."""
+    shares = np.zeros(solid.places.shape[1])
+    if port.at is not None:
+        point = np.array(port.at)[[0, 2] if solid.axisymmetric else [0, 1, 2]]
+        shares[np.argmin(np.linalg.norm(solid.places.T - point, axis=1))] = 1.0
+        return shares
+    group = groups.group(str(port.group), f"ports.{port.name}")
+    if group.codimension == 0:
+        return fe.node_shares(solid, elements=group.members)
+    if group.codimension == 1:
+        return fe.node_shares(solid, facets=group.members)
+    shares[group.members] = group.shares
+    return shares
+
+
+class Body(MeshedBody):
+    name = "body"
+    title = "the user's own mesh (piezoelectric FE, reduced)"
+    discretisations = ("refine",)
+    schema = BodyKeys
+    source = "FE (piezoelectric, the user's mesh)"
+    ports_of_files = True
+
+    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
+        result: tuple[Port, ...] = part.keys.every_port
+        return result
+
+    def directions(self, part: Part, scene: DeclaredScene) -> Mapping[str, tuple[float, ...]]:
+        """Axes of its translations and accelerations."""
+        result: dict[str, tuple[float, ...]] = {}
+        for keys in part.keys.ports:
+            if keys.kind != "rigid":
+                result[keys.name] = tuple(keys.direction.tolist())
+                continue
+            for port, motion in zip(keys.ports, keys.motions, strict=True):
+                if not motion.startswith("r"):
+                    axis = np.eye(3)["xyz".index(motion)]
+                    result[port.terminals[0]] = tuple(axis.tolist())
+        return result
+
+    def files(self, part: Part, scene: DeclaredScene) -> tuple[str, ...]:
+        _path(part, scene)
+        return (part.keys.mesh,)
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
+        try:
+            path = _path(part, scene)
+            mesh_file.require_format(path)
+            if path.is_file():
+                mesh_file.length_unit(path, part.keys.unit)
+        except UsageError as error:
+            if error.where == "unit":
+                error.where = f"{part.name}.unit"
+            yield error
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+        """The bounding box of its file, then what all bodies say."""
+        sides = self.sides(part, scene)
+        yield " x ".join(f"{1e3 * side:.4g}" for side in sides) + " mm"
+        yield from super().notes(part, scene)
+
+    def sides(self, part: Part, scene: DeclaredScene) -> list[float]:
+        """Sides of the bounding box of its file [m]."""
+
+        def size() -> list[float]:
+            with part_named(part.name):
+                path = _path(part, scene)
+                sides = mesh_file.length_unit(path, part.keys.unit) * mesh_file.extent(path)
+            return [float(side) for side in sides]
+
+        key = {"file": file_stamp(_path(part, scene)), "unit": part.keys.unit}
+        return cached("extent", key, size, sources=self.sources())
+
+    def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
+        sides = self.sides(part, scene)
+        if part.keys.axisymmetric:
+            sides = [side for side in sides if side] or sides[:2]
+        return box_envelope(sides)
+
+    def dimensions(self, part: Part) -> int:
+        return 2 if part.keys.axisymmetric else 3
+
+    def support(self, part: Part) -> str:
+        groups = [item if isinstance(item, str) else item.group for item in part.keys.fixed]
+        return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
+
+    def full_key(self, part: Part, scene: GovernedScene) -> dict[str, Any]:
+        return {**super().full_key(part, scene), "file": file_stamp(_path(part, scene))}
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
+        """Its mesh, then what all bodies show."""
+        curve = cached(
+            "outline",
+            self.full_key(part, build.scene),
+            lambda: edges("", self.device(part, build.scene).solid.mesh),
+            classes=(Curve,),
+            sources=self.sources(),
+        )
+        panel = Panel("mm", "mm", (curve,), equal=True)
+        caption = f"Edges of the mesh {part.keys.mesh}."
+        yield Figure(f"{part.name}_mesh", f"Mesh of {part.name}", caption, (panel,))
+        yield from super().figures(part, build, waves)
+
+    def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
+        return device(part.keys, scene.home, part.name)
+
+
+def _path(part: Part, scene: DeclaredScene) -> Path:
+    return file_in_folder(scene.home, part.keys.mesh, f"{part.name}.mesh")
+
+
+register(Body())

@@ -1,0 +1,241 @@
+"""The part ``disc``: circular layers on one another, with electrodes. Buzzers, diaphragms, discs.
+
+    layers = [                                  # from the bottom up
+      { material = "brass", diameter = "20 mm", thickness = "0.2 mm" },
+      { material = "PZT-5A", diameter = "14 mm", thickness = "0.22 mm", electrodes = "12.8 mm" },
+    ]
+    support = "free"                            # clamped, simply_supported, { node = "13 mm" }
+
+Electrical pins ``anode``, ``cathode`` (and ``feedback`` against the cathode), mechanical port
+``centre``: mean axial displacement of a small patch on top, upwards. Left out: glue unless it is a
+layer, silver, solder and wires, the air.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import accumulate, chain, pairwise
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+
+from kc2spice.bodies.device import Block, Bonded, Box
+from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, validated
+from kc2spice.fem.body_keys import Damping, Mesh
+from kc2spice.fem.materials import material
+from kc2spice.parts.bodies._meshed import BondedBody, FieldKeys
+from kc2spice.scene.parttype import register
+
+_CELLS = 20  # along the largest radius (or half the height) before refinement
+
+
+class Feedback(Section):
+    """A ring (or disc) cut out of the top electrode, for self-oscillating buzzers.
+
+    Sheets show a tongue; the ring stands for it: the area counts, not the angle.
+    """
+
+    inner: Length = Field(
+        0.0, ge=0, description="Inner radius of the feedback electrode; 0 makes it a disc"
+    )
+    outer: Width = Field(gt=0, description="Outer radius of the feedback electrode")
+    gap: Length = Field(
+        0.5e-3, gt=0, description="Width of bare ceramic between feedback and main electrode"
+    )
+
+
+class DiscLayer(Section):
+    """One disc. ``electrodes`` is the diameter of its electrodes where it lies on no metal."""
+
+    material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
+    diameter: Width = Field(gt=0, description="Outer diameter of the layer")
+    thickness: Thickness = Field(gt=0, description="Thickness of the layer")
+    electrodes: Length | None = Field(
+        None, gt=0, description="Diameter of the layer's electrodes; by default the whole face"
+    )
+    feedback: Feedback | None = None
+    poling: Literal["up", "down"] = Field(
+        "up", description="Direction of poling of a ceramic layer"
+    )
+    quality: Ratio | None = Field(
+        None, gt=0, description="Q factor of the layer, for damping.per_material"
+    )
+
+    @model_validator(mode="after")
+    def _possible(self) -> DiscLayer:
+        largest, ring = self.electrodes or self.diameter, self.feedback
+        if largest > self.diameter * (1 + 1e-9):
+            raise ValueError(f"electrodes larger than the layer of {self.diameter:g} m")
+        if ring is not None:
+            inner, outer = ring.inner / 2 - ring.gap, ring.outer / 2 + ring.gap
+            filled = inner <= 0 and outer >= largest / 2
+            if filled or not ring.inner < ring.outer <= largest:
+                raise ValueError(
+                    "no room for the feedback electrode: inner must be less than outer, outer at "
+                    f"most {largest:g} m, and a part of the main electrode must remain"
+                )
+        return self
+
+
+class Node(Section):
+    """A knife edge under the body."""
+
+    node: Length = Field(gt=0, description="Diameter of the circle on which the disc rests")
+
+
+class DiscKeys(FieldKeys):
+    """``wiring`` matters with more than one ceramic layer: ``parallel`` connects every second
+    electrode to the cathode, beginning with the lowest; ``series`` uses the lowest and the highest
+    and leaves those between floating."""
+
+    layers: tuple[DiscLayer, ...] = Field(min_length=1)
+    support: Literal["free", "clamped", "simply_supported"] | Node = "free"
+    wiring: Literal["parallel", "series"] = Field(
+        "parallel", description="Electrical connection of several ceramic layers"
+    )
+    centre: Length | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Diameter of the patch of port centre; by default the thickness of the disc on its axis"
+        ),
+    )
+    damping: Damping = Damping()
+    mesh: Mesh = Mesh()
+
+    @model_validator(mode="after")
+    def _possible(self) -> DiscKeys:
+        widest, top = max(x.diameter for x in self.layers), self.layers[-1].diameter
+        if isinstance(self.support, Node) and self.support.node > widest:
+            raise ValueError(f"support: the node lies outside the body of {widest:g} m")
+        if self.centre is not None and self.centre > top * (1 + 1e-9):
+            raise ValueError(f"centre: the port is wider than the top layer of {top:g} m")
+        return self
+
+
+def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded:
+    """The layers with electrodes, support and port.
+
+    Raises
+    ------
+    UsageError : a key is wrong, or names electrodes or supports beyond the body.
+    """
+    disc = validated(DiscKeys, keys, where)
+    pieces = _blocks(disc, where)
+    conductors, series = _conductors(disc, pieces, where), disc.wiring == "series"
+    electrodes = {"anode": [*chain(*conductors[1::2])], "cathode": [*chain(*conductors[::2])]}
+    if series:
+        electrodes = {"anode": conductors[-1], "cathode": conductors[0]}
+    for layer, piece in zip(disc.layers, pieces, strict=True):
+        if layer.feedback is not None:
+            ring = _face(layer.feedback.inner / 2, layer.feedback.outer / 2, piece.box[1][1])
+            electrodes.setdefault("feedback", []).append(ring)
+    top, across = pieces[-1].box[1][1], max(layer.diameter for layer in disc.layers)
+    patch = disc.centre or min(top, disc.layers[-1].diameter)
+    return Bonded(
+        pieces,
+        electrodes,
+        conductors[1:-1] if series else (),
+        {"centre": _face(0.0, patch / 2, top)},
+        _supports(disc, pieces, across / 2),
+        size=max(top, across) / (2 * _CELLS),
+        refine=disc.mesh.refine,
+        damping=disc.damping,
+        where=where,
+    )
+
+
+def _face(inner: float, outer: float, height: float) -> Box:
+    return (inner, outer), (height, height)
+
+
+def _blocks(disc: DiscKeys, where: str) -> list[Block]:
+    result = []
+    ends = pairwise(accumulate((layer.thickness for layer in disc.layers), initial=0.0))
+    for i, (layer, span) in enumerate(zip(disc.layers, ends, strict=True)):
+        here = f"{where}.layers.{i}"
+        one = material(layer.material, f"{here}.material")
+        if layer.electrodes is not None and not one.piezoelectric:
+            problem = "an electrode on a material that is not piezoelectric"
+            hint = "delete the key electrodes of this layer"
+            raise wrong(here, problem, one.name, "a piezoelectric material", hint)
+        poled = one.poled((0, 0, 1 if layer.poling == "up" else -1))
+        quality = layer.quality or one.quality
+        poled = replace(poled, name=f"layers[{i}] ({one.name})", quality=quality)
+        result.append(Block(((0.0, layer.diameter / 2), span), poled))
+    if not any(block.material.piezoelectric for block in result):
+        got = ", ".join(block.material.name for block in result)
+        raise UsageError(
+            "no layer is piezoelectric",
+            where=f"{where}.layers",
+            got=got,
+            expected='a layer of a piezoelectric material, such as "PZT-5A"',
+            hint='write  material = "PZT-5A"  in one of the layers',
+        )
+    return result
+
+
+def _conductors(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Box]]:
+    """Faces of each electrode in order of height; a metal layer is one electrode."""
+    result: list[list[Box]] = []
+    last_metal: int | None = None
+    heights = [0.0, *(piece.box[1][1] for piece in pieces)]
+    for i, height in enumerate(heights):
+        neighbours = [k for k in (i - 1, i) if 0 <= k < len(pieces)]
+        ceramic = [k for k in neighbours if pieces[k].material.piezoelectric]
+        metal = [k for k in neighbours if pieces[k].material.conductor]
+        if not ceramic:
+            continue
+        if not metal:
+            result.append(_plane(disc, ceramic, height, i - 1, where))
+            continue
+        radius = min(pieces[k].box[0][1] for k in (ceramic[0], metal[0]))
+        if metal[0] != last_metal:
+            result.append([])
+        result[-1].append(_face(0.0, radius, height))
+        last_metal = metal[0]
+    return result
+
+
+def _plane(disc: DiscKeys, ceramic: list[int], height: float, below: int, where: str) -> list[Box]:
+    """Electrode on bare ceramic, without the feedback's ring and its gaps."""
+    diameters = {disc.layers[k].electrodes or disc.layers[k].diameter for k in ceramic}
+    if len(diameters) > 1 and all(disc.layers[k].electrodes for k in ceramic):
+        problem = "two layers state different diameters of the electrode between them"
+        got = " and ".join(f"{each:g} m" for each in sorted(diameters))
+        hint = "state electrodes in one of the two layers"
+        where = f"{where}.layers.{ceramic[-1]}.electrodes"
+        raise wrong(where, problem, got, "one diameter", hint)
+    radius = min(diameters) / 2
+    ring = disc.layers[below].feedback if below in ceramic else None
+    if ring is None:
+        return [_face(0.0, radius, height)]
+    inner, outer = ring.inner / 2 - ring.gap, ring.outer / 2 + ring.gap
+    return [_face(*pair, height) for pair in ((0.0, inner), (outer, radius)) if pair[0] < pair[1]]
+
+
+def _supports(disc: DiscKeys, pieces: list[Block], radius: float) -> list[tuple[str, Box]]:
+    if disc.support == "free":
+        return []
+    if isinstance(disc.support, Node):
+        r = disc.support.node / 2
+        lowest = next(piece.box[1][0] for piece in pieces if piece.box[0][1] >= r)
+        return [("z", _face(r, r, lowest))]
+    rim = [piece.box[1] for piece in pieces if piece.box[0][1] >= radius * (1 - 1e-9)]
+    z = rim[0][0], rim[-1][1]
+    if disc.support == "clamped":
+        return [("xz", ((radius, radius), z))]
+    return [("z", _face(radius, radius, sum(z) / 2))]
+
+
+class Disc(BondedBody):
+    name = "disc"
+    title = "circular layers with electrodes (axisymmetric piezoelectric FE, reduced)"
+    schema = DiscKeys
+    source = "FE (piezoelectric, axisymmetric)"
+    structure = staticmethod(disc_body)
+
+
+register(Disc())

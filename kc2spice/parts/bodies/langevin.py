@@ -1,0 +1,229 @@
+"""The part ``langevin``: masses, ceramic rings of alternating poling, and the bolt through them.
+
+Everything is bonded where it touches, the bolt to both masses along its thread and not to the
+rings. Electrical pins ``anode`` and ``cathode`` (the masses), mechanical ports ``front`` and
+``back``: mean axial displacement of the end faces, upwards, towards the front. Left out: the state
+that the preload leaves in the ceramic, contact compliance, the electrodes' metal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+
+from kc2spice.bodies.device import Block, Bonded, Box
+from kc2spice.core.errors import wrong
+from kc2spice.core.quantities import (
+    Count,
+    Extent,
+    Length,
+    Ratio,
+    Section,
+    Thickness,
+    Width,
+    validated,
+)
+from kc2spice.fem.body_keys import Damping, Mesh
+from kc2spice.fem.materials import material
+from kc2spice.parts.bodies._meshed import BondedBody, FieldKeys
+from kc2spice.parts.bodies._neglected import UNKNOWN
+from kc2spice.scene.model import (
+    Part,
+    Scene,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected
+
+_CELLS = 8  # along the largest radius before refinement
+
+
+class Piece(Section):
+    """Keys that all pieces have."""
+
+    material: str | dict[str, Any] = Field(description="Material of the piece, a name or a table")
+    quality: Ratio | None = Field(
+        None, gt=0, description="Q factor of the piece, for damping.per_material"
+    )
+
+
+class Cylinder(Piece):
+    """One step of a mass."""
+
+    diameter: Width = Field(gt=0, description="Outer diameter of the cylinder")
+    length: Extent = Field(gt=0, description="Length of the cylinder along the axis")
+
+
+class Rings(Piece):
+    """``count`` equal rings (even, so that both masses are cathodes)."""
+
+    outer: Width = Field(gt=0, description="Outer diameter of the ceramic rings")
+    inner: Length = Field(gt=0, description="Diameter of the bore of the ceramic rings")
+    thickness: Thickness = Field(gt=0, description="Thickness of one ceramic ring")
+    count: Count = Field(2, ge=2, le=20, description="Number of ceramic rings, even")
+
+    @model_validator(mode="after")
+    def _possible(self) -> Rings:
+        if self.count % 2:
+            raise ValueError("an odd number of rings puts the anode on a mass that the bolt shorts")
+        if self.inner >= self.outer:
+            raise ValueError("inner must be smaller than outer")
+        return self
+
+
+class Bolt(Piece):
+    """The bolt along the axis; it reaches ``depth`` into the front mass and through all of the
+    back mass, where its head (if any) sits on the end."""
+
+    diameter: Width = Field(gt=0, description="Diameter of the bolt's shank")
+    depth: Width | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Depth of the bolt in the front mass; by default the length of the first step"
+        ),
+    )
+    head_diameter: Length | None = Field(
+        None, gt=0, description="Diameter of the bolt's head, together with head_length"
+    )
+    head_length: Length | None = Field(
+        None, gt=0, description="Length of the bolt's head, together with head_diameter"
+    )
+
+    @model_validator(mode="after")
+    def _head(self) -> Bolt:
+        if (self.head_diameter is None) != (self.head_length is None):
+            raise ValueError("a head needs head_diameter and head_length")
+        return self
+
+
+class LangevinKeys(FieldKeys):
+    """Masses are given outwards from the rings."""
+
+    front: tuple[Cylinder, ...] = Field(min_length=1)
+    back: tuple[Cylinder, ...] = Field(min_length=1)
+    rings: Rings
+    bolt: Bolt
+    support: Literal["free", "back"] = Field(
+        "free", description="Mechanical support: free, or clamped at the back face"
+    )
+    damping: Damping = Damping()
+    mesh: Mesh = Mesh()
+
+    @model_validator(mode="after")
+    def _fits(self) -> LangevinKeys:
+        bolt, inner, masses = self.bolt, self.rings.inner, (*self.front, *self.back)
+        depth, head = bolt.depth or self.front[0].length, bolt.head_diameter or math.inf
+        wrong = {
+            "bolt.diameter: the bolt does not pass through the rings": bolt.diameter >= inner,
+            "bolt.diameter: the bolt is thicker than a mass": bolt.diameter
+            >= min(step.diameter for step in masses),
+            "bolt.depth: the bolt reaches through the front mass": depth
+            > sum(step.length for step in self.front) * (1 + 1e-9),
+            "rings.inner: a mass falls through the rings": inner
+            >= min(self.front[0].diameter, self.back[0].diameter),
+            "bolt.head_diameter: the head is no wider than the bolt": head <= bolt.diameter,
+        }
+        if result := [problem for problem, holds in wrong.items() if holds]:
+            raise ValueError(result[0])
+        return self
+
+
+def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -> Bonded:
+    """The pieces with electrodes, support and ports.
+
+    Raises
+    ------
+    UsageError : a key is wrong, or the parts do not fit into one another.
+    """
+    body = validated(LangevinKeys, keys, where)
+    pieces, rings = _blocks(body, where), body.rings
+    heights = [height for piece in pieces for height in piece.box[1]]
+    bottom, top = min(heights), max(heights)
+    under = (body.bolt.head_diameter or body.back[-1].diameter) / 2
+    back: Box = ((0.0, under), (bottom, bottom))
+    ports: dict[str, Box] = {"front": ((0.0, body.front[-1].diameter / 2), (top, top))}
+    fixed = body.support == "back"
+    across = (rings.inner / 2, rings.outer / 2)
+    planes = [(across, (i * rings.thickness,) * 2) for i in range(rings.count + 1)]
+    return Bonded(
+        pieces,
+        {"anode": planes[1::2], "cathode": planes[::2]},
+        ports=ports if fixed else ports | {"back": back},
+        fixed=[("xz", back)] if fixed else (),
+        size=max(piece.box[0][1] for piece in pieces) / _CELLS,
+        refine=body.mesh.refine,
+        damping=body.damping,
+        where=where,
+    )
+
+
+def _blocks(body: LangevinKeys, where: str) -> list[Block]:
+    """Rings from z = 0 up, front above, back below, then the bolt in place of their cores."""
+    result: list[Block] = []
+
+    def add(
+        piece: Piece, key: str, radii: tuple[float, float], low: float, high: float, up: int = 1
+    ) -> None:
+        one = material(piece.material, f"{where}.{key}.material")
+        quality = piece.quality or one.quality
+        poled = replace(one.poled((0, 0, up)), name=f"{key} ({one.name})", quality=quality)
+        result.append(Block((radii, (low, high)), poled))
+
+    rings, bolt = body.rings, body.bolt
+    core, ring = bolt.diameter / 2, (rings.inner / 2, rings.outer / 2)
+    for i in range(rings.count):
+        add(rings, f"rings[{i}]", ring, i * rings.thickness, (i + 1) * rings.thickness, (-1) ** i)
+    if not result[0].material.piezoelectric:
+        problem = "the rings are not piezoelectric"
+        raise wrong(f"{where}.rings.material", problem, result[0].material.name)
+    height = rings.count * rings.thickness
+    thread = height + (bolt.depth or body.front[0].length)
+    for i, step in enumerate(body.front):
+        add(step, f"front[{i}]", (0.0, step.diameter / 2), height, height + step.length)
+        height += step.length
+    height = 0.0
+    for i, step in enumerate(body.back):
+        add(step, f"back[{i}]", (0.0, step.diameter / 2), height - step.length, height)
+        height -= step.length
+    add(bolt, "bolt", (0.0, core), height, thread)
+    if bolt.head_diameter is not None and bolt.head_length is not None:
+        add(bolt, "bolt", (0.0, bolt.head_diameter / 2), height - bolt.head_length, height)
+    return result
+
+
+class Langevin(BondedBody):
+    name = "langevin"
+    title = "bolted sandwich transducer (axisymmetric piezoelectric FE, reduced)"
+    schema = LangevinKeys
+    example = """
+[langevin]
+part = "langevin"
+front = [{ material = "aluminium", diameter = "20 mm", length = "30 mm" }]
+back = [{ material = "steel", diameter = "20 mm", length = "20 mm" }]
+rings = { material = "PZT-8", outer = "20 mm", inner = "8 mm", thickness = "3 mm" }
+bolt = { material = "steel", diameter = "6 mm" }
+pins = { anode = "drive.out" }
+
+[drive]
+part = "source"
+ac = "1 V"
+
+[analysis]
+type = "ac"
+start = "10 kHz"
+stop = "100 kHz"
+"""
+    source = "FE (piezoelectric, axisymmetric)"
+    structure = staticmethod(langevin_body)
+
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+        yield from super().neglected(part, scene)
+        why = "pieces are bonded and free of stress at rest"
+        yield Neglected(f"{part.name}: preload of the bolt, compliance of joints", why, UNKNOWN)
+
+
+register(Langevin())

@@ -1,0 +1,105 @@
+"""The part ``matrices``: a linear model out of another tool's files, with named ports."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from kc2spice.bodies.readers import locate_model, mesh_extent, read_model, source_files
+from kc2spice.bodies.readers.raw import TRANSLATIONS
+from kc2spice.core.domains import ACCELERATION, TRANSLATION
+from kc2spice.core.figure import Shape
+from kc2spice.core.progress import Clock
+from kc2spice.core.untrusted_files import file_in_folder
+from kc2spice.parts.bodies._linear_body import LinearBody, LinearKeys, file_stamp
+from kc2spice.rom.linear_model import LinearModel, Port
+from kc2spice.scene.model import (
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    Scene,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.settings import FileName
+
+THIN = 0.02  # drawn height of a line of nodes, relative to its width
+
+
+class MatricesKeys(LinearKeys):
+    """Files beside the scene; ports as their sidecar TOML names them."""
+
+    file: FileName = Field(
+        description="Matrix file beside the scene, or the NAME of a family of files"
+    )
+    sidecar: FileName | None = Field(
+        None, description="TOML file that describes the ports; by default NAME.toml"
+    )
+
+
+class Matrices(LinearBody):
+    name = "matrices"
+    title = "linear model from the matrices of another tool, reduced"
+    schema = MatricesKeys
+    source = "matrices of another tool"
+    ports_of_files = True
+
+    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
+        return self._model(part, scene).ports
+
+    def directions(self, part: Part, scene: DeclaredScene) -> Mapping[str, tuple[float, ...]]:
+        """Those that the sidecar states by ``dof`` or ``axis``; a column of B has none."""
+        *_, sidecar = locate_model(*self._source(part, scene))
+        result = {}
+        for entry in sidecar.ports:
+            translation = entry.kind in (TRANSLATION.port, ACCELERATION.port)
+            if translation and entry.weights.keys() and entry.weights.keys() <= {*TRANSLATIONS}:
+                pin = entry.port.terminals[0]
+                result[pin] = tuple(entry.weights.get(axis, 0.0) for axis in TRANSLATIONS)
+        return result
+
+    def full_key(self, part: Part, scene: GovernedScene) -> dict[str, Any]:
+        return {**super().full_key(part, scene), "files": self._stamps(part, scene)}
+
+    def _stamps(self, part: Part, scene: DeclaredScene) -> dict[str, str]:
+        """Identification of the content of each file."""
+        return {name: file_stamp(scene.home / name) for name in self.files(part, scene)}
+
+    def files(self, part: Part, scene: DeclaredScene) -> tuple[str, ...]:
+        result = source_files(*self._source(part, scene))
+        return tuple(os.path.relpath(path, scene.home) for path in result)
+
+    def full(self, part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
+        return self._model(part, scene)
+
+    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+        """The box of its mesh from the side, where its TOML file names one."""
+        size = mesh_extent(*self._source(part, scene))
+        if size is None or not size[:2].any():
+            return
+        wide, high = float(size[:2].max()), float(size[2] or size[:2].min())
+        high = max(high, THIN * wide)
+        yield Shape(0.0, -high / 2, wide, high, label=part.name)
+
+    def _model(self, part: Part, scene: DeclaredScene) -> LinearModel:
+        return _read(*self._source(part, scene), str(self._stamps(part, scene)))
+
+    def _source(self, part: Part, scene: DeclaredScene) -> tuple[Path, Path | None]:
+        """Path of the matrices, and of the TOML file that is named."""
+        name, home, keys = part.name, scene.home, part.keys
+        sidecar = (
+            None if keys.sidecar is None else file_in_folder(home, keys.sidecar, f"{name}.sidecar")
+        )
+        return file_in_folder(home, keys.file, f"{name}.file"), sidecar
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, sidecar: Path | None, stamps: str) -> LinearModel:
+    return read_model(path, sidecar)
+
+
+register(Matrices())

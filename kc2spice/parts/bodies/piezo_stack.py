@@ -1,0 +1,467 @@
+"""The layered piezoelectric chip: FE model, reduction, a subcircuit with rings as contact ports."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationInfo, model_validator
+
+from kc2spice.bodies.stack_keys import PATCH, SECTORS, Chip
+from kc2spice.core.cache import cached
+from kc2spice.core.domains import ELECTRICAL, TRANSLATION
+from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Shape
+from kc2spice.core.quantities import Count, Section, Time, Voltage, si
+from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.fem.materials import material
+from kc2spice.parts.bodies._linear_body import SOURCES, aim, reduction_target, required_ports
+from kc2spice.parts.bodies._meshed import FieldKeys, MeshedBody
+from kc2spice.parts.bodies._neglected import Envelope, disc_air
+from kc2spice.parts.electronics.netlist import driver
+from kc2spice.parts.mechanics._touching import Penetration, Surface, pair_of
+from kc2spice.rom.linear_model import Port
+from kc2spice.scene.checks import Metric
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    WiredScene,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.plausible import within
+from kc2spice.scene.rows import Neglected, Numerics
+from kc2spice.scene.settings import Rom
+from kc2spice.synthesis.realize import COARSE, THROWING, StepWeights
+
+# Mesh and solver modules are imported on use: most runs find their models in the cache.
+if TYPE_CHECKING:
+    from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
+    from kc2spice.bodies.undamped import FiniteElementModel
+
+USUAL = 250e3  # Hz, where the paper's chip is damped by 1 %
+# Damping ratio there below which modes ring on through a kick, so that the errors of steps add up:
+# launches of chips damped by 0.01 to 0.1 % miss by up to 2.6e-4 at the reltol of those of 1 %.
+RINGING, UNDAMPED = 4e-3, 2e-4
+LOW_KICK = 0.03  # factor of reltol; kicks of 40 to 60 V are then as accurate as those of 100 V
+# The same of a kick downwards: the chip leaves the sphere, rings, and strikes it at a phase that
+# every step since has moved. -100 V: 1.2e-2 at reltol 1e-4, 6e-4 at 1e-6, 1.1e-4 at 1e-7.
+DOWNWARDS, SLOWER = 2e-3, 0.1
+SWING = 2.0  # an elastic body overshoots a step of its load by as much again
+FLIGHT = 10e-6  # s, the longest step: a kick, its contact and the flight after it are resolved
+
+
+DRIVERS = {  # types by the words of the key driver
+    "half_bridge": "half_bridge",
+    "amplifier": "amplifier",
+    "charge": "charge_drive",
+    "user": "netlist",
+}
+HELD = {  # meaning of the key mounting, in words
+    "roller": "frictionless roller under its bottom face",
+    "glued": "bottom face glued down, u = 0",
+    "free": "nothing holds its bottom face",
+}
+PAPER_ORDER = 30
+# Keys that the FE model depends on: pulse, driver and electrical boundary act on the circuit.
+CHIP = set(Chip.model_fields)
+# Keys that do not change the paper's chip.
+FREE = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
+
+
+class Drive(Section):
+    """Kick pulse: rises from ``start`` within ``edge``; ``width`` is measured at half height."""
+
+    voltage: Voltage = Field(100.0, description="Height of the voltage pulse")
+    width: Time = Field(25e-6, gt=0, description="Width of the pulse at half of its height")
+    edge: Time = Field(0.1e-6, gt=0, description="Rise and fall time of the pulse")
+    start: Time = Field(0.5e-3, ge=0, description="Instant at which the pulse begins to rise")
+    period: Time | None = Field(None, gt=0, description="Period of a train of pulses")
+    count: Count | None = Field(
+        None, ge=1, description="Number of pulses of a train; by default without end"
+    )
+
+    @model_validator(mode="after")
+    def _edges(self) -> Drive:
+        if self.edge > self.width:
+            raise ValueError("the edges of the pulse are longer than the pulse: edge above width")
+        return self
+
+
+class Stack(Chip, FieldKeys):
+    """Piezoelectric chip actuator, with its drive where nothing else is joined to the anode."""
+
+    electrical: Literal["open", "short", "driven"] = Field(
+        "driven", description="Electrical condition of an anode that no part is connected to"
+    )
+    rated_field: Annotated[float, si("V/m")] = Field(
+        2e6,
+        gt=0,
+        description=(
+            "Largest field in a layer along its poling; the default assumes 120 V at 60 um, so set "
+            "the value of the maker"
+        ),
+    )
+    drive: Drive | None = Field(None, description="Voltage pulse of an ideal source at the anode")
+    driver: dict[str, dict[str, Any]] | None = Field(
+        None, description="Driver between pulse and chip, { TYPE = { keys } }"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _kicks(cls, data: Any, info: ValidationInfo) -> Any:
+        """In a scene of the paper's tables the chip is driven, unless unit loads are its drive."""
+        short = (info.context or {}).get("short", ())
+        if not short or "harmonic" in short or data.get("electrical", "driven") != "driven":
+            return data
+        return {"drive": {}, **data}
+
+    @model_validator(mode="after")
+    def _possible(self) -> Stack:
+        if self.fields and (self.mesh.order != 1 or self.mesh.layers_per_element != 1):
+            raise ValueError(
+                "fields need linear elements of one layer each: mesh.order = 1, "
+                "mesh.layers_per_element = 1"
+            )
+        if self.driver and self.electrical != "driven":
+            raise ValueError('the key driver needs electrical = "driven"')
+        return self
+
+
+class PiezoStack(MeshedBody):
+    name = "piezo_stack"
+    title = "layered piezoelectric chip (3-D FE, reduced)"
+    discretisations = ("mesh.refine",)
+    schema = Stack
+    source = "FE (piezoelectric, linear)"
+
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+        keys: Stack = part.keys
+        anode = f"{part.name}.anode"
+        if keys.electrical == "short":
+            return {f"{part.name}_drive": {"part": "source", "dc": 0.0, "pins": {"out": anode}}}
+        if keys.drive is None or keys.electrical == "open":
+            return {}
+        d = keys.drive
+        wave = {"high": d.voltage, **d.model_dump(exclude={"voltage"})}
+        source: dict[str, Any] = {"part": "source", "pulse": wave, "pins": {"out": anode}}
+        if keys.driver is None:
+            return {f"{part.name}_drive": source}
+        table, name = driver(part, DRIVERS, data), f"{part.name}_driver"
+        pins = {"out": anode}
+        if table["part"] == "charge_drive":
+            pins = {"anode": anode, "cathode": f"{part.name}.cathode"}
+        source["pins"] = {"out": f"{name}.command"}
+        return {f"{part.name}_drive": source, name: {**table, "pins": pins}}
+
+    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
+        names = [f"ring{k}" for k in range(part.keys.mesh.rings + 1)]
+        if pressure_nodes(part, scene) is not None:
+            names = [PATCH]
+        ring_ports = (Port(name, TRANSLATION.port) for name in names)
+        return (*ring_ports, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
+
+    def used_ports(self, part: Part, scene: JoinedScene) -> tuple[Port, ...]:
+        """Rings up to the last that is needed, so that every scene's are nested."""
+        if pressure_nodes(part, scene) is not None:
+            return super().used_ports(part, scene)
+        *ring_ports, anode = self.ports(part, scene)
+        return (*ring_ports[: used_rings(part, scene)], anode)
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
+        keys, name, drive = part.keys, part.name, part.keys.drive
+        transient = scene.analysis.type == "transient"
+        if keys.mounting == "free" and scene.of("contact") and transient:
+            problem = "nothing holds the chip under what rests on it"
+            yield part.wrong("mounting", problem, "free", "roller, glued or a stiffness per area")
+        if drive and keys.electrical == "driven" and transient and drive.start >= scene.stop:
+            expected = f"before the end of the simulation, {scene.stop:g} s"
+            problem = "the kick starts after the simulation ends"
+            yield part.wrong("drive.start", problem, f"{drive.start:g} s", expected)
+        reason = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
+        wide = "side" if keys.diameter is None else "diameter"
+        yield from within(f"{name}.{wide}", 2 * max(keys.half), "m", 1e-4, 0.1, reason)
+        yield from within(f"{name}.height", keys.height, "m", 1e-5, 0.2, reason)
+        layer = keys.height / keys.layers
+        tape = "ceramic tape is cast from 1 um to some millimetres; height over layers"
+        yield from within(f"{name}.layers", layer, "m a layer", 1e-6, 5e-3, tape)
+        if drive is not None and keys.driver is None:
+            field = abs(drive.voltage) / layer
+            why = f"{drive.voltage:g} V across {layer:.3g} m; the ceramic breaks down"
+            yield from within(f"{name}.drive.voltage", field, "V/m", 0.0, 2e7, why)
+
+    def surface(self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface:
+        if part.keys.poling == "x":
+            problem = "the top of a stack that shears moves sideways: nothing can press on it"
+            raise part.wrong("poling", problem, "x", "z under a contact")
+        shape, radii = pressure_nodes(part, scene), ring_radii(part.keys)
+        modulus = self.indentation_modulus(part)
+        if shape is None:
+            names = ports or tuple(f"ring{k}" for k in range(len(radii)))
+            distance = tuple(float(radii[_ring(part, name)]) for name in names)
+            return Surface(part.name, names, distance, sectors=SECTORS, modulus=modulus)
+        return Surface(
+            part.name,
+            (PATCH,),
+            (0.0,),
+            sectors=SECTORS,
+            patch=float(shape.nodes[-1]),
+            compliance=partial(_compliance_of, part),
+            pace=part.keys.damping.beta,
+            modulus=modulus,
+        )
+
+    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
+        """A trapezoid's error of phase adds up as long as a mode rings while something touches.
+
+        A low kick closes fewer rings and its launch depends more on every step: from 40 to 60 V
+        the relative error of one setting is ten times that at 100 V. It falls as reltol^0.55.
+        """
+        if not scene.of("contact"):
+            return
+        ratio = math.pi * USUAL * part.keys.damping.beta
+        close = math.sqrt(min(1.0, max(ratio, UNDAMPED) / RINGING))
+        speed = _kick_speed(part, scene)
+        if self.weights(part, scene) == COARSE and speed is not None:
+            # Anything but sources on its anode may make any kick a slow one: 0.67 m/s behind an
+            # amplifier of 5 A, which is 1.5e-3 off at the settings of 1 m/s.
+            joined = (scene.parts[name].type.name for name, _ in scene.joined(part.name, "anode"))
+            driven = any(kind != "source" for kind in joined)
+            close *= min(1.0, LOW_KICK if driven else max(speed**8, LOW_KICK))
+        if _downwards(part):
+            close = min(close, DOWNWARDS)
+        what = f"contacts of {part.name}, within which error control decides"
+        chgtol = min(1.0, speed or 1.0)
+        yield Numerics(what, FLIGHT, decides=True, reltol=close, chgtol=chgtol)
+
+    def weights(self, part: Part, scene: DeclaredScene) -> StepWeights:
+        """Its ringing is what strikes the sphere if the kick begins downwards."""
+        return THROWING if _downwards(part) else super().weights(part, scene)
+
+    def penetrations(self, part: Part, scene: GovernedScene) -> Iterator[Penetration]:
+        voltage = highest_voltage(part, scene)
+        if voltage:
+            stroke = free_stroke(part.keys, voltage)
+            why = f"{SWING:g} times the free stroke of {part.name} at {voltage:g} V"
+            yield Penetration(SWING * stroke, why)
+
+    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+        keys = part.keys
+        label = f"{part.name}: {1e3 * keys.side:g} mm wide, {1e3 * keys.height:g} mm high, "
+        label += f"{keys.layers} layers"
+        yield Shape(0.0, -keys.height / 2, keys.side, keys.height, "ceramic", label, keys.layers)
+
+    def headline(self, part: Part) -> str:
+        return f"{self.title}; {mounted(part.keys)}"
+
+    def by_material(self, part: Part) -> float:
+        return float(part.keys.rated_field * part.keys.height / part.keys.layers)
+
+    def full_key(self, part: Part, scene: GovernedScene) -> Mapping[str, Any]:
+        shape, chip = pressure_nodes(part, scene), part.keys.model_dump(mode="json", include=CHIP)
+        result = {"chip": chip, "field": part.keys.rated_field}
+        return result if shape is None else result | {"pressure_basis": shape.nodes.tolist()}
+
+    def reduction(self, part: Part, scene: Scene) -> Rom:
+        """As asked; else the paper's chip has the paper's order, and any other stack a tolerance
+        over the band that is to it what the paper's is to the paper's chip."""
+        specified = part.keys.rom or scene.rom
+        if not specified.left_open:
+            return specified
+        plain = type(part.keys)()
+        if all(getattr(part.keys, key) == getattr(plain, key) for key in CHIP - FREE):
+            return Rom(order=PAPER_ORDER, band=specified.band)
+        if "band" in specified.model_fields_set:
+            return specified
+        low, high = specified.band
+        return Rom(band=(low, high * plain.height / part.keys.height))
+
+    def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
+        keys = part.keys
+        (x, y), caps = keys.half, (keys.bottom_cap, keys.top_cap)
+        height = keys.height + sum(cap.thickness for cap in caps if cap is not None)
+        area, rim = 4 * x * y, 4 * (x + y)
+        if keys.diameter is not None:
+            area, rim = math.pi * x**2, 2 * math.pi * x
+        surface = 2 * area + rim * height
+        return Envelope(
+            disc_air(math.sqrt(area / math.pi)), area * height * keys.ceramic.density, surface
+        )
+
+    def support(self, part: Part) -> str:
+        return "" if part.keys.mounting == "roller" else mounted(part.keys)
+
+    def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
+        from kc2spice.bodies.stack import stack_device
+
+        shape = pressure_nodes(part, scene)
+        pressure = None if shape is None else shape.pressure(_compliance_of(part, shape).shares)
+        return stack_device(part.keys, part.keys.rated_field, pressure)
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+        result = dict(super().metrics(part, build, waves))
+        if "time" not in waves:
+            return result
+        pressed = bool(build.scene.of("contact"))
+        centre = f"{part.name}.u.{self.ports(part, build.scene)[0].name}"
+        if pressed and centre in waves:
+            result["kick_stroke_m"] = Metric(float(waves[centre].max()), "m")
+        shape, scene = pressure_nodes(part, build.scene), build.scene
+        if part.keys.fields and shape is not None:  # which its own mesh does not resolve
+            from kc2spice.bodies.pressure import UNITS, stresses_under
+
+            name = next(c.name for c in scene.of("contact") if c.keys.shape == "pressure")
+            if (most := float(waves[f"{name}.force"].max())) > 0:
+                forces = pair_of(scene.parts[name], scene).basis_forces(most)
+                inside = stresses_under(part.keys, shape, forces)
+                result |= {f"{name}_{key}": Metric(v, UNITS[key]) for key, v in inside.items()}
+        current = waves.data.get(f"{part.name}.current")
+        if part.keys.electrical == "driven" and (part.keys.driver or not pressed):
+            peak = float(np.abs(waves[f"{part.name}.voltage"]).max())
+            result["kick_voltage_peak_v"] = Metric(peak, "V")
+            if current is not None:
+                charge = running(current, waves["time"])
+                result["kick_current_peak_a"] = Metric(float(np.abs(current).max()), "A")
+                result["kick_charge_peak_c"] = Metric(float(np.abs(charge).max()), "C")
+        return result
+
+    def indentation_modulus(self, part: Part) -> float:
+        keys, cap = part.keys, part.keys.top_cap
+        bare = cap is None or cap.material is None
+        top = keys.ceramic if bare else material(cap.material, "top_cap.material")
+        return float(top.indentation_modulus)
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+        keys, rom = part.keys, reduction_target(part, scene)
+        pressed = pressure_nodes(part, scene) is not None
+        used, last = used_rings(part, scene), keys.mesh.rings
+        ports = "a patch of pressure as port" if pressed else f"{used} rings as ports"
+        detail = f"quarter chip, {keys.layers} layers, {mounted(keys)}, reduced to {aim(rom)}, "
+        yield f"{detail}anode {keys.electrical}, {ports}"
+        yield from self.neglected(part, scene)
+        if keys.mounting == "roller":
+            why = "its bottom face slides without friction on a plane"
+            error = f"compare with {part.name}.mounting = 'glued'; the usual chip: stroke -16 %, "
+            yield Neglected(f"what holds {part.name}", why, error + "first resonance +14 %")
+        if keys.fields and pressed:
+            why = "its own mesh is too coarse for it; pressure and shear are those of a graded one"
+            yield Neglected(f"tension around the contact on {part.name}", why, "not estimated")
+        if (several := keys.mesh.layers_per_element) > 1:
+            why = f"{several} layers share one: mesh.layers_per_element"
+            error = f"{(several / keys.layers) ** 2:.2g} of the first resonances, at most; "
+            error += "stroke and capacitance are those of the layers"
+            yield Neglected(f"layers of {part.name} within an element", why, error)
+        if used <= last and not pressed:
+            effect = f"{part.name}: ports at ring{used}" + f" to ring{last}" * (used < last)
+            yield Neglected(effect, "nothing of the scene needs them", "checked after the run")
+
+
+def _kick_speed(part: Part, scene: GovernedScene) -> float | None:
+    """Speed [m/s] of a kick that lasts as the stack's quarter wave, or as the edge of its pulse:
+    the free stroke over ``4 H / c`` or the edge; None without a voltage."""
+    voltage = highest_voltage(part, scene)
+    if not voltage:
+        return None
+    ceramic = part.keys.ceramic
+    sound = math.sqrt(ceramic.C[2, 2] / ceramic.density)
+    stroke = free_stroke(part.keys, voltage)
+    edge = 0.0 if part.keys.drive is None else part.keys.drive.edge
+    speed = stroke / max(4 * part.keys.height / sound, edge)
+    return max(1e-3, SLOWER * speed if _downwards(part) else speed)
+
+
+def _downwards(part: Part) -> bool:
+    """Whether its pulse draws the top face back before it rises."""
+    drive = part.keys.drive
+    return drive is not None and part.keys.electrical == "driven" and drive.voltage < 0
+
+
+def mounted(keys: Chip) -> str:
+    """Support of the bottom face and other deviations from the plain stack, in words."""
+    words = [HELD.get(str(keys.mounting), "")]
+    if isinstance(keys.mounting, float):
+        words = [f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"]
+    if keys.poling == "x":
+        words.append("poled along x: it shears")
+    for place, cap in (("below", keys.bottom_cap), ("on top", keys.top_cap)):
+        if cap is not None:
+            made_of = cap.material if isinstance(cap.material, str) else "material of its own"
+            material_name = "unpoled ceramic" if cap.material is None else made_of
+            words.append(f"{1e3 * cap.thickness:g} mm of {material_name} {place}")
+    if keys.preload_spring is not None:
+        words.append(f"a spring of {keys.preload_spring:g} N/m on the top face")
+    return ", ".join(words)
+
+
+def pressure_nodes(part: Part, scene: DeclaredScene) -> PressureBasis | None:
+    """Pressure on the top where a contact asks for it, as far out as the rings are."""
+    for contact in scene.of("contact"):
+        if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
+            from kc2spice.bodies.pressure import pressure_basis
+
+            return pressure_basis(contact.keys.spacing, float(ring_radii(part.keys)[-1]))
+    return None
+
+
+def ring_radii(keys: Chip) -> np.ndarray:
+    """Radii [m] of the chip's rings, ring0 (the centre node) first."""
+    return keys.mesh.ring_spacing * np.arange(keys.mesh.rings + 1)
+
+
+def used_rings(part: Part, scene: JoinedScene) -> int:
+    """How many rings, ring0 first, are ports: up to the last that another part or a probe wants,
+    all where the stack is the only part, which is there to be exported."""
+    if len(scene.parts) == 1 or scene.ports == "all":
+        return 1 + int(part.keys.mesh.rings)
+    probed = {p.of.split(".")[1] for p in scene.probes.values() if p.of.startswith(f"{part.name}.")}
+    names = required_ports(part, scene) | probed
+    return 1 + max((_ring(part, name) for name in names if name.startswith("ring")), default=-1)
+
+
+def _ring(part: Part, name: str) -> int:
+    match, last = re.fullmatch(r"ring(\d{1,3})", name), part.keys.mesh.rings
+    if match is None or int(match[1]) > last:
+        raise part.wrong("", f"{part.name} has no such port", repr(name), f"ring0 to ring{last}")
+    return int(match[1])
+
+
+def highest_voltage(part: Part, scene: DeclaredScene) -> float:
+    """Largest voltage [V] that the drive asks for; 0 where the anode is not driven."""
+    keys = part.keys
+    if keys.drive is not None and keys.electrical == "driven":
+        return abs(keys.drive.voltage)
+    waves = [p.keys.waveform(scene.home) for p in scene.of("source") if p.keys.kind == "voltage"]
+    tops = [float(np.abs(np.array(wave.points)[:, 1]).max()) for wave in waves]
+    rails = [p.keys.rail for p in scene.of("half_bridge", "amplifier", "charge_drive")]
+    return max([*tops, *rails], default=0.0)
+
+
+def free_stroke(keys: Chip, voltage: float) -> float:
+    """Static stroke [m] of the free stack: ``layers |d voltage|``, ``d = e C^-1``: d33, or d15 of
+    one that shears."""
+    axis, strain = (2, 2) if keys.poling == "z" else (0, 4)
+    return keys.layers * abs(keys.ceramic.d[axis, strain] * voltage)
+
+
+def _compliance_of(part: Part, shape: PressureBasis) -> LocalCompliance:
+    from kc2spice.bodies.pressure import LocalCompliance, local_compliance
+
+    chip = part.keys.model_dump(mode="json", include=CHIP - {"damping"})
+    return cached(
+        "indented",
+        {"chip": chip, "pressure_basis": shape.nodes.tolist()},
+        lambda: local_compliance(part.keys, shape),
+        classes=(LocalCompliance,),
+        sources=SOURCES,
+    )
+
+
+register(PiezoStack())

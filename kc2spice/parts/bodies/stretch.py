@@ -1,0 +1,141 @@
+"""Stretching of beams and plates that their edges hold: bending lengthens them, tension stiffens.
+
+Of a beam of length l whose ends stay where they are, ``e = int w'^2 dx / 2`` is how much longer it
+is when bent, and ``stiffness e^2 / 2 + tension e`` the energy of that: stiffness = E A / l (S. D.
+Senturia, Microsystem Design, 2001, chapter 10). The deflection is known by the means w_k of a row
+of equal strips of width d, from clamp to clamp; between two of them ``w' = (15 (w_k+1 - w_k) -
+(w_k+2 - w_k-1)) / (12 d)``, exact for cubics, and beyond a clamp w is its mirror image.
+
+Of a plate held all round, with rows of patches as its face, it is the same with ``e = int |grad
+w|^2 dA / (2 width)`` and stiffness = E h width / (length (1 - nu^2)): H. M. Berger, J. Appl. Mech.
+22 (1955) 465, who leaves the second invariant of the strains in the plane out. The squares of means
+lack a twelfth of the squares of what differs between rows. At a mirror plane w is even as at a
+clamp, so a quarter of a plate has its own length, width and stiffness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Annotated
+
+from pydantic import Field
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Count, Length, Section, Stiffness, si
+from kc2spice.parts.electrostatics.gap import Patched, patches
+from kc2spice.physics import Declaration, displacement
+from kc2spice.scene.model import (
+    GovernedScene,
+    Part,
+)
+from kc2spice.scene.parttype import register
+
+
+class StretchKeys(Section):
+    """``a`` is a beam with a row of patches, clamped at both ends, or at least three ports; or a
+    plate held all round with ``rows`` of them, one row after the other.
+    """
+
+    a: str | tuple[str, ...] = Field(
+        description="Name of the body with surface patches, or a list of its ports"
+    )
+    length: Length = Field(gt=0, description="Length of the beam, all patches of a row together")
+    stiffness: Stiffness = Field(
+        gt=0,
+        description=(
+            "Stiffness along the beam, E A / length; for a plate, this value divided by 1 - nu^2"
+        ),
+    )
+    tension: Annotated[float, si("N")] = Field(
+        0.0, description="Tension at rest, in addition to a residual_stress of the body"
+    )
+    rows: Count = Field(1, ge=1, description="Number of equal rows of patches across a plate")
+    width: Length = Field(0.0, ge=0, description="Width of a plate, all its rows together")
+
+
+class Stretch(Patched):
+    """The part type; how many branches it has is up to its keys."""
+
+    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
+        return _declared(len(patches(part, scene)), part.keys.rows)
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        keys, count = part.keys, len(patches(part, scene))
+        if count % keys.rows:
+            problem, got = "patches do not fill the rows", f"{count} patches, {keys.rows} rows"
+            yield part.wrong("rows", problem, got, "as many patches in each row")
+        if (keys.rows > 1) != (keys.width > 0):
+            got = f"rows = {keys.rows}, width = {keys.width:g} m"
+            yield part.wrong("width", "a plate has rows and a width", got, "both, or none: a beam")
+
+
+@lru_cache(maxsize=32)
+def _declared(count: int, rows: int) -> Declaration:
+    """The physics of so many patches in so many rows."""
+    along, across = range(1, count // rows + 1), range(1, rows + 1)
+
+    def w(i: int, j: int) -> str:
+        i, j = (
+            1 - k if k < 1 else 2 * n + 1 - k if k > n else k
+            for k, n in ((i, len(along)), (j, rows))
+        )
+        return f"x{(j - 1) * len(along) + i}"
+
+    def slope(before: str, low: str, high: str, after: str) -> str:
+        return f"(15*({high} - {low}) - ({after} - {before}))^2"
+
+    lengthwise = [slope(*(w(i + k, j) for k in (-1, 0, 1, 2))) for i in along[:-1] for j in across]
+    longer = f"{len(along)}/length/{288 * rows}*({' + '.join(lengthwise)})"
+    if rows > 1:
+        pairs = [(i, j) for i in along for j in across[:-1]]
+        crosswise = [slope(*(w(i, j + k) for k in (-1, 0, 1, 2))) for i, j in pairs]
+        twists = [
+            f"({w(i + 1, j + 1)} - {w(i, j + 1)} - {w(i + 1, j)} + {w(i, j)})^2"
+            for i, j in pairs
+            if i < len(along)
+        ]
+        cx, cy = f"{len(along)}/length/{rows}", f"{rows}*length/width^2/{len(along)}"
+        longer += f" + {cy}/288*({' + '.join(crosswise)})"
+        longer = f"({longer} + ({cx} + {cy})/24*({' + '.join(twists)}))"
+    return Declaration(
+        "stretch",
+        "stretching of a beam that both ends hold, or of a plate held all round",
+        StretchKeys,
+        tuple(displacement(f"x{k}", f"p{k}", "b", f"force{k}") for k in range(1, count + 1)),
+        energy=f"0.5*stiffness*({longer})^2 + tension*{longer}",
+        neglected=(
+            ("inertia along the beam", "its tension is the same everywhere", "not estimated"),
+            ("supports that give way", "the ends stay where they are", "not estimated"),
+            ("shear in a plate's plane", "Berger's energy", "up to 12 % of the stretching's"),
+        ),
+        example=EXAMPLE,
+    )
+
+
+EXAMPLE = """
+[stretch]
+part = "stretch"
+a = ["left.a", "middle.a", "right.a"]
+length = "0.1 mm"
+stiffness = "1e4 N/m"
+
+[left]
+part = "spring"
+stiffness = "1 N/m"
+
+[middle]
+part = "spring"
+stiffness = "1 N/m"
+
+[right]
+part = "spring"
+stiffness = "1 N/m"
+
+[push]
+part = "source"
+kind = "force"
+dc = "1 uN"
+pins = { out = "middle.a" }
+"""
+register(Stretch(_declared(3, 1)))

@@ -1,0 +1,360 @@
+"""PID controller of the sphere's height: ideal equations or op-amps (paper 2.4)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.domains import DISPLACEMENT
+from kc2spice.core.errors import UsageError
+from kc2spice.core.magnets import EMTable
+from kc2spice.core.quantities import Current, Length, Section, Time, si
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Param, positive
+from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.transforms import self_contained
+from kc2spice.parts.electronics._template import BANDWIDTH, opamp_subcircuit
+from kc2spice.parts.magnetics.ring_magnet_coils import label
+from kc2spice.parts.mechanics import sphere
+from kc2spice.physics.declaration import Branch, Declaration, displacement, seen, voltage
+from kc2spice.physics.law import DeclaredLaw
+from kc2spice.physics.part import declared_subcircuit
+from kc2spice.scene.checks import Check, Metric
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Vector
+from kc2spice.synthesis.header import library
+
+SENSOR = 2e3  # V/m, 5 V at the paper's set point
+SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A
+COMMAND = 10.0  # V, largest command of the output stage, well within the signal amplifiers' rails
+SUPPLY = 400.0  # V, of the output stage; more where the coils need it
+HEADROOM = 1.2  # ratio of a supply voltage to the required output
+EDGE = 1e-8  # s, of the enabling signal
+EMPTYING = 1e-6  # s, in which the integral of a disabled controller dies out
+SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
+
+
+class Control(Section):
+    """PID with clamped output: same current in both coils, the lower one negated (paper 2.4)."""
+
+    setpoint: Length = Field(2.5e-3, description="Height at which the sphere is to be held")
+    kp: Annotated[float, si("A/m")] = Field(
+        5e4, ge=0, description="Proportional gain of the controller"
+    )
+    ki: Annotated[float, si("A/(m s)")] = Field(
+        10.0, ge=0, description="Integral gain of the controller"
+    )
+    kd: Annotated[float, si("A s/m")] = Field(
+        20.0, ge=0, description="Differential gain of the controller"
+    )
+    rolloff: Time = Field(100e-9, gt=0, description="Time constant of the differentiator's pole")
+    current_limit: Current = Field(0.1, gt=0, description="Largest current of each coil")
+    form: Literal["opamps", "ideal"] | None = Field(
+        None, description="Form of the netlist: op-amps, or the ideal law, which is faster"
+    )
+    enable_at: Time | tuple[Time, ...] = Field(
+        0.5e-3, description="Instant at which the controller is enabled, or a list of instants"
+    )
+    disable_at: tuple[Time, ...] = Field(
+        (),
+        description=(
+            "Instants at which the controller is disabled, one after each enable_at except the last"
+        ),
+    )
+    of: str | None = Field(
+        None, description="Sphere whose height is controlled; by default the only one"
+    )
+    coils: str | None = Field(
+        None, description="Coils that the controller drives; by default the only ones"
+    )
+
+    @property
+    def switching(self) -> tuple[tuple[float, float], ...]:
+        """Times [s] and states, 1 enabled and 0 not, in order."""
+        on = self.enable_at if isinstance(self.enable_at, tuple) else (self.enable_at,)
+        both = [(t, 1.0) for t in on] + [(t, 0.0) for t in self.disable_at]
+        return tuple(sorted(both))
+
+
+# Gains of the netlist. A gain of zero has no stage, so a netlist cannot set it.
+GAINS = (
+    ("kp", "kp", "A/m", "proportional gain, above zero"),
+    ("ki", "ki", "A/(m.s)", "integral gain, above zero"),
+    ("kd", "kd", "A.s/m", "derivative gain, above zero"),
+    ("kd", "rolloff", "s", "time constant of the differentiator's pole"),
+)
+
+
+def _terminals(output: bool) -> tuple[Terminal, ...]:
+    """Pins with an output stage of its own, or with the command to a driver."""
+    ends = ("drive", "sense") if output else ("command",)
+    return (
+        Terminal.signal("y", DISPLACEMENT, required=True),
+        Terminal("enable", "V", "-"),
+        *(Terminal(end, "V", "A") for end in ends),
+        Terminal("ref", "V", "A", "gnd"),
+    )
+
+
+def control_law(control: Control, *, output: bool = True) -> Declaration:
+    """``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s), +-current_limit)`` between
+    ``drive`` and ``sense``, of ``e = setpoint - y`` as the volts of a sensor.
+
+    Without ``output`` it is a voltage at ``command``, 100 V for each ampere. The integral stands
+    still while the clamp holds; it is empty until ``enable`` is 1 V, and the current zero. A gain
+    that is zero has no term, so that it cannot be set either.
+    """
+    limited = "demand/current_limit"
+    within = f"(1 - above({limited} - 1) - above(-{limited} - 1))"
+    reset = f"(1 - on)*integral/{EMPTYING!r}"
+    terms = {
+        "kp": "kp/sensor*error",
+        "ki": "integral",
+        "kd": "kd/(sensor*rolloff)*(error - followed)",
+    }
+    states = {
+        "ki": ("integral", f"ki/sensor*error*{within} - {reset}"),
+        "kd": ("followed", "(error - followed)/rolloff"),
+    }
+    gains = [gain for gain in terms if getattr(control, gain)]
+    target = f"on*current_limit*clip({limited})"
+    ends: tuple[Branch, ...] = (voltage("command", "command", "ref"),)
+    content = f"0.5*(command - {SENSE!r}*{target})^2"  # behind an ohm
+    if output:
+        ends = voltage("drop", "drive", "sense"), voltage("sensed", "sense", "ref", "returned")
+        content = f"0.5*sensed^2 - {target}*drop"
+    return Declaration(
+        "pid",
+        "controller of the sphere's height",
+        Section,
+        (
+            seen(displacement("y", "y", "ref")),
+            seen(voltage("enable", "enable", "ref")),
+            *ends,
+        ),
+        content=content,
+        states=dict(states[gain] for gain in gains if gain in states),
+        signals={
+            "on": "above(enable - 0.5)",
+            "error": "sensor*(setpoint - y)",
+            "demand": " + ".join(terms[gain] for gain in gains),
+        },
+        given=tuple(_parameters(control)),
+        constants={"sensor": repr(SENSOR)},
+        rating="its output stays within current_limit",
+        base="ref",
+        metered=False,
+    )
+
+
+def _parameters(control: Control) -> Iterator[Param]:
+    """Parameters that an instance may set."""
+    yield Param("setpoint", control.setpoint, "m", "height of the sphere's centre")
+    for gain, item, unit, doc in GAINS:
+        if getattr(control, gain):
+            yield positive(item, getattr(control, item), unit, doc)
+    yield positive("current_limit", control.current_limit, "A", "largest coil current")
+
+
+def pid_subcircuit(
+    header: Header,
+    control: Control,
+    *,
+    output: bool = True,
+    load: float = 0.0,
+    name: str = "pid",
+) -> Subcircuit:
+    """The controller between the height ``y``, ``enable`` and the coils at ``drive`` and ``sense``.
+
+    The output stage of amplifiers measures with a resistor that gives 10 V at the current limit, at
+    most 100 Ohm, so that no limit is beyond the rails; its supply, in steps of 100 V, drives that
+    limit through the ``load`` [Ohm] of the coils, and what is left over slews the current. Without
+    it the controller ends at ``command``, 100 V for each ampere that it wants.
+    """
+    declared = control_law(control, output=output)
+    if control.form == "ideal":
+        return declared_subcircuit(header, name, declared, declared.values(control))
+    limit = control.current_limit
+    sense = min(SENSE, COMMAND / limit) if output else SENSE
+    supply = max(SUPPLY, 100.0 * math.ceil(HEADROOM * limit * (load + sense) / 100.0))
+    doc = "input offset of the error amplifier; 1 mV is 1 um of height"
+    rail = max(15.0, HEADROOM * sense * limit)
+    params = [
+        *declared.given,
+        Param("offset", 0.0, "V", doc),
+        positive("rail", rail, "V", "supply of the signal amplifiers"),
+    ]
+    if output:
+        params += [positive("compliance", supply, "V", "supply of the output stage")]
+    gains = [param.name for param in params]
+    part = library(
+        "pid",
+        header,
+        name,
+        declared.title,
+        _terminals(output),
+        tuple(params),
+        rating=declared.rating + " and compliance" * output,
+        gains=gains,
+        weights=[f"gain_{gain[1]}" for gain in ("kp", "ki", "kd") if gain in gains],
+        sensor=SENSOR,
+        sense=sense,
+        bandwidth=BANDWIDTH,
+        pi=math.pi,
+        output=output,
+    )
+    return self_contained(part, [opamp_subcircuit(header)])
+
+
+class Pid(PartType):
+    name = "pid"
+    title = "PID controller of a sphere's height"
+    schema = Control
+
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+        switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}
+        if len(switching) == 1:
+            wave = {"high": 1.0, "width": 1e3, "edge": EDGE, "start": switching[0][0]}
+            return {f"{part.name}_enable": {"part": "source", "pulse": wave, "pins": pins}}
+        points, state = [(0.0, 0.0)], 0.0
+        for time, value in switching:
+            points += [(max(time, 1e-9), state), (max(time, 1e-9) + EDGE, value)]
+            state = value
+        return {f"{part.name}_enable": {"part": "source", "pwl": tuple(points), "pins": pins}}
+
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+        return _terminals(not _remote(part, scene))
+
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+        ball = sphere.controlled(part, scene)
+        joins = {} if ball is None else {"y": f"{ball.name}.y"}
+        if not _remote(part, scene):
+            coils = _coils(part, scene).name
+            joins |= {"drive": f"{coils}.drive", "sense": f"{coils}.ret"}
+        return joins
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        keys, coils = part.keys, _coils(part, scene)
+        low, high = coils.keys.y_min, coils.keys.y_max
+        if not low < keys.setpoint < high:
+            got, expected = f"height {keys.setpoint:g} m", f"between {low:g} and {high:g} m"
+            hint = f"{coils.name}.y_min and {coils.name}.y_max set the table's range"
+            yield part.wrong("setpoint", "outside the force table", got, expected, hint)
+        if not max(keys.kp, keys.ki, keys.kd):
+            yield part.wrong("kp", "no gain at all", "kp = ki = kd = 0", "one of them above zero")
+        times = [time for time, _ in keys.switching]
+        states = [state for _, state in keys.switching]
+        if min(times) < 0 or states != ([1.0, 0.0] * len(states))[: len(states)]:
+            problem = "enable and disable times do not alternate"
+            got = f"{keys.enable_at}, disabled at {keys.disable_at}"
+            expected = "an enable time, then a disable time, and so on, all from 0 on"
+            yield part.wrong("enable_at", problem, got, expected)
+        if scene.analysis.type == "transient" and times[0] >= scene.stop:
+            problem = "the controller starts after the simulation ends"
+            expected = f"before the end of the simulation, {scene.stop:g} s"
+            yield part.wrong("enable_at", problem, f"{times[0]:g} s", expected)
+
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+        local = not _remote(part, build.scene)
+        load = float(build.model(_coils(part, build.scene), EMTable).resistance.sum())
+        name = build.libraries[part.name]
+        return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        node = "error" if part.keys.form == "ideal" else "e"
+        error = Vector(f"v(x{part.name.lower()}.{node})", 1.0 / SENSOR, "m")
+        result = {f"{part.name}.error": error}
+        if _remote(part, build.scene):
+            command = f"v({build.net(part, 'command')})"
+            result["coil.wanted"] = Vector(command, 1.0 / SENSE, "A")
+        return result
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        """Law of both forms; deviations of the amplifiers count as an error of the netlist."""
+        keys, n, scene = part.keys, part.name, build.scene
+        if _remote(part, scene) or build.net(part, "ref") != "0":
+            return None
+        declared, height = control_law(keys), sphere.offset(part, "y", scene)
+        values = declared.values(keys) | {"setpoint": keys.setpoint - height}
+        controller = DeclaredLaw(n, declared, tuple(values.values()))
+        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in controller.pins)
+        error = laws.reading(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
+        return laws.Equations((controller,), pins, {f"{n}.error": error})
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+        ball = sphere.controlled(part, build.scene)
+        if "time" not in waves or ball is None or f"{ball.name}.y" not in waves:
+            return {}
+        t, y, setpoint = waves["time"], waves[f"{ball.name}.y"], part.keys.setpoint
+        settled = settling_time(t, y, setpoint, sphere.settling_band(part, ball))
+        current = waves.data.get(f"{label(_coils(part, build.scene))}.upper.current")
+        caught = settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0]))
+        return {
+            "settling_time_s": Metric(settled, "s"),
+            "final_error_m": Metric(float(setpoint - y[-1]), "m"),
+            "hold_current_a": Metric(None if current is None else tail_mean(t, current), "A"),
+            "caught": Metric(caught),
+        }
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        current = waves.data.get(f"{label(_coils(part, build.scene))}.upper.current")
+        if current is None or "time" not in waves:
+            return
+        t, start = waves["time"], part.keys.switching[0][0]
+        limited = (np.abs(current) >= 0.999 * part.keys.current_limit) & (t >= start)
+        share = float(np.trapezoid(limited.astype(float), t)) / (t[-1] - start)
+        advice = "the coils cannot give what the controller asks for: raise "
+        advice, action = f"{advice}{part.name}.current_limit", build.scene.checks.saturation
+        yield Check("saturation", share, SATURATED, "of the time", advice, action)
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+        coils = "real coils" if _remote(part, scene) else "current-driven coils"
+        form = "ideal" if part.keys.form == "ideal" else "op-amp"
+        yield f"{form} PID, output clamped at {part.keys.current_limit:g} A, {coils}"
+
+
+def _coils(part: Part, scene: DeclaredScene) -> Part:
+    """The coils that it feeds."""
+    return scene.partner(part, "ring_magnet_coils", key="coils")
+
+
+def _remote(part: Part, scene: DeclaredScene) -> bool:
+    """Whether the output is the pin ``command`` for another circuit with the coils."""
+    joined = scene.is_target(part.name, "command") or "command" in part.pins
+    return joined or bool(_coils(part, scene).keys.driver)
+
+
+def tail_mean(t: np.ndarray, values: np.ndarray) -> float:
+    """Time average over the last twentieth of the run."""
+    tail = t >= t[-1] - 0.05 * (t[-1] - t[0])
+    return float(np.trapezoid(values[tail], t[tail]) / np.ptp(t[tail]))
+
+
+def settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
+    """Last entry into ``target`` ± ``band``, interpolated; None if the data end outside."""
+    outside = np.abs(y - target) > band
+    if outside[-1]:
+        return None
+    if not outside.any():
+        return float(t[0])
+    k = int(np.flatnonzero(outside)[-1])
+    edge = target + np.copysign(band, y[k] - target)
+    return float(t[k] + (edge - y[k]) / (y[k + 1] - y[k]) * (t[k + 1] - t[k]))
+
+
+register(Pid())

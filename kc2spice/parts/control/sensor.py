@@ -1,0 +1,151 @@
+"""A position sensor with bandwidth, offset and noise, between a height and a controller."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Frequency, Length, Section
+from kc2spice.netlist.circuit import Element, Item, Param
+from kc2spice.netlist.elements import noted
+from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.spelling import number
+from kc2spice.parts.mechanics import sphere
+from kc2spice.physics.cards import state_node
+from kc2spice.physics.declaration import Declaration, displacement, seen
+from kc2spice.physics.law import DeclaredLaw
+from kc2spice.physics.part import declared_subcircuit
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Vector
+
+MICROMETRES = f"{DISPLACEMENT.per_unit:g}"  # volts of a pin for one metre
+
+
+class SensorKeys(Section):
+    """Reads a position: one pole, an offset, white noise."""
+
+    bandwidth: Frequency = Field(
+        1e6, gt=0, description="Bandwidth of the sensor, a first-order low-pass filter"
+    )
+    offset: Length = Field(0.0, description="Constant error of the measured position")
+    noise: Length = Field(
+        0.0,
+        ge=0,
+        description="Noise of each sample, rms; the sample rate is twice the bandwidth",
+    )
+
+
+def sensor_declaration(keys: SensorKeys) -> Declaration:
+    """Reading: the position through one pole, shifted by the offset, without noise."""
+    return Declaration(
+        "sensor",
+        "position sensor",
+        Section,
+        (seen(displacement("x", "of", "ref")),),
+        states={"followed": f"{2 * math.pi:.11g}*bandwidth*({MICROMETRES}*x - followed)"},
+        outputs={"out": f"{DISPLACEMENT.factor:g}*followed + offset"},
+        given=(
+            Param("bandwidth", keys.bandwidth, "Hz", "of the reading", 0.0),
+            Param("offset", keys.offset, "m", "added to the reading"),
+        ),
+        rating="no range: compare the reading with that of your sensor",
+        validity="linear, one pole, constant temperature",
+        base="ref",
+        metered=False,
+    )
+
+
+class Sensor(PartType):
+    name = "sensor"
+    title = "position sensor with bandwidth, offset and noise"
+    schema = SensorKeys
+    source = "closed form"
+    noise = ("Rnoise",)
+    example = """
+[sensor]
+part = "sensor"
+bandwidth = "100 kHz"
+pins = { of = "push.out" }
+
+[push]
+part = "source"
+kind = "displacement"
+dc = "1 um"
+"""
+
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+        return (
+            Terminal.signal("of", DISPLACEMENT, required=True),
+            Terminal.signal("out", DISPLACEMENT, signal_out=True),
+            Terminal.of("ref", TRANSLATION, GROUND),
+        )
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        kinds = ("transient", "noise")
+        if part.keys.noise and scene.analysis.type not in kinds:
+            words = "noise is drawn in time, or analysed"
+            yield part.wrong("noise", words, scene.analysis.type, f"{' or '.join(kinds)}, or none")
+
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+        d, keys = sensor_declaration(part.keys), part.keys
+        cards: tuple[Item, ...] = ()
+        size = DISPLACEMENT.per_unit * keys.noise
+        if keys.noise and build.noisy:
+            # white up to the bandwidth, over the noise voltage of an ohm
+            root = math.sqrt(4 * BOLTZMANN * TEMPERATURE * keys.bandwidth)
+            cards = noted((
+                "* noise by its density: that of an ohm at 27 C times a gain",
+                Element.of("Rnoise", "drawn", "ref", "1"),
+                Element.of("Gnoise", "ref", "out", "drawn", "ref", size / root),
+            ))  # fmt: skip
+        elif keys.noise:
+            step = number(0.5 / keys.bandwidth)
+            wave = f"TRNOISE({number(size)} {step} 0 0)"
+            cards = noted((
+                f"* noise in {DISPLACEMENT.pin_unit}, a new random value at every {step} s",
+                Element.of("Inoise", "ref", "out", "DC", "0", wave),
+            ))  # fmt: skip
+        name = build.libraries[part.name]
+        return (declared_subcircuit(header, name, d, d.values(Section()), more=cards),)
+
+    def settable(self, part: Part, build: Build) -> Mapping[str, float]:
+        start = sphere.beginning(part, "of", build.scene)
+        if start is None:
+            return {}
+        return {f"x{part.name}.{state_node('followed')}": DISPLACEMENT.per_unit * start}
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        return {f"{part.name}.y": build.across(part, "out")}
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        if part.keys.noise:
+            return None
+        n, d = part.name, sensor_declaration(part.keys)
+        height = sphere.offset(part, "of", build.scene)
+        values = d.values(Section()) | {"offset": part.keys.offset + height}
+        declared_law = DeclaredLaw(n, d, tuple(values.values()))
+        pins = tuple((pin, f"{n}.{pin}") for pin in ("of", "out", "ref"))
+        result = laws.reading(f"{n}.out", DISPLACEMENT.factor)
+        return laws.Equations((declared_law,), pins, {f"{n}.y": result})
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+        keys = part.keys
+        yield f"{keys.bandwidth:g} Hz, offset {keys.offset:g} m, noise {keys.noise:g} m rms"
+
+
+register(Sensor())

@@ -1,0 +1,1 @@
+"""Sources, elements with two pins, diodes, drivers and the user's own netlists."""

@@ -1,0 +1,77 @@
+"""Junction diode: ngspice's ``.model D`` with documented parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import Field
+
+from kc2spice.core.quantities import Capacitance, Current, Ratio, Resistance, Section, Time, Voltage
+from kc2spice.netlist.circuit import Param
+from kc2spice.parts.electronics._template import TemplatePart
+from kc2spice.scene.model import (
+    Build,
+    Part,
+    Scene,
+    Terminal,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected, Vector
+
+
+class DiodeKeys(Section):
+    """``i = IS (exp((v - RS i)/(N VT)) - 1)`` with junction capacitance, transit time, breakdown.
+
+    The defaults are those in common use for a 1N4148 (small signal, 100 V).
+    """
+
+    saturation_current: Current = Field(
+        2.52e-9, gt=0, description="Saturation current, IS of the SPICE model"
+    )
+    emission: Ratio = Field(1.752, gt=0, description="Emission coefficient, N of the SPICE model")
+    series_resistance: Resistance = Field(
+        0.568, ge=0, description="Series resistance, RS of the SPICE model"
+    )
+    capacitance: Capacitance = Field(
+        4e-12, ge=0, description="Junction capacitance at 0 V, CJO of the SPICE model"
+    )
+    transit_time: Time = Field(20e-9, ge=0, description="Transit time, TT of the SPICE model")
+    breakdown_voltage: Voltage = Field(
+        100.0, gt=0, description="Breakdown voltage, BV of the SPICE model"
+    )
+
+
+class Diode(TemplatePart):
+    name = "diode"
+    title = heading = "junction diode"
+    schema = DiodeKeys
+    template = "diode"
+    noise = "shot noise, thermal noise in series at 27 C"
+    rating = "it breaks through at bv; its largest current is in the diode's data sheet"
+    validity = "27 C, or what .options temp says; it does not heat up"
+    fixed = tuple(Terminal(pin, "V", "A", required=True) for pin in ("anode", "cathode"))
+
+    def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+        keys = part.keys
+        params = (
+            Param("is", keys.saturation_current, "A", "saturation current"),
+            Param("n", keys.emission, "-", "emission coefficient"),
+            Param("rs", keys.series_resistance, "Ohm", "series resistance"),
+            Param("cjo", keys.capacitance, "F", "junction capacitance at 0 V"),
+            Param("tt", keys.transit_time, "s", "transit time"),
+            Param("bv", keys.breakdown_voltage, "V", "breakdown voltage"),
+        )
+        return params, {}
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        read, ends = f"@d.x{part.name.lower()}.djunction[id]", (("cathode",), ("anode",))
+        return {f"{part.name}.i": Vector(read, 1.0, "A", *ends)}
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+        keys = part.keys
+        yield f"diode, IS {keys.saturation_current:g} A, N {keys.emission:g}"
+        yield Neglected("heating of diodes", "27 °C throughout", "not estimated")
+
+
+register(Diode())

@@ -1,0 +1,195 @@
+"""The drivers: what each is made of and what its keys are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from functools import partial
+from typing import Any, ClassVar
+
+from pydantic import Field
+
+from kc2spice.core.quantities import (
+    Capacitance,
+    Current,
+    Frequency,
+    Resistance,
+    Section,
+    Slew,
+    Time,
+    Voltage,
+)
+from kc2spice.netlist.circuit import Param, positive
+from kc2spice.parts.control.pid import SENSE
+from kc2spice.parts.electronics._template import (
+    CoilDriver,
+    Driver,
+    InputNoise,
+    Load,
+    ends,
+    parameters,
+)
+from kc2spice.scene.model import (
+    DeclaredScene,
+    Part,
+    WiredScene,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import HighestFrequency, Numerics
+
+
+class AmplifierKeys(InputNoise):
+    """High-voltage operational amplifier with a class-AB output stage, gain 20."""
+
+    rail: Voltage = Field(120.0, gt=0, description="Supply voltage of the driver")
+    resistance: Resistance = Field(2.0, gt=0, description="Resistance between amplifier and chip")
+    bandwidth: Frequency = Field(2e6, gt=0, description="Bandwidth of the closed loop")
+    slew: Slew = Field(1e9, gt=0, description="Largest rate of change of the output voltage")
+    current_limit: Current = Field(15.0, gt=0, description="Largest output current")
+
+
+class Amplifier(Driver):
+    name, title = "amplifier", "high-voltage amplifier with slew rate and current limit"
+    schema = AmplifierKeys
+    template, heading = "driver_amplifier", "high-voltage amplifier for the chip"
+    noise = ("R", "Rout")
+    constants: ClassVar = {"sink": -10}  # V, the lower rail
+
+
+class ChargeKeys(InputNoise):
+    """Amplifier that sets the chip's charge, ``capacitance`` times the kick pulse's voltage."""
+
+    capacitance: Capacitance = Field(
+        150e-9, gt=0, description="Charge of the chip per volt of command"
+    )
+    sense: Capacitance = Field(
+        1e-6, gt=0, description="Capacitance in series with the chip that measures the charge"
+    )
+    rail: Voltage = Field(300.0, gt=0, description="Supply voltage of the driver")
+    resistance: Resistance = Field(20.0, gt=0, description="Resistance between amplifier and chip")
+    bandwidth: Frequency = Field(200e3, gt=0, description="Bandwidth of the closed loop")
+    slew: Slew = Field(1e9, gt=0, description="Largest rate of change of the output voltage")
+    current_limit: Current = Field(10.0, gt=0, description="Largest output current")
+
+
+class ChargeDrive(Driver):
+    name, title = "charge_drive", "charge drive for a floating capacitive load"
+    schema = ChargeKeys
+    template, heading = "driver_charge", "charge drive for the chip"
+    noise = ("Rout", "Rsense", "Rchip")
+    terminals, fixed = ("anode", "cathode"), ends("anode", "cathode")
+
+
+class HalfBridgeKeys(Section):
+    """Two transistors from a charged capacitor; the high one is on during the kick pulse."""
+
+    rail: Voltage = Field(100.0, gt=0, description="Supply voltage of the driver")
+    resistance: Resistance = Field(2.0, gt=0, description="Resistance between bridge and chip")
+    gate_resistance: Resistance = Field(10.0, gt=0, description="Series resistance of both gates")
+    current_limit: Current = Field(
+        15.0, gt=0, description="Current at which a transistor saturates"
+    )
+    reservoir: Capacitance = Field(
+        10e-6, gt=0, description="Capacitance of the supply that delivers the charge of a pulse"
+    )
+    supply_resistance: Resistance = Field(
+        100.0, gt=0, description="Resistance through which the supply's capacitance recharges"
+    )
+    leakage: Resistance = Field(
+        10e6, gt=0, description="Leakage resistance from the bridge to ref, with both gates off"
+    )
+
+
+class HalfBridge(Driver):
+    name, title = "half_bridge", "half-bridge with gate resistors and reservoir"
+    schema = HalfBridgeKeys
+    template, heading = "driver_half_bridge", "half-bridge for the chip"
+    noise = ("Rout", "Rsupply", "Rhigh", "Rlow")
+    opamp = None
+
+
+class LinearDriverKeys(InputNoise):
+    """Current source for the coils: operational amplifier between two rails, sense resistor."""
+
+    rail: Voltage = Field(48.0, gt=0, description="Supply voltage, positive and negative")
+    bandwidth: Frequency = Field(50e3, gt=0, description="Bandwidth of the current loop")
+    slew: Slew = Field(20e6, gt=0, description="Largest rate of change of the output voltage")
+
+
+class LinearDrive(CoilDriver):
+    name, title = "linear_drive", "current source for coils, linear amplifier between two rails"
+    schema = LinearDriverKeys
+    template, heading = "driver_linear", "current source for the coils"
+    noise = ("R", "Rout", "Rsense")
+    constants: ClassVar = {"sense": SENSE}
+
+    def for_load(self, keys: Any, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+        """``drive = command + (command - V(ret)) ratio (1 + 1 / (s L / R))``, ``ratio = 2 pi f L /
+        100 Ohm``, through an amplifier of five times the bandwidth ``f``."""
+        ratio = 2 * math.pi * keys.bandwidth * load.inductance / SENSE
+        resistance = load.resistance + SENSE
+        limit = positive("current_limit", 2 * load.current, "A", "largest output current")
+        return (*parameters(keys, "rail", "slew"), limit), {
+            "inductance": load.inductance,
+            "resistance": resistance,
+            "bandwidth": keys.bandwidth,
+            "ratio": ratio,
+            "constant": load.inductance / resistance,
+            "gbw": 5 * keys.bandwidth * (1 + ratio),
+        }
+
+
+RIPPLE = 3  # harmonics of the carrier with 99.9 % of the energy of a triangular current ripple
+
+
+class PwmKeys(Section):
+    """Current source for the coils: H-bridge, pulse-width modulator, PI controller."""
+
+    rail: Voltage = Field(100.0, gt=0, description="Supply voltage of the bridge")
+    frequency: Frequency = Field(100e3, gt=0, description="Carrier frequency of the bridge")
+    bandwidth: Frequency = Field(10e3, gt=0, description="Bandwidth of the current loop")
+    resistance: Resistance = Field(0.5, gt=0, description="On-resistance of each switch")
+    edge: Time = Field(50e-9, gt=0, description="Rise and fall time of the switched voltage")
+
+
+class PwmDrive(CoilDriver):
+    name, title = "pwm_drive", "current source for coils, pulse-width modulated H-bridge"
+    schema = PwmKeys
+    template, heading = "driver_pwm", "H-bridge for the coils"
+    opamp = "pole"
+    noise = "no noise: it switches, which an operating point knows nothing of"
+    # V, peak of the triangle, and the controller's rails over it; Ohm, in the return, and V for
+    # each ampere in it
+    constants: ClassVar = {"carrier": 10.0, "headroom": 1.2, "shunt": 1, "sense": SENSE}
+
+    def for_load(self, keys: Any, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+        """``u = command + (command - 100 Ohm i) ratio (1 + 1 / (s L / R))``, ``ratio = 2 pi f L
+        carrier / (100 Ohm rail)``, against a triangle of ``carrier``."""
+        resistance = load.resistance + 2 * keys.resistance + self.constants["shunt"]
+        r2 = (
+            1e5 * 2 * math.pi * keys.bandwidth * load.inductance * self.constants["carrier"] / SENSE
+        )
+        return parameters(keys, "rail", "frequency", "resistance", "edge"), {
+            "inductance": load.inductance,
+            "resistance": resistance,
+            "bandwidth": keys.bandwidth,
+            "r2": r2,  # Ohm V, 1e5 times ratio and rail
+            "constant": load.inductance / resistance,
+        }
+
+    def numerics(self, part: Part, scene: WiredScene) -> Iterable[Numerics]:
+        f, edge = part.keys.frequency, part.keys.edge
+        what = f"a tenth of a period of the carrier of {part.name}"
+        return (Numerics(what, 0.1 / f, 1 / edge),)
+
+    def highest_frequency(self, part: Part, scene: DeclaredScene) -> HighestFrequency:
+        return partial(_ripple_frequency, float(part.keys.frequency))
+
+
+def _ripple_frequency(carrier: float, constant: float) -> float:
+    """Frequency [Hz] of the last harmonic of a ripple that matters, whatever it acts behind."""
+    return RIPPLE * carrier
+
+
+for _driver in (Amplifier, ChargeDrive, HalfBridge, LinearDrive, PwmDrive):
+    register(_driver())

@@ -1,0 +1,307 @@
+"""A subcircuit out of the user's own netlist, read and checked before a simulator sees it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core.domains import PIN_UNITS, SIGNAL
+from kc2spice.core.errors import UsageError, candidates, did_you_mean
+from kc2spice.core.quantities import Section, Slew, Voltage
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Pin
+from kc2spice.netlist.include_scan import included_netlist, read_untrusted
+from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.read import read
+from kc2spice.netlist.scope import Scope, circuit, has_vector
+from kc2spice.netlist.spelling import name as checked
+from kc2spice.parts.electronics._template import SLACK, potentials, rails_check
+from kc2spice.scene.checks import Check
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Vector
+from kc2spice.scene.settings import FileName
+
+# Letter of an element and its parameter that is its current; "" for those that have a branch.
+_CURRENTS = {"r": "i", "c": "i", "l": "i", "b": "i", "d": "id", "m": "id", "j": "id", "q": "ic",
+             "v": "", "e": "", "h": ""}  # fmt: skip
+# Kinds of pins: units of 1 V and 1 A, which a signal has not.
+KINDS = {f"{unit}/{flow}": (unit, flow) for unit, flow in PIN_UNITS} | {"V": ("V", SIGNAL)}
+OTHERS = ", ".join(kind for kind in KINDS if kind not in ("V/A", "V"))
+
+
+RATED = "the circuit does not keep what ratings says of it: a diode drop or a glitch beyond?"
+
+
+class Rating(Section):
+    """Limits of a pin, relative to ``ref`` if the circuit has it: voltages and fastest change."""
+
+    low: Voltage | None = Field(None, description="Lowest allowed voltage of the pin")
+    high: Voltage | None = Field(None, description="Largest allowed voltage of the pin")
+    slew: Slew | None = Field(
+        None, gt=0, description="Largest allowed rate of change of the voltage"
+    )
+
+
+class NetlistKeys(Section):
+    """``.subckt SUBCKT`` of ``file``, which stands beside the scene."""
+
+    file: FileName = Field(description="Netlist file beside the scene")
+    subckt: str = Field(
+        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$", description="Name of the subcircuit in the file"
+    )
+    units: dict[str, str] = Field(
+        default_factory=dict,
+        description=(
+            f"Units of pins that are not electrical: {OTHERS}, or V for a signal; by default V/A"
+        ),
+    )
+    ratings: dict[str, Rating] = Field(
+        default_factory=dict,
+        description=("Limits of each pin, { PIN = { low, high, slew } }, which the run checks"),
+    )
+
+
+class Netlist(PartType):
+    name = "netlist"
+    noise = "that of its own cards"
+    title = "the user's own subcircuit"
+    schema = NetlistKeys
+    source = "yours"
+
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+        result = []
+        for name in _pins(part, scene):
+            unit, flow = KINDS[part.keys.units.get(name, "V/A")]
+            ground = name in ("ref", "base")
+            result.append(
+                Terminal(name, unit, flow, "gnd" if ground else None, required=not ground)
+            )
+        return tuple(result)
+
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+        """As the driver of another part's table its ``command`` is what a controller asks for."""
+        control = scene.only("pid")
+        commanded = part.at[1:2] == ("driver",) and "drive" in part.pins
+        if control is None or not commanded or "command" not in _pins(part, scene):
+            return {}
+        return {"command": f"{control.name}.command"}
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        pins = _pins(part, scene)
+        for name, kind in part.keys.units.items():
+            if name not in pins or kind not in KINDS:
+                expected = f"one of {', '.join(KINDS)} for one of {', '.join(pins)}"
+                yield part.wrong(f"units.{name}", "not a kind of a pin", repr(kind), expected)
+        scope = None
+        for name, node in _probed(part, scene):
+            scope = scope or _scope(part, scene)
+            if node in pins or has_vector(scope, _inside(node)):
+                if scene.analysis.small and "@" in _inside(node):
+                    yield UsageError(
+                        "has no small-signal current to read",
+                        where=f"probes.{name}.of",
+                        got=repr(f"{part.name}.{node}"),
+                        expected="i(…) of a V, E or H element",
+                        hint="a 0 V source in series with it has one",
+                    )
+                continue
+            nodes = dict.fromkeys((*pins, *(n for e in scope.elements for n in e.ends)))
+            choices = [n for n in nodes if n != "0"]
+            choices += [f"i({e.key})" for e in scope.elements if e.kind in _CURRENTS]
+            yield UsageError(
+                "no such pin, node or current",
+                where=f"probes.{name}.of",
+                got=repr(f"{part.name}.{node}"),
+                expected=f"of {part.name}: {candidates(node, choices)}",
+                hint=did_you_mean(node, choices),
+            )
+        for name in part.keys.ratings:
+            if name not in pins:
+                yield part.wrong("ratings", "no such pin", name, ", ".join(pins))
+
+    def drives(self, part: Part, scene: DeclaredScene) -> bool:
+        return _read(part.keys.file, scene.home, _stamp(part, scene)).excites
+
+    def library(self, part: Part, scene: Scene) -> str:
+        return str(part.keys.subckt)
+
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+        result = included_netlist(part.keys.file, build.scene.home, trust=build.trust)
+        pins = tuple(Pin(t.name, t.unit, t.flow) for t in build.scene.pins(part.name))
+        text, file = result.text, result.file
+        title = text.partition("\n")[0].lstrip("* ")
+        tree = read(text, file)
+        return (Subcircuit(part.keys.subckt, pins, (), tree, title=title, file=file, source=text),)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        """Its rated pins, and what probes name: pins, ``i(ELEMENT)``, and nodes over ``ref``."""
+        scene, pins = build.scene, {t.name: t for t in build.scene.pins(part.name)}
+        rated = part.keys.ratings if scene.analysis.type == "transient" else ()
+        probed = dict.fromkeys(node for _, node in _probed(part, scene))
+        volts = [p for p in probed if p in pins and pins[p].unit == "V"]
+        result = potentials(part, build, dict.fromkeys((*rated, *volts)))
+        base = build.net(part, "ref") if "ref" in pins else "0"
+        for node in (n for n in probed if n not in volts):
+            name = f"{part.name}.{node}"
+            if node in pins:
+                result[name] = build.across(part, node)
+            elif node.lower().startswith("i("):
+                result[name] = Vector(_inside(node, part.name), 1.0, "A")
+            else:
+                inner = f"v(x{part.name.lower()}.{node.lower()})"
+                result[name] = Vector(inner if base == "0" else f"{inner}-v({base})", 1.0, "V")
+        return result
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        for pin, rating in part.keys.ratings.items():
+            name, volts = f"{part.name}.{pin}", waves.data.get(f"{part.name}.{pin}")
+            if volts is None or "time" not in waves:
+                continue
+            slack = SLACK * float(np.abs(volts).max())
+            low = -np.inf if rating.low is None else rating.low
+            high = np.inf if rating.high is None else rating.high
+            yield rails_check(name, volts, low, high, slack, RATED)
+            if rating.slew is not None:
+                ahead = [sign * volts - rating.slew * waves["time"] for sign in (1.0, -1.0)]
+                most = max(float((a - np.minimum.accumulate(a)).max()) for a in ahead)
+                name = f"{name} within its slew rate"
+                yield Check(name, most, slack, "V ahead", RATED, wiring=True)
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+        yield f".subckt {part.keys.subckt} of {part.keys.file}"
+
+
+def driver(part: Part, known: Mapping[str, str], data: Mapping[str, Any]) -> dict[str, Any]:
+    """Table of the one part that the key ``driver`` names, of a type ``known`` by a user's word.
+
+    The first file of the scene's ``include`` is that of a netlist which names none.
+
+    Raises
+    ------
+    UsageError : not one driver, none of that type, no file.
+    """
+    drivers: dict[str, dict[str, Any]] = part.keys.driver
+    expected = "one table of " + ", ".join(known)
+    if len(drivers) != 1:
+        raise part.wrong("driver", "needs one driver", ", ".join(drivers), expected)
+    ((kind, table),) = drivers.items()
+    if kind not in {*known, *known.values()}:
+        raise part.wrong("driver", "no such driver", repr(kind), expected)
+    selected = known.get(kind, kind)
+    if selected == "netlist" and not table.get("file"):
+        include = data.get("include")
+        if not isinstance(include, (list, tuple)) or not include:
+            expected = 'include = ["FILE"], a file beside the scene'
+            hint = 'add  include = ["FILE"]  at the top of the scene'
+            problem = "this driver needs a netlist"
+            raise part.wrong(f"driver.{kind}", problem, expected=expected, hint=hint)
+        table = {**table, "file": str(include[0])}
+    return {**table, "part": selected, "at": (part.name, "driver", kind)}
+
+
+def _pins(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
+    """Pins of the subcircuit in its own order.
+
+    Raises
+    ------
+    UsageError : the file cannot be read or has no such subcircuit.
+    """
+    known = _read(part.keys.file, scene.home, _stamp(part, scene)).pins
+    pins = known.get(part.keys.subckt.lower())
+    if pins is None:
+        raise part.wrong(
+            "subckt",
+            "no such subcircuit",
+            repr(part.keys.subckt),
+            candidates(part.keys.subckt, known) or f"a .subckt in {part.keys.file}",
+            did_you_mean(part.keys.subckt, known),
+        )
+    for pin in pins:
+        checked(pin, where=f"{part.name}.subckt")
+    missing = [pin for pin in part.pins if pin not in pins] if part.at[1:2] == ("driver",) else []
+    if missing:
+        raise UsageError(
+            f"as a driver the subcircuit needs the pin {missing[0]}",
+            where=".".join(map(str, (*part.at, "subckt"))),
+            got=f"pins {' '.join(pins)}",
+            expected=f"command, {', '.join(part.pins)}, and ref if it has a reference",
+        )
+    return pins
+
+
+def _probed(part: Part, scene: DeclaredScene) -> Iterator[tuple[str, str]]:
+    """Names of the probes of this part, with the pin, node or ``i(ELEMENT)`` that each looks at;
+    those of a meter at a pin are everybody's."""
+    for name, probe in scene.probes.items():
+        owner, dot, node = probe.of.partition(".")
+        if owner == part.name and dot and node.rpartition(".")[2] not in ("current", "power"):
+            yield name, node
+
+
+def _inside(node: str, part: str = "") -> str:
+    """Vector of a node or of ``i(ELEMENT)``, ``i(x1.ELEMENT)`` in the part's subcircuit, or with
+    ``part`` in its instance."""
+    low, instance = node.lower(), f"x{part.lower()}." if part else ""
+    match = re.fullmatch(r"i\((?:(.+)\.)?(\w+)\)", low)
+    if match is None:
+        return f"v({instance}{low})"
+    path, element = instance + (f"{match[1]}." if match[1] else ""), match[2]
+    name = f"{element[0]}.{path}{element}" if path else element
+    read = _CURRENTS.get(element[0], "i")
+    return f"i({name})" if read == "" else f"@{name}[{read}]"
+
+
+def _scope(part: Part, scene: DeclaredScene) -> Scope:
+    """Its subcircuit as elements with nodes."""
+    flat = read_untrusted(part.keys.file, scene.home)
+    result = circuit(read(flat.text, flat.file)).find(part.keys.subckt)
+    if result is None:
+        raise part.wrong("subckt", "no such subcircuit", part.keys.subckt)
+    return result
+
+
+def _stamp(part: Part, scene: DeclaredScene) -> int:
+    """Age of the part's file."""
+    path = scene.home / part.keys.file
+    return path.stat().st_mtime_ns if path.is_file() else 0
+
+
+@dataclass(frozen=True)
+class _File:
+    """Pins of every subcircuit of a file, by its name in lower case; whether it drives ``ac``."""
+
+    pins: dict[str, tuple[str, ...]]
+    excites: bool
+
+
+@lru_cache(maxsize=64)
+def _read(file: str, home: Path, stamp: int) -> _File:
+    """Contents of a file that a scene needs; ``stamp`` is its modification time."""
+    result, excites = {}, False
+    for card in read_untrusted(file, home).cards():
+        words = [word.lower() for word in card.words]
+        excites = excites or (card.keyword[:1] in ("v", "i") and "ac" in words[3:])
+        if card.keyword == ".subckt" and len(card.words) > 1:
+            pins = [w for w in card.words[2:] if "=" not in w and w.lower() != "params:"]
+            result[card.words[1].lower()] = tuple(pins)
+    return _File(result, excites)
+
+
+register(Netlist())

@@ -1,0 +1,1 @@
+"""Plates, combs and gaps under a voltage."""

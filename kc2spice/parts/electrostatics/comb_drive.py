@@ -1,0 +1,54 @@
+"""An electrostatic comb drive, with a stop."""
+
+from pydantic import Field
+
+from kc2spice.core.quantities import EPSILON_0, Length, Ratio, Stiffness
+from kc2spice.parts.mechanics import _stop
+from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
+from kc2spice.scene.parttype import register
+
+
+class CombDriveKeys(_stop.Stopped):
+    """``C = 2 fingers eps0 thickness (overlap + x) / gap``: a force without x, ``fingers eps0
+    thickness v^2 / gap``."""
+
+    fingers: Ratio = Field(
+        gt=0, description="Number of fingers of the moving comb, each between two fixed ones"
+    )
+    thickness: Length = Field(gt=0, description="Thickness of the fingers, across the motion")
+    gap: Length = Field(gt=0, description="Gap between neighbouring fingers")
+    overlap: Length = Field(gt=0, description="Overlap of the fingers at x = 0")
+    travel: Length = Field(gt=0, description="Displacement x at which the comb meets its stop")
+    stop: Stiffness = Field(1e4, gt=0, description="Stiffness of the stop")
+
+
+register(
+    DeclaredPart(
+        Declaration(
+            "comb_drive",
+            "electrostatic comb drive, with a stop",
+            CombDriveKeys,
+            (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
+            constants={"eps0": repr(EPSILON_0)} | _stop.CONSTANTS,
+            energy=_stop.energy("x - travel"),
+            stops={"the stop": "x - travel"},
+            forces={"x": _stop.lost_force("x - travel", "x_rate")},
+            coenergy="fingers*eps0*thickness*(overlap + x)*v^2/gap",
+            limits={"the overlap": "overlap + x"},
+            neglected=(
+                (
+                    "fringing field",
+                    "the field is that between the overlapping fingers",
+                    "of the order of gap / thickness",
+                ),
+                (
+                    "sideways pull-in",
+                    "the fingers stay in the middle of their gaps",
+                    "not estimated",
+                ),
+                _stop.NEGLECTED,
+            ),
+            rating="not known; compare the field v / gap with the breakdown of what is in the gap",
+        )
+    )
+)

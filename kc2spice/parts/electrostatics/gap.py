@@ -1,0 +1,434 @@
+"""A gap between faces of a body and a fixed electrode: pull-in, contact, release, squeezed film.
+
+The face is one port or a row of them, each a patch with its own displacement; x is how far a patch
+has risen, ``d = gap - x`` what is left under an electrode above it, ``gap + x`` over one below. Of
+each patch of area A the coenergy is ``C v^2 / 2`` with ``C = permittivity eps0 A / d``; with
+``fringing`` that of a strip of width w and thickness t instead, per length ``eps0 permittivity (w/d
++ 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T. Fokkema, Integration 2
+(1984) 85). The stop is that of ``_stop`` beyond ``travel``.
+
+The film of gas is that of a rectangle vented on all sides (J. J. Blech, J. Lubr. Technol. 105
+(1983) 615). Its pressure is a series of ``sin(m pi x / l) sin(n pi y / w)``, m and n odd, and each
+term a damper c in series with the spring of the trapped gas k, moved by the patches' share of the
+term::
+
+    S = 4 l w / (pi^2 m n)     q^2 = pi^2 (m^2 / l^2 + n^2 / w^2)
+    c = 48 viscosity S^2 / (q^2 gap^3 l w)     k = 4 pressure S^2 / (gap l w)
+
+The largest ``branches`` of them have their spring, the dampers of all others are one: as many as
+keep damping and force within a tolerance up to the highest frequency of the scene. All dampers grow
+as ``(gap / mean d)^3`` when the gap closes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock
+from kc2spice.core.quantities import (
+    EPSILON_0,
+    Count,
+    Length,
+    Pressure,
+    Ratio,
+    Section,
+    Stiffness,
+    si,
+)
+from kc2spice.core.spectrum import energy_frequency
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts.bodies._linear_body import LinearBody
+from kc2spice.parts.mechanics import _stop
+from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
+from kc2spice.physics.part import pins_of
+from kc2spice.physics.symbolic import evaluated
+from kc2spice.scene.checks import Balance, Check, Gate, Metric
+from kc2spice.scene.highest_frequency import highest_frequency
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Vector
+
+PATCH = "patch"  # begins the names of a body's ports that are one row of patches
+ROUNDED = 1e-9  # error of force over displacement at an operating point, by iterations
+UNSTABLE = 1e-5  # change of the capacitance, relative; above rounding errors of ngspice at rest
+TERMS = 99  # odd m and n up to this; what is left out damps 1e-4 less
+FINER = 2  # branches of the film in verify, of those in the netlist
+FEWEST, MOST = 3, 100  # branches that a scene sets: its motion may be faster than what drives it
+
+
+class Fringing(Section):
+    """Fringing field of a strip over a plane."""
+
+    width: Length = Field(gt=0, description="Width of the strip")
+    thickness: Length = Field(gt=0, description="Thickness of the strip")
+
+
+class Film(Section):
+    """Gas between the faces, vented on all sides; the patches are strips across the length."""
+
+    length: Length = Field(gt=0, description="Length of the face along the row of patches")
+    width: Length = Field(gt=0, description="Width of the face")
+    viscosity: Annotated[float, si("Pa s")] = Field(
+        18.3e-6, gt=0, description="Dynamic viscosity of the gas"
+    )
+    pressure: Pressure = Field(101325.0, gt=0, description="Ambient pressure of the gas")
+    branches: Count | None = Field(
+        None,
+        ge=1,
+        le=MOST,
+        description="Number of series terms that model the spring of trapped gas; by default 3 to "
+        "100, by the tolerance and the highest frequency of the scene",
+    )
+    tolerance: Ratio = Field(
+        0.01,
+        gt=1e-6,
+        lt=0.5,
+        description="Relative error of damping and force that the truncated series may have at the "
+        "highest frequency of the scene",
+    )
+
+
+class GapKeys(_stop.Stopped):
+    """``a`` is a body with a row of patches, a port such as ``beam.tip``, or a list of ports."""
+
+    a: str | tuple[str, ...] = Field(
+        description="Name of the body with surface patches, or a list of its ports"
+    )
+    area: Annotated[float, si("m2")] = Field(
+        gt=0, description="Area of the electrode, all patches together"
+    )
+    gap: Length = Field(gt=0, description="Gap at rest without voltage")
+    side: Literal["below", "above"] = Field(
+        "below", description="Side of the body on which the electrode lies"
+    )
+    permittivity: Ratio = Field(
+        1.0, gt=0, description="Relative permittivity of the medium in the gap"
+    )
+    travel: Length = Field(
+        gt=0, description="Displacement of a patch at which it meets its stop, less than the gap"
+    )
+    stop: Stiffness = Field(1e6, gt=0, description="Stiffness of the stop, all patches together")
+    shares: tuple[float, ...] | None = Field(
+        None, description="Share of the area of each patch; by default equal shares"
+    )
+    fringing: Fringing | None = Field(
+        None, description="Fringing field of a strip; by default none"
+    )
+    film: Film | None = Field(None, description="Squeezed gas film in the gap; by default none")
+
+
+class Patched(DeclaredPart):
+    """Part that acts on a row of patches ``p1`` …, whose number follows from its key ``a``."""
+
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+        ends = {"minus": "gnd", "b": "gnd"}
+        return tuple(
+            Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name == "plus")
+            for p in pins_of(self.declared(part, scene))
+        )
+
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+        return {f"p{k}": port for k, port in enumerate(patches(part, scene), 1)}
+
+
+class Gap(Patched):
+    """The part type; how many branches it has is up to its keys."""
+
+    discretisations = ("film.branches",)
+
+    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
+        return self._with_branches(part, scene, branches_of(part, scene))
+
+    def built(self, part: Part, build: Build) -> Declaration:
+        finer = build.models.get(part.name)
+        if not isinstance(finer, int):
+            return self.declared(part, build.scene)
+        return self._with_branches(part, build.scene, finer)
+
+    def build(self, part: Part, scene: Scene, clock: Clock, full: bool = False) -> int | None:
+        """In ``full`` the branches of its film, :data:`FINER` times those of its netlist."""
+        return FINER * branches_of(part, scene) or None if full else None
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        """Without the pins of branches that the netlist does not have: they are joined nowhere."""
+        result, known = super().law(part, build), {pin.name for pin in build.scene.pins(part.name)}
+        return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
+
+    def _with_branches(self, part: Part, scene: GovernedScene, branches: int) -> Declaration:
+        keys, top = part.keys, highest_frequency(scene) if part.keys.film else 0.0
+        return _declared(keys.model_dump_json(), len(patches(part, scene)), branches, top)
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        keys, ports = part.keys, patches(part, scene)
+        if not keys.travel < keys.gap:
+            got, expected = f"{keys.travel:g} m", f"less than the gap, {keys.gap:g} m"
+            yield part.wrong("travel", "the stop lies beyond the electrode", got, expected)
+        if keys.shares is not None and len(ports) != len(keys.shares):
+            got, expected = f"{len(keys.shares)} shares", f"{len(ports)}, as many as patches"
+            yield part.wrong("shares", "patches and shares of the area differ", got, expected)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        """Without what nothing but rounding flows into: the films' own pins are joined nowhere."""
+        result = super().vectors(part, build)
+        return {name: row for name, row in result.items() if ".film_force" not in name}
+
+    def checks(
+        self, part: Part, build: Build, waves: Waveforms
+    ) -> Iterator[Check | Balance | Gate]:
+        """After a dc sweep also that no point is on the branch between pull-in and release: what
+        rests has a capacitance that never falls with ``v^2``, as the coenergy's least is convex."""
+        yield from super().checks(part, build, waves)
+        yield from _film_checks(part, build, waves)
+        d, recorded = self.declared(part, build.scene), self._recorded(part, build, waves)
+        if "sweep" not in waves or waves.scale.size < 2 or set(recorded) != set(d.coordinates):
+            return
+        (branch,) = (b for b in d.branches if b.kind == "voltage")
+        unit = d.values(part.keys) | recorded | {branch.name: 1.0}
+        capacitance = np.asarray(evaluated(d.storage(branch), unit))
+        rises = np.diff(capacitance) * -np.sign(np.diff(np.abs(recorded[branch.name])))
+        name, most = f"{part.name} where nothing rests", float(rises.max() / capacitance.max())
+        advice = "the sweep turns next to a fold, or steps over it: other points, or a wider one"
+        what = "of its capacitance, more as the voltage falls"
+        yield Check(name, most, UNSTABLE, what, advice)
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+        """Voltage at which a patch first meets the stop, and at which the last one then leaves it,
+        each the mean of the two points around, and the largest travel; in ``ac`` the real part of
+        force over displacement, and the imaginary one over ``2 pi f``, none where that is rounding,
+        at the last frequency."""
+        of = {word: [w for n, w in waves.data.items() if n.startswith(f"{part.name}.{word}")]
+              for word in ("x", "force")}  # fmt: skip
+        volts = waves.data.get(f"{part.name}.v")
+        if volts is None or not of["x"]:
+            return {}
+        if "frequency" in waves:
+            moved, force = np.mean(of["x"], axis=0)[-1], np.sum(of["force"], axis=0)[-1]
+            law = force / moved if moved else 0.0
+            omega = 2 * np.pi * waves["frequency"][-1].real
+            damping = law.imag if abs(law.imag) > ROUNDED * abs(law) else 0.0
+            return {
+                "gap_stiffness_n_m": Metric(law.real, "N/m"),
+                "gap_damping_n_s_m": Metric(damping / omega, "N s/m"),
+            }
+        side = -1.0 if part.keys.side == "below" else 1.0
+        stroke, size = np.max(side * np.array(of["x"]), axis=0), np.abs(volts)
+        turns = np.diff((stroke >= part.keys.travel).astype(int))
+        meets, last = np.flatnonzero(turns > 0), np.flatnonzero(turns)[-1:]
+        ends = {"pull_in_v": meets[:1], "release_v": last[turns[last] < 0]}
+        result = {
+            name: Metric(float(size[k[0]] + size[k[0] + 1]) / 2 if k.size else None, "V")
+            for name, k in ends.items()
+        }
+        return result | {"largest_travel_m": Metric(float(stroke.max()), "m")}
+
+
+def patches(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
+    """Ports of the body that a part's patches are, in their order."""
+    name = part.keys.a
+    if not isinstance(name, str):
+        return tuple(name)
+    if "." in name:
+        return (name,)
+    body = scene.part(name, f"{part.name}.a")
+    offered = body.type.ports(body, scene) if isinstance(body.type, LinearBody) else ()
+    row = [port.name for port in offered if port.name.startswith(PATCH)]
+    if not row:
+        problem, hint = f"{name} has no patches", "patches = 10, or name its ports"
+        raise part.wrong("a", problem, repr(name), "a body with patches, or ports", hint)
+    return tuple(f"{name}.{port}" for port in row)
+
+
+def branches_of(part: Part, scene: GovernedScene) -> int:
+    """Terms of the series of its film that keep their spring; 0 without a film."""
+    keys: GapKeys = part.keys
+    if keys.film is None:
+        return 0
+    if keys.film.branches is not None:
+        return keys.film.branches
+    top = highest_frequency(scene)
+    counts = range(FEWEST, MOST + 1)
+    good = (n for n in counts if truncation(keys.film, keys.gap, n, top) <= keys.film.tolerance)
+    return next(good, MOST)
+
+
+@lru_cache(maxsize=256)
+def truncation(film: Film, gap: float, branches: int, frequency: float) -> float:
+    """Relative error of the damping or of the force at a frequency [Hz] of a series of which
+    ``branches`` terms have their spring, the larger one.
+
+    With ``z = j w c / (1 + j w c / k)`` of a term, those without a spring have ``j w c``; the
+    damping is the imaginary part.
+    """
+    if not frequency:
+        return 0.0
+    c, k, _ = _terms(film)
+    drag = 2j * np.pi * frequency * c / gap**3
+    terms = drag / (1 + drag * gap / k)
+    total, off = terms.sum(), (drag - terms)[branches:].sum()
+    return float(max(abs(off.imag) / total.imag, abs(off.real) / abs(total)))
+
+
+def _film_checks(part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
+    """The error of the series at the highest frequency of a run: of its response, or that up to
+    which the velocity of its patches has 99.9 % of its energy."""
+    film, frequency = part.keys.film, 0.0
+    if film is None:
+        return
+    of, words = f"{part.name}.force*", f"force of {part.name}, {FINER} times the film's branches"
+    yield Gate(words, of, {"rom_vs_fom": film.tolerance}, "largest")
+    if "frequency" in waves:
+        frequency = float(waves["frequency"].real[-1])
+    elif "time" in waves:
+        time, rows = waves["time"], waves.data.items()
+        paths = (x for name, x in rows if name.startswith(f"{part.name}.x"))
+        moved = (energy_frequency(time, np.gradient(x, time)) for x in paths)
+        frequency = max(moved, default=0.0)
+    branches = branches_of(part, build.scene)
+    error = truncation(film, part.keys.gap, branches, frequency)
+    name = f"{branches} branches of the film of {part.name} at {frequency:.3g} Hz"
+    advice = f"raise {part.name}.film.branches"
+    unit = "of damping and force"
+    yield Check(name, error, film.tolerance, unit, advice, "warn", discretisation=True)
+
+
+@lru_cache(maxsize=32)
+def _declared(text: str, count: int, film_branches: int, top: float) -> Declaration:
+    """The physics of a gap with so many patches and branches of its film, which follow from the
+    highest frequency ``top`` [Hz]."""
+    keys = GapKeys.model_validate_json(text)
+    shares = keys.shares or (1 / count,) * count
+    numbers: dict[str, float | str] = {"eps0": EPSILON_0, **_stop.CONSTANTS}
+    numbers |= {f"share{k}": share for k, share in enumerate(shares, 1)}
+    patches, sign = range(1, count + 1), "-" if keys.side == "below" else "+"
+    branches = [voltage("v", "plus", "minus")]
+    branches += [displacement(f"x{k}", f"p{k}", "b", f"force{k}") for k in patches]
+    # Relative gap, 1 at rest: ngspice adds 1e-32 to every divisor.
+    left = {k: f"(1 - {sign}1*x{k}/gap)" for k in patches}
+    item = {k: f"share{k}*area/gap/{left[k]}" for k in patches}
+    if keys.fringing is not None:  # whose roots no iterate may take of what is below zero
+        left = {k: f"(least + max(0, {d[1:-1]} - least))" for k, d in left.items()}
+        numbers |= {"least": "0.5*(1 - travel/gap)"}
+        numbers |= {"width": keys.fringing.width, "thickness": keys.fringing.thickness}
+        for k, d in left.items():
+            root = f"1.06*sqrt(sqrt(width/gap/{d})) + 1.06*sqrt(thickness/gap/{d})"
+            item[k] = f"share{k}*area/width*(width/gap/{d} + 0.77 + {root})"
+    met = {k: f"{sign}1*x{k} - travel" for k in patches}
+    energy = [_stop.energy(met[k], f"share{k}*") for k in patches]
+    forces = {f"x{k}": _stop.lost_force(met[k], f"x{k}_rate", f"share{k}*") for k in patches}
+    content = []
+    if keys.film is not None:
+        mean = f"({'+'.join(f'share{k}*{left[k]}' for k in patches)})"
+        terms, rest = _film(keys.film, count, film_branches)
+        for n, (damper, spring, parts) in enumerate(terms, 1):
+            numbers |= {f"c{n}": f"{damper!r}/gap^3", f"k{n}": f"{spring!r}/gap"}
+            branches.append(displacement(f"y{n}", f"film{n}", "b", f"film_force{n}"))
+            moved = "+".join(f"{share:.17g}*x{k}" for k, share in enumerate(parts, 1))
+            energy.append(f"0.5*k{n}*({moved} - y{n})^2")
+            content.append(f"0.5*c{n}/{mean}^3*y{n}_rate^2")
+        numbers |= {"rest": f"{rest!r}/gap^3"}
+        content += [f"0.5*rest*share{k}/{left[k]}^3*x{k}_rate^2" for k in patches]
+    constants = {name: str(value) for name, value in numbers.items()}
+    return Declaration(
+        "gap",
+        "gap between faces of a body and an electrode: pull-in, contact, squeezed film",
+        GapKeys,
+        tuple(branches),
+        constants=constants,
+        energy=" + ".join(energy),
+        forces=forces,
+        stops={f"the stop of patch {k}": met[k] for k in patches},
+        coenergy=f"0.5*eps0*permittivity*v^2*({' + '.join(item.values())})",
+        content=" + ".join(content) or "0",
+        limits={f"what is left of the gap at patch {k}": f"gap - {sign}1*x{k}" for k in patches},
+        neglected=tuple(_neglected(keys, film_branches, top)),
+        rating="not known; compare v / gap with the breakdown of what is in the gap",
+        example=EXAMPLE,
+    )
+
+
+def _neglected(keys: GapKeys, branches: int, top: float) -> Iterator[tuple[str, str, str]]:
+    if keys.fringing is None:
+        yield "fringing field", "no key fringing", "of the order of gap / width"
+    if keys.film is None:
+        yield "squeezed gas", "no key film", "not estimated"
+    else:
+        error = truncation(keys.film, keys.gap, branches, top)
+        what, size = f"the springs of all but {branches} terms of the film's series", "none at rest"
+        if top:
+            size = f"{100 * error:.2g} % of its damping or force at {top:.4g} Hz"
+        yield what, "their dampers alone", size
+        what = "pressure that is odd along the face, rarefaction, inertia of the gas"
+        yield what, "Blech's series of a face that moves alike on both sides", "not estimated"
+        what = "a spring of the gas that stiffens as the gap closes"
+        yield what, "it is that at rest", "of the order of gap / what is left"
+    yield "tilt within a patch", "one displacement each", "more patches show it"
+    yield _stop.NEGLECTED
+
+
+def _terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Dampers times gap^3 (n,), springs times gap (n,) and orders along the length (n,) of all
+    terms, the largest dampers first."""
+    area, odd = film.length * film.width, np.arange(1, TERMS + 1, 2)
+    m, n = (a.ravel() for a in np.meshgrid(odd, odd))
+    S = 4 * area / (np.pi**2 * m * n)
+    q = np.pi**2 * (m**2 / film.length**2 + n**2 / film.width**2)
+    dampers, springs = 48 * film.viscosity * S**2 / (q * area), 4 * film.pressure * S**2 / area
+    order = np.argsort(-dampers)
+    return dampers[order], springs[order], m[order]
+
+
+def _film(
+    film: Film, count: int, branches: int
+) -> tuple[list[tuple[float, float, np.ndarray]], float]:
+    """Terms (damper times gap^3, spring times gap, part of each patch in its motion) that keep
+    their spring, and the dampers of all others times gap^3."""
+    dampers, springs, orders = _terms(film)
+    edges = np.linspace(0, 1, count + 1)
+    result = []
+    for k in range(branches):
+        parts = -np.diff(np.cos(orders[k] * np.pi * edges)) / 2
+        result.append((float(dampers[k]), float(springs[k]), parts))
+    return result, float(dampers[branches:].sum())
+
+
+EXAMPLE = """
+[gap]
+part = "gap"
+a = "mass.a"
+area = "0.01 mm2"
+gap = "2 um"
+travel = "1.5 um"
+side = "above"
+pins = { plus = "drive.out" }
+
+[mass]
+part = "mass"
+mass = "1 ug"
+pins = { a = "spring.a" }
+
+[spring]
+part = "spring"
+stiffness = "1 N/m"
+
+[drive]
+part = "source"
+dc = "3 V"
+"""
+_USUAL = GapKeys(a="mass.a", area=1e-8, gap=2e-6, travel=1.5e-6, side="above")
+register(Gap(_declared(_USUAL.model_dump_json(), 1, 0, 0.0)))

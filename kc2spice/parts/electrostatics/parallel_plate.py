@@ -1,0 +1,55 @@
+"""An electrostatic actuator of two parallel plates, with a stop."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from kc2spice.core.quantities import EPSILON_0, Length, Ratio, Stiffness, si
+from kc2spice.parts.mechanics import _stop
+from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
+from kc2spice.scene.parttype import register
+
+
+class ParallelPlateKeys(_stop.Stopped):
+    """``C = permittivity eps0 area / (gap - x)``; the coenergy ``C v^2 / 2`` pulls x up.
+
+    A spring of stiffness ``k`` between its plates snaps in at ``sqrt(8 k gap^3 / (27 eps area))``.
+    """
+
+    area: Annotated[float, si("m2")] = Field(gt=0, description="Area of the plates")
+    gap: Length = Field(gt=0, description="Gap between the plates at x = 0")
+    permittivity: Ratio = Field(
+        1.0, gt=0, description="Relative permittivity of the medium between the plates"
+    )
+    travel: Length = Field(
+        gt=0, description="Displacement x at which the plate meets its stop, less than the gap"
+    )
+    stop: Stiffness = Field(1e5, gt=0, description="Stiffness of the stop")
+
+
+register(
+    DeclaredPart(
+        Declaration(
+            "parallel_plate",
+            "electrostatic actuator of two parallel plates, with a stop",
+            ParallelPlateKeys,
+            (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
+            constants={"eps0": repr(EPSILON_0)} | _stop.CONSTANTS,
+            energy=_stop.energy("x - travel"),
+            stops={"the stop": "x - travel"},
+            forces={"x": _stop.lost_force("x - travel", "x_rate")},
+            coenergy="0.5*eps0*permittivity*area*v^2/(gap - x)",
+            limits={"the gap": "gap - x"},
+            neglected=(
+                (
+                    "fringing field",
+                    "the field is that of infinite plates",
+                    "of the order of gap / width",
+                ),
+                ("squeezed air", "a damper between a and b stands for it", "not estimated"),
+                _stop.NEGLECTED,
+            ),
+            rating="not known; compare v / (gap - x) with the breakdown of what is in the gap",
+        )
+    )
+)

@@ -1,0 +1,1 @@
+"""Experiments of the paper as parts: impact, imprint, frequency response and force map."""

@@ -1,0 +1,165 @@
+"""Force of a pair of coils on a sphere over its height, for every pair of currents (Fig. 6)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
+from kc2spice.core.magnets import EMTable
+from kc2spice.core.quantities import Current, Section
+from kc2spice.core.waveforms import Waveforms, constant
+from kc2spice.netlist.circuit import Element, Item
+from kc2spice.netlist.elements import Line, noted
+from kc2spice.netlist.spelling import number
+from kc2spice.parts.mechanics.sphere import sphere_of
+from kc2spice.physics import coils
+from kc2spice.scene.checks import PAIRS, Check, Gate, Metric
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    DeclaredScene,
+    JoinedScene,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+    WiredScene,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Governed, Swept, Vector
+
+HEIGHTS = 2001  # at which the lookup is read: five per segment
+
+
+class CurrentCasesKeys(Section):
+    """Each coil takes each current; the sphere's height is swept over the whole table."""
+
+    currents: tuple[Current, ...] = Field(
+        (-0.1, 0.0, 0.1),
+        min_length=1,
+        max_length=1000,
+        description="Coil currents; each pair of values is one case",
+    )
+
+
+class CurrentCases(PartType):
+    name = "current_cases"
+    title = "force on a sphere over height for every pair of coil currents"
+    schema = CurrentCasesKeys
+    source = "ideal sources"
+
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+        sweep = {"type": "dc", "sweep": f"{part.name}.height", "points": HEIGHTS}
+        return {"analysis": sweep}
+
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+        height = Terminal.signal("y", DISPLACEMENT, signal_out=True)
+        return height, Terminal.speed("v", TRANSLATION, GROUND)
+
+    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, Governed]:
+        return {_sphere(part, scene): "moved", _coils(part, scene).name: "copied"}
+
+    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+        library, y = build.libraries[_coils(part, build.scene).name], build.net(part, "y")
+        height = Element.of(build.inner_name(part, "Vheight"), y, "0", "0")
+        cards: list[Line] = [height.valued(DISPLACEMENT.pin_unit)]
+        for k, (lower, upper) in enumerate(cases(part)):
+            a, b, force = (
+                build.inner_name(part, f"{name}{k}") for name in ("lower", "upper", "force")
+            )
+            cards += [
+                f"* {number(lower)} A in the lower, {number(upper)} A in the upper coil",
+                Element.of(
+                    build.inner_name(part, f"Xcatch{k}"), a, "0", b, "0", y, force, "0", library
+                ),
+                Element.of(build.inner_name(part, f"Ilower{k}"), "0", a, lower),
+                Element.of(build.inner_name(part, f"Iupper{k}"), "0", b, upper),
+                Element.of(build.inner_name(part, f"Vforce{k}"), force, "0", "0"),
+            ]
+        return noted(cards)
+
+    def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:
+        yield ("Vheight",)
+        words = "lower", "upper", "force", "Xcatch", "Ilower", "Iupper", "Vforce"
+        for k in range(len(cases(part))):
+            yield from ((f"{word}{k}",) for word in words)
+
+    def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
+        keys = _coils(part, build.scene).keys
+        heights = keys.y_min + keys.shift, keys.y_max + keys.shift
+        return {"height": Swept(build.inner_name(part, "Vheight"), DISPLACEMENT.per_unit, heights)}
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        result = {f"{_sphere(part, build.scene)}.y": build.across(part, "y")}
+        for k, name in enumerate(_forces(part, build)):
+            result[name] = Vector(f"i({build.inner_name(part, f'Vforce{k}').lower()})", 1.0, "N")
+        return result
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+        forces = [waves[name] for name in _forces(part, build)]
+        largest = max(float(np.abs(force).max()) for force in forces)
+        return {
+            "force_max_n": Metric(largest, "N"),
+            "position_m": Metric(waves[f"{_sphere(part, build.scene)}.y"].tolist(), "m"),
+            "current_pairs_a": Metric([list(case) for case in cases(part)], "A"),
+            "force_n": Metric([force.tolist() for force in forces], "N"),
+        }
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        """The height is a source's; a force on it is the reaction to what the coils exert."""
+        n, pulled, fed = part.name, _sphere(part, build.scene), _coils(part, build.scene)
+        table, height = build.model(fed, EMTable), [f"{n}.out"]
+        result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant(0.0))]
+        results = {f"{pulled}.y": laws.reading(f"{n}.out")}
+        for k, force in enumerate(_forces(part, build)):
+            case = f"{fed.name} {k}"  # no part has a blank in its name
+            lower, upper = cases(part)[k]
+            result.append(coils.law(case, coils.prescribed(), table, lower=lower, upper=upper))
+            height.append(f"{case}.y")
+            results[force] = laws.reading(f"{case}.y.through", -1.0)
+        pins, sweeps = (("y", f"{n}.out"),), {"height": (n, 1.0)}
+        return laws.Equations(tuple(result), pins, results, sweeps, (tuple(height),))
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
+        """Largest change of slope from one segment of the lookup to the next, of the largest slope;
+        the heights are finer than the lookup, so that a jump shows at full size."""
+        forces = np.array([waves[name] for name in _forces(part, build)])
+        slope = np.diff(forces, axis=1) / np.diff(waves[f"{_sphere(part, build.scene)}.y"])
+        jump = float(np.abs(np.diff(slope, axis=1)).max() / np.abs(slope).max())
+        limit = build.scene.gates.lookup_slope
+        advice = f"raise {_coils(part, build.scene).name}.points"
+        name, unit = "jump of the lookup's slope", "of the largest slope"
+        yield Check(name, jump, limit, unit, advice, "warn")
+        gates = build.scene.gates
+        limits = dict.fromkeys(PAIRS, gates.field) | {"ngspice_vs_rom": gates.lookup}
+        of = f"{_coils(part, build.scene).name}.force.*"
+        yield Gate("force, of the largest", of, limits, "largest", leads=True)
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+        yield f"{len(cases(part))} pairs of currents"
+
+
+def cases(part: Part) -> list[tuple[float, float]]:
+    """Every pair (lower, upper) of currents [A], the lower coil's slowest."""
+    currents = part.keys.currents
+    return [(lower, upper) for lower in currents for upper in currents]
+
+
+def _forces(part: Part, build: Build) -> list[str]:
+    """Names of the forces as results, one a case."""
+    return [f"{_coils(part, build.scene).name}.force.{k}" for k in range(len(cases(part)))]
+
+
+def _coils(part: Part, scene: DeclaredScene) -> Part:
+    return scene.partner(part, "ring_magnet_coils")
+
+
+def _sphere(part: Part, scene: DeclaredScene) -> str:
+    return sphere_of(_coils(part, scene), scene).name
+
+
+register(CurrentCases())

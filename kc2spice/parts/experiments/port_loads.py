@@ -1,0 +1,220 @@
+"""Frequency response of a body from every port to every port: one copy of it per load (Fig. 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
+from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.quantities import Count, Frequency, Notch, Section
+from kc2spice.core.waveforms import Waveforms, constant
+from kc2spice.netlist.circuit import Element, Item
+from kc2spice.netlist.elements import Line, noted
+from kc2spice.parts.electronics.two_terminal_types import element
+from kc2spice.scene.checks import PAIRS, Gate, Metric
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    PartType,
+    Scene,
+    WiredScene,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Governed, Vector
+
+SPECK = 1e-24  # F; in series with 1/SPECK volts it carries one coulomb, whatever the anode does
+
+
+class PortLoadsKeys(Section):
+    """A unit load on each port in turn, all outputs, over a linear range of frequencies."""
+
+    start: Frequency = Field(0.0, ge=0, description="Lowest frequency of the responses")
+    stop: Frequency = Field(500e3, gt=0, description="Highest frequency of the responses")
+    steps: Annotated[Count, Notch(2.0)] = Field(
+        200, ge=2, le=100_000, description="Number of frequencies of the responses"
+    )
+    of: str | None = Field(
+        None, description="Body whose ports are loaded; by default the only one with a surface"
+    )
+
+
+class PortLoads(PartType):
+    name = "port_loads"
+    title = "unit load on every port of a body in turn, all responses"
+    schema = PortLoadsKeys
+    source = "unit loads"
+
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+        start, stop, points = part.keys.start, part.keys.stop, part.keys.steps
+        linear = {"scale": "linear", "points": points, "stop": stop}
+        return {"analysis": {"type": "ac", "start": start + (stop - start) / points, **linear}}
+
+    def drives(self, part: Part, scene: DeclaredScene) -> bool:
+        return True
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        body_of(part, scene)
+        if part.keys.start >= part.keys.stop:
+            got = f"{part.keys.start:g} … {part.keys.stop:g} Hz"
+            yield part.wrong("stop", "empty frequency range", got, "start < stop")
+
+    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, Governed]:
+        return {body_of(part, scene).name: "copied"}
+
+    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+        body, name = body_of(part, build.scene), partial(build.inner_name, part)
+        rings, library = _rings(body, build.scene), build.libraries[body.name]
+        is_open = body.keys.electrical == "open"
+        cards: list[Line] = []
+        for load in (*rings, "anode"):
+            nodes = [name(ring, load) for ring in rings]
+            anode, charge, source = name("anode", load), name("charge", load), name("Vanode", load)
+            instance = Element.of(name(f"X{load}"), anode, "0", *nodes, "0", library)
+            cards += [f"* Load on {load}", instance]
+            if load != "anode":
+                drive = Element.of(name(f"I{load}"), "0", name(load, load), "AC", "1")
+                cards.append(drive.valued(TRANSLATION.flow))
+            if is_open and load == "anode":
+                unit, node = name("Vload"), name("load")
+                cards += [
+                    Element.of(unit, node, "0", "AC", "1"),
+                    Element.of(name("Cload"), node, "0", "1"),
+                    Element.of(name("Fload"), "0", anode, unit, "-1"),
+                ]
+            if not is_open:
+                cards += [
+                    Element.of(source, anode, "0", "AC", f"{load == 'anode':d}"),
+                    Element.of(name("Fcharge", load), charge, "0", source, "1"),
+                    Element.of(name("Ccharge", load), charge, "0", "1"),
+                    Element.of(name("Rcharge", load), charge, "0", 1e9),
+                ]
+        return noted(cards)
+
+    def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:
+        rings = _rings(body_of(part, scene), scene)
+        for load in (*rings, "anode"):
+            yield from ((ring, load) for ring in rings)
+            yield from ((f"{letter}{load}",) for letter in "XI")
+            yield from ((word, load) for word in ("anode", "charge", "Vanode"))
+            yield from ((f"{letter}charge", load) for letter in "FCR")
+        yield from ((word,) for word in ("Vload", "load", "Cload", "Fload"))
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        """``INPUT>OUTPUT``, complex: displacements [m], of the anode charge [C] or voltage [V]."""
+        body = body_of(part, build.scene)
+        rings = _rings(body, build.scene)
+        meter, unit = ("anode", "V") if body.keys.electrical == "open" else ("charge", "C")
+        result = {}
+        for load in (*rings, "anode"):
+            for ring in rings:
+                node = build.inner_name(part, ring, load).lower()
+                result[f"{load}>{ring}"] = Vector(
+                    f"v({node})", DISPLACEMENT.factor, DISPLACEMENT.unit
+                )
+            result[f"{load}>anode"] = Vector(
+                f"v({build.inner_name(part, meter, load).lower()})", 1.0, unit
+            )
+        return result
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+        """``amplitude[input][output]`` per unit input, by ``frequency_hz``."""
+        amplitude: dict[str, dict[str, Metric]] = {}
+        units = {name: row.unit for name, row in build.records[part.name].vectors.items()}
+        for name, response in waves.data.items():
+            source, arrow, sink = name.partition(">")
+            if arrow:
+                amplitude.setdefault(source, {})[sink] = Metric(
+                    np.abs(response).tolist(), units[name]
+                )
+        return {"frequency_hz": Metric(waves["frequency"].tolist(), "Hz"), "amplitude": amplitude}
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
+        """Gates of the harmonic loads; the tolerance of the reduction limits them."""
+        gates, target = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
+        rom = min(gates.harmonic_rom, target.tolerance or gates.harmonic_rom)
+        limits = dict.fromkeys(PAIRS, rom) | {"ngspice_vs_rom": gates.harmonic_ngspice}
+        yield Gate("response, whole band", "*>*", limits, "spectral", leads=True)
+        low = {"rom_vs_fom": gates.harmonic_low}
+        yield Gate("response, lowest fifth of the band", "*>*", low, "spectral", share=0.2)
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        f = waves["frequency"].real / 1e3
+        rings = _rings(body_of(part, build.scene), build.scene)
+        curves = tuple(Curve(ring, f, np.abs(waves[f"{ring}>{ring}"])) for ring in rings)
+        panel = Panel("frequency in kHz", "|response| in m/N", curves, log_y=True)
+        caption = "Response of every port to a unit load on itself."
+        yield Figure(f"{part.name}_responses", "Frequency response", caption, (panel,))
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        """One copy of the body's law per load. A unit charge is a voltage behind a capacitance so
+        small that nothing but its charge matters."""
+        body = body_of(part, build.scene)
+        equations = body.type.law(body, build)
+        if equations is None:
+            return None
+        (law,) = equations.laws
+        assert isinstance(law, laws.SecondOrderBody | laws.PortBody)
+        rings, is_open = _rings(body, build.scene), body.keys.electrical == "open"
+        result: list[laws.Law] = []
+        nets: list[tuple[str, ...]] = []
+        results: dict[str, laws.Reading] = {}
+        still = constant(0.0)
+        for load in (*rings, "anode"):
+            name = f"{body.name} {load}"  # no part has a blank in its name
+            result.append(replace(law, name=name))
+            volts = laws.IdealSource(f"{name}_volts", "voltage", still, float(load == "anode"))
+            if load != "anode":
+                result.append(laws.IdealSource(f"{name}_force", "force", still, 1.0))
+                nets.append((f"{name}.{load}", f"{name}_force.out"))
+            if not is_open:
+                result.append(volts)
+                nets.append((f"{name}.anode", f"{name}_volts.out"))
+            elif load == "anode":
+                speck = element(f"{name}_speck", "capacitor", SPECK)
+                result += [replace(volts, ac=1.0 / SPECK), speck]
+                nets += [(f"{name}_volts.out", f"{name}_speck.a")]
+                nets += [(f"{name}.anode", f"{name}_speck.b")]
+            for ring in rings:
+                results[f"{load}>{ring}"] = laws.reading(f"{name}.{ring}")
+            charge = laws.Reading(((1.0, f"{name}.anode.through"),), charge=True)
+            results[f"{load}>anode"] = laws.reading(f"{name}.anode") if is_open else charge
+        return laws.Equations(tuple(result), (), results, nets=tuple(nets))
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+        keys = part.keys
+        yield f"{keys.steps} frequencies, {keys.start:g} … {keys.stop:g} Hz"
+
+
+def body_of(part: Part, scene: DeclaredScene) -> Part:
+    """The body that is loaded.
+
+    Raises
+    ------
+    UsageError : none is named and there is not exactly one.
+    """
+    if part.keys.of is not None:
+        return scene.part(part.keys.of, f"{part.name}.of")
+    result = [p for p in scene.parts.values() if p.reduced]
+    if len(result) != 1:
+        problem = f"{part.name} needs to know which body it loads"
+        got, hint = ", ".join(p.name for p in result) or "no body", "add [kick]; an empty table "
+        raise part.wrong("of", problem, got, "the name of a body", hint + "takes the defaults")
+    return result[0]
+
+
+def _rings(body: Part, scene: WiredScene) -> tuple[str, ...]:
+    pins = scene.pins(body.name)
+    return tuple(pin.name for pin in pins if pin.unit == DISPLACEMENT.pin_unit and pin.name != BASE)
+
+
+register(PortLoads())

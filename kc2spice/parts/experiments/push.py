@@ -1,0 +1,129 @@
+"""Quasi-static push of a sphere into a body: contact force over depth (Fig. 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Count, Length, Section
+from kc2spice.core.waveforms import Waveforms, constant
+from kc2spice.netlist.circuit import Element, Item
+from kc2spice.parts.mechanics._touching import Pair, Penetration, Touching, pair_of
+from kc2spice.parts.mechanics.sphere import sphere_of
+from kc2spice.scene.checks import Gate, Measure, Metric
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+    WiredScene,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Governed, Numerics, Swept, Vector
+
+
+class PushKeys(Section):
+    """The lowest point of a sphere is pushed down in equal steps."""
+
+    depth: Length = Field(50e-6, gt=0, description="Largest depth of the imprint")
+    steps: Count = Field(250, ge=1, le=100_000, description="Number of equal steps of the depth")
+    of: str | None = Field(None, description="Sphere that is pushed; by default the only one")
+
+
+class Push(Touching):
+    name = "push"
+    title = "sphere pushed down in equal steps, each an operating point"
+    schema = PushKeys
+    source = "prescribed"
+
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+        points = part.keys.steps + 1
+        return {"analysis": {"type": "dc", "sweep": f"{part.name}.depth", "points": points}}
+
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+        bottom = Terminal.signal("bottom", DISPLACEMENT, signal_out=True)
+        return bottom, Terminal.speed("v", TRANSLATION, GROUND)
+
+    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, Governed]:
+        return {sphere_of(part, scene).name: "moved"}
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        ball = sphere_of(part, scene)
+        _pair(part, scene)  # says what it needs
+        if part.keys.depth >= ball.keys.radius:
+            expected = f"less than {ball.keys.radius:g} m"
+            problem = "deeper than the sphere's radius"
+            yield part.wrong("depth", problem, f"{part.keys.depth:g} m", expected)
+
+    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+        drive = Element.of(f"V{part.name}", build.net(part, "bottom"), "0", "0")
+        return (drive.valued(DISPLACEMENT.pin_unit),)
+
+    def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
+        return {"depth": Swept(f"V{part.name}", -DISPLACEMENT.per_unit, (0.0, part.keys.depth))}
+
+    def penetrations(self, part: Part, scene: GovernedScene) -> Iterator[Penetration]:
+        yield Penetration(part.keys.depth, f"{part.name}.depth")
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        bottom = build.across(part, "bottom")
+        return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
+
+    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
+        last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
+        if _pair(part, scene).keys.shape == "pressure":
+            last = "1e-12", "the law is curved: what the last iteration leaves"
+        pivots = "rings close during the sweep; pivots of an open ring lose half the digits"
+        near = "1e-12", "displacements to a picometre's millionth"
+        options = {"reltol": last, "vntol": near, "pivrel": ("0.9", pivots)}
+        yield Numerics("imprint", options=options)
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+        """Force of one symmetry sector at each depth, and the largest."""
+        pair = _pair(part, build.scene)
+        force = waves[f"{pair.part.name}.force"] / pair.a.sectors
+        return {
+            "max_force_n": Metric(float(force.max()), "N"),
+            "imprint_m": Metric(waves[f"{part.name}.depth"].tolist(), "m"),
+            "force_n": Metric(force.tolist(), "N"),
+        }
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
+        pair, gates = _pair(part, build.scene), build.scene.gates
+        # The first depths are contacts of one basis function, which the law does not resolve: all
+        # errors are of the largest force then, and against the full model those of the basis.
+        law = pair.unresolved()
+        limits = {
+            "rom_vs_fom": max(gates.imprint_rom, law),
+            "ngspice_vs_rom": gates.imprint_ngspice,
+            "ngspice_vs_fom": max(gates.imprint_ngspice, law),
+        }
+        measure: Measure = "largest" if law else "relative"
+        yield Gate("static force", f"{pair.part.name}.force", limits, measure, leads=True)
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n = part.name
+        source = laws.IdealSource(n, "displacement", constant(0.0))
+        results = {f"{n}.depth": laws.reading(f"{n}.out", -1.0)}
+        return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+        keys = part.keys
+        yield f"{keys.steps} steps down to {keys.depth:g} m"
+
+
+def _pair(part: Part, scene: GovernedScene) -> Pair:
+    """Contact pair of the sphere and the surface that it is pushed into."""
+    return pair_of(scene.partner(part, "contact"), scene)
+
+
+register(Push())

@@ -1,0 +1,126 @@
+"""A sphere's motion at t = 0, and what an impact is judged by (paper 2.2.2, Fig. 9)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Length, Section, Velocity
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Item
+from kc2spice.parts.mechanics import _touching
+from kc2spice.parts.mechanics.sphere import sphere_of
+from kc2spice.scene.checks import PAIRS, Gate, Metric
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    Scene,
+    WiredScene,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Numerics, State
+
+
+class ThrowKeys(Section):
+    """A free sphere flies onto a body."""
+
+    velocity: Velocity = Field(
+        -1.0, description="Velocity of the sphere at the start, negative downwards"
+    )
+    gap: Length = Field(1e-6, ge=0, description="Gap between sphere and body at the start")
+    of: str | None = Field(None, description="Sphere that is thrown; by default the only one")
+
+
+class Throw(_touching.Touching):
+    name = "throw"
+    title = "velocity and height of a sphere at t = 0"
+    schema = ThrowKeys
+    source = "initial state"
+
+    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+        return ()
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        sphere_of(part, scene)
+        if part.keys.velocity >= 0:
+            got = f"{part.keys.velocity:g} m/s"
+            yield part.wrong("velocity", "the sphere never arrives", got, "negative (downwards)")
+
+    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, State]:
+        return {sphere_of(part, scene).name: State(part.keys.velocity, part.keys.gap)}
+
+    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
+        """Numerical requirements: the allowed charge error falls with the speed of the impact."""
+        speed = max(1e-3, _arriving(part, scene))
+        yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
+
+    def penetrations(self, part: Part, scene: GovernedScene) -> Iterator[_touching.Penetration]:
+        ball, speed = sphere_of(part, scene), _arriving(part, scene)
+        yield from _touching.impact_penetration(ball, scene, speed, f"impact at {speed:.3g} m/s")
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+        """Positions from the touching height, the force of one symmetry sector."""
+        pair = _touching.only_pair(build.scene)
+        if pair is None or "time" not in waves:
+            return {}
+        ball = sphere_of(part, build.scene)
+        t, y = waves["time"], waves[f"{ball.name}.y"] - ball.keys.radius
+        force = waves[f"{pair.part.name}.force"]
+        leave = _touching.separation(t, force, waves[f"{ball.name}.v"], power=pair.normal.power)
+        time, lowest = minimum(t, y)
+        return {
+            "min_position_m": Metric(lowest, "m"),
+            "time_of_min_s": Metric(time, "s"),
+            "separation_time_s": Metric(leave[0] if leave else None, "s"),
+            "rebound_velocity_m_s": Metric(leave[1] if leave else None, "m/s"),
+            "max_force_n": Metric(float(force.max() / pair.a.sectors), "N"),
+        }
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
+        gates, ball = build.scene.gates, sphere_of(part, build.scene).name
+        pair = _touching.only_pair(build.scene)
+        law = pair.unresolved() if pair else 0.0
+        place = dict.fromkeys(PAIRS, max(gates.position, law)) | {"ngspice_vs_rom": gates.position}
+        yield Gate("position over travel", f"{ball}.y", place, "travel", leads=True)
+        speed = dict.fromkeys(PAIRS, gates.rebound_velocity)
+        yield Gate("rebound velocity", "rebound_velocity_m_s", speed)
+        time = dict.fromkeys(PAIRS, gates.separation_time)
+        yield Gate("separation time", "separation_time_s", time, "absolute", "s")
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        """None of its own: the sphere starts as it says."""
+        return laws.Equations()
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+        keys = part.keys
+        yield f"{keys.velocity:g} m/s from {keys.gap:g} m"
+
+
+def _arriving(part: Part, scene: DeclaredScene) -> float:
+    """Speed [m/s] of the impact."""
+    return math.sqrt(part.keys.velocity**2 + 2 * max(scene.gravity, 0.0) * part.keys.gap)
+
+
+def minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Time and value of the lowest point, by a parabola through the lowest three samples."""
+    k = int(np.argmin(y))
+    if k in (0, t.size - 1):
+        return float(t[k]), float(y[k])
+    s, z = t[k - 1 : k + 2] - t[k], y[k - 1 : k + 2] - y[k]
+    left, right = z[0] / s[0], z[2] / s[2]
+    curvature = (right - left) / (s[2] - s[0])
+    if curvature <= 0.0:
+        return float(t[k]), float(y[k])
+    slope = left - curvature * s[0]
+    shift = -slope / (2 * curvature)
+    return float(t[k] + shift), float(y[k] + slope * shift / 2)
+
+
+register(Throw())

@@ -1,0 +1,1 @@
+"""Coils, magnets and iron that move, and conductors with eddy currents."""

@@ -1,0 +1,130 @@
+"""A magnet that moves along coils and fixed magnets: shakers, buzzers, harvesters, levitation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import MU_0, FluxDensity, Length, Notch, Ratio, Section
+from kc2spice.fem.magnet_keys import Ring
+from kc2spice.fem.magnet_rings import Ladder, Winding, current_body
+from kc2spice.parts.magnetics.moving_conductor import Moving, MovingConductor, sheets, windings
+from kc2spice.scene.model import (
+    Part,
+    Scene,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected
+
+
+class Magnetisation(Section):
+    """Keys on which the field of a magnet in its netlist depends."""
+
+    remanence: FluxDensity = Field(description="Remanence, positive upwards")
+
+
+class MovingMagnetKeys(Magnetisation, Moving):
+    """Cylinder or ring that is magnetised along the axis.
+
+    Magnetisation is uniform, ``remanence / (MU_0 (1 + N (mu_r - 1)))``, with N the demagnetising
+    factor of the shape. The magnet is modelled as surface currents, ``thickness`` times the
+    magnetisation. Flux and force are integrals of Maxwell's formula for coaxial circles.
+    """
+
+    thickness: Length = Field(gt=0, description="Thickness of the magnet along the axis")
+    mu_r: Ratio = Field(
+        1.0,
+        ge=1,
+        description=("Recoil permeability, the remanence divided by mu_0 times the coercivity"),
+    )
+    tolerance: Annotated[Ratio, Notch(0.1, model=True)] = Field(
+        1e-5,
+        gt=1e-8,
+        lt=0.1,
+        description=(
+            "Largest relative error of flux and force, which determines the degree of their power "
+            "series"
+        ),
+    )
+
+
+def demagnetising(inner: float, outer: float, height: float) -> float:
+    """Mean (magnetometric) factor of a ring or cylinder along its axis: the mean field of the
+    currents on its surfaces is ``(1 - N)`` times that of an endless one."""
+    shells = [Winding(r, 0.0, height, 0.0, s) for r, s in ((outer, 1.0), (inner, -1.0)) if r]
+    linked = sum(a.with_other(b) for a in shells for b in shells)
+    return 1 - linked * height / (MU_0 * math.pi * (outer**2 - inner**2))
+
+
+class MovingMagnet(MovingConductor):
+    name = "moving_magnet"
+    title = "magnet that moves along coils and magnets"
+    discretisations = ("tolerance",)
+    schema = MovingMagnetKeys
+    parameters = Magnetisation
+    rating = "not known; i^2 resistance heats each coil, heat and opposing fields demagnetise"
+    source = "closed form (coaxial circles)"
+    example = """
+[moving_magnet]
+part = "moving_magnet"
+radius = "3 mm"
+thickness = "4 mm"
+remanence = "1.2 T"
+mu_r = 1.05
+y_min = "-2 mm"
+y_max = "2 mm"
+pins = { coil_p = "drive.out", a = "spring.a" }
+
+[moving_magnet.coils.coil]
+radius = "4 mm"
+width = "2 mm"
+height = "3 mm"
+y = "-6 mm"
+turns = 200
+resistance = "10 Ohm"
+
+[spring]
+part = "spring"
+stiffness = "200 N/m"
+
+[drive]
+part = "source"
+sine = { amplitude = "1 V", frequency = "50 Hz" }
+"""
+
+    def misshapen(self, part: Part) -> Iterator[UsageError]:
+        return iter(())
+
+    def resolved(self, part: Part, scene: Scene) -> float:
+        return 0.0
+
+    def field(
+        self, keys: Any, fixed: list[Winding], tolerance: float, rings: int, frequency: float
+    ) -> Ladder:
+        shape = keys.inner, keys.radius, keys.thickness
+        share = 1 / (1 + demagnetising(*shape) * (keys.mu_r - 1))
+        ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=0.0)
+        return current_body(
+            sheets(ring, share), windings(keys), fixed, keys.y_min, keys.y_max, tolerance
+        )
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+        yield f"{len(part.keys.coils)} coils, exact in currents, power series of the height"
+        keys: MovingMagnetKeys = part.keys
+        extra = keys.mu_r - 1
+        factor = demagnetising(keys.inner, keys.radius, keys.thickness)
+        yield Neglected(
+            "an uneven magnetisation",
+            f"the recoil permeability {keys.mu_r:g} feels the mean field of its own alone",
+            f"that is {100 * extra * factor / (1 + extra * factor):.2g} % of its remanence; "
+            f"other fields add {100 * extra:.2g} % of themselves",
+        )
+        yield Neglected("eddy currents in the magnet", "no current flows in it", "not estimated")
+        yield Neglected("tilting and sideways motion", "one degree of freedom", "not estimated")
+
+
+register(MovingMagnet())

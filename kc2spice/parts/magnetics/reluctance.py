@@ -1,0 +1,86 @@
+"""A magnet or coil that pulls iron across air gaps: relays, valves, holding magnets."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from kc2spice.core.quantities import (
+    MU_0,
+    Current,
+    Length,
+    Ratio,
+    Resistance,
+    Stiffness,
+    si,
+)
+from kc2spice.parts.mechanics import _stop
+from kc2spice.physics import Declaration, DeclaredPart, current, displacement
+from kc2spice.scene.parttype import register
+
+
+class ReluctanceKeys(_stop.Stopped):
+    """A flux of ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` pulls x up with
+    ``gaps flux^2 / (2 MU_0 area)``. Of a permanent magnet of length l and area A, ``magnet`` is
+    ``remanence l / (MU_0 mu_r)`` and its part of ``core`` is ``l / (MU_0 mu_r A)``.
+    """
+
+    area: Annotated[float, si("m2")] = Field(gt=0, description="Area of each air gap")
+    gap: Length = Field(gt=0, description="Length of each air gap at x = 0")
+    gaps: Ratio = Field(1.0, gt=0, description="Number of air gaps in series")
+    core: Annotated[float, si("1/H")] = Field(
+        0.0, ge=0, description="Reluctance of the rest of the circuit"
+    )
+    magnet: Current = Field(
+        0.0, description="Magnetomotive force of permanent magnets, in ampere turns"
+    )
+    turns: Ratio = Field(1.0, gt=0, description="Number of turns of the coil")
+    resistance: Resistance = Field(gt=0, description="Resistance of the coil")
+    travel: Length = Field(
+        gt=0, description="Displacement x at which the armature meets its stop, less than the gap"
+    )
+    stop: Stiffness = Field(1e7, gt=0, description="Stiffness of the stop")
+
+
+register(
+    DeclaredPart(
+        Declaration(
+            "reluctance",
+            "magnet or coil that pulls iron across air gaps, with a stop",
+            ReluctanceKeys,
+            (current("i", "plus", "minus"), displacement("x", "a", "b")),
+            constants={"mu0": repr(MU_0)} | _stop.CONSTANTS,
+            energy=_stop.energy("x - travel"),
+            stops={"the stop": "x - travel"},
+            forces={"x": _stop.lost_force("x - travel", "x_rate")},
+            coenergy="0.5*(turns*i + magnet)^2/(core + gaps*(gap - x)/(mu0*area))",
+            content="0.5*resistance*i^2",
+            limits={"the gap": "gap - x"},
+            neglected=(
+                ("saturation and hysteresis", "the core is linear", "compare flux / area with 1 T"),
+                ("leakage, fringing", "all flux crosses the gaps", "of the order of gap / width"),
+                ("eddy currents in the core", "the flux follows at once", "not estimated"),
+                _stop.NEGLECTED,
+            ),
+            rating="not known; i^2 resistance heats the coil",
+            example="""
+[reluctance]
+part = "reluctance"
+area = "20 mm2"
+gap = "1 mm"
+core = 1e6
+turns = 1000
+resistance = "100 Ohm"
+travel = "0.8 mm"
+pins = { plus = "drive.out", a = "spring.a" }
+
+[spring]
+part = "spring"
+stiffness = "500 N/m"
+
+[drive]
+part = "source"
+dc = "3 V"
+""",
+        )
+    )
+)

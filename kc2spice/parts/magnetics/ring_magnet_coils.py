@@ -1,0 +1,630 @@
+"""The catch actuator: ring magnet and two coils around a magnetic sphere's path (paper 2.2.1, 2.4).
+
+The force is six functions of the sphere's height, exact in both currents. With ideal current drive
+the coils are resistors; real coils have inductance and back-EMF from the same table. The law
+itself is stated in :mod:`kc2spice.physics.coils`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import combinations
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.cache import cached
+from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
+from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
+from kc2spice.core.magnets import FORCE, POWERS, EMTable, cubic_spline
+from kc2spice.core.mesh_error import IN_PLANE, mesh_errors, mesh_words
+from kc2spice.core.progress import Clock
+from kc2spice.core.quantities import MU_0, si
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.magnet_keys import Catch, Ring
+from kc2spice.netlist.circuit import positive
+from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.spelling import number
+from kc2spice.parts.bodies._pictures import impedances
+from kc2spice.parts.electronics.netlist import driver
+from kc2spice.parts.mechanics._touching import Penetration, Touching, impact_penetration
+from kc2spice.parts.mechanics.sphere import offset, sphere_of
+from kc2spice.physics import coils
+from kc2spice.scene.checks import Check, Gate, Metric
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.plausible import within
+from kc2spice.scene.rows import Neglected, Vector
+from kc2spice.synthesis.header import library
+
+MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
+
+UNRATED = "not known; compare the coils' currents with what their wire stands"
+USUAL_CURRENT = 0.1  # A, of forces that are shown and compared where a scene states no limit
+FINER = 2  # cells along each edge of the mesh in verify, of those of the table
+DENSER = 4  # heights of the table that the shipped one is compared with, per interval
+POINTS = 201  # points of each lookup; the error between them is 6e-6 of the largest force
+COARSE = 1e-2  # largest error of the spline between heights, relative to the largest force
+COPPER = 3.45e6  # J/(m3 K), of volume: 385 J/(kg K) at 8960 kg/m3
+COILS = ("lower", "upper")
+SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__)
+
+
+class Coils(Catch):
+    """Electromagnetic catch actuator, with a driver of real coils where it has one."""
+
+    driver: dict[str, dict[str, Any]] | None = Field(
+        None, description="Driver between controller and real coils, { TYPE = { keys } }"
+    )
+    of: str | None = Field(None, description="Sphere that the coils pull; by default the only one")
+    rated_rise: Annotated[float, si("K")] = Field(
+        100.0,
+        gt=0,
+        description=(
+            "Largest temperature rise of the wire; 100 K is enamel of class 130 from 30 degrees "
+            "Celsius"
+        ),
+    )
+
+
+# One current i through both coils, i2 = i and i1 = -i, as the control loop wires them: functions of
+# height, by powers of i, each the sum of the table's coefficients times these weights.
+SERIES = {
+    name: tuple((-1) ** a * (a + b == power) for a, b in POWERS.values())
+    for power, name in enumerate(("c0", "d1", "d2"))
+}
+UNITS = ("N", "N/A and V s/m", "N/A and V s/m", "N/A^2", "N/A^2", "N/A^2")
+
+PLACE = (
+    Terminal.signal("y", DISPLACEMENT),
+    Terminal.speed("v", TRANSLATION),
+    Terminal.of(BASE, TRANSLATION, GROUND),
+)
+ENDS = ("lp", "ln", "up", "un")  # pins of the lower and the upper coil
+PINS = (*(Terminal(end, "V", "A") for end in ENDS), *PLACE)
+SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *PLACE)
+
+
+class Lookup(NamedTuple):
+    """A function of the height as the lines of its two tables, see :func:`smooth`; ``doc`` is what
+    it is."""
+
+    name: str
+    values: list[str]
+    second: list[str]
+    doc: str
+
+
+def rated_heating(keys: Coils) -> float:
+    """Integral of the squared current [A^2 s] that warms the wire by its rated rise if no heat
+    leaves it: ``rise c A^2 / resistivity``, whatever the number of turns."""
+    section = np.pi / 4 * keys.wire_diameter**2
+    return float(keys.rated_rise * COPPER * section**2 / keys.resistivity)
+
+
+def _pulls(values: np.ndarray, current: float) -> np.ndarray:
+    """Contributions of each of :data:`SERIES` to the force at ``current`` [A] (3, heights).
+
+    ``values`` (heights, 6) are the coefficients of the table.
+    """
+    weights = np.array(list(SERIES.values()), dtype=float)
+    return current ** np.arange(3)[:, None] * (weights @ values.T)
+
+
+def coils_subcircuit(
+    header: Header,
+    table: EMTable,
+    name: str = "coil",
+    *,
+    apart: bool = True,
+    points: int = POINTS,
+    rating: str = UNRATED,
+) -> Subcircuit:
+    """The coils and the force they put on the sphere's node ``v``.
+
+    ``apart`` between ``lp ln`` and ``up un`` with ``v = R i + d(lambda)/dt``: the state of coil k
+    is its inductive flux linkage ``psi_k = sum_l L_kl(y) i_l`` on a capacitor; the magnets' part of
+    the flux enters as ``c_k(y) v`` with the force's own coefficient, which closes the energy
+    balance whatever the lookup's error. Else both as resistors between ``drive`` and ``ret``, the
+    lower one reversed: three functions of height instead of six, and the same force.
+
+    ``points`` are the heights of the resampled lookups, equally spaced over the table.
+    """
+    height = np.linspace(table.y[0], table.y[-1], points)
+    micrometres = DISPLACEMENT.per_unit * height
+    low, spacing = micrometres[0], DISPLACEMENT.per_unit * (height[1] - height[0])
+    values = _inductive(table, height) if apart else _resistive(table, height)
+    errors = mesh_words(table.mesh_errors)
+    return library(
+        "coil" if apart else "catch",
+        header,
+        name,
+        "catch actuator with real coils" if apart else "electromagnetic catch actuator",
+        PINS if apart else SERIES_PINS,
+        tuple(
+            positive(f"resistance_{coil}", float(ohm), "Ohm", f"of the {coil} coil")
+            for coil, ohm in zip(COILS, table.resistance, strict=True)
+        ),
+        validity=f"sphere's centre from {low:g} to {micrometres[-1]:g} {DISPLACEMENT.pin_unit}, "
+        "constant forces beyond; linear magnetics; coils at the temperature of their data, nothing "
+        "heats up",
+        rating=rating,
+        mesh=f"error estimate of the field: {errors}" if errors else "",
+        points=points,
+        lowest=low,
+        spacing=spacing,
+        **values,
+    )
+
+
+def _resistive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
+    """Variables of the template ``catch``."""
+    values = table.splines(height)
+    rows = enumerate(SERIES.items())
+    return {"functions": [Lookup(n, *smooth(values @ w), "V(i)*" * k) for k, (n, w) in rows]}
+
+
+def _inductive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
+    """Variables of the template ``coil``."""
+    henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
+    inverse = henry * np.linalg.inv(table.coenergy.inductances(height))
+    default = inverse.mean(axis=0)
+    functions = [
+        Lookup(n, *smooth(values), f"{n}(y): {unit}")
+        for n, values, unit in zip(FORCE, table.splines(height).T, UNITS, strict=True)
+    ]
+    for k, l in ((0, 0), (0, 1), (1, 1)):
+        g = f"g{k + 1}{l + 1}"
+        doc = f"{g}(y): {henry:.6g} H times the inverse of L, less its mean"
+        functions.append(Lookup(g, *smooth((inverse - default)[:, k, l]), doc))
+    windings = [
+        {"k": 1, "name": "lower", "plus": "lp", "minus": "ln", "own": default[0, 0]},
+        {"k": 2, "name": "upper", "plus": "up", "minus": "un", "own": default[1, 1]},
+    ]
+    result = {"henry": henry, "coils": windings, "mutual": default[0, 1], "functions": functions}
+    return result | {"force": coils.force_text()}
+
+
+def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
+    """Lines of the lookups ``f`` and ``b`` whose ``f(s) - w(s) b(s)`` has a continuous slope.
+
+    ``s`` counts cells from the first of the equally spaced ``values``, ``b`` are half the second
+    differences and ``w = t (1 - t)`` with t the place within a cell, 0 to 1: the blend of the
+    parabolas through three neighbours (Overhauser 1968), exact to third order, where a polyline's
+    slope jumps at every height. One more cubic value on either side keeps that up to both ends;
+    beyond, the function runs level. Of ``b``, smooth itself, only those points stay that move
+    ``f - w b`` by more than a sixteenth of a fourth difference, which the blend neglects anyway:
+    ngspice reads a table in the square of its length.
+    """
+    first, last = (np.array([4, -6, 4, -1]) @ end for end in (values[:4], values[:-5:-1]))
+    f = np.concatenate([[first], values, [last]])
+    halves = np.diff(f[[0, *range(f.size), -1]], 2) / 2
+    # Fourth differences are to second ones as those to the values; the corners at both ends apart.
+    largest, second = (float(np.abs(v).max()) for v in (values, 2 * halves[2:-2]))
+    return _lookup(f), _lookup(halves, second**2 / 4 / (largest or 1.0))
+
+
+def _lookup(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
+    """Lines of a ``pwl()`` table of ``values`` at -1, 0, 1, ..., flat beyond both ends.
+
+    ngspice extrapolates the outer segments, so each end gets a second point of equal value. Five
+    points share a line: ngspice reads fewer lines faster. Points that lie within ``tolerance`` of
+    the lines between others are left out.
+    """
+    f = np.concatenate([values[:1], values, values[-1:]])
+    indices, last = [0, 1], f.size - 2
+    while indices[-1] < last:
+        a = indices[-1]
+        end = a + 1
+        for b in range(a + 2, last + 1):
+            line = np.linspace(f[a], f[b], b - a + 1)
+            if np.abs(line - f[a : b + 1]).max() > tolerance:
+                break
+            end = b
+        indices.append(end)
+    # ngspice keeps 11 digits of a literal in an expression
+    points = [f"{k - 2}, {number(float(f'{f[k]:.11g}'))}" for k in (*indices, f.size - 1)]
+    return [", ".join(points[k : k + 5]) for k in range(0, len(points), 5)]
+
+
+class RingMagnetCoils(Touching):
+    name = "ring_magnet_coils"
+    title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
+    schema = Coils
+    source = "FE (magnetostatic, axisymmetric)"
+    discretisations = ("positions", "refine")
+
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+        if part.keys.driver is None:
+            return {}
+        known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
+        pins = {"drive": f"{part.name}.up", "ret": f"{part.name}.lp"}
+        return {f"{part.name}_driver": {**driver(part, known, data), "pins": pins}}
+
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+        if not real(part, scene):
+            rest = None if _driven(part, scene) else "gnd"
+            return (*(replace(end, default=rest) for end in SERIES_PINS[:2]), *PLACE)
+        return tuple(
+            replace(pin, default=f"{part.name}.un") if pin.name == "ln" else pin for pin in PINS
+        )
+
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+        ball = sphere_of(part, scene).name
+        ball = scene.movers.get(ball) or ball
+        return {"y": f"{ball}.y", "v": f"{ball}.v"}
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        keys, name, ball = part.keys, part.name, sphere_of(part, scene)
+        radius = ball.keys.radius
+        if keys.y_min >= keys.y_max:
+            got = f"{keys.y_min:g} … {keys.y_max:g} m"
+            yield part.wrong("y_min", "empty range of positions", got, "y_min < y_max")
+        bodies: dict[str, Ring] = {item: getattr(keys, item) for item in ("ring", *COILS)}
+        for body_name, body in bodies.items():
+            # what, its key, what it is, and whether less or more than what of whom is right
+            rules = (
+                ("no material left", "inner", body.inner < body.outer,
+                 "less than outer", body.outer),
+                ("the sphere does not fit through", "inner", body.inner > radius,
+                 f"more than {ball.name}.radius", radius),
+                ("reaches beyond the modelled air", "height", body.height < keys.air_height,
+                 f"less than {part.name}.air_height", keys.air_height),
+                ("reaches beyond the modelled air", "outer", body.outer < keys.air_radius,
+                 f"less than {part.name}.air_radius", keys.air_radius),
+            )  # fmt: skip
+            for problem, key, right, limit, value in rules:
+                if not right:
+                    got = f"{getattr(body, key):g} m"
+                    yield part.wrong(f"{body_name}.{key}", problem, got, f"{limit}, {value:g} m")
+        for (body_name, body), (other_name, other) in combinations(bodies.items(), 2):
+            radial = body.inner < other.outer and other.inner < body.outer
+            if radial and 2 * abs(body.y - other.y) < body.height + other.height:
+                yield part.wrong(other_name, f"overlaps {name}.{body_name}")
+        resting = scene.analysis.type == "transient" and bool(scene.of("contact"))
+        if resting and not keys.y_min < radius < keys.y_max:
+            got, expected = (
+                f"rest height {radius:g} m",
+                f"between {keys.y_min:g} and {keys.y_max:g} m",
+            )
+            hint = f"{part.name}.y_min and {part.name}.y_max set the table's range"
+            yield ball.wrong("radius", "outside the force table", got, expected, hint)
+        copper = keys.turns * np.pi / 4 * keys.wire_diameter**2
+        for coil in COILS:
+            body = getattr(keys, coil)
+            fill = float(copper / (body.height * (body.outer - body.inner)))
+            why = f"{keys.turns} turns of {keys.wire_diameter:g} m wire do not fit into "
+            why += f"{name}.{coil}"
+            yield from within(f"{name}.turns", fill, "of its section", 0.0, 1.01, why)
+        magnet = "no permanent magnet has more"
+        yield from within(f"{name}.remanence", keys.remanence, "T", 0.0, 1.6, magnet)
+        long = "field and force fall off with the fourth power of the distance"
+        yield from within(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
+
+    def penetrations(self, part: Part, scene: GovernedScene) -> Iterator[Penetration]:
+        sphere = sphere_of(part, scene)
+        drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)
+        speed = math.sqrt(max(0.0, drop))
+        yield from impact_penetration(sphere, scene, speed, f"fall from {part.name}.y_max")
+
+    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+        keys = part.keys
+        coils, magnet = f"coil, {keys.turns} turns", f"ring magnet, {keys.remanence:g} T"
+        rows: tuple[tuple[Literal["magnet", "coil"], Ring, str], ...] = (
+            ("magnet", keys.ring, magnet),
+            ("coil", keys.lower, coils),
+            ("coil", keys.upper, coils),
+        )
+        for kind, ring, text in rows:
+            for side in (-1, 1):
+                label = f"{part.name}: {text}" if side > 0 else ""
+                x, wide = side * (ring.inner + ring.outer) / 2, ring.outer - ring.inner
+                yield Shape(x, ring.y + keys.shift, wide, ring.height, kind, label)
+
+    def _unit(self, part: Part, count: int) -> Catch:
+        """Keys on which a table depends, besides the sphere's radius."""
+        alone = {"remanence": 1.0, "shift": 0.0, "points": POINTS, "positions": count}
+        return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields} | alone)
+
+    def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
+        """Keys on which its table depends."""
+        catch = self._unit(part, part.keys.positions).model_dump(mode="json")
+        return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
+
+    def build(self, part: Part, scene: Scene, clock: Clock, full: bool = False) -> EMTable:
+        """Compute the table for unit remanence, then scale and shift it, which is exact.
+
+        A ``full`` table is so dense that the interpolation error of its splines is ``DENSER**4``
+        times smaller. Air box and ring move together.
+        """
+        keys, count = part.keys, (DENSER if full else 1) * (part.keys.positions - 1) + 1
+        unit = self._unit(part, count)
+        key = {**self.model_key(part, scene), "positions": count}
+
+        def build() -> EMTable:
+            from kc2spice.fem.magnet_field import catch_table
+
+            with clock.stage("magnetics", "field of the catch actuator") as share:
+                return catch_table(unit, key["radius"], share)
+
+        table = cached("catch", key, build, classes=(EMTable,), sources=SOURCES)
+        return table.magnetised(keys.remanence, keys.shift)
+
+    def library(self, part: Part, scene: Scene) -> str:
+        return "coil" if _apart(part, scene) and part.name == "catch" else part.name
+
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+        keys, name, apart = part.keys, build.libraries[part.name], _apart(part, build.scene)
+        rating = f"{rated_heating(keys):.3g} A^2 s in each coil, the integral of i^2 that "
+        rating += f"warms its copper by {keys.rated_rise:g} K without cooling; steady current: not "
+        rating += "known, it depends on that"
+        words: dict[str, Any] = {"apart": apart, "points": keys.points, "rating": rating}
+        return (coils_subcircuit(header, build.model(part, EMTable), name, **words),)
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        if not _driven(part, build.scene):
+            return {}
+        prefix, inst = label(part), f"x{part.name.lower()}"
+        result = {
+            f"{prefix}.lower.current": Vector(f"v({inst}.i)", -1.0, "A"),
+            f"{prefix}.upper.current": Vector(f"v({inst}.i)", 1.0, "A"),
+        }
+        if real(part, build.scene):
+            for k, name in enumerate(result, 1):
+                result[name] = Vector(f"v({inst}.i{k})", 1.0, "A")
+            up, lp = build.net(part, "up"), build.net(part, "lp")
+            result[f"{prefix}.voltage"] = Vector(f"v({up})-v({lp})", 1.0, "V")
+        return result
+
+    def forces(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
+        y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
+        if y is None or beyond(build.model(part, EMTable), y) > 0:
+            return {}
+        zero = np.zeros_like(y)
+        lower = waves.data.get(f"{label(part)}.lower.current", zero)
+        upper = waves.data.get(f"{label(part)}.upper.current", zero)
+        return {"v": np.asarray(build.model(part, EMTable).coenergy.force(y, lower, upper))}
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n, scene, table = part.name, build.scene, build.model(part, EMTable)
+        prefix, apart = label(part), real(part, scene)
+        stated, ends = coils.resistive(), (("drive.through", -1.0), ("drive.through", 1.0))
+        if apart:
+            stated, ends = coils.inductive(), (("i1", 1.0), ("i2", 1.0))
+        law = coils.law(n, stated, table, offset(part, "y", scene))
+        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins)
+        results = {
+            f"{prefix}.{coil}.current": laws.reading(f"{n}.{wave}", sign)
+            for coil, (wave, sign) in zip(COILS, ends, strict=True)
+        }
+        if apart:
+            results[f"{prefix}.voltage"] = laws.difference(f"{n}.up", f"{n}.lp")
+        return laws.Equations((law,), pins, results)
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+        if f"{label(part)}.voltage" not in waves:
+            return {}
+        current = waves[f"{label(part)}.upper.current"]
+        voltage = float(np.abs(waves[f"{label(part)}.voltage"]).max())
+        return {
+            "coil_voltage_peak_v": Metric(voltage, "V"),
+            "coil_current_peak_a": Metric(float(np.abs(current).max()), "A"),
+        }
+
+    def finer_mesh(
+        self, part: Part, build: Build, clock: Clock, most: float
+    ) -> Iterator[Check | str]:
+        """Force and inductance at some heights, with cells half as wide."""
+        from kc2spice.fem.magnet_field import catch_table, some_positions
+
+        table, keys = build.model(part, EMTable), part.keys
+        unknowns = FINER**2 * table.facts["unknowns"]
+        if unknowns > IN_PLANE * most:
+            cause = f"{unknowns:.0f} unknowns, more than {IN_PLANE * most:.0f}"
+            yield f"{part.name}: no mesh half as wide ({cause}); {self.discretisation(part, build)}"
+            return
+        settings = {"positions": some_positions(keys.positions), "refine": FINER * keys.refine}
+        unit = self._unit(part, settings["positions"]).model_copy(update=settings)
+        key = {**self.model_key(part, build.scene), "finer": settings}
+
+        def finer() -> EMTable:
+            with clock.stage("full model", f"{part.name}: mesh half as wide") as share:
+                return catch_table(unit, key["radius"], share)
+
+        fine = cached("catch", key, finer, classes=(EMTable,), sources=SOURCES)
+        fine = fine.magnetised(keys.remanence, keys.shift)
+        step = (table.y.size - 1) // (fine.y.size - 1)
+        current = largest_current(part, build.scene) or USUAL_CURRENT
+        pulls = [_pulls(item, current) for item in (table.coefficients[::step], fine.coefficients)]
+        largest = np.abs(pulls[1]).sum(axis=0).max()
+        changed = np.abs(pulls[0] - pulls[1]).sum(axis=0).max() / largest
+        yield Check(f"mesh of {part.name} half as wide, force", float(changed), COARSE)
+        changed = np.abs(table.inductance[::step] - fine.inductance).max()
+        changed /= np.abs(fine.inductance).max()
+        yield Check(f"mesh of {part.name} half as wide, inductance", float(changed), COARSE)
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
+        y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
+        if y is None or "time" not in waves:
+            return
+        names = [f"{label(part)}.{coil}.current" for coil in ("lower", "upper")]
+        currents = [waves[name] for name in names if name in waves]
+        if currents:
+            heating = max(float(np.trapezoid(i**2, waves["time"])) for i in currents)
+            advice = "the coils overheat: less current, or thicker wire, or shorter"
+            limit = rated_heating(part.keys)
+            yield Check(f"rating of {part.name}", heating, limit, "A2 s", advice, "warn")
+        coarse = interpolation_error(build.model(part, EMTable), largest_current(part, build.scene))
+        name, action = f"field of {part.name} between its positions", build.scene.checks.range
+        advice = f"too few heights: raise {part.name}.positions"
+        unit = "of the largest force"
+        yield Check(name, coarse, COARSE, unit, advice, action, discretisation=True)
+        of, limits = f"{sphere_of(part, build.scene).name}.y", {"rom_vs_fom": COARSE}
+        words = f"height over its way, {DENSER} times the positions of {part.name}"
+        yield Gate(words, of, limits, "travel", discretisation=True)
+        for words, error in mesh_errors(build.facts(part)).items():
+            if error > COARSE:
+                name, advice = f"mesh of {part.name}, {words}", f"raise {part.name}.refine"
+                yield Check(name, error, COARSE, "relative, estimated", advice, "warn")
+        advice = f"the sphere left the field table: widen {part.name}.y_min and {part.name}.y_max, "
+        advice += "or kick it less"
+        table, travel = build.model(part, EMTable), float(np.ptp(y))
+        distance = float(min(abs(y.min() - table.y[0]), abs(table.y[-1] - y.max())))
+        check = Check("table_left", beyond(table, y), 0.0, "m", advice, action)
+        yield replace(check, distance=distance, travel=travel)
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
+        prefix = label(part)
+        names = [f"{prefix}.{coil}.current" for coil in ("upper", "lower")]
+        if "time" in waves and all(name in waves for name in names):
+            t = 1e3 * waves["time"]
+            curves = [Curve(f"{n.split('.')[1]} coil", t, 1e3 * waves[n]) for n in names]
+            if f"{prefix}.wanted" in waves:
+                curves.append(Curve("wanted", t, 1e3 * waves[f"{prefix}.wanted"], ":"))
+            panels = [Panel("", "coil current in mA", tuple(curves))]
+            if f"{prefix}.voltage" in waves:
+                volts = Curve("", t, waves[f"{prefix}.voltage"])
+                panels.append(Panel("", "both coils in V", (volts,)))
+            panels[-1] = replace(panels[-1], x="time in ms")
+            caption = f"Currents in the coils of {part.name}."
+            yield Figure(f"{part.name}_currents", "Coil currents", caption, tuple(panels))
+        if real(part, build.scene):
+            yield coil_impedance(part, build)
+        yield force_map(part, build)
+        table, alone = build.model(part, EMTable), len(build.scene.of(self.name)) == 1
+        arrays = {"y": table.y} | dict(zip(FORCE, table.coefficients.T, strict=True))
+        file = "em_table.npz" if alone else f"{part.name}_table.npz"
+        yield Written(file, lambda path: np.savez_compressed(path, **arrays))
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+        """Eddy currents die away with the diffusion time ``mu sigma R^2 / pi^2`` of a sphere."""
+        yield f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
+        if real(part, scene):
+            yield "coils with R, L(y), M(y) and back-EMF"
+        keys, radius = part.keys, sphere_of(part, scene).keys.radius
+        diffusion = MU_0 * keys.mu_r * MAGNET_CONDUCTIVITY * (radius / np.pi) ** 2
+        yield Neglected(
+            "eddy currents in the sphere",
+            f"a poor conductor, {MAGNET_CONDUCTIVITY:g} S/m",
+            f"force lags by about {diffusion:.2g} s",
+        )
+        yield Neglected(
+            "the field beyond the air box",
+            f"A = 0 at radius {keys.air_radius:g} m",
+            f"compare with {part.name}.air_radius and {part.name}.air_height doubled",
+        )
+        if _driven(part, scene) and not real(part, scene):
+            yield Neglected(
+                "coil voltage, inductance and self-heating",
+                "an ideal current source feeds the coils",
+                f"real coils must slew {largest_current(part, scene):g} A against L di/dt; L and R "
+                f"are in the result under model.{part.name}",
+            )
+
+
+def force_map(part: Part, build: Build) -> Figure:
+    """Force over height without current, with both currents, and with opposite ones."""
+    table = build.model(part, EMTable)
+    limit = largest_current(part, build.scene) or USUAL_CURRENT
+    fine = np.linspace(table.y[0], table.y[-1], 401)
+    curves = tuple(
+        Curve(
+            f"{1e3 * lower:+.3g} / {1e3 * upper:+.3g}",
+            1e3 * fine,
+            1e3 * table.coenergy.force(fine, lower, upper),
+        )
+        for lower, upper in ((0.0, 0.0), (limit, limit), (limit, -limit), (-limit, limit))
+    )
+    panel = Panel("height of the sphere's centre in mm", "force on the sphere in mN", curves)
+    caption = "Vertical force on the sphere by coil currents, lower / upper in mA."
+    return Figure(f"{part.name}_force", "Force map", caption, (panel,))
+
+
+def coil_impedance(part: Part, build: Build) -> Figure:
+    """``|R + j w L|`` of the coils, alone and in series as one current with two signs sees them."""
+    table = build.model(part, EMTable)
+    matrix = table.coenergy.inductances(0.5 * (table.y[0] + table.y[-1]))
+    item = {"lower": np.array([1.0, 0.0]), "upper": np.array([0.0, 1.0]), "both": np.array([1, -1])}
+    f = np.geomspace(10.0, 1e5, 201)
+    z = {n: i**2 @ table.resistance + 2j * np.pi * f * (i @ matrix @ i) for n, i in item.items()}
+    how = f"of the coils of {part.name}, the sphere held in the middle of their field, capacitance "
+    return impedances(part.name, f, z, how + "of the windings left out.")
+
+
+def label(part: Part) -> str:
+    """First word of its results: ``coil`` for the paper's catch, else its own name."""
+    return "coil" if part.name == "catch" else part.name
+
+
+def real(part: Part, scene: DeclaredScene) -> bool:
+    """Whether its coils have inductance and back-EMF: where a circuit drives their terminals."""
+    joined = any(scene.is_target(part.name, pin) or pin in part.pins for pin in ENDS)
+    return bool(part.keys.driver) or joined
+
+
+def _apart(part: Part, scene: DeclaredScene) -> bool:
+    """Whether its netlist has terminals of both coils: real ones, or of cases that feed each."""
+    return real(part, scene) or bool(scene.of("current_cases"))
+
+
+def _driven(part: Part, scene: JoinedScene) -> bool:
+    targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", *ENDS)}
+    joined = (
+        target
+        for other in scene.parts.values()
+        if other is not part
+        for target in (*other.pins.values(), *scene.joins[other.name].values())
+    )
+    return bool(part.pins) or any(target in targets for target in joined)
+
+
+def largest_current(part: Part, scene: JoinedScene) -> float:
+    """Largest coil current [A] that a controller of the scene asks for.
+
+    1 A where something drives the coils that tells no limit, 0 where nothing does.
+    """
+    limits = [pid.keys.current_limit for pid in scene.of("pid")]
+    return float(max(limits, default=1.0 if _driven(part, scene) else 0.0))
+
+
+def interpolation_error(table: EMTable, current: float) -> float:
+    """Estimated error of the spline through the table's heights, of the largest force up to
+    ``current`` [A] in both coils.
+
+    A spline through every second height misses the others by 16 times that once its order shows;
+    an eighth of it is taken (11 measured on the paper's magnets with 9 positions, more with more),
+    or less of a fall where every fourth height shows less, and none where these are too few.
+    """
+    values = table.coefficients
+    largest = float(np.abs(_pulls(values, current)).sum(axis=0).max())
+
+    def missed(step: int) -> float:
+        result = cubic_spline(table.y[::step], values[::step])(table.y)
+        off = _pulls(result - values, current)
+        return float(np.abs(off).sum(axis=0).max()) / largest
+
+    half = missed(2)
+    known = half > 0.0 and table.y[::4].size >= 4
+    return half / (min(8.0, max(1.0, missed(4) / half)) if known else 1.0)
+
+
+def beyond(table: EMTable, y: np.ndarray) -> float:
+    """How far [m] a sphere at heights ``y`` [m] left the table."""
+    return max(0.0, float(table.y[0] - y.min()), float(y.max() - table.y[-1]))
+
+
+register(RingMagnetCoils())

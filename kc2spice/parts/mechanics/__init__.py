@@ -1,0 +1,1 @@
+"""Masses, spheres, springs and contacts."""

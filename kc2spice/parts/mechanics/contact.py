@@ -1,0 +1,519 @@
+"""Unilateral contact between a body's ports and a sphere or a port of another body (eq. 10)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel, time_axis
+from kc2spice.core.progress import Clock
+from kc2spice.core.quantities import (
+    Length,
+    Notch,
+    Pressure,
+    Ratio,
+    Rings,
+    Section,
+    Stiffness,
+    Velocity,
+    si,
+)
+from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.parts.mechanics._touching import PATCH, Pair, busy_until, pair_of, separation
+from kc2spice.physics import Declaration, DeclaredPart
+from kc2spice.physics.cards import force_node
+from kc2spice.physics.contact import SPACED, Normal, contact
+from kc2spice.physics.part import pins_of
+from kc2spice.rom.linear_model import LinearModel
+from kc2spice.scene.checks import PAIRS, Balance, Check, Gate, Metric, stepping
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+    WiredScene,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
+
+# Gate of a launch against the full model: of the reduction's certified error, whose band it
+# exceeds; what it is where there is no certificate; and the largest one. A pointwise error at a
+# sharp resonance may be any number, and runs warn of loads that are answered off by a hundredth.
+REDUCED, BEYOND, WORST_LAUNCH = 0.4, 1e-3, 1e-2
+MISSING = 1e-3  # energy that the springs may make or lose, of what went through them
+STIFFEST = 1e15  # N/m; a gram on it rings at 160 GHz, which no simulator ends to follow
+CARRYING = 3.0  # basis functions across a contact's radius: 5e-3 off, half as many 3e-2
+COARSE_BASIS = 3e-2  # error estimate of the force by the pressure basis functions: see CARRYING
+OPEN = 0.95  # largest motion of an omitted ring, relative to its gap
+# Contact events of a kick that a reltol is good for, times that reltol: every event adds the error
+# of a step. Among 37 kicks of chips damped by 0.01 to 0.05 %, kicks above this limit had launch
+# errors of 9e-4.
+EVENTS = 4e-3
+ALOFT = 1e-8  # m over the body at t = 0 that a sphere at rest on it may have
+EXCITED = 500e3  # Hz that a contact excites bodies at
+CURVED, DAMPED = 0.1, 0.01  # factors of solver.reltol for Hertzian and for damped contacts
+FEW = 20  # events that are not too many for any reltol
+CARRIED = "dent"  # pin that meets the port of an elastic sphere
+
+
+class ContactKeys(Section):
+    """Penalty contact, one spring per port of ``a`` (paper eq. 10)."""
+
+    penalty: Stiffness = Field(
+        1e8, gt=0, le=STIFFEST, description="Penalty stiffness of one ring in one symmetry sector"
+    )
+    rings: Rings = Field(
+        "needed",
+        description=("Rings that are modelled: needed, all, or a number counted from the centre"),
+    )
+    a: str | tuple[str, ...] | None = Field(
+        None,
+        description=(
+            "Lower side, whose rise closes the gap: a body, its ports, or gnd; by default the "
+            "only body"
+        ),
+    )
+    b: str | None = Field(
+        None,
+        description=(
+            "Upper side, whose rise opens the gap: a sphere, a port of a body, or gnd; by default "
+            "the only sphere"
+        ),
+    )
+    gap: Length = Field(0.0, description="Gap at rest, in addition to that of the geometry")
+    inertia: Literal["massless", "lumped"] = Field(
+        "massless",
+        description=(
+            "Inertia of the residual modes behind the ports: none (massless), or one mass for each "
+            "port (lumped)"
+        ),
+    )
+    shape: Literal["rings", "pressure"] = Field(
+        "rings",
+        description=(
+            "Contact ports of the chip: circles of the mesh, or pressure basis functions under a "
+            "sphere"
+        ),
+    )
+    spacing: Annotated[Length, Notch(0.5, model=True, when=(("shape", "pressure"),))] = Field(
+        10e-6, gt=0, description="Radial spacing of the pressure basis functions (P1)"
+    )
+    law: Literal["linear", "hertz"] = Field(
+        "linear",
+        description=(
+            "Force law: penalty times indentation, or Hertz's 4/3 E* sqrt(R) x^(3/2) for a sphere "
+            "at one port"
+        ),
+    )
+    modulus: Pressure | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Effective modulus E* of both sides for law = hertz; by default that of their materials"
+        ),
+    )
+    groove: Ratio | None = Field(
+        None,
+        gt=0,
+        le=180,
+        description="Opening angle in degrees of the groove in a in which b lies",
+    )
+    damping: Annotated[float, si("s/m")] = Field(
+        0.0,
+        ge=0,
+        description=(
+            "Damping of Hunt and Crossley: the force is multiplied by 1 + damping times the "
+            "closing speed"
+        ),
+    )
+    friction: Ratio = Field(
+        0.0,
+        ge=0,
+        description=(
+            "Coulomb's coefficient of friction of pin slide on pin rail, on both flanks of a groove"
+        ),
+    )
+    creep: Velocity = Field(
+        1e-4,
+        gt=0,
+        description=("Sliding speed below which friction is viscous, a substitute for sticking"),
+    )
+
+
+class Contact(DeclaredPart):
+    """Its physics is up to its keys and to what touches."""
+
+    name = "contact"
+    title = "unilateral penalty contact"
+    discretisations = ("spacing",)
+    schema = ContactKeys
+
+    def detail(self, part: Part, scene: GovernedScene) -> Pair:
+        """Both sides of the contact."""
+        return Pair(part, scene)
+
+    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
+        pair = pair_of(part, scene)
+        radius, distance = pair.b.radius, pair.a.distance
+        under = None if radius is None else (radius, tuple(map(float, distance)))
+        return _declared(pair, pair.normal, under, part.keys.groove)
+
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+        d = _declared(pair_of(part, scene), Normal(1.0, friction=part.keys.friction))
+        ends = {"rail": "gnd", "base": "gnd"}
+        return tuple(
+            Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name == "slide")
+            for p in pins_of(d)
+        )
+
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+        pair = pair_of(part, scene)
+        joins = pair.a.joins(("va", "a") if pair.a.rigid else pair.ports, scene)
+        joins |= pair.b.joins(("v", "bottom") if pair.b.rigid else ("b",), scene)
+        return joins | ({CARRIED: f"{pair.b.elastic}.{PATCH}"} if pair.b.elastic else {})
+
+    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
+        """Surfaces that touch at rest: what presses on them finds its place."""
+        pair = pair_of(part, scene)
+        clamps = [(pin, GROUND) for pin in ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)]
+        if part.keys.gap <= 0.0 and not pair.a.rigid and not pair.b.rigid:
+            clamps += [(port, "b") for port in pair.ports]
+        return Rest(tuple(clamps))
+
+    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
+        """A trapezoid's errors of closing and opening cancel for a linear spring alone. Rebounds
+        that lose 0 to 70 % of their energy are then good to 1.5e-4 at the usual reltol."""
+        curved = part.keys.law == "hertz" or part.keys.shape == "pressure"
+        reltol = DAMPED if part.keys.damping else CURVED if curved else 1.0
+        what = "contact, as far as a body has motions"
+        yield Numerics(what, content=EXCITED, reltol=reltol)
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        pair = pair_of(part, scene)
+        a, b = pair.a, pair.b
+        if a.part == b.part != GROUND and set(a.pushed) & set(b.pushed):
+            got, expected = f"{a.part} on both sides", "two parts, or two ports of a body"
+            yield part.wrong("b", "nothing touches itself", got, expected)
+        if b.radius is not None and max(a.distance) >= b.radius:
+            yield UsageError(
+                "the outermost contact port lies beyond the sphere, which can never touch it",
+                where=f"{a.part}.mesh.ring_spacing",
+                got=f"ring radius {max(a.distance):g} m",
+                expected=f"less than {b.part}.radius, {b.radius:g} m",
+            )
+        if part.keys.shape == "pressure":
+            yield from _pressure_problems(pair)
+        else:
+            assert pair.normal  # says what it cannot know
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        n, pair, d = part.name, pair_of(part, build.scene), self.declared(part, build.scene)
+        card = f"@b.x{n}.b{{}}[i]"
+        item = {b.through: card.format(force_node(b)).lower() for b in d.branches}
+        result = {
+            f"{n}.force.{port}": Vector(item[f"force.{port}"], 1.0, "N", enters=(port,))
+            for port in pair.ports
+        }
+        if part.keys.friction:
+            row = Vector(item["friction"], 1.0, "N", ("rail",), ("slide",))
+            result[f"{n}.friction"] = row
+        total = "+".join(item[f"force.{port}"] for port in pair.ports)
+        ends = {"force": (("v", "b", CARRIED), ("va",))}
+        return result | {
+            f"{n}.{word}": Vector(total, by, "N", *ends.get(word, ()))
+            for word, by in _sums(pair).items()
+        }
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+        pair = pair_of(part, build.scene)
+        v = waves.data.get(f"{pair.b.part}.v")
+        if "time" not in waves or v is None or pair.thrown:
+            return {}
+        force, busy = waves[f"{part.name}.force"], busy_until(build.scene)
+        launch = separation(waves["time"], force, v, busy, pair.normal.power)
+        return {
+            "launch_velocity_m_s": Metric(launch[1] if launch else None, "m/s"),
+            "launch_time_s": Metric(launch[0] if launch else None, "s"),
+        }
+
+    def checks(
+        self, part: Part, build: Build, waves: Waveforms
+    ) -> Iterator[Check | Balance | Gate]:
+        pair, gates = pair_of(part, build.scene), build.scene.gates
+        if "time" in waves and not pair.thrown:
+            steps = stepping(build.scene.solver)
+            certificate = getattr(build.models.get(pair.a.part), "certificate", None)
+            reduced = BEYOND
+            if certificate:
+                reduced = min(REDUCED * certificate.error_estimate, WORST_LAUNCH)
+            limits = dict.fromkeys(PAIRS, gates.launch_full_model or steps + reduced)
+            limits["ngspice_vs_rom"] = gates.launch_velocity or steps
+            yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
+        place = pair.place(waves)
+        if "time" in waves:
+            yield from _events(pair, waves)
+        if place is not None:
+            if "time" in waves:
+                yield from _balance(pair, waves, place)
+                yield from _start(pair, waves, place)
+            yield from _open_ports(pair, build, waves, place)
+            yield from _within_law(pair, waves, place)
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        force = waves.data.get(f"{part.name}.force")
+        if force is None:
+            return
+        pair = pair_of(part, build.scene)
+        inside = _loaded(force) if "time" in waves else slice(None)
+        scale = next(iter(waves.data.values()))
+        x, factor = time_axis(scale[inside])
+        if (depth := pair.pushed(waves)) is not None:
+            scale, (x, factor) = depth, ("depth in µm", 1e6)
+        item = {port: waves[f"{part.name}.force.{port}"] for port in pair.ports}
+        curves = [
+            Curve(port, factor * scale[inside], wave[inside])
+            for port, wave in item.items()
+            if wave.max() > 0
+        ]
+        if len(item) > 1:
+            curves.append(Curve("sum", factor * scale[inside], force[inside], "--"))
+        sides = f"{pair.a.part} and {pair.b.part}"
+        panel = Panel(x, "contact force in N", tuple(curves))
+        caption = f"Force between {sides}, whole device, at each port that closes."
+        yield Figure(f"{part.name}_force", f"Contact of {sides}", caption, (panel,))
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n, pair, result = part.name, pair_of(part, build.scene), super().law(part, build)
+        item = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
+        sums = {
+            f"{n}.{word}": laws.Reading(tuple((share, wave) for wave in item))
+            for word, share in _sums(pair).items()
+        }
+        return replace(result, results=result.results | sums)
+
+    def finer_mesh(
+        self, part: Part, build: Build, clock: Clock, most: float
+    ) -> Iterator[Check | str]:
+        """The force on pressure basis functions half as wide."""
+        if part.keys.shape == "pressure":
+            name = f"force of {part.name}, pressure basis functions half as wide"
+            yield Check(name, pair_of(part, build.scene).unresolved(), COARSE_BASIS)
+
+    def discretisation(self, part: Part, build: Build) -> str:
+        return f"mesh: {SPACED}" if part.keys.shape == "pressure" else ""
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+        keys, pair = part.keys, pair_of(part, scene)
+        normal = pair.normal
+        if keys.shape == "pressure":
+            detail = f"pressure under a sphere, up to {normal.depth:.3g} m deep; basis functions "
+            detail += f"every {keys.spacing:g} m near the axis"
+        elif normal.power == 1.0:
+            detail = f"{len(pair.ports)} unilateral springs, {normal.stiffness:g} N/m each"
+        else:
+            detail = f"Hertz's law, {normal.stiffness:g} N/m^1.5"
+        if keys.groove is not None:
+            detail += f" along the axis of a groove of {keys.groove:g} degrees"
+        if normal.damping:
+            detail += f", damping of Hunt and Crossley {keys.damping:g} s/m"
+        if normal.friction:
+            detail += f", friction {keys.friction:g}, viscous below {normal.creep:g} m/s"
+        yield detail
+        a, count = pair.a, len(pair.ports)
+        if len(a.ports) > 1:
+            why = f"one force per port of {a.part} stands for it"
+            error = "run again with a finer mesh to see it"
+            yield Neglected("pressure between the ports", why, error)
+        if part.keys.inertia == "massless":
+            yield Neglected(
+                f"inertia of the residual modes behind the ports of {part.name}",
+                "stiff modes above the band that keep the ports' compliance exact; their mass is "
+                "the mesh's and rattles behind the springs",
+                "part of the reduced model's certified error",
+            )
+        dry = "" if part.keys.friction else "friction, "
+        what = f"{dry}adhesion and plastic flow between {a.part} and {pair.b.part}"
+        yield Neglected(what, "the law is elastic and normal to the surface", "not estimated")
+        if count < len(a.ports):
+            why = f"{part.name}.rings = {part.keys.rings}"
+            if part.keys.rings == "needed":
+                why = f"open up to {pair.gaps[count]:.3g} m; {pair.deepest.why}: "
+                why += f"{pair.deepest.depth:.3g} m"
+            last = f" to {a.ports[-1]}" if count + 1 < len(a.ports) else ""
+            error = "none while they stay open, checked after the run"
+            yield Neglected(f"contact at {a.ports[count]}{last}", why, error)
+
+
+def _declared(
+    pair: Pair,
+    law: Normal,
+    under: tuple[float, tuple[float, ...]] | None = None,
+    groove: float | None = None,
+) -> Declaration:
+    ports, rigid = pair.ports, (pair.a.rigid, pair.b.rigid)
+    carried, gaps = CARRIED if pair.b.elastic else "", (pair.keys.gap,) * len(ports)
+    words = {"rigid": rigid, "under": under, "carried": carried, "groove": groove}
+    return contact(ports, gaps, law, **words)
+
+
+def _sums(pair: Pair) -> dict[str, float]:
+    """Results that are the sum of all forces, and by what times: in a groove that on a flank."""
+    return {"force": 1.0} | ({} if pair.flank is None else {"flank": 1 / (2 * pair.flank)})
+
+
+def _pressure_problems(pair: Pair) -> Iterator[UsageError]:
+    part, a, b = pair.part, pair.a, pair.b
+    hint = 'shape = "rings" takes ports as they are'
+    if a.compliance is None:
+        expected = "a piezo_stack, whose contact names no port"
+        yield part.wrong("shape", "no port of pressure on this body", a.ports[0], expected, hint)
+    elif not part.keys.spacing < a.patch / 4:
+        got, expected = f"{part.keys.spacing:g} m", f"less than {a.patch / 4:g} m"
+        problem = "pressure basis functions wider than the patch that they are in"
+        yield part.wrong("spacing", problem, got, expected)
+    if b.radius is None or b.radius <= a.patch:
+        got = "no sphere" if b.radius is None else f"a radius of {b.radius:g} m"
+        expected = f"a sphere of more than {a.patch:g} m, the outermost ring"
+        yield part.wrong("shape", "pressure is that under a sphere", got, expected, hint)
+    for key, default in (("law", "linear"), ("groove", None)):
+        if (got := getattr(part.keys, key)) != default:
+            yield part.wrong(key, f"pressure has its own law, without {key}", got, hint=hint)
+
+
+# --- what the waveforms say -----------------------------------------------------------------------
+
+
+def _loaded(force: np.ndarray) -> slice:
+    """From the first contact to the last of the first tenth of all that have a load."""
+    loaded = np.flatnonzero(force > 1e-2 * force.max(initial=0.0))
+    if loaded.size == 0:
+        return slice(None)
+    gaps = np.flatnonzero(np.diff(loaded) > 200)
+    last = loaded[gaps[0]] if gaps.size else loaded[-1]
+    return slice(max(int(loaded[0]) - 2, 0), int(last) + 3)
+
+
+def _balance(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Balance]:
+    """Work that closes the springs against what they store, and what their damping takes.
+
+    Springs give back all they took: energy gained here is a bounce higher than the last. The scale
+    is the work that went into the springs, or what they hold where nothing moves.
+    """
+    normal, ports, name = pair.normal, pair.ports, pair.part.name
+    heights = [pair.a.height(port, waves) for port in ports]
+    if any(height is None for height in heights):
+        return
+    closing = np.array(heights) - place  # as all of these (ports, n)
+    force, p = np.array([waves[f"{name}.force.{port}"] for port in ports]), normal.power
+    elastic, energy = force, force ** (1 + 1 / p) / ((p + 1) * normal.stiffness ** (1 / p))
+    if normal.damping or normal.radius:  # the force is not that of the depth alone
+        x = closing - pair.gaps[: len(ports), None]
+        elastic, energy = normal.force(x), normal.energy(x)
+    resting, gained = float(energy.max()), energy - energy[:, :1]
+    missing = (running(elastic, closing) - gained).sum(axis=0)
+    entries = {"stored in the contact": float(energy[:, -1].sum())}
+    if (before := float(energy[:, 0].sum())) > 0.0:
+        entries["stored in the contact at the start"] = before
+    if normal.damping or normal.pace:
+        damped = running(force - elastic, closing)[:, -1]
+        entries["damped in the contact"] = float(damped.sum())
+    v, other = waves.data.get(f"{pair.b.part}.v"), pair.scene.parts.get(pair.b.part)
+    mass = getattr(other.keys, "mass", 0.0) if other else 0.0
+    kinetic = 0.0 if v is None else mass * float((v**2).max()) / 2
+    scale = max(float(np.abs(np.diff(gained)).sum()), resting, kinetic)
+    advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
+    yield Balance(entries, float(np.abs(missing).max()), scale, MISSING, advice)
+
+
+def _start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
+    """The operating point may hold the sphere elsewhere: other forces balance its weight there."""
+    force, other = waves.data.get(f"{pair.part.name}.force"), pair.b.part
+    if pair.b.radius is None or force is None or pair.scene.movers.get(other) or pair.thrown:
+        return
+    above = 0.0 if force[0] > 0 else float(place[0]) + pair.keys.gap
+    advice = f"forces on {other} balance there before anything moves: change them (magnets: "
+    advice += f"polarity, remanence or position), or give {other}.height and velocity at t = 0"
+    name, action = f"{other} starts at rest on {pair.a.part}", pair.scene.checks.start
+    yield Check(name, above, ALOFT, "m", advice, action)
+
+
+def _events(pair: Pair, waves: Waveforms) -> Iterator[Check]:
+    """The deepest penetration, and contacts of the port that has most of them while the drive
+    moves."""
+    n, ports, scene = pair.part.name, pair.ports, pair.scene
+    forces = [waves[f"{n}.force.{port}"] for port in ports]
+    if pair.b.radius is not None and pair.gaps.size > 1:
+        depth = max(float(force.max()) for force in forces) / pair.normal.stiffness
+        advice = f"the penalty springs give more than the surfaces curve: raise {n}.penalty"
+        limit, action = float(pair.gaps[1]), scene.checks.penetration
+        yield Check("penetration", depth, limit, "m", advice, action)
+    body = scene.parts.get(pair.a.part)
+    drive = getattr(body.keys, "drive", None) if body else None
+    if drive is None:
+        return
+    t, end = waves["time"], drive.start + drive.width + drive.edge
+    during = (t >= drive.start) & (t <= end)
+    closed = [force[during] > 0.0 for force in forces]
+    most = max(int(np.count_nonzero(now[1:] & ~now[:-1])) for now in closed)
+    reltol = waves.stats.get("reltol", scene.solver.reltol)
+    advice = "so many decide the launch that the errors of their steps add up: lower "
+    advice += "solver.reltol; a launch after hundreds of contact events may be ill-conditioned"
+    limit, action = max(FEW, EVENTS / reltol), scene.checks.touches
+    yield Check("touches", most, limit, "contact events", advice, action, coarse=True)
+
+
+def _open_ports(pair: Pair, build: Build, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
+    """*outer_ring* or *ring_left_out*: the first port without a spring stays open.
+
+    Nothing records that port. Without contact it would rise with the outermost kept one and the
+    dents that the recorded forces press into that one, ``u_K + sum_j S_Kj F_j``, and its own dent
+    only takes it farther from the sphere. S is the static compliance: over one ring's spacing the
+    chip answers at once. Against models with all rings this lies 10 to 100 % above what the next
+    ring does at worst, and never more than 5 % of its gap below.
+    """
+    n, a, ports, action = pair.part.name, pair.a, pair.ports, pair.scene.checks.range
+    if pair.b.radius is None or len(a.ports) < 2:
+        return
+    force, body = np.array([waves[f"{n}.force.{name}"] for name in ports]), pair.scene.parts[a.part]
+    model = build.model(body, LinearModel)
+    if len(ports) < len(a.ports) and isinstance(model, LinearModel):
+        rows = [model.outputs.index(name) for name in ports]
+        static = model.transfer(np.zeros(1))[0][rows, rows[-1]].real
+        rise = waves[f"{a.part}.u.{ports[-1]}"] + static @ force - place
+        gap, highest = float(pair.gaps[len(ports)]), float(rise.max())
+        advice = f"set {n}.rings to more than {len(ports)}, or to 'all'"
+        suggested = {f"{n}.rings": len(ports) + 1} if pair.keys.rings == "needed" else {}
+        yield Check("ring_left_out", highest, OPEN * gap, "m", advice, action, suggested=suggested)
+    elif pair.pushed(waves) is None:
+        advice = "the contact outgrows the modelled rings: more rings or a wider ring_spacing"
+        yield Check("outer_ring", float(force[-1].max()), 0.0, "N", advice, action)
+
+
+def _within_law(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
+    """The law of a pressure ends where the contact is as wide as half of its patch, and knows
+    little of one that a few basis functions carry (:data:`CARRYING`)."""
+    height = pair.a.height(pair.a.ports[0], waves)
+    if pair.keys.shape != "pressure" or height is None:
+        return
+    deepest, checks = float((height - place - pair.keys.gap).max()), pair.scene.checks
+    advice = f"no law of the pressure is known so deep: more {pair.a.part}.mesh.rings, or wider"
+    advice += " ones"
+    yield Check("depth of the contact", deepest, pair.normal.depth, "m", advice, checks.range)
+    if deepest > 0.0 and pair.b.radius is not None:
+        widest, spacing = math.sqrt(deepest * pair.b.radius) / CARRYING, pair.keys.spacing
+        advice = "so few of them carry that the force is more than 5e-3 off: lower "
+        advice += f"{pair.part.name}.spacing"
+        yield Check("basis of the pressure", spacing, widest, "m", advice, checks.penetration)
+
+
+register(Contact())

@@ -1,0 +1,184 @@
+"""Elasticity of a sphere in addition to its rigid motion: indentation and modes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field
+
+from kc2spice.core.cache import cached
+from kc2spice.core.domains import TRANSLATION
+from kc2spice.core.errors import UsageError
+from kc2spice.core.progress import Clock
+from kc2spice.fem.body_keys import Damping, Mesh
+from kc2spice.parts.bodies._linear_body import LinearBody, LinearKeys
+from kc2spice.parts.mechanics._touching import PATCH, Surface, pair_of
+from kc2spice.parts.mechanics.sphere import made_of
+from kc2spice.rom.linear_model import LinearModel, Port
+from kc2spice.scene.model import (
+    DeclaredScene,
+    GovernedScene,
+    Part,
+    Scene,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected
+from kc2spice.scene.settings import Rom
+from kc2spice.synthesis.realize import COARSE, StepWeights
+
+if TYPE_CHECKING:
+    from kc2spice.bodies.pressure import IsotropicSphere, LocalCompliance, PressureBasis
+
+BAND = 2.0  # times the lowest mode's frequency: the sphere breathes below
+
+
+class ElasticSphereKeys(LinearKeys):
+    """Keys of the elastic sphere ``of``, whose key ``elastic`` is this table."""
+
+    of: str = Field(description="Name of the part that is the sphere")
+    damping: Damping = Damping(ratio=1e-3)
+    mesh: Mesh = Mesh()
+
+
+class ElasticSphere(LinearBody):
+    name = "elastic_sphere"
+    title = "elasticity of a sphere, relative to its centre of mass (axisymmetric FE, reduced)"
+    schema = ElasticSphereKeys
+    source = "FE (elastic, axisymmetric, free)"
+    discretisations = ("mesh.refine",)
+    example = """
+[impact]
+
+[kick]
+electrical = "open"
+
+[contact]
+shape = "pressure"
+
+[sphere]
+elastic = true
+"""
+
+    def dimensions(self, part: Part) -> int:
+        return 2
+
+    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
+        return (Port(PATCH, TRANSLATION.port),)
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
+        _contact(part, scene)  # says what it cannot be
+        owner, stuff = scene.parts[part.keys.of], made_of(scene.parts[part.keys.of])
+        if stuff.piezoelectric:
+            expected = "a material that is not piezoelectric"
+            yield owner.wrong("material", "a sphere has no electrodes", stuff.name, expected)
+        if part.keys.damping.per_material:
+            key, expected = "elastic.damping.per_material", "ratio, quality or loss_factor"
+            yield owner.wrong(key, "a sphere has one material", True, expected)
+        if part.keys.damping.model != "rayleigh":
+            got, expected = part.keys.damping.model, "rayleigh"
+            yield owner.wrong("elastic.damping.model", "a sphere rings viscously", got, expected)
+
+    def surface(
+        self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()
+    ) -> Surface | None:
+        """Return the patch on its sphere that a contact names as port; otherwise None.
+
+        A contact touches the sphere, so this part has no other surface.
+        """
+        if ports != (PATCH,):
+            return None
+
+        compliance, pace = partial(self._compliance_of, part, scene), _body(part, scene).rayleigh[1]
+        return Surface(part.name, ports, (0.0,), compliance=compliance, pace=pace)
+
+    def full_key(self, part: Part, scene: GovernedScene) -> Mapping[str, Any]:
+        body, mesh = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
+        return {
+            "radius": body.radius,
+            "density": body.material.density,
+            "stiffness": body.material.C.tolist(),
+            "rayleigh": body.rayleigh,
+            "own": mesh,
+            "pressure_basis": pair_of(_contact(part, scene), scene).shape.nodes.tolist(),
+        }
+
+    def full(self, part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
+        from kc2spice.bodies.pressure import sphere
+
+        shape = pair_of(_contact(part, scene), scene).shape
+        with clock.stage("assemble", f"mesh and matrices of {part.name}"):
+            shares = self._compliance_of(part, scene, shape).shares
+            return sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
+
+    def reduction(self, part: Part, scene: Scene) -> Rom:
+        """Its own, not the scene's: its modes lie above any band of an actuator."""
+        specified: Rom | None = part.keys.rom
+        if specified is not None:
+            return specified
+        return Rom(tolerance=1e-3, band=(0.0, float(f"{BAND * _body(part, scene).oblate:.3g}")))
+
+    def weights(self, part: Part, scene: DeclaredScene) -> StepWeights:
+        """Nothing is joined to it that could tell: at 0.01 % of damping steps would follow its
+        megahertz through the flight, eight times as many."""
+        return COARSE
+
+    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+        why = "steps let go of it once nothing presses on the sphere, whose path it is no part of"
+        yield Neglected(f"free ringing of {part.keys.of}", why, "none of the path")
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+        yield from super().notes(part, scene)
+        deep = pair_of(_contact(part, scene), scene).normal.depth / _body(part, scene).radius
+        yield Neglected(
+            f"slope of {part.keys.of} under the contact",
+            "pressure acts along the axis",
+            f"at most {deep:.1g} of the dent, by its depth over the radius",
+        )
+
+    def _compliance_of(
+        self, part: Part, scene: GovernedScene, shape: PressureBasis
+    ) -> LocalCompliance:
+        from kc2spice.bodies.pressure import LocalCompliance, sphere_compliance
+
+        key = {**self.full_key(part, scene), "pressure_basis": shape.nodes.tolist()}
+        arguments, kinds = (_body(part, scene), shape, part.keys.mesh.refine), (LocalCompliance,)
+        return cached(
+            "indented",
+            key,
+            lambda: sphere_compliance(*arguments),
+            classes=kinds,
+            sources=self.sources(),
+        )
+
+
+def _body(part: Part, scene: DeclaredScene) -> IsotropicSphere:
+    from kc2spice.bodies.pressure import IsotropicSphere
+
+    owner = scene.parts[part.keys.of]
+    return IsotropicSphere(owner.keys.radius, made_of(owner), part.keys.damping)
+
+
+def _contact(part: Part, scene: GovernedScene) -> Part:
+    """The one contact of the sphere, by pressure."""
+    owner = scene.parts[part.keys.of]
+    pairs = ((contact, pair_of(contact, scene)) for contact in scene.of("contact"))
+    result = [contact for contact, p in pairs if part.name in (p.a.elastic, p.b.elastic)]
+    if len(result) != 1:
+        got = ", ".join(c.name for c in result) or "none"
+        expected = 'one, with shape = "pressure" and a body in a'
+        raise owner.wrong("elastic", "an elastic sphere has one contact", got, expected)
+    (contact,) = result
+    if contact.keys.shape != "pressure":
+        problem = "forces on rings dent an elastic sphere without limit as meshes get finer"
+        hint = f'set {contact.name}.shape = "pressure", or {owner.name}.elastic = false'
+        raise contact.wrong("shape", problem, contact.keys.shape, "pressure", hint)
+    if damping := contact.keys.damping:
+        expected = f"0, and {owner.name}.elastic.damping"
+        raise contact.wrong("damping", "an elastic sphere has its own damping", damping, expected)
+    return contact
+
+
+register(ElasticSphere())

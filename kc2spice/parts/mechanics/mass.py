@@ -1,0 +1,197 @@
+"""The part ``mass``: a point mass at a displacement pin."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core.domains import DISPLACEMENT
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Length, Mass, Section, Velocity
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Param, positive
+from kc2spice.parts.mechanics._touching import Surface, Touching
+from kc2spice.physics import Declaration, DeclaredPart, displacement
+from kc2spice.physics.declaration import shake
+from kc2spice.scene.checks import Metric
+from kc2spice.scene.compose import free, rigid
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    GovernedScene,
+    Part,
+    Scene,
+    WiredScene,
+)
+from kc2spice.scene.parttype import register
+from kc2spice.scene.plausible import dimensions
+from kc2spice.scene.rows import Rest, Shake
+from kc2spice.scene.settings import Probe
+
+_FRAME = "frame"  # pin of the acceleration of a frame; of a second one frame2
+
+
+class MassKeys(Section):
+    """``F = m x''``, less ``m g`` with ``weight``. Joined to a body whose ``base`` is shaken with
+    an acceleration ``a``, ``x`` is relative to that frame and the force ``-m a`` acts besides.
+    Where something holds it, a transient begins in equilibrium, unless ``position`` or
+    ``velocity`` is given; where nothing does, it begins there.
+    """
+
+    mass: Mass = Field(gt=0, description="Mass of the rigid body")
+    weight: bool = Field(False, description="Whether gravity acts on the mass")
+    position: Length = Field(
+        0.0, description=("Position at t = 0; by default that of equilibrium, or 0 for a free mass")
+    )
+    velocity: Velocity = Field(
+        0.0, description=("Velocity at t = 0; by default that of equilibrium, or 0 for a free mass")
+    )
+
+
+def _frames(count: int) -> list[str]:
+    """Pins of the accelerations of a frame: ``frame``, ``frame2``, ``frame3``."""
+    return [_FRAME + str(k) * (k > 1) for k in range(1, 1 + count)]
+
+
+@cache
+def point_mass(
+    mass: float,
+    gravity: float = 0.0,
+    position: float = 0.0,
+    velocity: float = 0.0,
+    shaken: tuple[float, ...] = (),
+) -> Declaration:
+    """The physics of a mass at the pin ``a``, in a frame whose accelerations are ``shaken`` times
+    along its displacement: with the shares s, ``F = m x'' + m g + m sum_k s_k a_k``."""
+    ends = _frames(len(shaken))
+    shares = [f"along_{end}" for end in ends]
+    pulled = "+".join(f"mass*{share}*a_{end}" for share, end in zip(shares, ends, strict=True))
+    return Declaration(
+        "mass",
+        "point mass",
+        Section,
+        (displacement("x", "a", "base"), *(shake(f"a_{end}", end, "base") for end in ends)),
+        kinetic="0.5*mass*x_rate^2",
+        energy="mass*gravity*x",
+        forces={"x": pulled} if ends else {},
+        starts={"x": ("position", "velocity")},
+        given=(
+            positive("mass", mass, "kg", "mass"),
+            Param("gravity", gravity, "m/s2", "gravity, downwards"),
+            Param("position", position, "m", "at t = 0, used with uic"),
+            Param("velocity", velocity, "m/s", "at t = 0, used with uic"),
+            *(
+                Param(share, value, "-", f"share of {end} along the displacement of a")
+                for share, end, value in zip(shares, ends, shaken, strict=True)
+            ),
+        ),
+        rating="none: rigid",
+        validity="rigid, in vacuum, at any temperature",
+        sign="um and N count along the pin's direction; 1 A into a pin pushes it that way",
+    )
+
+
+class PointMass(Touching, DeclaredPart):
+    name, title, schema = "mass", "point mass at a displacement pin", MassKeys
+
+    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
+        keys, gravity = part.keys, scene.gravity if part.keys.weight else 0.0
+        shares = tuple(float(shake.along or 0.0) for shake in _shakes(part, scene))
+        return point_mass(keys.mass, gravity, keys.position, keys.velocity, shares)
+
+    follows_frames = True
+
+    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+        """Its pins for the accelerations of a frame are where the body has those."""
+        shakes = _shakes(part, scene)
+        pins = zip(_frames(len(shakes)), shakes, strict=True)
+        return {pin: ".".join(shake.pin) for pin, shake in pins}
+
+    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
+        falls = part.keys.weight and scene.gravity
+        return Rest((("base", GROUND),), pushed=("a",) if falls else (), inert=("a",))
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        if _has_initial_state(part) and scene.analysis.type != "transient":
+            problem = "a position or velocity at t = 0 begins a transient"
+            yield part.wrong("", problem, f"analysis {scene.analysis.type}", "neither of them")
+        yield from dimensions(part.name, part.keys)
+
+    def settable(self, part: Part, build: Build) -> Mapping[str, float]:
+        state = self.begins(part, build)
+        if state is None:
+            return {}
+        inner = f"x{part.name.lower()}"
+        return {f"{inner}.place_x": DISPLACEMENT.per_unit * state[0], f"{inner}.speed_x": state[1]}
+
+    def surface(self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface:
+        return Surface(part.name, ("a",), (0.0,))
+
+    def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
+        """Position [m] and velocity [m/s] at which it begins, None where it begins in equilibrium.
+
+        Of masses that are fixed to each other the first one begins, the others follow.
+
+        Raises
+        ------
+        UsageError : a state is given, but what it is fixed to has its own.
+        """
+        scene, keys = build.scene, part.keys
+        state = keys.position, keys.velocity
+        if _has_initial_state(part):
+            for name, pin in scene.joined(part.name, "a"):
+                other = scene.parts[name]
+                moved = other.type.name == part.type.name or other.reduced
+                if moved or scene.records[name].rest.ideal:
+                    problem = "begins where and as fast as what it is fixed to"
+                    hint = "a stiff spring between both lets each have its own"
+                    got, expected = f"{name}.{pin} on the same net", "neither position nor velocity"
+                    raise part.wrong("", problem, got, expected, hint)
+            return state
+        if scene.analysis.type == "transient" and scene.initial_states:
+            return state
+        net = scene.nets[part.name, "a"]
+        group = next((group for group in free(scene, build.rests) if net in group.nets), None)
+        if group is None or group.bodies:
+            return None
+        fixed = next(nets for nets in rigid(scene) if net in nets)
+        masses = (m.name for m in scene.of(part.type.name) if scene.nets[m.name, "a"] in fixed)
+        return state if next(masses) == part.name else None
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Any]:
+        """None: a mass at rest on something stiff turns over less energy than the steps lose."""
+        return iter(())
+
+    def main_metrics(self, part: Part, build: Build) -> Mapping[str, Probe]:
+        if build.scene.analysis.type != "transient":
+            return {}
+        return {f"{part.name}_peak_m": Probe(of=f"{part.name}.x", take="max")}
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+        if "time" not in waves:
+            return {}
+        x, v = waves[f"{part.name}.x"], waves[f"{part.name}.v"]
+        return {
+            f"{part.name}_peak_m": Metric(float(x.max()), "m"),
+            f"{part.name}_speed_m_s": Metric(float(np.abs(v).max()), "m/s"),
+        }
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+        yield f"mass {part.keys.mass:g}"
+
+
+def _shakes(part: Part, scene: GovernedScene) -> tuple[Shake, ...]:
+    """Accelerations that shake its frame."""
+    frame = scene.frames.get((part.name, "a"))
+    return () if frame is None else frame.shakes
+
+
+def _has_initial_state(part: Part) -> bool:
+    return bool({"position", "velocity"} & part.keys.model_fields_set)
+
+
+register(PointMass())

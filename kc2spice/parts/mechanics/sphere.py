@@ -1,0 +1,371 @@
+"""The sphere: one vertical degree of freedom, ``m y'' = sum of forces - m g``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from kc2spice.core import laws
+from kc2spice.core.errors import UsageError
+from kc2spice.core.figure import Curve, Figure, Panel, Shape
+from kc2spice.core.quantities import AIR_DENSITY, Density, Length, Section, Velocity
+from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.fem.materials import Material, material
+from kc2spice.netlist.circuit import positive
+from kc2spice.parts.mechanics._touching import Surface, Touching, pair_of
+from kc2spice.parts.mechanics.mass import point_mass
+from kc2spice.physics import Declaration, DeclaredPart, displacement
+from kc2spice.physics.part import pins_of
+from kc2spice.scene.checks import Balance, Gate, Metric, stepping
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+    WiredScene,
+)
+from kc2spice.scene.parttype import pin_forces, register
+from kc2spice.scene.plausible import within
+from kc2spice.scene.rows import Neglected, Rest, State, Vector
+from kc2spice.scene.settings import Probe
+from kc2spice.synthesis.header import SIGN
+
+AIR_VISCOSITY = 1.825e-5  # Pa s
+STEEL_DENSITY = 7850.0  # kg/m^3
+AT_REST = State(0.0, 0.0)
+SETTLING_BAND = 0.05  # relative to the step from rest to set point
+WORK = 1e-4  # share of the work that may be unexplained; then a launch is wrong by about 1e-3
+
+
+def _default_density(keys: dict[str, Any]) -> float:
+    """Density [kg/m^3] of the material of a sphere, that of steel without one."""
+    material = keys.get("material")
+    return STEEL_DENSITY if material is None else _stuff(material).density
+
+
+def _stuff(name_or_table: str | dict[str, Any]) -> Material:
+    try:
+        return material(name_or_table, "sphere.material")
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+
+
+class SphereKeys(Section):
+    """Sphere, vertical motion only; rigid unless ``elastic``."""
+
+    radius: Length = Field(1e-3, gt=0, description="Radius of the sphere")
+    material: str | dict[str, Any] | None = Field(
+        None,
+        description=(
+            "Material of the sphere, for contacts that need its modulus; steel where it is elastic"
+        ),
+    )
+    density: Density = Field(
+        default_factory=_default_density,
+        gt=0,
+        description="Density of the sphere; by default that of its material, or of steel",
+    )
+    elastic: bool | dict[str, Any] | None = Field(
+        None,
+        description=(
+            "Whether the sphere deforms under contact.shape = pressure, or a table of damping, "
+            "mesh and rom; by default rigid"
+        ),
+    )
+    velocity: Velocity = Field(
+        0.0, description="Velocity at t = 0; a value other than zero skips the operating point"
+    )
+    height: Length = Field(
+        0.0, description="Height of the sphere's lowest point at t = 0, with a velocity"
+    )
+
+    @field_validator("material")
+    @classmethod
+    def _known(cls, material: str | dict[str, Any] | None) -> str | dict[str, Any] | None:
+        """Refuse a material that is not in the table."""
+        if material is not None:
+            _stuff(material)
+        return material
+
+    @field_validator("elastic")
+    @classmethod
+    def _rigid(cls, elastic: bool | dict[str, Any] | None) -> bool | dict[str, Any] | None:
+        """A sphere that is not elastic has no such key."""
+        return None if elastic is False else elastic
+
+    @property
+    def mass(self) -> float:
+        """Mass of the whole sphere [kg]."""
+        return 4 / 3 * math.pi * self.radius**3 * self.density
+
+
+def rigid_sphere(
+    mass: float, radius: float, gravity: float, velocity: float = 0.0, height: float = 0.0
+) -> Declaration:
+    """Declaration of a sphere by the height x of its lowest point above first touch.
+
+    With the height of the centre, an indentation of a picometre would be lost in rounding. Without
+    ``uic`` ngspice starts from the operating point.
+    """
+    declaration = point_mass(mass, gravity, height, velocity)
+    weight, pull, place, fast = declaration.given
+    size = positive("radius", radius, "m", "radius of the sphere")
+    place = replace(place, name="height", doc="of the lowest point at t = 0, used with uic")
+    return replace(
+        declaration,
+        title=Sphere.title,
+        branches=(displacement("x", "bottom", "base"),),
+        starts={"x": ("height", "velocity")},
+        outputs={"y": "x + radius"},
+        speeds={"bottom": "v"},
+        given=(weight, size, pull, fast, place),
+        base="base",
+        validity=f"{declaration.valid_range}; moves along its axis only",
+        sign=SIGN,
+    )
+
+
+class Sphere(Touching, DeclaredPart):
+    name = "sphere"
+    title = "rigid sphere, vertical motion"
+    schema = SphereKeys
+
+    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
+        keys, begin = part.keys, scene.initial_states.get(part.name, AT_REST)
+        return rigid_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
+
+    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+        if (elastic := part.keys.elastic) is None:
+            return {}
+        table = {"part": "elastic_sphere", "of": part.name, "at": (part.name, "elastic")}
+        return {_carried(part): table if elastic is True else {**elastic, **table}}
+
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+        declared = () if _moved(part, scene) else pins_of(self.declared(part, scene))
+        return tuple(
+            Terminal(p.name, p.unit, p.flow, {"base": "gnd"}.get(p.name), signal_out=p.flow == "-")
+            for p in declared
+        )
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        bodies = [p.name for p in scene.parts.values() if p.reduced]
+        if bodies and not scene.of("contact") and scene.analysis.type == "transient":
+            yield UsageError(
+                "nothing touches the sphere",
+                where="contact",
+                got="no part of type contact",
+                expected=f"one between {part.name} and {', '.join(bodies)}",
+                hint=f"add [contact]: without it {part.name} falls through {bodies[0]}",
+            )
+        keys, name = part.keys, part.name
+        small = "grains below stick by adhesion, no transducer moves balls above"
+        yield from within(f"{name}.radius", keys.radius, "m", 1e-6, 0.1, small)
+        solid = "no solid is lighter than an aerogel or heavier than osmium"
+        yield from within(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
+
+    def surface(self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface:
+        keys, carried = part.keys, _carried(part)
+        known = keys.material is not None or carried
+        modulus = made_of(part).indentation_modulus if known else None
+        place = part.name, ("bottom",), (0.0,), "v"
+        return Surface(*place, radius=keys.radius, elastic=carried, modulus=modulus)
+
+    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+        r, label = part.keys.radius, f"{part.name}: radius {1e3 * part.keys.radius:g} mm"
+        yield Shape(0.0, r, 2 * r, 2 * r, "metal", label, round=True)
+
+    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, State]:
+        keys = part.keys
+        moving = keys.velocity or keys.height
+        return {part.name: State(keys.velocity, keys.height)} if moving else {}
+
+    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
+        if _moved(part, scene):
+            return Rest()
+        return Rest((("base", GROUND),), pushed=("v",) if scene.gravity else (), inert=("v",))
+
+    def settable(self, part: Part, build: Build) -> Mapping[str, float]:
+        joined = build.scene.joined(part.name, "v")
+        if (
+            joined
+            or build.scene.joined(part.name, "bottom")
+            or part.name in build.scene.initial_states
+        ):
+            return {}
+        # a sphere without support starts at rest at the height where it touches the body below
+        return {build.net(part, "v"): 0.0, build.net(part, "bottom"): 0.0}
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        return {f"{part.name}.{pin}": build.across(part, pin) for pin in ("y", "v")}
+
+    def main_metrics(self, part: Part, build: Build) -> Mapping[str, Probe]:
+        if build.scene.analysis.type != "transient" or part.name in build.scene.initial_states:
+            return {}
+        of = f"{part.name}.y"
+        return {
+            "peak_height_m": Probe(of=of, take="max"),
+            "final_position_m": Probe(of=of, take="final"),
+        }
+
+    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+        y = waves.data.get(f"{part.name}.y")
+        if y is None or "time" not in waves or part.name in build.scene.initial_states:
+            return {}
+        heights = {"peak_height_m": float(y.max()), "final_position_m": float(y[-1])}
+        result = {name: Metric(value, "m") for name, value in heights.items()}
+        v = waves.data.get(f"{part.name}.v")
+        rising = v is not None and y[-1] == y.max() and v[-1] > 0
+        return result | {"still_rising": Metric(True)} if rising else result
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Balance | Gate]:
+        """Work of all forces on the sphere against its kinetic energy.
+
+        The scale is all work that was turned over, in whichever direction.
+        """
+        if "time" not in waves or f"{part.name}.v" not in waves:
+            return
+        scene, words, of = build.scene, f"height of {part.name}", f"{part.name}.y"
+        if part.name not in scene.initial_states:
+            limit, default = scene.gates.trajectory, {"ngspice_vs_rom": stepping(scene.solver)}
+            if limit is None:
+                yield Gate(f"{words} over its way", of, default, "travel")
+            else:
+                yield Gate(words, of, {"ngspice_vs_rom": limit}, "absolute", "m")
+        t, v, mass = waves["time"], waves[f"{part.name}.v"], part.keys.mass
+        forces = {"weight": np.full_like(t, -mass * build.scene.gravity)}
+        acting = pin_forces(build, waves)
+        for name, pin in scene.joined(part.name, "v"):
+            if (name, pin) not in acting:
+                return
+            forces[name] = acting[name, pin]
+        work = {name: running(f * v, t) for name, f in forces.items()}
+        kinetic = mass * (v**2 - v[0] ** 2) / 2
+        turnover = sum(float(np.trapezoid(np.abs(f * v), t)) for f in forces.values())
+        entries = {f"work of the {name}": float(w[-1]) for name, w in work.items()}
+        gap = kinetic - sum(work.values())
+        entries["kinetic"] = mass * float(v[-1] ** 2) / 2
+        if v[0] != 0.0:
+            entries["kinetic at the start"] = mass * float(v[0] ** 2) / 2
+        advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
+        yield Balance(entries, abs(float(gap[-1])), turnover, WORK, advice)
+
+    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+        y = waves.data.get(f"{part.name}.y")
+        if y is None or "time" not in waves:
+            return
+        aims = [pid for pid in build.scene.of("pid") if controlled(pid, build.scene) is part]
+        goals = [(1e3 * pid.keys.setpoint, 1e3 * settling_band(pid, part)) for pid in aims]
+        levels = tuple((goal, "set point, ±5 % of the step") for goal, _ in goals)
+        bands = tuple((goal - band, goal + band, "") for goal, band in goals)
+        path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
+        panel = Panel("time in ms", "height of the centre in mm", (path,), levels, bands)
+        caption = f"Vertical position of {part.name}."
+        title = f"Path of {part.name}"
+        yield Figure(f"{part.name}_trajectory", title, caption, (panel,), main=True)
+
+    def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
+        n, scene, states = part.name, build.scene, build.scene.initial_states
+        if not states and (scene.joined(n, "v") or scene.joined(n, "bottom")):
+            return None
+        begin = states.get(n, AT_REST)
+        return begin.height, begin.velocity
+
+    def law(self, part: Part, build: Build) -> laws.Equations:
+        n, result = part.name, super().law(part, build)
+        height = laws.reading(f"{n}.bottom", constant=part.keys.radius)
+        pins = tuple((pin, f"{n}.bottom") for pin in ("v", "bottom", "y"))
+        results = {f"{n}.y": height, f"{n}.v": result.results[f"{n}.v"]}
+        return replace(result, pins=pins, results=results)
+
+    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+        keys = part.keys
+        yield f"{keys.mass * 1e6:.4g} mg, vertical motion, gravity {scene.gravity:g} m/s2"
+        linear = any(contact.keys.law == "linear" for contact in scene.of("contact"))
+        if linear and part.keys.elastic is None:
+            why = f"the part is rigid unless {part.name}.elastic"
+            yield Neglected("elasticity of the sphere", why, _softer(part, scene))
+        if scene.analysis.type == "transient":
+            yield _air_drag(part.keys)
+            why = "the part moves along one axis"
+            yield Neglected("rotation and sideways motion of the sphere", why, "not estimated")
+
+
+def sphere_of(part: Part, scene: DeclaredScene) -> Part:
+    """The sphere that another part throws, pushes or pulls."""
+    return scene.partner(part, "sphere", "of")
+
+
+def made_of(part: Part) -> Material:
+    """The sphere's material, steel if nothing is said, with the sphere's density."""
+    return replace(_stuff(part.keys.material or "steel"), density=part.keys.density)
+
+
+def _carried(part: Part) -> str:
+    """The part that is its elasticity, "" where it is rigid."""
+    return "" if part.keys.elastic is None else f"{part.name}_elastic"
+
+
+def controlled(pid: Part, scene: DeclaredScene) -> Part | None:
+    """The sphere whose height a controller controls."""
+    return scene.parts.get(pid.keys.of) if pid.keys.of else scene.only("sphere")
+
+
+def settling_band(pid: Part, ball: Part) -> float:
+    """Half the width [m] of the band around the set point in which it has settled."""
+    return SETTLING_BAND * abs(float(pid.keys.setpoint - ball.keys.radius))
+
+
+def _moved(part: Part, scene: GovernedScene) -> bool:
+    """Whether another part prescribes its motion, so that it has none of its own."""
+    return scene.movers.get(part.name) is not None
+
+
+def offset(part: Part, pin: str, scene: WiredScene) -> float:
+    """Offset of a pin for the height of a centre from its law's coordinate [m]."""
+    ball = _read(part, pin, scene)
+    return 0.0 if ball is None else float(ball.keys.radius)
+
+
+def beginning(part: Part, pin: str, scene: WiredScene) -> float | None:
+    """Height of the centre [m] that a pin reads at t = 0, None where an operating point says it."""
+    ball, states = _read(part, pin, scene), scene.initial_states
+    if ball is None or not states:
+        return None
+    return float(ball.keys.radius + states.get(ball.name, AT_REST).height)
+
+
+def _read(part: Part, pin: str, scene: WiredScene) -> Part | None:
+    """The sphere whose height a pin reads."""
+    heights = (scene.parts[n] for n, other in scene.joined(part.name, pin) if other == "y")
+    return next((item for item in heights if item.type.name == Sphere.name), None)
+
+
+def _softer(part: Part, scene: GovernedScene) -> str:
+    """How much softer the contact with an elastic sphere would be, of steel if nothing is said."""
+    sphere_modulus = made_of(part).indentation_modulus
+    under = (pair_of(contact, scene).a.modulus for contact in scene.of("contact"))
+    result = [modulus / sphere_modulus for modulus in under if modulus is not None]
+    return f"the dent would be {100 * max(result):.0f} % softer" if result else "not estimated"
+
+
+def _air_drag(keys: SphereKeys) -> Neglected:
+    """Schiller-Naumann drag on a sphere at 1 m/s, against its weight."""
+    speed = 1.0
+    reynolds = AIR_DENSITY * speed * 2 * keys.radius / AIR_VISCOSITY
+    coefficient = 24 / reynolds * (1 + 0.15 * reynolds**0.687)
+    area = math.pi * keys.radius**2
+    drag = 0.5 * AIR_DENSITY * speed**2 * area * coefficient
+    share = drag / (keys.mass * 9.81)
+    return Neglected("drag of the air", "small", f"{share:.2g} of the weight at 1 m/s")
+
+
+register(Sphere())
