@@ -60,7 +60,7 @@ def test_verify_counts_in_time_the_films_error_at_the_frequencies_of_the_run(
     sine = 'sine = { amplitude = "1 mN", frequency = "2 MHz" }'
     (tmp_path / "film.toml").write_text(text.replace('ac = "1 uN"', sine))
     scene = load_scene(tmp_path / "film.toml", [f"g.film.branches={branches}"])
-    record = verify.verify([scene], tmp_path / "out")["scenes"]["film"]
+    record = verify.verify_scenes([scene], tmp_path / "out")["scenes"]["film"]
     (film,) = (c for c in record["checks"] if "branches of the film" in c["name"])
     assert film["passed"] is passed
     assert (film["value"] > 0.05) is not passed
@@ -101,7 +101,7 @@ def test_verify_halves_the_mesh_of_a_body(refine, passed, tmp_path, monkeypatch)
     quarter of its size by what verify finds."""
     monkeypatch.setitem(COARSE_MESH, "first resonance", 1e-3)
     scene = load_scene(DISC, {"disc.mesh.refine": refine})
-    record = verify.verify([scene], tmp_path / "out")["scenes"][scene.name]
+    record = verify.verify_scenes([scene], tmp_path / "out")["scenes"][scene.name]
     (found,) = (c for c in record["checks"] if "half as wide, first resonance" in c["name"])
     assert found["passed"] is passed
     assert {"capacitance", "stroke"} <= {c["name"].split(", ")[-1] for c in record["checks"]}
@@ -116,7 +116,7 @@ def test_verify_halves_the_mesh_of_a_body(refine, passed, tmp_path, monkeypatch)
 def test_a_mesh_that_is_too_large_to_halve_is_noted(tmp_path, monkeypatch):
     monkeypatch.setattr(verify, "FEW_UNKNOWNS", 100)
     scene = load_scene(DISC)
-    record = verify.verify([scene], tmp_path / "out")["scenes"][scene.name]
+    record = verify.verify_scenes([scene], tmp_path / "out")["scenes"][scene.name]
     assert not any("half as wide" in check["name"] for check in record["checks"])
     (note,) = (note for note in record["notes"] if note.startswith("disc: no mesh half as wide"))
     assert re.search(r"\(\d+ unknowns, more than 400\); error estimate of its mesh", note)
@@ -134,7 +134,7 @@ FLIGHT = {
 def test_verify_has_more_heights_of_a_field_in_time(positions, passed, tmp_path):
     """A spline through five heights misses the field between them, and with it the flight."""
     scene = load_scene(FLIGHT, {"catch.positions": positions})
-    record = verify.verify([scene], tmp_path / "out")["scenes"][scene.name]
+    record = verify.verify_scenes([scene], tmp_path / "out")["scenes"][scene.name]
     (flight,) = (c for c in record["checks"] if "times the positions of catch" in c["name"])
     assert flight["passed"] is passed
     meshes = {c["name"]: c for c in record["checks"] if "mesh of catch half as wide" in c["name"]}
@@ -158,7 +158,7 @@ SHAKER = {
 @pytest.mark.parametrize(("tolerance", "passed"), [(0.09, False), (1e-5, True)])
 def test_verify_has_a_closer_field_of_a_magnet_in_time(tolerance, passed, tmp_path):
     scene = load_scene(SHAKER, {"magnet.tolerance": tolerance})
-    record = verify.verify([scene], tmp_path / "out")["scenes"][scene.name]
+    record = verify.verify_scenes([scene], tmp_path / "out")["scenes"][scene.name]
     (height,) = (c for c in record["checks"] if "a tenth of its tolerance" in c["name"])
     assert height["passed"] is passed
 

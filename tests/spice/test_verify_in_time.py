@@ -23,7 +23,7 @@ SCENE = {
 @pytest.mark.parametrize(("branches", "passed"), [(3, False), (16, True)])
 def test_too_few_branches_of_a_film_fail_in_time(tmp_path, branches, passed):
     scene = load_scene(SCENE, {"plate.film.branches": branches})
-    record = module.verify([scene], tmp_path / "out")["scenes"]["film"]
+    record = module.verify_scenes([scene], tmp_path / "out")["scenes"]["film"]
     (film,) = (c for c in record["checks"] if "times the film's branches" in c["name"])
     assert film["passed"] is passed
     assert (film["value"] > 0.05) is not passed
@@ -34,7 +34,7 @@ def test_a_finer_integration_that_takes_too_long_is_given_up(tmp_path, monkeypat
     monkeypatch.setattr(module, "LONGER", 0.0)
     monkeypatch.setattr(module, "SPARE", 0.0)
     scene = load_scene(SCENE, {"plate.film.branches": 3})
-    record = module.verify([scene], tmp_path / "out")["scenes"]["film"]
+    record = module.verify_scenes([scene], tmp_path / "out")["scenes"]["film"]
     assert any("given up after 0 s" in note for note in record["notes"])
     (film,) = (c for c in record["checks"] if "3 branches of the film" in c["name"])
     assert film["passed"] is False
