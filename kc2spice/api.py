@@ -89,7 +89,8 @@ def build(scene: AnyScene) -> dict[str, LinearModel]:
     >>> print(f"{1e3 * models['plate'].facts['mass_kg']:.3f} g")
     1.178 g
     """
-    from kc2spice.parts.bodies._linear_body import LinearBody, full_alone
+    from kc2spice.parts.bodies._body_model import full_alone
+    from kc2spice.parts.bodies._linear_body import LinearBody
 
     loaded = load_scene(scene)
     return {

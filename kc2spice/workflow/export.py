@@ -13,7 +13,8 @@ from kc2spice.netlist.printers.dialect_registry import deck_dialects, dialect_na
 from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.netlist.transforms import array_deck
 from kc2spice.netlist.translate import dialect_files, symbol_files
-from kc2spice.parts.bodies._linear_body import LinearBody, reduction_target
+from kc2spice.parts.bodies._body_model import reduction_target
+from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve

@@ -23,8 +23,9 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.fem.body_keys import Damping
+from kc2spice.parts.bodies._body_model import loss_tangent
 from kc2spice.parts.bodies._box import Varied, number_of, ranged
-from kc2spice.parts.bodies._linear_body import LinearBody, loss_tangent
+from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.report.pages import write_fit
 from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear_model import LinearModel

@@ -20,8 +20,10 @@ from typing import Any
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
+from kc2spice.parts.bodies._body_checks import TWICE
+from kc2spice.parts.bodies._body_model import reduction_target
 from kc2spice.parts.bodies._box import varied
-from kc2spice.parts.bodies._linear_body import TWICE, LinearBody, reduction_target
+from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.checks import Check

@@ -30,7 +30,8 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.netlist.translate import dialect_files, symbol_files
-from kc2spice.parts.bodies._linear_body import LinearBody, full_alone, scene_band
+from kc2spice.parts.bodies._body_model import full_alone, scene_band
+from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.band import SMALL, natural_band
 from kc2spice.rom.branch_fit import one_port
 from kc2spice.rom.constraints import reduced_form

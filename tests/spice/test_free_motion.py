@@ -5,7 +5,7 @@ import pytest
 from device import both
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.bodies._linear_body import inert_ports
+from kc2spice.parts.bodies._body_ports import inert_ports
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.load import load_scene
 

@@ -16,7 +16,7 @@ from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core import cache
 from kc2spice.core.cache import cached
 from kc2spice.core.progress import Clock, silent
-from kc2spice.parts.bodies import _linear_body
+from kc2spice.parts.bodies import _body_model
 from kc2spice.parts.magnetics import ring_magnet_coils
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.models import build_models
@@ -204,7 +204,7 @@ def test_every_module_that_a_build_runs_is_part_of_its_key(scene, monkeypatch):
         )  # fmt: skip
         return result
 
-    for module in (_linear_body, ring_magnet_coils):
+    for module in (_body_model, ring_magnet_coils):
         monkeypatch.setattr(module, "cached", watched)
     build_models(load_scene(scene, list(BODIES[scene])), Clock(silent))
     assert missed

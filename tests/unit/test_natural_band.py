@@ -49,7 +49,7 @@ def test_unknowns_without_inertia_suggest_no_band():
 
 def test_a_body_of_a_scene_is_reduced_over_the_band_of_the_scene():
     model = _scene_body("buzzer_7bb_20_6:disc")
-    from kc2spice.parts.bodies._linear_body import scene_band
+    from kc2spice.parts.bodies._body_model import scene_band
     from kc2spice.scene.load import load_scene
 
     scene = load_scene("buzzer_7bb_20_6")

@@ -26,7 +26,8 @@ from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.bodies._linear_body import COARSE_MESH, LinearBody, LinearKeys
+from kc2spice.parts.bodies._body_model import LinearKeys
+from kc2spice.parts.bodies._linear_body import COARSE_MESH, LinearBody
 from kc2spice.parts.bodies._neglected import (
     Envelope,
     beam_envelope,

@@ -43,7 +43,7 @@ from kc2spice.fem import mesh_file
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import CylindricalAxes, Material, material
 from kc2spice.fem.solid import Solid
-from kc2spice.parts.bodies._linear_body import file_stamp
+from kc2spice.parts.bodies._body_model import file_stamp
 from kc2spice.parts.bodies._meshed import FieldKeys, MeshedBody
 from kc2spice.parts.bodies._neglected import Envelope, box_envelope
 from kc2spice.parts.bodies._pictures import edges

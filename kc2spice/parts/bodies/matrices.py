@@ -16,7 +16,8 @@ from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.figure import Shape
 from kc2spice.core.progress import Clock
 from kc2spice.core.untrusted_files import file_in_folder
-from kc2spice.parts.bodies._linear_body import LinearBody, LinearKeys, file_stamp
+from kc2spice.parts.bodies._body_model import LinearKeys, file_stamp
+from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.model import (
     DeclaredScene,

@@ -19,7 +19,8 @@ from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, si
 from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import material
-from kc2spice.parts.bodies._linear_body import SOURCES, aim, reduction_target, required_ports
+from kc2spice.parts.bodies._body_model import SOURCES, aim, reduction_target
+from kc2spice.parts.bodies._body_ports import required_ports
 from kc2spice.parts.bodies._meshed import FieldKeys, MeshedBody
 from kc2spice.parts.bodies._neglected import Envelope, disc_air
 from kc2spice.parts.electronics.netlist import driver

@@ -13,7 +13,8 @@ from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.fem.body_keys import Damping, Mesh
-from kc2spice.parts.bodies._linear_body import LinearBody, LinearKeys
+from kc2spice.parts.bodies._body_model import LinearKeys
+from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.mechanics._touching import PATCH, Surface, pair_of
 from kc2spice.parts.mechanics.sphere import made_of
 from kc2spice.rom.linear_model import LinearModel, Port

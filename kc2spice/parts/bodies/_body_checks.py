@@ -1,0 +1,275 @@
+"""Checks of a linear part after a run: reduced model, band, rating and energy balance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from kc2spice.core.cache import cached
+from kc2spice.core.domains import TRANSLATION
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.progress import Clock
+from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.netlist.spelling import LEAK_RATE
+from kc2spice.parts.bodies._body_model import reduction_target
+from kc2spice.parts.bodies._body_netlist import BodyNetlist
+from kc2spice.parts.bodies._body_ports import contacts_on, flow_name, wave_name
+from kc2spice.parts.bodies._box import varied
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
+from kc2spice.rom.modal import chip_response, resonators
+from kc2spice.rom.stability import prove_stability
+from kc2spice.scene.checks import Balance, Check
+from kc2spice.scene.model import (
+    Build,
+    Part,
+)
+from kc2spice.scene.parttype import pin_forces
+from kc2spice.synthesis.realize import (
+    COARSE,
+)
+
+BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
+OUTSIDE = "nothing certifies what a reduced model says above its band: widen rom.band"
+TWICE = 2  # states of a reduced model that is advised, per state of one that is too coarse
+WRONG, COARSE_ROM = 0.1, 0.01  # certified relative errors that fail a run, or are warned of
+# Error of a port's compliance above the band. A body in contact with a larger one is judged by
+# the loads of the run. Measured: at most 0.20 for shipped kicks, whose error is below 0.3 % (rms);
+# at least 0.53 for chips of 7 to 12 states, whose error is 2 to 3 %.
+UNLIKE = 0.3
+REDUCED = "the reduced model is that far off somewhere in its band: set rom.tolerance, or rom.order"
+LOADED = "rms of displacement or charge, under the run's own loads"
+FEWER = "a model of {} states answers the run's own forces and voltages that differently: set {}"
+SHARP = (
+    "the reduced model is that far off at some frequency of its band, such as a sharp resonance, "
+    "and what rings on after the loads of this run drifts out of phase: set rom.tolerance, or a "
+    "larger rom.order, if that ringing matters"
+)
+GROWS = "the body has motions that grow by themselves: check signs and halves of its matrices"
+LOST = "the full model has motions that grow by themselves, and the reduced one does not hold them"
+STEEP = "its current within an edge is off: widen rom.band, or give the drive the edge that it has"
+TOUCHED = "what touches the body excites motions that the reduced one does not have: widen rom.band"
+RESONANT = 1.5  # times its lowest resonance: a kick whose band ended below that was 2 % off
+STILL = 1e-9  # distance of equal time points, relative to the duration of a run
+KEPT = 1e-4  # share of a floating electrode's charge that a run may lose by the netlist's leak
+STORED = 0.1  # limit relative to the stored energy; after a pulse a chip rings at up to 30 MHz
+UNPRESSED = 1e-9  # zero load, relative to the largest force or energy; far above rounding
+
+
+class BodyChecks(BodyNetlist):
+    """A linear part that judges its reduced model by the loads of a run."""
+
+    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
+        """Yield the checks of a reduced body after a run.
+
+        They are the error of the reduced model, the stability of the full model, the band and the
+        rating. After a transient, the energy balance, the band of the excitation and the charge of
+        floating electrodes follow.
+        """
+        model = build.model(part, LinearModel)
+        result = model.certificate
+        if result is not None:
+            yield from self._reduced(part, build, waves, result)
+            if result.stable is False:
+                full_is_stable = prove_stability(model.pencil.dense(), result.band_hz).stable
+                advice, then = (LOST, "fail") if full_is_stable else (GROWS, "warn")
+                yield Check(f"stability of {part.name}", 1.0, 0.0, "", advice, then)  # type: ignore[arg-type]
+        if result is not None and "frequency" in waves:
+            highest = float(waves["frequency"].real.max())
+            limit = (1 + 1e-9) * result.band_hz[1]  # a last point that is rounded
+            yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE, "warn")
+        yield from self._within_rating(part, build, waves)
+        if "time" not in waves:
+            return
+        if (balance := self._balance(part, build, waves)) is not None:
+            yield balance
+        if result is not None:
+            yield from self._excited(part, build, waves, result)
+        yield from self._leaked(part, build)
+
+    def _within_rating(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+        """Whether the voltage at each electrode stays within its rating.
+
+        Of a response to small signals the amplitude counts, at the voltages that the scene states.
+        """
+        volts, ports = self.rated(part, build), self.used_ports(part, build.scene)
+        if volts is None:
+            return
+        for port in ports:
+            name = wave_name(part.name, ports, port)
+            if port.paired and f"{name}.voltage" in waves:
+                largest = float(np.abs(waves[f"{name}.voltage"]).max())
+                yield Check(f"rating of {name}", largest, volts, "V", BEYOND, "warn")
+
+    def _leaked(self, part: Part, build: Build) -> Iterator[Check]:
+        """Check of the charge that a floating electrode loses through the netlist's leak."""
+        leaked = -math.expm1(-build.scene.stop * LEAK_RATE)
+        ports = [p.name for p in build.model(part, LinearModel).ports if p.paired]
+        for port in ports if leaked > KEPT else ():
+            name = f"charge kept by {part.name}.{port} if it floats"
+            advice = "the netlist's leak: a resistor across the electrode states the real one"
+            yield Check(name, leaked, KEPT, "of it lost", advice, "warn")
+
+    def _reduced(
+        self, part: Part, build: Build, waves: Waveforms, certificate: Certificate
+    ) -> Iterator[Check]:
+        """How far its reduced model is off: at the worst frequency of its band; in a transient,
+        where that is too much or a contact excites what the model lacks, under the recorded loads.
+
+        A pointwise error at a sharp resonance is no error of what the loads do, and a small one is
+        no error of what loads above the band do. The recorded forces and voltages weight the error
+        by their spectrum: a model of more states answers them too.
+        """
+        name, error = part.name, certificate.error_estimate
+        unlike = max((size for _, size in certificate.above), default=0.0) > UNLIKE
+        contact = unlike and any(contacts_on(part, build.scene))
+        loaded = None
+        if "time" in waves and (error > WRONG or contact):
+            loaded = self.error_under_load(part, build, waves, build.model(part, LinearModel))
+        if loaded is None:
+            yield _reduction_check(name, error, "", REDUCED)
+            return
+        worst, states = loaded
+        model, target = build.model(part, LinearModel), reduction_target(part, build.scene)
+        order = TWICE * (target.order or model.order)
+        default = self._chosen(part, build.scene) is None and not varied(part)
+        key = "rom.order" if part.keys.rom is None and not default else f"{name}.rom.order"
+        advice = FEWER.format(states, f"{key} = {order}")
+        check = _reduction_check(name, worst, LOADED, advice)
+        more = {key: order, f"{name}.rom.band": list(certificate.band_hz)} if default else {}
+        yield replace(check, suggested=more, loaded=True)
+        yield Check(f"resonances of {name}", error, COARSE_ROM, "of a response", SHARP, "warn")
+
+    def error_under_load(
+        self, part: Part, build: Build, waves: Waveforms, model: LinearModel
+    ) -> tuple[float, int] | None:
+        """Largest error of the reduced ``model`` under the loads of a run while these change.
+
+        Also returns the states of the model that it is compared with. None if a load is not known,
+        or if no model with more states is known.
+        """
+        loads, certificate = self.loads(part, build, waves), model.certificate
+        if certificate is None or not all(name in loads for name in model.inputs):
+            return None
+        band = certificate.band_hz
+        from kc2spice.rom.enriched import last_change, time_errors
+
+        t, load = waves["time"], np.column_stack([loads[name] for name in model.inputs])
+        count = last_change(load) + 1
+        key = {**self.model_key(part, build.scene), "enriched": model.order}
+
+        def richer() -> LinearModel | None:
+            if self._lossy(part):
+                return None
+            try:
+                return self.orders(part, build.scene, Clock()).enriched(key["enriched"], band)
+            except (SimulationError, UsageError):
+                return None
+
+        kinds = (LinearModel, Certificate, Port)
+        rich = cached("enriched", key, richer, classes=kinds, sources=self.sources())
+        if rich is None or count < 2:
+            return None
+        driven = [port for port in model.ports if port.kind != "output"]
+        answered = [port.domain if port.charged else None for port in driven]
+        groups = [np.array([item is kind for item in answered]) for kind in dict.fromkeys(answered)]
+        errors = time_errors(model, rich, t[:count], load[:count], groups)
+        return None if errors is None else (max(errors.values(), default=0.0), rich.order)
+
+    def _excited(
+        self, part: Part, build: Build, waves: Waveforms, certificate: Certificate
+    ) -> Iterator[Check]:
+        """Whether its band holds what drives it: ``max |v'| / (pi (max v - min v))``, the frequency
+        of a sine and a third of the reciprocal of an edge; or its first resonance, which a contact
+        excites more than any drive."""
+        scene, t, high = build.scene, waves["time"], certificate.band_hz[1]
+        rows = scene.numerics
+        if any(row.decides for row in rows):
+            lowest = build.model(part, LinearModel).facts.get("resonance_short_hz")
+            if lowest is not None:
+                name = f"band of {part.name}, first resonance"
+                yield Check(name, RESONANT * lowest, high, "Hz", TOUCHED, "warn")
+            return
+        apart = np.diff(t) > STILL * t[-1]
+        for port in self.used_ports(part, scene):
+            if not port.paired or not apart.any():
+                continue
+            name = wave_name(part.name, build.model(part, LinearModel).ports, port)
+            voltage = waves.data.get(f"{name}.voltage")
+            if voltage is None or not np.ptp(voltage):
+                continue
+            slope = np.abs(np.diff(voltage)[apart] / np.diff(t)[apart]).max()
+            name = f"band of {part.name}, drive of {port.name}"
+            content = float(slope / (np.pi * np.ptp(voltage)))
+            yield Check(name, content, high, "Hz", STEEP, "warn")
+
+    def loads(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
+        """Loads of every kept port over time, in SI.
+
+        A load is a voltage, an acceleration, or the force of all parts joined to the port. Ports
+        whose force is not recorded are left out.
+        """
+        ports, result = self.used_ports(part, build.scene), dict[str, np.ndarray]()
+        still, acting = np.zeros(waves["time"].size), pin_forces(build, waves)
+        for port in ports:
+            name = wave_name(part.name, ports, port)
+            if not port.loaded:
+                wave = f"{name}.voltage" if port.paired else name
+                result[port.name] = waves.data.get(wave, still)
+                continue
+            joined = build.scene.joined(part.name, port.terminals[0])
+            if acting.keys() >= set(joined) and build.net(part, port.terminals[0]) != "0":
+                result[port.name] = sum((acting[end] for end in joined), start=still)
+        return result
+
+    def _balance(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:
+        """Work of voltage and forces on the body against its exact response to the same loads.
+
+        What the exact response takes in and does not store is damped. The electrical part needs the
+        body's current among the waveforms. The scale is the largest change of the energy stored, or
+        of what rounds it where nothing moves. Where the ringing is coarse, that is judged until
+        nothing presses on the body any more; else displacements [m] and charges [C] are exact.
+        """
+        model, t = resonators(build.model(part, LinearModel)), waves["time"]
+        domains = {port.domain for port in self.used_ports(part, build.scene)}
+        if model is None or not all(d is TRANSLATION or (d and d.charged) for d in domains):
+            return None
+        loads = self.loads(part, build, waves)
+        if len(loads) < len(model.ports):
+            return None
+        inputs = np.column_stack([loads[port.name] for port in model.ports])
+        outputs, stored = chip_response(model, t, inputs)
+        entries: dict[str, float] = {}
+        answers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        gap, damped = np.zeros(t.size), stored[0] - stored
+        for port, load, exact in zip(model.ports, inputs.T, outputs.T, strict=True):
+            took, name = running(load, exact), wave_name(part.name, model.ports, port)
+            damped = damped + took
+            if port.charged and port.domain is not None:
+                what, result = f"{port.domain.name} work", took
+                current = waves.data.get(flow_name(part.name, model.ports, port))
+                if current is not None:
+                    result = running(load * current, t)
+                    answers[f"charge of {name}"] = running(current, t) + exact[0], exact
+            else:
+                what, result = "work of the contact", running(load, waves[name])
+                answers[name] = waves[name], exact
+            entries[what] = entries.get(what, 0.0) + float(result[-1])
+            gap += result - took
+        entries |= {"stored": float(stored[-1]), "damped": float(damped[-1])}
+        if pressed := self.weights(part, build.scene) == COARSE:
+            forces = [loads[port.name] for port in model.ports if port.domain is TRANSLATION]
+            largest = np.abs(forces).max(axis=0, initial=0.0)
+            last = np.flatnonzero(largest > UNPRESSED * largest.max(initial=0.0)).max(initial=0)
+            gap = gap[: int(last) + 1]
+        scale = max(float(np.ptp(stored)), UNPRESSED * float(stored.max()))
+        exactly = {} if pressed else answers
+        return Balance(entries, float(np.abs(gap).max()), scale, STORED, exact=exactly)
+
+
+def _reduction_check(name: str, error: float, unit: str, advice: str) -> Check:
+    """A check of a reduced model's error, which warns before it fails."""
+    limit, action = (WRONG, "fail") if error > WRONG else (COARSE_ROM, "warn")
+    return Check(f"reduction of {name}", error, limit, unit, advice, action)  # type: ignore[arg-type]

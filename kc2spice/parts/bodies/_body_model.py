@@ -1,0 +1,386 @@
+"""Full and reduced models of a linear part, and the keys on which they depend."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import stat
+import warnings
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Field, StringConstraints
+
+from kc2spice.core.cache import cached
+from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.progress import Clock
+from kc2spice.core.quantities import Section, Voltage
+from kc2spice.parts.bodies._body_ports import BodyPorts, massless
+from kc2spice.parts.bodies._box import PARAMETERS, corners, varied, with_values
+from kc2spice.rom.complex_constants import ComplexConstants
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
+from kc2spice.rom.modal import resonators
+from kc2spice.rom.parametric import Loss, ParameterAxis
+from kc2spice.rom.varying import Varying
+from kc2spice.scene.model import (
+    GovernedScene,
+    Part,
+    Scene,
+)
+from kc2spice.scene.plausible import dimensions
+from kc2spice.scene.settings import Rom
+
+if TYPE_CHECKING:
+    from kc2spice.rom.enriched import Orders
+
+UNASKED = 1e-4  # tolerance over a box of parameters where an order is the default
+LEAST = 10e3  # Hz of a transient's band at least: what switches in the circuit is not known
+MOTIONS = 20  # natural frequencies that a band reaches unasked: above them the mesh decides
+# Keys of a body that change no model of it.
+_NO_MODEL = {"rom", "fields", "rated_voltage", "number"}
+# Packages and modules that every full and reduced model depends on.
+SOURCES = (
+    "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
+    "kc2spice.core.domains", "kc2spice.core.quantities", "kc2spice.core.gmsh_session",
+    "kc2spice.core.untrusted_files", "kc2spice.parts.bodies._box",
+)  # fmt: skip
+
+
+class LinearKeys(Section):
+    """Keys of every linear body."""
+
+    rom: Rom | None = None
+    number: Annotated[str, StringConstraints(min_length=1, max_length=40)] | None = Field(
+        None, description="Part number, the name of the exported library; SCENE_PART by default"
+    )
+    rated_voltage: Voltage | None = Field(
+        None,
+        gt=0,
+        description="Largest voltage between electrodes; by default that of the materials",
+    )
+
+
+class BodyModel(BodyPorts):
+    """A part whose model is a :class:`kc2spice.rom.linear_model.LinearModel`.
+
+    A subclass builds the :meth:`full` model of the whole device. The scene or the keys of the part
+    state to what order or tolerance, and over which band, it is reduced.
+    """
+
+    @abstractmethod
+    def full(self, part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
+        """The full model of the whole device."""
+
+    def varied(self, part: Part, scene: GovernedScene, clock: Clock, like: Part) -> LinearModel:
+        """:meth:`full` on the mesh that ``like`` has, a part of other values, moved to these."""
+        return self.full(part, scene, clock)
+
+    def full_key(self, part: Part, scene: GovernedScene) -> Mapping[str, Any]:
+        """Keys on which the full model depends."""
+        return {"keys": part.keys.model_dump(mode="json", exclude=_NO_MODEL)}
+
+    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+        yield from dimensions(part.name, part.keys)
+        yield from corners(part, scene)
+
+    def _chosen(self, part: Part, scene: Scene) -> Rom | None:
+        """The reduction that somebody chose: the body's own, which may as well say no more than
+        which keys are parameters of the netlist, else the scene's."""
+        specified: Rom | None = part.keys.rom
+        if specified is not None and specified.model_fields_set != {"parameters"}:
+            return specified
+        return scene.rom if "rom" in scene.frame.model_fields_set else None
+
+    def reduction(self, part: Part, scene: Scene) -> Rom:
+        """Settings of the keys; by default a tolerance over the band that the analysis uses.
+
+        In ``ac``, the band ends 20 % above the last frequency. In a transient, it contains what the
+        scene excites (:meth:`PartType.numerics`), up to the first :data:`MOTIONS` natural
+        frequencies of the body. The tolerance of 1e-3 is a tenth of usual mesh errors. It is above
+        the effect of rounding on a free thin plate, some 1e-4 at its resonances.
+        """
+        specified, result = part.keys.rom, self._chosen(part, scene)
+        if result is None and scene.analysis.small:
+            low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
+            result = Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
+        elif result is None:
+            content = max((row.content for row in scene.numerics), default=0.0)
+            result = Rom(tolerance=1e-4, band=(0.0, max(content, LEAST)))
+        if specified is None or result is specified:
+            return result
+        return result.model_copy(update={"parameters": specified.parameters})
+
+    def least_band_end(self, part: Part, scene: Scene) -> float | None:
+        """Least upper end of the band of a transient [Hz]; None if the user set the band.
+
+        It does not depend on the natural frequencies of the body.
+        """
+        if self._chosen(part, scene) is not None or scene.analysis.type != "transient":
+            return None
+        return max([LEAST, *(r.content for r in scene.numerics if math.isfinite(r.step))])
+
+    def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
+        rom = reduction_target(part, scene)
+        port_names = [port.name for port in self.used_ports(part, scene)]
+        settings = rom.model_dump(mode="json")
+        result = {
+            "type": self.name,
+            "full": self.full_key(part, scene),
+            "ports": port_names,
+            "rom": settings,
+        }
+        least_end = self.least_band_end(part, scene)
+        reached = {} if least_end is None else {"sure": least_end, "motions": MOTIONS}
+        return result | reached | {"massless": massless(part, scene)}
+
+    def varying(self, part: Part, scene: Scene, clock: Clock) -> Varying:
+        """The resonators over the box of ``rom.parameters``, which no value of these changes."""
+        keys = varied(part)
+        middle = with_values(part, {item.key: item.axis.middle for item in keys})
+        target, key = reduction_target(part, scene), self.model_key(middle, scene)
+        if loss_tangent(part):
+            problem = "a netlist with parameters has no loss of its dielectric"
+            raise wrong(f"{part.name}.damping.loss_tangent", problem, loss_tangent(part), "0")
+        if by_complex_constants(part):
+            problem = "a netlist with parameters has viscous damping"
+            raise wrong(f"{part.name}.damping.model", problem, "ieee176", "rayleigh")
+        if scene.analysis.type == "noise":
+            problem = "a netlist with parameters has no thermal noise of its losses"
+            raise wrong(
+                f"{part.name}.{PARAMETERS}", problem, ", ".join(i.key for i in keys), "none"
+            )
+        if target.order is not None and "order" in target.model_fields_set and part.keys.rom.order:
+            problem = "a netlist with parameters has as many states as its tolerance takes"
+            raise wrong(f"{part.name}.rom.order", problem, target.order, "rom.tolerance")
+        key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
+
+        def build() -> Varying:
+            from kc2spice.rom.varying import over_box
+
+            def full(values: Mapping[str, float]) -> LinearModel:
+                other = with_values(part, values)
+                return self.varied(other, scene, clock, middle).select(key["ports"])
+
+            band = _reaching(
+                target.band, key, lambda: full({item.key: item.axis.middle for item in keys})
+            )
+            text = f"model of {part.name} over {len(keys)} parameters"
+            with clock.stage("reduce", text) as share:
+                return over_box(
+                    full,
+                    [item.axis for item in keys],
+                    band,
+                    target.tolerance or UNASKED,
+                    lambda done, of: share(done / of),
+                    target.norm or "pointwise",
+                )
+
+        def load() -> Varying:
+            classes = (Varying, ParameterAxis, Loss, Certificate, Port)
+            return cached("box", key, build, classes=classes, sources=self.sources())
+
+        return scene.workspace.latest(f"range of {part.name}", key, load)
+
+    def _lossy(self, part: Part) -> bool:
+        """Whether it has losses that the matrices of a full model cannot have."""
+        return bool(loss_tangent(part)) or by_complex_constants(part)
+
+    def _full_model(self, part: Part, scene: Scene, clock: Clock) -> LinearModel:
+        """The full model with the ports of the scene, in a box on the mesh of all its values."""
+        keys, names = varied(part), [port.name for port in self.used_ports(part, scene)]
+        if not keys:
+            return self.full(part, scene, clock).select(names)
+        middle = with_values(part, {item.key: item.axis.middle for item in keys})
+        return self.varied(part, scene, clock, middle).select(names)
+
+    def build(
+        self, part: Part, scene: Scene, clock: Clock, full: bool = False
+    ) -> LinearModel | None:
+        if full:
+            # the matrices of a full model cannot have some losses
+            return None if self._lossy(part) else self._full_model(part, scene, clock)
+        if keys := varied(part):
+            return self.varying(part, scene, clock).at({item.key: item.value for item in keys})
+        # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
+        target, model_key = reduction_target(part, scene), self.model_key(part, scene)
+        tangent, constants = loss_tangent(part), by_complex_constants(part)
+
+        def build() -> LinearModel:
+            from kc2spice.rom.complex_constants import complex_constants
+            from kc2spice.rom.error_estimate import default_norm
+            from kc2spice.rom.modal import lossy, without_inertia
+            from kc2spice.rom.reduce import reduce_model
+
+            orders = self.orders(part, scene, clock)
+            selected = orders.model
+            with clock.stage("reduce", f"reduction of {part.name}"):
+                order = None if target.order is None else min(target.order, selected.order)
+                band = _reaching(target.band, model_key, lambda: selected)
+                norm = target.norm or default_norm(selected)
+                if constants:
+                    selected = _barely_damped(part, selected, band)
+                # a contact, a switch or a table excites modes above the band
+                if order is not None and selected is orders.model:
+                    small = orders.reduce(order, band, norm)
+                else:
+                    aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
+                    small = reduce_model(selected, **aims, band=band, norm=norm, contact=True)
+            modal = resonators(small)  # whose later use needs no eigenvalues
+            if modal is None and (tangent or constants):
+                got = "damping that couples its modes, or a motion that nothing holds"
+                problem, key = "a loss tangent needs a body of resonators", "loss_tangent"
+                if constants:
+                    problem, key = "complex constants need a body of resonators", "model"
+                expected = "ratio, quality or loss_factor"
+                raise wrong(f"{part.name}.damping.{key}", problem, got, expected)
+            if modal is None:
+                return small
+            if model_key["massless"]:
+                modal = without_inertia(modal, target.tolerance)
+            labels: dict[str, Any] = {"name": small.name, "facts": small.facts, "band": small.band}
+            if constants:
+                losses = losses_of(part, selected)
+                return replace(complex_constants(modal, losses), **labels)
+            if tangent:
+                modal = lossy(modal, tangent)
+            return replace(modal.linear(), **labels)
+
+        kinds = (LinearModel, Certificate, Port)
+        return cached("body", model_key, build, classes=kinds, sources=self.sources())
+
+    def orders(self, part: Part, scene: Scene, clock: Clock) -> Orders:
+        """Reductions of the full model with the ports of the scene to prescribed orders; the next
+        scene often asks for a larger one of the same body."""
+        from kc2spice.rom.enriched import Orders
+
+        names = [port.name for port in self.used_ports(part, scene)]
+        key = json.dumps(
+            [part.name, self.full_key(part, scene), names], sort_keys=True, default=str
+        )
+
+        def make() -> Orders:
+            return Orders(self._full_model(part, scene, clock))
+
+        return scene.workspace.latest(f"orders {self.name}", key, make)
+
+    def sources(self) -> tuple[str, ...]:
+        """Modules whose text the models of this type depend on, for the cache."""
+        classes = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, BodyPorts))
+        return (*SOURCES, *classes)
+
+
+def loss_tangent(part: Part) -> float:
+    """tan delta of the dielectric that a body's damping states."""
+    return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", None) or 0.0)
+
+
+def by_complex_constants(part: Part) -> bool:
+    """Whether a body's losses are complex constants of IEEE 176."""
+    return getattr(getattr(part.keys, "damping", None), "model", None) == "ieee176"
+
+
+def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
+    """Complex constants of a body's damping, as stated at a frequency or at a resonance of its
+    ``model``.
+
+    Raises
+    ------
+    UsageError : there is no resonance that says at which frequency.
+    """
+    damping, facts = part.keys.damping, model.facts
+    at = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
+    if at is None:
+        where = f"{part.name}.damping.at"
+        raise wrong(where, "no resonance at which stiffness is stated", None, "a frequency")
+    return ComplexConstants(2 * damping.zeta, loss_tangent(part), at)
+
+
+def _barely_damped(part: Part, model: LinearModel, band: tuple[float, float]) -> LinearModel:
+    """``model`` with viscous damping that nowhere in the band exceeds that of complex constants, so
+    that the error of a reduction is no larger with these."""
+    loss = losses_of(part, model).loss_factor
+    return replace(model, E=None, rayleigh=(0.0, loss / (2 * math.pi * band[1])))
+
+
+def full_model(part: Part, scene: Scene, clock: Clock) -> LinearModel | None:
+    """The full model of a body in its scene, None where a full model cannot have its losses."""
+    kind = part.type
+    assert isinstance(kind, BodyModel)
+    return kind.build(part, scene, clock, full=True)
+
+
+def full_alone(part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
+    """The full model of a body outside its scene, with a warning of what matrices cannot hold."""
+    if tangent := loss_tangent(part):
+        warnings.warn(
+            f"{part.name}.damping.loss_tangent: {tangent:g}: matrices have no constant loss of a "
+            "dielectric: this model is without it; run and export the scene to have it",
+            stacklevel=3,
+        )
+    if by_complex_constants(part):
+        warnings.warn(
+            f"{part.name}.damping.model: ieee176: matrices have no loss that is constant over "
+            "frequency: this model has viscous damping; run and export the scene to have it",
+            stacklevel=3,
+        )
+    kind = part.type
+    assert isinstance(kind, BodyModel)
+    return kind.full(part, scene, clock)
+
+
+def scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float, float]:
+    """Band [Hz] over which a scene reduces the ``full`` model of its body."""
+    kind = part.type
+    assert isinstance(kind, BodyModel)
+    target, key = reduction_target(part, scene), kind.model_key(part, scene)
+    return _reaching(target.band, key, lambda: full)
+
+
+def _reaching(
+    band: tuple[float, float], key: Mapping[str, Any], full: Callable[[], LinearModel]
+) -> tuple[float, float]:
+    """The band up to natural frequencies of the full model in it, see ``least_band_end``."""
+    from kc2spice.rom.band import band_end
+
+    (low, high), least_end = band, key.get("sure")
+    if least_end is not None and high > least_end:
+        high = min(high, max(least_end, band_end(full().pencil, MOTIONS, high)))
+    return low, high
+
+
+def aim(rom: Rom) -> str:
+    """Target of a reduction in words: order or tolerance, and band."""
+    low, high = rom.band
+    target = f"order {rom.order}"
+    if rom.order is None:
+        target = f"as many states as keep the error below {rom.tolerance:g}"
+    return f"{target}, band {low:g} … {high:g} Hz"
+
+
+def reduction_target(part: Part, scene: Scene) -> Rom:
+    """Settings of a body's reduction, as its record in the scene has them."""
+    result = scene.records[part.name].reduction
+    assert result is not None
+    return result
+
+
+def file_stamp(path: Path) -> str:
+    """Identification of the content of a file; a copy elsewhere has the same."""
+    try:
+        result = path.stat()
+        if not stat.S_ISREG(result.st_mode):
+            return "no regular file"
+        return _content(path, result.st_size, result.st_mtime_ns)
+    except OSError:
+        return "absent"
+
+
+@lru_cache(maxsize=64)
+def _content(path: Path, size: int, changed: int) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,140 @@
+"""Subcircuit, results and law of a linear part."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from kc2spice.core import laws
+from kc2spice.core.progress import Clock
+from kc2spice.core.untrusted_files import identifier
+from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.parts.bodies._body_model import BodyModel
+from kc2spice.parts.bodies._body_ports import flow_name, wave_name
+from kc2spice.parts.bodies._box import varied
+from kc2spice.rom.linear_model import LinearModel
+from kc2spice.rom.modal import resonators
+from kc2spice.rom.pencil import first_order
+from kc2spice.scene.model import (
+    Build,
+    DeclaredScene,
+    Part,
+    Scene,
+)
+from kc2spice.scene.parttype import current_into
+from kc2spice.scene.rows import Vector
+from kc2spice.synthesis.heat import is_heat
+from kc2spice.synthesis.realize import (
+    COARSE,
+    RINGING,
+    UNRATED,
+    StepWeights,
+    subcircuit,
+)
+
+RATED = "electrodes, as stated or by the field in its ceramic; the netlist itself has no limit"
+_LONGEST = 47  # letters of a scene's and a part's name in that of a library
+
+
+class BodyNetlist(BodyModel):
+    """A linear part with its subcircuit, the results of its ports, and its law."""
+
+    noise = ("Rnoise",)
+
+    def weights(self, part: Part, scene: DeclaredScene) -> StepWeights:
+        """Weights of the modes in time step control.
+
+        ``COARSE`` if time steps need not resolve the ringing of the body without load.
+        """
+        return COARSE if scene.solver.ringing == "coarse" else RINGING
+
+    def library(self, part: Part, scene: Scene) -> str:
+        """Its part number, else :meth:`scene_library`."""
+        scene_name = self.scene_library(part, scene)
+        return identifier(part.keys.number, part.name) if part.keys.number else scene_name
+
+    def scene_library(self, part: Part, scene: Scene) -> str:
+        """The names of scene and part: libraries of many scenes may stand in one folder."""
+        name = f"{scene.name[: _LONGEST - len(part.name)]}_{part.name}"
+        return identifier(name, part.name)
+
+    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+        name = build.libraries[part.name]
+        volts = self.rated(part, build)
+        rating = f"{volts:.4g} V between {RATED}" if volts else UNRATED
+        if not volts and any(port.paired for port in build.model(part, LinearModel).ports):
+            rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
+        words: dict[str, Any] = {"title": self.headline(part), "rating": rating}
+        words["weights"] = self.weights(part, build.scene)
+        if keys := varied(part):
+            from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
+
+            result = self.varying(part, build.scene, Clock())
+            known = {item.key: item.param for item in keys}
+            params = [known[key] for key in result.box]
+            return (parametric_subcircuit(result, name, params, header, **words),)
+        return (
+            subcircuit(build.model(part, LinearModel), name, header, **words, noise=build.noisy),
+        )
+
+    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+        result: dict[str, Vector] = {}
+        ports = self.used_ports(part, build.scene)
+        for port in ports:
+            name, node = wave_name(part.name, ports, port), build.net(part, port.terminals[0])
+            if port.paired:
+                nets = zip(("", "-"), (build.net(part, pin) for pin in port.terminals), strict=True)
+                if across := "".join(f"{sign}v({net})" for sign, net in nets if net != "0"):
+                    result[f"{name}.voltage"] = Vector(across, 1.0, "V")
+                if (meter := current_into(part, port.terminals[0], build)) is not None:
+                    result[f"{name}.current"] = meter
+            elif node != "0":
+                known = None if port.domain is None else port.domain.across
+                factor, unit = (known.factor, known.unit) if known else (1.0, port.across)
+                result[name] = Vector(f"v({node})", factor, unit)
+                flow = current_into(part, port.terminals[0], build) if port.charged else None
+                if flow is not None:
+                    result[flow_name(part.name, ports, port)] = flow
+        return result
+
+    def law(self, part: Part, build: Build) -> laws.Equations | None:
+        model = build.model(part, LinearModel)
+        ports, n = model.ports, part.name
+        heat, last = is_heat(model), build.scene.pins(part.name)[-1].name
+        if build.net(part, last) != "0" and not heat:  # its reference
+            return None
+        signals = not any(port.conservative for port in ports)
+        law_ports = tuple(
+            laws.LawPort(
+                p.name,
+                p.domain.name if p.domain else p.kind,
+                last if heat else "".join(p.terminals[1:]),
+            )
+            for p in ports
+        )
+        mixed = not all(port.conservative for port in ports)
+        if not signals and (mixed or model.first_order != heat):
+            return None
+        law: laws.Law
+        if not model.pencil.is_dense:
+            law = laws.PortBody(n, model, law_ports)
+        elif signals:
+            A = first_order(model.pencil.dense(), 1.0)
+            rest, E = A.coefficients
+            law = laws.SignalBlock(n, E, -rest, A.B, A.C, A.D, model.inputs, model.outputs)
+        else:
+            modal = resonators(model)
+            law = laws.SecondOrderBody(n, model if modal is None else modal.linear(), law_ports)
+        joins = [(port.terminals[0], f"{n}.{port.name}") for port in ports]
+        joins += [(pin, f"{n}.{pin}") for port in ports for pin in port.terminals[1:]]
+        joins += [(last, f"{n}.{last}")] * heat
+        results: dict[str, laws.Reading] = {}  # under the names of vectors
+        for port in ports:
+            mine, name = f"{n}.{port.name}", wave_name(n, ports, port)
+            if port.paired:
+                results[f"{name}.voltage"] = laws.difference(mine, f"{n}.{port.terminals[1]}")
+            else:
+                results[name] = laws.reading(mine)
+            if port.charged:
+                results[flow_name(n, ports, port)] = laws.reading(f"{mine}.through")
+        return laws.Equations((law,), tuple(joins), results)

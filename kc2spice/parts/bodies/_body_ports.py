@@ -1,0 +1,232 @@
+"""Ports of a linear part: those that a scene uses, their pins, rest, and names of results."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from kc2spice.core.domains import BASE, PORTS, REFERENCES, TRANSLATION
+from kc2spice.core.errors import unknown
+from kc2spice.parts.mechanics._touching import Surface, Touching
+from kc2spice.rom.linear_model import LinearModel, Port
+from kc2spice.rom.modal import resonators
+from kc2spice.scene.model import (
+    GROUND,
+    Build,
+    DeclaredScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Terminal,
+    WiredScene,
+)
+from kc2spice.scene.rows import Rest
+from kc2spice.synthesis.realize import (
+    reference_pin,
+)
+
+# Kinds of ports with one pin against the common reference, and the short words of their waves.
+ANSWERS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
+_FILLED = (domain for domain in ANSWERS.values() if domain.charged)
+FLOWS = {domain.port: domain.quantity("through").symbol for domain in _FILLED}
+WORDS = (*(domain.word for domain in ANSWERS.values()), *FLOWS.values())
+NO_ENERGY = 1e-13  # rounding error of an energy, relative to that of the stiffest motion
+
+
+class BodyPorts(Touching):
+    """A part with typed ports, of which a scene uses those that something names.
+
+    A subclass says which :meth:`ports` its keys give.
+    """
+
+    #: what the reduced model's head and ``explain`` call it
+    source = "FE, linear"
+
+    @abstractmethod
+    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
+        """All ports that the body offers."""
+
+    def headline(self, part: Part) -> str:
+        """First line of its library: what it is and what it assumes."""
+        return self.title
+
+    def by_material(self, part: Part) -> float | None:
+        """Largest voltage [V] that the material stands between electrodes, None if not known."""
+        return None
+
+    def rated(self, part: Part, build: Build | None = None) -> float | None:
+        """Largest voltage [V] between electrodes: as its keys, its layers or its mesh say."""
+        mesh = {} if build is None else build.model(part, LinearModel).facts
+        known = part.keys.rated_voltage or self.by_material(part)
+        return known or mesh.get("depoling_voltage_v")
+
+    def used_ports(self, part: Part, scene: JoinedScene) -> tuple[Port, ...]:
+        """The ports that the scene needs: electrical ones, and others that something names.
+
+        Return all ports if the body is the only part, because such a scene exists to export the
+        body. In an export, return all declared ports.
+        """
+        every = self.ports(part, scene)
+        if len(scene.parts) == 1 or scene.ports == "all":
+            return every
+        names = required_ports(part, scene)
+        known = {"ground", *REFERENCES, *(t for p in every for t in (p.name, *p.terminals))}
+        _require_ports(part, sorted(names - known), [port.name for port in every])
+        if scene.ports == "declared" and part.declares:
+            return every
+        used = [p for p in every if p.kind not in ANSWERS or names & {p.name, *p.terminals}]
+        return tuple(used) or every[:1]
+
+    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+        """In the order of the subcircuit."""
+        ports, rated = self.used_ports(part, scene), self.rated(part)
+        electrical = [p for p in ports if p.paired]
+        moved = [p for p in ports if p.kind in ANSWERS]
+        result: list[Terminal] = []
+        shared: set[str] = set()
+        for port in electrical:
+            plus, minus = port.terminals
+            result.append(Terminal(plus, port.across, port.flow, rated=rated))
+            if minus not in shared:
+                floating = minus in required_ports(part, scene) - set(part.pins)
+                result.append(Terminal(minus, port.across, port.flow, None if floating else "gnd"))
+            shared.add(minus)
+        result += [Terminal(port.terminals[0], port.across, port.flow) for port in moved]
+        for port in ports:
+            if not port.conservative:
+                out = port.kind == "output"
+                result.append(Terminal(port.terminals[0], port.across, "-", signal_out=out))
+        last = reference_pin(ports)
+        return (*result, Terminal(last.name, last.unit, last.flow, "gnd"))
+
+    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
+        """Holds all pins against its reference."""
+        last = scene.pins(part.name)[-1]
+        end = GROUND if last.name in (BASE, "ground") else last.name
+        pins = (pin for pin, _ in super().at_rest(part, scene).paths)
+        return Rest(tuple((pin, end) for pin in pins if pin != end))
+
+    def rest_with_model(self, part: Part, build: Build) -> Rest:
+        """Holds all pins against its reference; those of a free body against each other.
+
+        A port that takes up volume for a pressure is a path for flow only if the body gives way
+        without end.
+        """
+        model, rest = build.models.get(part.name), build.scene.records[part.name].rest
+        if not isinstance(model, LinearModel):
+            return rest
+        ports, result = self.used_ports(part, build.scene), rest.paths
+        inert, free = inert_ports(model), free_to_move(model)
+        filled = set() if free else {port.terminals[0] for port in ports if port.charged}
+        result = tuple(pair for pair in result if pair[0] not in filled)
+        if not free:
+            return Rest(result, inert=inert)
+        names = {port.name for port in ports if not port.charged}
+        first, *others = [pin for pin, _ in result if pin in names] or [GROUND]
+        fixed = tuple(pair for pair in result if pair[0] not in names)
+        return Rest(fixed + tuple((first, other) for other in others), inert=inert)
+
+    def inertial(self, part: Part, scene: JoinedScene) -> tuple[str, ...]:
+        ports = (port for port in self.used_ports(part, scene) if port.domain is TRANSLATION)
+        return tuple(port.terminals[0] for port in ports)
+
+    def surface(
+        self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()
+    ) -> Surface | None:
+        mechanical = [p.name for p in self.ports(part, scene) if p.domain is TRANSLATION]
+        names = ports or tuple(mechanical[:1])
+        _require_ports(part, [n for n in names if n not in mechanical], mechanical, "mechanical ")
+        if not names:
+            return None
+        modulus = self.indentation_modulus(part)
+        return Surface(part.name, names, (0.0,) * len(names), modulus=modulus)
+
+    def indentation_modulus(self, part: Part) -> float | None:
+        """Modulus [Pa] of the half-space that a contact presses on; None where it is not one."""
+        return None
+
+
+def _require_ports(
+    part: Part, missing: Sequence[str], known: Sequence[str], kind: str = ""
+) -> None:
+    for name in missing:
+        raise unknown(f"{part.name} has no such {kind}port", name, known, part.name)
+
+
+def required_ports(part: Part, scene: JoinedScene) -> set[str]:
+    """Names of ports or pins of ``part`` that other parts, its own pins or probes name."""
+    prefix = f"{part.name}."
+    assert isinstance(part.type, BodyPorts)
+    result = set(part.pins)
+    for other in scene.parts.values():
+        names = (*other.pins.values(), *scene.joins[other.name].values())
+        result |= {name.removeprefix(prefix) for name in names if name.startswith(prefix)}
+        # copies of it, with loads on all ports
+        if scene.records[other.name].governs.get(part.name) == "copied":
+            result |= {port.name for port in part.type.ports(part, scene) if port.kind in ANSWERS}
+    for probe in scene.probes.values():
+        if probe.of.startswith(tuple(f"{prefix}{word}." for word in WORDS)):
+            result.add(probe.of.rpartition(".")[2])
+    return result
+
+
+def contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part]:
+    """The contacts that press on ports of ``part``."""
+    for contact in scene.of("contact"):
+        targets = scene.joins[contact.name].values()
+        if any(target.startswith(f"{part.name}.") for target in targets):
+            yield contact
+
+
+def massless(part: Part, scene: JoinedScene) -> bool:
+    """Whether a contact presses on ``part`` and wants no inertia behind its ports."""
+    return any(contact.keys.inertia == "massless" for contact in contacts_on(part, scene))
+
+
+def inert_ports(model: LinearModel) -> tuple[str, ...]:
+    """Pins of displacements where inertia alone answers a sudden force: D is zero there, and no
+    state without mass moves them."""
+    if model.first_order or not model.symmetric:
+        return ()
+    mass = model.pencil.dense().coefficients[2]
+    yields = np.diag(model.D) + np.abs(model.B[~mass.any(axis=0)]).sum(axis=0)
+    driven = (port for port in model.ports if port.kind != "output")
+    return tuple(
+        port.terminals[0]
+        for port, yielding in zip(driven, yields, strict=True)
+        if port.domain is TRANSLATION and yielding <= 0
+    )
+
+
+def free_to_move(model: LinearModel) -> bool:
+    """Whether some motion of it costs no energy at rest, such as that of a body without support."""
+    if resonators(model) is not None:
+        return False
+    rest = model.pencil.dense().coefficients[0]
+    for axis in (1, 0):
+        size = np.abs(rest).max(axis=axis, keepdims=True, initial=0.0)
+        rest = rest / np.where(size > 0, size, 1.0)
+    values = np.linalg.svd(rest, compute_uv=False)
+    return bool(values.min(initial=np.inf) <= NO_ENERGY * values.max(initial=0.0))
+
+
+def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
+    """Name of a port's wave in results.
+
+    For an electrical port it is the prefix of voltage and current. The first electrical port has
+    the name of the part.
+    """
+    if port.paired:
+        first = next(p for p in ports if p.paired)
+        return name if port == first else f"{name}.{port.name}"
+    word = "" if port.domain is None else port.domain.word
+    return ".".join(filter(None, (name, word, port.name)))
+
+
+def flow_name(name: str, ports: Sequence[Port], port: Port) -> str:
+    """Name of the wave of the flow through a port's pin: the current of an electrode."""
+    if port.paired:
+        return f"{wave_name(name, ports, port)}.current"
+    return f"{name}.{FLOWS[port.kind]}.{port.name}"
