@@ -17,6 +17,7 @@ import scipy
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.memory import available_bytes
+from kc2spice.linalg.processor import fast_kernels
 
 USABLE = 0.9
 # Entries of the LU factors over n sqrt(bandwidth): 4 for chains, 9 for plates, 34 for solids.
@@ -142,7 +143,8 @@ def supernodal(matrix: scipy.sparse.csc_array, order: np.ndarray | None = None) 
     ------
     RuntimeError : not positive definite.
     """
-    import cvxopt.cholmod  # one of three solvers: loaded where it is chosen
+    with fast_kernels():
+        import cvxopt.cholmod  # one of three solvers: loaded where it is chosen
 
     lower = scipy.sparse.coo_array(scipy.sparse.tril(matrix))
     places = lower.row.astype(np.int64), lower.col.astype(np.int64)

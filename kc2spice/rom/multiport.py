@@ -27,6 +27,7 @@ from scipy.optimize import least_squares
 from kc2spice.core.domains import ELECTRICAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.extras import import_optional
+from kc2spice.linalg.processor import fast_kernels
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import explicit
 from kc2spice.rom.state_space import ABCD
@@ -166,7 +167,8 @@ def _nearest(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
         [ B'P        -1   D' ]  <= 0
         [ C           D   -1 ]
     """
-    from cvxopt import matrix, solvers
+    with fast_kernels():
+        from cvxopt import matrix, solvers
 
     A, B, _, _ = model
     n, m = B.shape

@@ -138,14 +138,16 @@ def extend(
 
     The images make every inner product an ordinary one. Dependent candidates are deflated.
     """
-    old = basis.shape[1]
-    for vector in candidates.T:
-        length = np.sqrt(vector @ stiffness(vector))
+    count = old = basis.shape[1]
+    lengths = np.sqrt(np.einsum("ki,ki->i", candidates, stiffness(candidates)))
+    fresh = np.empty((2, len(basis), candidates.shape[1]))
+    V, KV = (np.hstack(pair) for pair in zip((basis, images), fresh, strict=True))
+    for vector, length in zip(candidates.T, lengths, strict=True):
         for _ in range(2):  # twice is enough (Kahan, Parlett)
-            vector = vector - basis @ (images.T @ vector)
+            vector = vector - V[:, :count] @ (KV[:, :count].T @ vector)
         image = stiffness(vector)
         remaining = np.sqrt(max(vector @ image, 0.0))
         if remaining > DEFLATION * length:
-            basis = np.column_stack([basis, vector / remaining])
-            images = np.column_stack([images, image / remaining])
-    return basis[:, old:], images[:, old:]
+            V[:, count], KV[:, count] = vector / remaining, image / remaining
+            count += 1
+    return V[:, old:count], KV[:, old:count]
