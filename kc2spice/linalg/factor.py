@@ -44,9 +44,11 @@ def require_bytes(need: float, purpose: str, *, where: str, hint: str) -> None:
         )
 
 
-def require_factors(matrix: scipy.sparse.sparray | np.ndarray) -> None:
-    """Compare one complex factorisation, estimated up to five times too large for plates, and one
-    real one, such as that of a proof of stability, with the memory that is free now.
+def require_factors(matrix: scipy.sparse.sparray | np.ndarray, *, definite: bool = False) -> None:
+    """Compare the factors of a reduction with the memory that is free now.
+
+    These are one real and one complex factorisation, estimated up to five times too large for
+    plates. A ``definite`` model needs a Cholesky factor only, with half of the entries.
 
     Raises
     ------
@@ -59,8 +61,9 @@ def require_factors(matrix: scipy.sparse.sparray | np.ndarray) -> None:
     place[order] = np.arange(rows)
     entries = pattern.tocoo()
     band = int(np.abs(place[entries.row] - place[entries.col]).max(initial=0)) + 1
+    size = 0.5 * REAL_BYTES if definite else ENTRY_BYTES + REAL_BYTES
     require_bytes(
-        (ENTRY_BYTES + REAL_BYTES) * max(FILL * rows * np.sqrt(band), pattern.nnz),
+        size * max(FILL * rows * np.sqrt(band), pattern.nnz),
         f"{rows} factorised equations",
         where="reduction",
         hint="use a coarser mesh, or a machine with more memory",

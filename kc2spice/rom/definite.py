@@ -10,10 +10,15 @@ from kc2spice.rom.rigid_body import RANDOM, energy_rounding
 from kc2spice.rom.rounding import FREE
 
 
-def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
-    """Symmetric, collocated, proportionally damped (or not at all), K positive definite."""
+def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
+    """Symmetric, collocated, proportionally damped (or not at all), of second order."""
     proportional = pencil.rayleigh is not None or (undamped_too and pencil.undamped)
-    if pencil.degree != 2 or not (proportional and pencil.symmetric and pencil.collocated):
+    return pencil.degree == 2 and proportional and pencil.symmetric and pencil.collocated
+
+
+def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
+    """Of definite form (:func:`has_definite_form`), K positive definite."""
+    if not has_definite_form(pencil, undamped_too=undamped_too):
         return False
     load = np.random.default_rng(0).standard_normal((pencil.size, 1))
     try:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.error_estimate import relative_size
 from kc2spice.rom.intermediate import IntermediateModel, not_converged
 from kc2spice.rom.pencil import Pencil
@@ -74,6 +75,7 @@ def definite_krylov_model(
         worst = float(frequency[np.argmax(np.where(apart, size.max(axis=(1, 2)), -1.0))])
         used.append(worst)
         blocks = BLOCKS_AT_SHIFT - 1
+        require_factors(pencil.bordered(1.0, 1.0, 1.0))
         current = pencil.pencil_solver((2 * np.pi * worst) ** 2)
         candidates = current.solve(pencil.B)
     raise not_converged(response, band, change, limit)
