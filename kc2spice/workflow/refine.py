@@ -30,7 +30,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.settings import Action
 from kc2spice.workflow.decks import prepared
-from kc2spice.workflow.simulate import Run, ran, simulate_deck, simulator_cpu
+from kc2spice.workflow.simulate import Run, ran, sampled, simulate_deck, simulator_cpu
 
 MOST_UNKNOWNS = 200_000  # unknowns of a refined mesh: minutes of one processor
 FREE_SHARE = 0.5  # share of free memory for one factor; matrices and modes need the rest
@@ -171,9 +171,10 @@ def evaluate(
 def time_again(run: Run) -> float:
     """CPU seconds [s] of the simulator for the deck of ``run``, once more."""
     with tempfile.TemporaryDirectory() as folder:
-        begin = simulator_cpu(run.build)
+        shared = bool(sampled(run.build))
+        begin = simulator_cpu(shared=shared)
         ran(run.build, run.deck, Path(folder))
-        return simulator_cpu(run.build) - begin
+        return simulator_cpu(shared=shared) - begin
 
 
 def changes(run: Run, finer: Run) -> dict[str, float]:

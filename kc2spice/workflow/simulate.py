@@ -152,7 +152,8 @@ def simulate_deck(
 
     point = operating_point(build, deck)
     write_files(deck.files, directory)  # whatever comes of it
-    begin = simulator_cpu(build)
+    shared = bool(sampled(build))
+    begin = simulator_cpu(shared=shared)
     result = run_with_retries(
         deck,
         directory,
@@ -165,7 +166,7 @@ def simulate_deck(
         message = f"functions {names}: the simulation was repeated and called them again from time "
         message += "0 on; values that they keep between calls must be reset there"
         warnings.warn(message, stacklevel=2)
-    used = simulator_cpu(build) - begin
+    used = simulator_cpu(shared=shared) - begin
     waves = with_powers(result.waves, deck.powers)
     results = metrics(waves, build)
     return Run(
@@ -261,17 +262,17 @@ def sampled(build: Build) -> list[Sampled]:
     ]
 
 
-def simulator_cpu(build: Build) -> float:
+def simulator_cpu(*, shared: bool) -> float:
     """Return the CPU seconds so far of all child processes that have ended.
 
-    If the simulator runs in this process, the result is the CPU time of this process. Systems that
-    do not record CPU time give the wall time.
+    If the simulator is a ``shared`` library, the result is the CPU time of this process. Systems
+    that do not record CPU time give the wall time.
     """
     try:
         import resource
     except ImportError:
         return time.perf_counter()
-    who = resource.RUSAGE_SELF if sampled(build) else resource.RUSAGE_CHILDREN
+    who = resource.RUSAGE_SELF if shared else resource.RUSAGE_CHILDREN
     used = resource.getrusage(who)
     return used.ru_utime + used.ru_stime
 
