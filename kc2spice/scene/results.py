@@ -7,7 +7,7 @@ noise analysis has one output.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import Build, Part, PartType, Scene
 from kc2spice.scene.resolve import resolve, with_vectors
 from kc2spice.scene.rows import Swept, Vector
+from kc2spice.scene.settings import Analysis
 
 WAVE = "noise"  # spectral density of the output, and the metric of its rms value
 DENSITY = "/sqrt(Hz)"
@@ -224,48 +225,70 @@ def _probed_parts(build: Build, what: str) -> list[Part]:
     return [build.scene.parts[name] for name in names if name in build.scene.parts]
 
 
-def swept(build: Build) -> tuple[Part, str, Swept]:
-    """Part and key that a dc analysis moves, with source and range.
+@dataclass(frozen=True)
+class Sweep:
+    """The dc sweep of a scene: the key that it moves, and the source that moves it.
+
+    Attributes
+    ----------
+    source : str
+        Name of the source in the netlist.
+    scale : float
+        Volts or amperes of the source for one SI unit of the key.
+    unit : str
+        SI unit of the key.
+    part, key : str
+        Key of the scene that the sweep moves.
+    ends : tuple of two floats
+        First and last value in SI units.
+    values : ndarray
+        Values in SI units. ngspice sweeps in one direction only. Values of the return sweep are
+        therefore beyond the last one of ``ends``. The source has ``2 last - value`` there.
+    """
+
+    source: str
+    scale: float
+    unit: str
+    part: str
+    key: str
+    ends: tuple[float, float]
+    values: np.ndarray
+
+
+def resolve_sweep(build: Build) -> Sweep:
+    """Resolve the dc sweep of a scene.
 
     Raises
     ------
-    UsageError : no source has that key.
+    UsageError : no source has the key that the analysis sweeps, or the range is empty.
     """
-    scene = build.scene
-    name, _, key = str(scene.analysis.sweep).partition(".")
+    scene, selected = build.scene, build.scene.analysis
+    name, _, key = str(selected.sweep).partition(".")
     part = scene.part(name, "analysis.sweep")
-    result = build.records[part.name].settable.get(key)
-    if not isinstance(result, Swept):
+    moved = build.records[part.name].settable.get(key)
+    if not isinstance(moved, Swept):
         raise UsageError(
             "a dc analysis cannot sweep this key",
             where=scene.where("analysis.sweep"),
-            got=str(scene.analysis.sweep),
+            got=str(selected.sweep),
             expected="the dc value of a source, such as push.dc",
-            hint=f"kc2spice sweep SCENE --set {scene.analysis.sweep}=FROM:TO:POINTS sweeps any key",
+            hint=f"kc2spice sweep SCENE --set {selected.sweep}=FROM:TO:POINTS sweeps any key",
         )
-    return part, key, replace(result, range=result.range or _range(part, key, scene.analysis))
-
-
-def sweep_values(build: Build) -> np.ndarray:
-    """Values of a dc sweep.
-
-    ngspice sweeps in one direction only. Values of the return sweep are therefore beyond ``last``,
-    the end of the range. The source has ``2 last - value`` there.
-    """
-    first, last = swept(build)[2].range or (0.0, 0.0)
-    selected, turns = build.scene.analysis, 2 if build.scene.analysis.back else 1
+    unit = _swept_unit(part, key)
+    first, last = ends = moved.range or _range(selected, unit)
+    turns = 2 if selected.back else 1
     points = turns * (selected.points - 1) + 1
-    return np.linspace(first, first + turns * (last - first), points)
+    values = np.linspace(first, first + turns * (last - first), points)
+    return Sweep(moved.source, moved.scale, unit, part.name, key, ends, values)
 
 
-def swept_unit(part: Part, key: str) -> str:
+def _swept_unit(part: Part, key: str) -> str:
     """SI unit of a key that a dc analysis moves."""
     units = {item.name: item.unit for item in model_keys(type(part.keys))}
     return getattr(part.keys, "unit", None) or units.get(key) or ""
 
 
-def _range(part: Part, key: str, selected: object) -> tuple[float, float]:
-    unit = swept_unit(part, key)
+def _range(selected: Analysis, unit: str) -> tuple[float, float]:
     first, last = (quantity(getattr(selected, name), unit) for name in ("from_", "to"))
     if first == last:  # a simulator would step on the spot without end
         got, expected = f"{first:g} … {last:g} {unit}", "two values"

@@ -34,7 +34,13 @@ from kc2spice.scene.frames import MOTIONS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.resolve import resolve_again, resolve_build
-from kc2spice.scene.results import powers, require_probed, result_vectors, sweep_values, swept
+from kc2spice.scene.results import (
+    Sweep,
+    powers,
+    require_probed,
+    resolve_sweep,
+    result_vectors,
+)
 from kc2spice.synthesis.header import plan_lines
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.edits import changed, element_text, instance, with_value
@@ -88,6 +94,8 @@ def make_deck(build: Build) -> Deck:
     watts = powers(build, results)
     require_probed(build)
     parts = tuple(_libraries(build, header))
+    sweep = resolve_sweep(build) if scene.analysis.type == "dc" else None
+    sweep_scale = 1.0 if sweep is None else sweep.scale
     reduced = ((part.name, part.reduction) for part in parts)
     reductions = (f"* {name}, rom: {facts.summary}" for name, facts in reduced if facts)
     deck = Deck(
@@ -97,16 +105,16 @@ def make_deck(build: Build) -> Deck:
         parts=parts,
         items=tuple(_items(build, loose)),
         options=tuple(_options(build)),
-        command=_command(build),
+        command=_command(build, sweep),
         vectors={name: (v.expression, v.factor) for name, v in results.items()},
         units={name: v.unit for name, v in results.items()} | dict.fromkeys(watts, "W"),
         powers=watts,
-        measures=measures(build, results),
+        measures=measures(build, results, sweep_scale),
         stop=scene.stop if scene.analysis.type == "transient" else None,
         initial=_initial(build, loose),
         controlled=any(_controls(part, scene) for part in scene.parts.values()),
         trusted=build.trust,
-        sweep_scale=swept(build)[2].scale if scene.analysis.type == "dc" else 1.0,
+        sweep_scale=sweep_scale,
     )
     return noise_analysis.sources(deck, build) if build.noisy else deck
 
@@ -196,7 +204,7 @@ def _step_lines(build: Build) -> Iterator[str]:
         yield f"* {comment(f'largest step {limit.step:g} s: {limit.why}')}"
 
 
-def _command(build: Build) -> Command:
+def _command(build: Build, sweep: Sweep | None) -> Command:
     scene = build.scene
     selected = scene.analysis
     if selected.type == "transient":
@@ -208,11 +216,10 @@ def _command(build: Build) -> Command:
         return ac(selected.start, float(selected.stop or 0.0), points, selected.scale)
     if selected.type == "noise":
         return noise_analysis.command(build)
-    if selected.type == "op":
+    if sweep is None:
         return Command("op", ())
-    _, _, result = swept(build)
-    values = sweep_values(build)
-    return dc(result.source, result.scale * values[0], result.scale * values[-1], values.size)
+    values = sweep.values
+    return dc(sweep.source, sweep.scale * values[0], sweep.scale * values[-1], values.size)
 
 
 def _initial(build: Build, loose: Sequence[Free]) -> dict[str, float]:

@@ -20,8 +20,7 @@ from kc2spice.netlist.deck import Measure
 from kc2spice.netlist.expression import terms
 from kc2spice.netlist.expression import vector as parsed
 from kc2spice.netlist.spelling import number
-from kc2spice.scene.model import Build
-from kc2spice.scene.results import swept
+from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.rows import LargestRealPart, Vector
 from kc2spice.scene.settings import Probe
 
@@ -44,22 +43,28 @@ class _Wave(NamedTuple):
     last: float
 
 
-def measures(build: Build, results: Mapping[str, Vector]) -> tuple[Measure, ...]:
-    """Return the measures of a scene whose results are these vectors, probes first."""
+def measures(
+    build: Build, results: Mapping[str, Vector], sweep_scale: float
+) -> tuple[Measure, ...]:
+    """Return the measures of a scene whose results are these vectors, probes first.
+
+    ``sweep_scale`` is the volts or amperes of a dc sweep for one SI unit of the swept key.
+    """
     parts = [p for name, p in build.scene.parts.items() if name not in build.scene.movers]
     rows = [row for part in parts for row in part.type.main_metrics(part, build).items()]
     count = Counter(name for name, _ in rows)  # a name of two parts is none of a card
     single = {name: probe for name, probe in rows if count[name] == 1}
-    return tuple(_measures(build, {**single, **build.scene.probes}, results))
+    return tuple(_measures(build.scene, {**single, **build.scene.probes}, results, sweep_scale))
 
 
 def _measures(
-    build: Build,
+    scene: Scene,
     probes: Mapping[str, Probe | LargestRealPart],
     results: Mapping[str, Vector],
+    sweep_scale: float,
 ) -> Iterator[Measure]:
     for name, probe in probes.items():
-        wave = _wave(build, results.get(probe.of))
+        wave = _wave(scene, results.get(probe.of), sweep_scale)
         if wave is None or not _NAME.fullmatch(name):
             continue
         if isinstance(probe, LargestRealPart):
@@ -68,18 +73,16 @@ def _measures(
             yield from _measure(name, probe, wave)
 
 
-def _wave(build: Build, result: Vector | None) -> _Wave | None:
+def _wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _Wave | None:
     """The vector of a result that is one of the simulator's; None of a sum, or of a sweep that
     returns."""
-    scene = build.scene
     kind, read = KINDS.get(scene.analysis.type), terms(result.expression) if result else []
     if kind is None or result is None or len(read) != 1:
         return None
     if kind == "dc" and scene.analysis.back:
         return None
-    per_unit = swept(build)[2].scale if kind == "dc" else 1.0
     ((sign, text),) = read
-    return _Wave(kind, text, sign * result.factor, per_unit, scene.stop)
+    return _Wave(kind, text, sign * result.factor, sweep_scale, scene.stop)
 
 
 def _measure(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
