@@ -94,6 +94,7 @@ def make_deck(build: Build) -> Deck:
     watts = powers(build, results)
     require_probed(build)
     parts = tuple(_libraries(build, header))
+    noise = noise_analysis.noise_cards(build) if build.noisy else None
     sweep = resolve_sweep(build) if scene.analysis.type == "dc" else None
     sweep_scale = 1.0 if sweep is None else sweep.scale
     reduced = ((part.name, part.reduction) for part in parts)
@@ -103,9 +104,9 @@ def make_deck(build: Build) -> Deck:
         title=f"{scene.name}: {scene.title}",
         notes=(*notes, *reductions, *_step_lines(build)),
         parts=parts,
-        items=tuple(_items(build, loose)),
+        items=tuple(_items(build, loose, noise.items if noise else ())),
         options=tuple(_options(build)),
-        command=_command(build, sweep),
+        command=noise.command if noise else _command(build, sweep),
         vectors={name: (v.expression, v.factor) for name, v in results.items()},
         units={name: v.unit for name, v in results.items()} | dict.fromkeys(watts, "W"),
         powers=watts,
@@ -116,7 +117,7 @@ def make_deck(build: Build) -> Deck:
         trusted=build.trust,
         sweep_scale=sweep_scale,
     )
-    return noise_analysis.sources(deck, build) if build.noisy else deck
+    return noise_analysis.sources(deck, build) if noise else deck
 
 
 def _controls(part: Part, scene: Scene) -> bool:
@@ -149,17 +150,13 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
                 )
 
 
-def _items(build: Build, loose: Sequence[Free]) -> Iterator[Item]:
+def _items(build: Build, loose: Sequence[Free], noise_items: Iterable[Item]) -> Iterator[Item]:
     scene = build.scene
     for part in scene.parts.values():
         cards = () if part.name in scene.without_cards else part.type.cards(part, build)
         if cards:
             yield from titled(f"{part.name}: {part.type.title}", cards, part.name)
-    if build.noisy:
-        source, node = noise_analysis.noise_input(build)
-        title = "drives nothing: what the analysis could refer the noise to"
-        drive = Element.of(source, node, "0", "DC", "0", "AC", "1")
-        yield from titled(title, (drive, Element.of(f"R{node}", node, "0", "1", noisy="0")))
+    yield from noise_items
     nets = [group.nets[0] for group in loose if group.nets]
     if scene.analysis.small and nets:
         names = Names(scene.parts)
@@ -214,8 +211,6 @@ def _command(build: Build, sweep: Sweep | None) -> Command:
         # ngspice returns only the first of two linear points
         points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points
         return ac(selected.start, float(selected.stop or 0.0), points, selected.scale)
-    if selected.type == "noise":
-        return noise_analysis.command(build)
     if sweep is None:
         return Command("op", ())
     values = sweep.values

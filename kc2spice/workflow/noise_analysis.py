@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Command, Deck, noise
+from kc2spice.netlist.elements import titled
 from kc2spice.netlist.scope import Scope
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import Build, Names
@@ -62,17 +64,24 @@ def noise_metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
     return rms | ({"noise_by_part": added} if len(added) > 1 else {})
 
 
-def noise_input(build: Build) -> tuple[str, str]:
-    """Names of a source that drives nothing, which the analysis asks for, and of its node."""
-    name = Names((*build.scene.parts, *build.scene.nets.values())).name(WAVE, "noise_input")
-    return f"V{name}", name
+@dataclass(frozen=True)
+class NoiseCards:
+    """Cards of a noise analysis: its command, and the input source that the command names."""
+
+    command: Command
+    items: tuple[Item, ...]
 
 
-def command(build: Build) -> Command:
-    """The card of the analysis."""
+def noise_cards(build: Build) -> NoiseCards:
+    """Write the command of the noise analysis and its input source, which drives nothing."""
     selected, ends = build.scene.analysis, output_nodes(noise_output(build))
+    node = Names((*build.scene.parts, *build.scene.nets.values())).name(WAVE, "noise_input")
+    drive = Element.of(f"V{node}", node, "0", "DC", "0", "AC", "1")
+    load = Element.of(f"R{node}", node, "0", "1", noisy="0")
     first, last = selected.start, float(selected.stop or 0.0)
-    return noise(str(ends), noise_input(build)[0], first, last, selected.points, selected.scale)
+    command = noise(str(ends), drive.name, first, last, selected.points, selected.scale)
+    title = "drives nothing: what the analysis could refer the noise to"
+    return NoiseCards(command, titled(title, (drive, load)))
 
 
 def _rms(f: np.ndarray, density: np.ndarray) -> float:
