@@ -13,6 +13,7 @@ within a *mode*, and guards whose zeros end the mode; a linear one becomes const
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -50,6 +51,15 @@ class Reading:
     terms: tuple[tuple[float, str], ...]
     constant: float = 0.0
     charge: bool = False
+
+    @property
+    def waves(self) -> tuple[str, ...]:
+        """Names of the waves in ``terms``."""
+        return tuple(wave for _, wave in self.terms)
+
+    def combine(self, waves: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return the sum of the waves times their factors, without the constant."""
+        return np.asarray(sum(factor * waves[wave] for factor, wave in self.terms))
 
 
 def reading(wave: str, factor: float = 1.0, constant: float = 0.0) -> Reading:

@@ -123,6 +123,12 @@ class Linear:
         motion = self._free_motion
         return None if motion is None else np.linalg.eigvals(motion.rates)
 
+    def output_rows(self, of: L.Reading) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rows (N,) of ``C0`` and ``C1`` that give the reading ``of``."""
+        names = self.system.names
+        rows = of.combine(dict(zip(names, self.C0, strict=True)))
+        return rows, of.combine(dict(zip(names, self.C1, strict=True)))
+
     def zeros(self, of: L.Reading, amplitudes: np.ndarray) -> np.ndarray:
         """Rates ``w`` (m,) [1/s], complex, at which a reading is zero for ``amplitudes e^(w t)``.
 
@@ -131,9 +137,7 @@ class Linear:
         and Multivariable Theory (1970)).
         """
         n, k = self.system.size, len(self.system.sources)
-        names = list(self.system.names)
-        C0 = sum(factor * self.C0[names.index(wave)] for factor, wave in of.terms)
-        C1 = sum(factor * self.C1[names.index(wave)] for factor, wave in of.terms)
+        C0, C1 = self.output_rows(of)
         substitution = np.zeros((n + 2 * k, n + 2), dtype=complex)
         substitution[:n, :n] = np.eye(n)
         substitution[n : n + k, n], substitution[n + k :, n + 1] = amplitudes, amplitudes
@@ -407,10 +411,9 @@ def solve_noise(
 
 def _power(at: Linear, of: L.Reading, s: complex) -> float:
     """Sum of what all sources of a unit density add, by the adjoint of the circuit."""
-    system, names = at.system, list(at.system.names)
+    system = at.system
     n, k = system.size, len(system.sources)
-    C0 = sum(factor * at.C0[names.index(wave)] for factor, wave in of.terms)
-    C1 = sum(factor * at.C1[names.index(wave)] for factor, wave in of.terms)
+    C0, C1 = at.output_rows(of)
     P = (s * at.G - at.F)[:, :n]
     level = np.abs(P).max(axis=1)
     adjoint = np.linalg.solve((P / level[:, None]).T, (C0 + s * C1)[:n]) / level
