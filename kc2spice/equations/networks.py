@@ -42,7 +42,7 @@ class Network:
 
     @property
     def has_sources_only(self) -> bool:
-        """Whether there is nothing to solve, as each law is a source."""
+        """Whether each law is a source, so that nothing remains to solve."""
         return all(isinstance(law, IdealSource) for law in self.laws)
 
     @property
@@ -52,28 +52,29 @@ class Network:
 
     def determined_by(self, driven: set[str]) -> bool:
         """Whether sources at the pins ``driven`` set the value of every net, and no body moves."""
-        nets = [set(pins) for net, pins in self.joins.items() if net != GROUND]
         if not driven or any(isinstance(law, SecondOrderBody | PortBody) for law in self.laws):
             return False
-        return all(pins & driven for pins in nets)
+        return not any(driven.isdisjoint(self.joins[net]) for net in {*self.joins} - {GROUND})
 
     def results(self, waves: Mapping[str, np.ndarray], scale: np.ndarray) -> dict[str, np.ndarray]:
-        """Results of the laws from their ``waves``, without those of missing waves.
+        """Return the results whose waves are all in ``waves``.
 
         ``scale`` are the times [s] or frequencies [Hz] of the waves.
         """
-        return {
-            name: _value(item, waves, scale)
-            for name, item in self.readings.items()
-            if {wave for _, wave in item.terms} <= set(waves)
-        }
+        result = {}
+        for name, item in self.readings.items():
+            if waves.keys() >= {*item.waves}:
+                result[name] = _evaluate_reading(item, waves, scale)
+        return result
 
 
-def _value(item: Reading, waves: Mapping[str, np.ndarray], scale: np.ndarray) -> np.ndarray:
-    value = np.asarray(sum(factor * waves[wave] for factor, wave in item.terms))
+def _evaluate_reading(
+    item: Reading, waves: Mapping[str, np.ndarray], scale: np.ndarray
+) -> np.ndarray:
+    """Return the values of one result; those of small signals have no constant part."""
+    value = item.combine(waves)
     if not np.iscomplexobj(value):
         return np.asarray(value + item.constant)
-    # small signals have no constant part
     return np.asarray(value / (2j * np.pi * scale)) if item.charge else value
 
 
@@ -85,23 +86,24 @@ def split_networks(
 ) -> tuple[Network, ...]:
     """Return the networks of ``laws`` that have no net in common, apart from ground."""
     laws, joins = with_sensors(laws, joins)
-    together = [{law.name} for law in laws]
-    together += [{law_of(pin) for pin in pins} for net, pins in joins.items() if net != GROUND]
-    return tuple(
-        Network(
+    connected = [{law.name} for law in laws]
+    connected += [{*map(law_of, joins[net])} for net in joins if net != GROUND]
+    result = []
+    for names in merge_groups(connected):
+        network = Network(
             tuple(law for law in laws if law.name in names),
             dict(_joins_within(names, joins)),
-            {key: item for key, item in readings.items() if law_of(item.terms[0][1]) in names},
+            {key: item for key, item in readings.items() if law_of(item.waves[0]) in names},
             {key: source for key, source in sweeps.items() if source[0] in names},
         )
-        for names in merge_groups(together)
-    )
+        result.append(network)
+    return tuple(result)
 
 
 def _joins_within(
     names: set[str], joins: Mapping[str, tuple[str, ...]]
 ) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Nets with those of their pins that belong to the laws ``names``."""
+    """Yield each net of the laws ``names`` with the pins of these laws on the net."""
     for net, pins in joins.items():
         within = tuple(pin for pin in pins if law_of(pin) in names)
         if within:
@@ -130,15 +132,16 @@ def with_sensors(
 
 
 def law_of(pin: str) -> str:
-    """Name of the law of a pin or wave ``LAW.NAME``."""
+    """Return the name of the law of a pin or wave ``LAW.NAME``."""
     return pin.partition(".")[0]
 
 
 def pin_kinds(laws: Iterable[Law]) -> dict[str, str]:
-    """Kind of each pin of the laws."""
+    """Return the kind of each pin ``LAW.PIN`` of the laws."""
     result: dict[str, str] = {}
     for law in laws:
-        result |= {f"{law.name}.{pin.name}": pin.kind for pin in law.pins}
+        for pin in law.pins:
+            result[f"{law.name}.{pin.name}"] = pin.kind
     return result
 
 
@@ -155,6 +158,11 @@ def merge_groups(groups: Iterable[set[str]]) -> list[set[str]]:
     """Merge groups that have an element in common."""
     result: list[set[str]] = []
     for group in groups:
-        overlapping = [other for other in result if other & group]
-        result = [other for other in result if not other & group] + [group.union(*overlapping)]
+        separate = []
+        for other in result:
+            if other.isdisjoint(group):
+                separate.append(other)
+            else:
+                group = group | other
+        result = [*separate, group]
     return result

@@ -36,26 +36,30 @@ def replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
       ringing needs Newton's method, which takes hours.
     """
     build, result = laws.build, dict[str, str]()
-    nets = {pin: pins for pins in laws.joins({}).values() for pin in pins}
+    pins_joined: dict[str, tuple[str, ...]] = {}
+    for pins in laws.joins({}).values():
+        pins_joined |= dict.fromkeys(pins, pins)
     for net, name, pin, law_pin in laws.links:
-        others = {part for part, end in build.scene.joined(name, pin) if _acts(build, part, end)}
-        joined = nets.get(law_pin, (law_pin,))
+        others = {part for part, end in build.scene.joined(name, pin) if _may_act(build, part, end)}
+        joined = pins_joined.get(law_pin, (law_pin,))
         if others & {*laws.missing} and not any(prescribes(laws.laws, item) for item in joined):
             kind = result.get(net, "signal")
             result[net] = laws.kinds[law_pin] if kind == "signal" else kind
-    if not laws.laws or not set(result.values()) <= set(SOURCES) or _coils_on_body(laws):
+    if not laws.laws or not set(result.values()) <= set(SOURCES) or _have_coils_on_body(laws):
         return None
     return result
 
 
-def _coils_on_body(laws: SceneLaws) -> bool:
+def _have_coils_on_body(laws: SceneLaws) -> bool:
     """Whether a nonlinear stored quantity, such as the flux of coils, meets an elastic body."""
-    devices = [law for law in laws.laws.values() if isinstance(law, Device)]
-    nonlinear = any(law.storing and not law.linear for law in devices)
-    return nonlinear and any(isinstance(law, SecondOrderBody) for law in laws.laws.values())
+    nonlinear = elastic = False
+    for law in laws.laws.values():
+        elastic |= isinstance(law, SecondOrderBody)
+        nonlinear |= isinstance(law, Device) and bool(law.storing) and not law.linear
+    return nonlinear and elastic
 
 
-def _acts(build: Build, name: str, pin: str) -> bool:
+def _may_act(build: Build, name: str, pin: str) -> bool:
     """Whether a part may change the value on the net of a pin.
 
     A signal input of one of our own parts takes no current.
@@ -67,7 +71,7 @@ def _acts(build: Build, name: str, pin: str) -> bool:
 def networks_to_solve(
     laws: SceneLaws, waves: Waveforms, replayed: Mapping[str, str]
 ) -> list[Network]:
-    """The networks of the scene, without those that sources determine completely.
+    """Return the networks of the scene that sources do not determine completely.
 
     Sources on the nets ``replayed`` (by net, the kind of its pins) have the values of ``waves``,
     the results of ngspice. If they are on every net of a network, such as a capacitor behind a
@@ -76,17 +80,20 @@ def networks_to_solve(
     sources = {net: _recorded_source(net, kind, waves) for net, kind in replayed.items()}
     driven = {f"{source.name}.out" for source in sources.values()}
     networks = laws.networks_with(sources) if sources else laws.networks
-    unsolved = [network for network in networks if not network.has_sources_only]
-    return [network for network in unsolved if not network.determined_by(driven)]
+    result = []
+    for network in networks:
+        if not network.has_sources_only and not network.determined_by(driven):
+            result.append(network)
+    return result
 
 
 def replayed_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
-    """Results of a deck that record the values on these nets: expression, and its unit in SI."""
+    """Return the results that record values on these nets: an expression and its SI unit each."""
     return {f"net {net}": (f"v({net})", NODE_UNITS[kind]) for net, kind in nets.items()}
 
 
 def _recorded_source(net: str, kind: str, waves: Waveforms) -> IdealSource:
-    """A source of the recorded values on a net."""
+    """Return a source of the recorded values on a net."""
     times, values = waves["time"], waves[f"net {net}"]
     # Where a contact closes, points lie picoseconds apart: their differences are rounding.
     shortest = SHORTEST * float(np.ptp(times))

@@ -95,17 +95,18 @@ class SceneLaws:
         return self.networks_with({})
 
     def networks_with(self, sources: Mapping[str, IdealSource]) -> tuple[Network, ...]:
-        """The networks with further ``sources``, each on the net that is its key."""
+        """Return the networks with further ``sources``, each on the net that is its key."""
         readings: dict[str, Reading] = {}
         sweeps: dict[tuple[str, str], tuple[str, float]] = {}
         for name, item in self.equations.items():
             readings |= _with_quantity_names(name, item.results)
-            sweeps |= {(name, key): source for key, source in item.sweeps.items()}
+            for key, source in item.sweeps.items():
+                sweeps[name, key] = source
         laws = [*self.laws.values(), *sources.values()]
         return split_networks(laws, self.joins(sources), readings, sweeps)
 
     def joins(self, sources: Mapping[str, IdealSource]) -> dict[str, tuple[str, ...]]:
-        """Pins of laws on each net, with ``sources`` on nets of the scene.
+        """Return the pins of laws on each net, with ``sources`` on nets of the scene.
 
         Nets of the scene that share a pin of a law are one net.
         """
@@ -114,10 +115,13 @@ class SceneLaws:
         for link in self.links:
             by_net.setdefault(link.net, {GROUND} if link.net == "0" else set()).add(link.law_pin)
         groups = merge_groups([*map(set, inside), *by_net.values()])
-        grounded = set[str]().union(*(pins for pins in groups if GROUND in pins)) - {GROUND}
-        free = [sorted(pins) for pins in groups if GROUND not in pins]
-        several = sorted(pins for pins in free if len(pins) > 1)
-        result = {f"n{k}": tuple(pins) for k, pins in enumerate(several)}
+        grounded, ungrounded = set[str](), []
+        for pins in groups:
+            if GROUND in pins:
+                grounded |= pins - {GROUND}
+            elif len(pins) > 1:
+                ungrounded.append(tuple(sorted(pins)))
+        result = {f"n{k}": pins for k, pins in enumerate(sorted(ungrounded))}
         return result | ({GROUND: tuple(sorted(grounded))} if grounded else {})
 
     @cached_property
@@ -125,14 +129,17 @@ class SceneLaws:
         """Names of the parts that set a signal on a net where a current or a force acts."""
         laws, links = _by_name(self.stated), tuple(_links(self.build, self.stated))
         kinds = pin_kinds(laws.values())
-        loaded = {link.net for link in links if kinds[link.law_pin] != "signal"}
-        signals = [link for link in links if kinds[link.law_pin] == "signal"]
-        driven = [link for link in signals if prescribes(laws, link.law_pin)]
-        return frozenset(link.part for link in driven if link.net in loaded)
+        loaded, drivers = set(), []
+        for link in links:
+            if kinds[link.law_pin] != "signal":
+                loaded.add(link.net)
+            elif prescribes(laws, link.law_pin):
+                drivers.append(link)
+        return frozenset(link.part for link in drivers if link.net in loaded)
 
 
 def _with_quantity_names(part: str, results: Mapping[str, Reading]) -> dict[str, Reading]:
-    """Results of a part, those of a flow also under its quantity: ``r.current`` beside ``r.i``."""
+    """Return the results of a part, and each flow such as ``r.i`` also as ``r.current``."""
     names = dict(results)
     for quantity_name, (domain, side) in QUANTITIES.items():
         symbol = f"{part}.{domain.quantity(side).symbol}"
@@ -157,18 +164,18 @@ def scene_laws(build: Build) -> SceneLaws:
     """Return the laws of the scene with the models of its parts.
 
     These are the laws that the build carries (:func:`with_laws`). Laws of other keys or models,
-    which a build carries after a change of these, are made again.
+    which a build carries after a change of these, are built again.
     """
     laws = build.laws
-    if isinstance(laws, SceneLaws) and _same_parts(laws.build, build):
+    if isinstance(laws, SceneLaws) and _share_parts(laws.build, build):
         return laws
     return SceneLaws(build)
 
 
 def with_laws(build: Build) -> Build:
-    """Return a build that carries its laws, so that they are made once."""
+    """Return a build that carries its laws, so that they are built once."""
     return replace(build, laws=scene_laws(build))
 
 
-def _same_parts(a: Build, b: Build) -> bool:
+def _share_parts(a: Build, b: Build) -> bool:
     return a.scene is b.scene and a.models is b.models
