@@ -37,7 +37,7 @@ from kc2spice.sim.output import (
     last_scale_value,
     read_partial,
     read_raw,
-    statistics,
+    read_statistics,
 )
 
 ANSWERS = 20.0  # s that ngspice may take to tell its version
@@ -152,7 +152,7 @@ def run_deck(
         failed = failed_run(deck, str(main), text, code)
         if failed is None:
             vectors = read_raw(unfinished)
-            facts = {**statistics(text), "reltol": own_reltol(deck)}
+            facts = {**read_statistics(text), "reltol": own_reltol(deck)}
             waves = Waveforms(waves_by_name(deck, vectors), facts)
             last = float(vectors["time"][-1]) if "time" in vectors else math.nan
             failed = failed_run(deck, str(main), text, last=last)
@@ -261,7 +261,7 @@ def partial_waves(
 ) -> Waveforms | None:
     """Waves that a failed run saved; None if vectors of the deck are missing."""
     try:
-        return Waveforms(waves_by_name(deck, vectors), statistics(text)) if vectors else None
+        return Waveforms(waves_by_name(deck, vectors), read_statistics(text)) if vectors else None
     except SimulationError:
         return None
 

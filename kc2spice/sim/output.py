@@ -102,29 +102,38 @@ class Failure:
     partial: Waveforms | None = None
 
 
-def classify(text: str) -> Failure:
-    """Sort the lines of ``text`` (standard output and error of one run)."""
+def classify_log(text: str) -> Failure:
+    """Describe the failure in ``text``, the standard output and error of one run."""
     lines = re.split(r"[\r\n]+", _CARD.sub(r"error in the card \1: \2", text))
-    errors = tuple(line.strip() for line in lines if _FATAL.search(line))
-    others = (line for line in lines if not _FATAL.search(line))
-    struggles = tuple(line.strip() for line in others if _STRUGGLE.search(line))
-    cause = next((line for line in errors if _NODE.search(line)), errors[0] if errors else None)
+    errors, struggles = [], []
+    for line in lines:
+        if _FATAL.search(line):
+            errors.append(line.strip())
+        elif _STRUGGLE.search(line):
+            struggles.append(line.strip())
+    cause = next(filter(_NODE.search, errors), errors[0] if errors else None)
     suspects = [cause, *errors, *struggles] if cause else []
     kind: Kind | None = None
     if any("timestep too small" in line.lower() and _TIME.search(line) for line in errors):
         kind = "timestep"
     elif errors and _NO_START.search(text):  # before any step
-        singular = any("singular matrix" in line.lower() for line in struggles)
+        singular = "singular matrix" in "\n".join(struggles).lower()
         kind = "singular" if singular else "operating point"
-    node = next((m[1] or m[2] for m in map(_NODE.search, suspects) if m), None)
-    time = next((float(m[1]) for m in map(_TIME.search, suspects) if m), None)
-    return Failure(cause, node, time, kind, struggles)
+    node = next(filter(None, map(_NODE.search, suspects)), None)
+    time = next(filter(None, map(_TIME.search, suspects)), None)
+    return Failure(
+        cause,
+        (node[1] or node[2]) if node else None,
+        float(time[1]) if time else None,
+        kind,
+        tuple(struggles),
+    )
 
 
-def alterations(text: str) -> tuple[str, ...]:
-    """Lines of the log ``text`` about cards that ngspice changed or ignored.
+def list_alterations(text: str) -> tuple[str, ...]:
+    """List the lines of the log ``text`` about cards that ngspice changed or ignored.
 
-    Each row names the ``.model`` card where the log tells it, and appears once.
+    Each row appears once, and begins with the ``.model`` card if the log contains it.
     """
     result: dict[str, None] = {}
     model, expected = "", False
@@ -140,10 +149,14 @@ def alterations(text: str) -> tuple[str, ...]:
     return tuple(result)
 
 
-def statistics(text: str) -> dict[str, float]:
-    """Accepted and rejected points, iterations and CPU seconds that ``.options acct`` prints."""
-    result = {key: re.search(pattern, text) for key, pattern in _STATS.items()}
-    return {key: float(match[1]) for key, match in result.items() if match}
+def read_statistics(text: str) -> dict[str, float]:
+    """Read the points, iterations and CPU seconds that ``.options acct`` prints."""
+    result = {}
+    for key, pattern in _STATS.items():
+        match = re.search(pattern, text)
+        if match:
+            result[key] = float(match[1])
+    return result
 
 
 # --- failed runs ------------------------------------------------------------------------------
@@ -163,12 +176,12 @@ def failed_run(
     ``last`` is its last time point [s], where the run has ended; ngspice can stop a transient early
     and say nothing.
     """
-    report, stop = classify(text), deck.stop
+    report, stop = classify_log(text), deck.stop
     reported = report.cause is not None or code != 0
     early = last is not None and stop is not None and not abs(last - stop) <= 1e-9 * stop
     if not reported and not early:
         return None
-    part = belongs_to(deck, report.node) if report.node else None
+    part = describe_node(deck, report.node) if report.node else None
     blamed = report.node and f"node {report.node}"
     if reported:
         cause = report.cause or f"exit code {code}"
@@ -190,7 +203,7 @@ def altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None:
     None, and a warning of each alteration, where the deck is trusted, or where they are of what
     models have for display.
     """
-    altered = alterations(text)
+    altered = list_alterations(text)
     fatal = [] if deck.trusted else [row for row in altered if not _DISPLAYED.search(row)]
     if not fatal:
         for row in altered:
@@ -207,11 +220,11 @@ def altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None:
     return error
 
 
-def belongs_to(deck: Deck, node: str) -> str | None:
-    """In words, the part of ``deck`` that ``node`` belongs to and the pins next to it.
+def describe_node(deck: Deck, node: str) -> str | None:
+    """Describe the part of ``deck`` that contains ``node``, and the pins next to the node.
 
-    ``node`` as ngspice says it: ``x1.x2.name``, ``b.x1.b2`` for a device, ``v1#branch`` for the
-    current of a source. None where nothing of that name is in the deck.
+    ``node`` is spelled as in ngspice: ``x1.x2.name``, ``b.x1.b2`` for a device, ``v1#branch`` for
+    the current of a source. The result is None if the deck has no such node.
     """
     *path, name = node.lower().partition("#")[0].split(".")
     if path and len(path[0]) == 1:  # a device: its letter stands before the instance
@@ -229,9 +242,10 @@ def belongs_to(deck: Deck, node: str) -> str | None:
     wired = []
     for element in scope.elements:
         called = scope.find(element.model) if element.kind == "x" else None
-        for position in (k for k, node in enumerate(element.ends) if node == name):
-            pin = f" ({called.name}) pin {called.pins[position]}" if called else ""
-            wired.append(f"{element.key}{pin}")
+        for position, end in enumerate(element.ends):
+            if end == name:
+                pin = f" ({called.name}) pin {called.pins[position]}" if called else ""
+                wired.append(f"{element.key}{pin}")
     return f"node of {', '.join(wired)}" if wired else None
 
 
@@ -260,8 +274,11 @@ _HEAD = 1 << 20  # bytes in which the header must end
 
 
 class _Plot(NamedTuple):
-    """Names of the vectors, points as promised, the complete ones of the file as rows of a map of
-    it, bytes left over, and where the next plot of the file begins."""
+    """One plot of a raw file.
+
+    ``promised`` is the number of points in its header. ``table`` maps the complete points of the
+    file, one in each row. ``left`` bytes follow these. The next plot begins at the byte ``end``.
+    """
 
     names: tuple[str, ...]
     promised: int
@@ -278,14 +295,14 @@ class _Plot(NamedTuple):
         return np.isfinite(self.table[:, 0].real) & np.isfinite(self.table[:, 1:]).all(axis=1)
 
     def columns(self, points: int) -> dict[str, np.ndarray]:
-        """Vectors of the first ``points``, the scale real."""
+        """Return the vectors of the first ``points``, the scale as real numbers."""
         rows = self.table[:points]
-        columns = (rows[:, 0].real, *rows[:, 1:].T)
-        return {n: np.array(column) for n, column in zip(self.names, columns, strict=True)}
+        columns = map(np.array, (rows[:, 0].real, *rows[:, 1:].T))
+        return dict(zip(self.names, columns, strict=True))
 
 
 def read_raw(path: Path) -> dict[str, np.ndarray]:
-    """Vectors in ``path`` by their lower-case names, the scale (always real) first.
+    """Read the vectors of ``path`` by their lower-case names, the real scale first.
 
     Plots of the same vectors, as several analyses of one kind write them, are joined: their points
     are sorted along the scale, and each value of the scale occurs once. Other plots are left out.
@@ -296,7 +313,7 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
     """
     if not path.is_file():
         raise SimulationError("the simulator wrote no raw file", where=str(path))
-    plots = list(_plots(path))
+    plots = list(_read_plots(path))
     first = plots[0]
     plots = [first, *(plot for plot in plots[1:] if plot.names == first.names)]
     for plot in plots:
@@ -308,18 +325,18 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
 
 
 def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """The points of several analyses over one scale, the first vector, in rising order."""
+    """Join the points of several analyses in rising order of the scale, the first vector."""
     result = {name: np.concatenate([part[name] for part in analyses]) for name in analyses[0]}
     scale, order = np.unique(next(iter(result.values())), return_index=True)
     apart = np.diff(scale, prepend=-np.inf) > SAME_POINT * np.abs(scale)
     return {name: values[order[apart]] for name, values in result.items()}
 
 
-def _plots(path: Path) -> Iterator[_Plot]:
-    """Every plot of a file, each with all the points that its header promises."""
+def _read_plots(path: Path) -> Iterator[_Plot]:
+    """Read every plot of a file, each with all the points that its header promises."""
     begin: int | None = 0
     while begin is not None:
-        plot = _plot(path, begin)
+        plot = _read_plot(path, begin)
         if plot is None:
             raise _corrupt(path, "its header is cut off")
         points = len(plot.table)
@@ -336,7 +353,7 @@ def read_partial(path: Path) -> dict[str, np.ndarray] | None:
     None where there are fewer than two.
     """
     try:
-        plot = _plot(path)
+        plot = _read_plot(path)
     except (OSError, SimulationError):
         return None
     good = int(np.argmin(np.append(plot.finite, False))) if plot else 0
@@ -344,13 +361,13 @@ def read_partial(path: Path) -> dict[str, np.ndarray] | None:
 
 
 def last_scale_value(path: Path) -> float | None:
-    """Scale (time) of the last complete point while ngspice still writes; None before the first."""
-    plot = _plot(path) if path.is_file() else None
+    """Read the scale (time) of the last complete point; None before the first point."""
+    plot = _read_plot(path) if path.is_file() else None
     return float(plot.table[-1, 0].real) if plot and len(plot.table) else None
 
 
-def _plot(path: Path, begin: int = 0) -> _Plot | None:
-    """The plot that begins at byte ``begin``; None as long as its header is not complete.
+def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
+    """Read the plot that begins at byte ``begin``; None while its header is not complete.
 
     Raises
     ------
@@ -386,7 +403,7 @@ def _plot(path: Path, begin: int = 0) -> _Plot | None:
 
 
 def _has_next_plot(path: Path, offset: int) -> bool:
-    """Whether another plot begins there, as that of totals does behind a noise spectrum."""
+    """Whether a plot begins at byte ``offset``, as totals follow a noise spectrum."""
     with path.open("rb") as stream:
         stream.seek(offset)
         return stream.read(len(_NEXT)) == _NEXT

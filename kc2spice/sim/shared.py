@@ -33,7 +33,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
 from kc2spice.scene.rows import Sampled
 from kc2spice.sim.ngspice import partial_waves, waves_by_name
-from kc2spice.sim.output import altered_run, failed_run, read_raw, statistics
+from kc2spice.sim.output import altered_run, failed_run, read_raw, read_statistics
 
 
 def _structure(**fields: Any) -> Any:
@@ -139,7 +139,9 @@ def run_shared(
     if failed is not None:
         failed.failure = replace(failed.failure, partial=partial_waves(deck, vectors, log))
         raise failed
-    return Waveforms(waves_by_name(deck, vectors), {"accepted": float(time.size)} | statistics(log))
+    return Waveforms(
+        waves_by_name(deck, vectors), {"accepted": float(time.size)} | read_statistics(log)
+    )
 
 
 def _flatten(deck: Deck, file: str) -> list[str]:

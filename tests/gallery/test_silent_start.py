@@ -9,7 +9,7 @@ import pytest
 from kc2spice.netlist.deck import Deck
 from kc2spice.scene.load import gallery
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.output import classify
+from kc2spice.sim.output import classify_log
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 SHORT = 1e-6  # s: long enough for the operating point and the first steps
@@ -32,6 +32,6 @@ def test_operating_point_is_silent(name, options, tmp_path):
         main = re.sub(r"(?m)^\.options (?!acct).*\n", "", deck.text)
         deck = dataclasses.replace(deck, text=main)
     run_deck(deck, tmp_path)
-    report = classify((tmp_path / f"{name}.log").read_text())
+    report = classify_log((tmp_path / f"{name}.log").read_text())
     assert not report.struggles
     assert report.cause is None

@@ -5,7 +5,7 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError
-from kc2spice.sim.output import alterations
+from kc2spice.sim.output import list_alterations
 
 BRIDGE = """* bridge drawn in LTspice with its piecewise linear diodes
 .subckt rect p n plus minus
@@ -98,11 +98,11 @@ UNALTERED = (
 
 @pytest.mark.parametrize("line", ALTERED)
 def test_alterations_are_read(line):
-    assert alterations(f"Doing analysis\n{line}\r\n{line}\n") == (line,)
+    assert list_alterations(f"Doing analysis\n{line}\r\n{line}\n") == (line,)
 
 
 def test_other_notes_are_no_alterations():
-    assert alterations("\n".join(UNALTERED)) == ()
+    assert list_alterations("\n".join(UNALTERED)) == ()
 
 
 def test_an_alteration_names_its_model():
@@ -110,6 +110,6 @@ def test_an_alteration_names_its_model():
         "Warning: Model issue on line 5 :\n  .model sw sw(ron=1 vser=2) ...\n"
         "unrecognized parameter (vser) - ignored\n"
     )
-    assert alterations(log) == (
+    assert list_alterations(log) == (
         ".model sw sw(ron=1 vser=2): unrecognized parameter (vser) - ignored",
     )

@@ -9,7 +9,7 @@ from kc2spice.parts.control.pid import Control, pid_subcircuit
 from kc2spice.parts.electronics._template import opamp_subcircuit
 from kc2spice.parts.magnetics.ring_magnet_coils import coils_subcircuit
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.sim.output import classify
+from kc2spice.sim.output import classify_log
 
 
 def controller(header, control, position, stop, enable=1e-6, load=0.0):
@@ -47,7 +47,7 @@ def test_controller_is_clamped_silent_before_enable_and_does_not_wind_up(header,
     held = waves["integral"][(t > 2.9e-3) & (t < 2.99e-3)]
     assert np.abs(held).max() < 0.01 * 1.5e-3 * 2e-3  # against 1.5 mm for 2 ms, had it run on
     assert current[-1] == pytest.approx(-control.kp * 1e-6, rel=1e-3)
-    assert not classify((tmp_path / "bench.log").read_text()).struggles
+    assert not classify_log((tmp_path / "bench.log").read_text()).struggles
 
 
 @pytest.mark.parametrize(("how", "form"), [("export", "ideal"), ("instance", "opamps")])

@@ -7,7 +7,7 @@ import pytest
 from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.netlist.deck import Deck
 from kc2spice.sim import ngspice
-from kc2spice.sim.output import classify
+from kc2spice.sim.output import classify_log
 
 # ----------------------------------------------------------------------------------------- log
 
@@ -30,7 +30,7 @@ from kc2spice.sim.output import classify
     ],
 )  # fmt: skip
 def test_a_failure_has_its_place_and_its_kind(text, node, at, kind):
-    report = classify(text.replace("\n", "\r\n"))
+    report = classify_log(text.replace("\n", "\r\n"))
     assert (report.node, report.time, report.kind) == (node, at, kind)
 
 
