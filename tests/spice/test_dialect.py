@@ -10,8 +10,9 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.library import Header
+from kc2spice.netlist.library import Header, subcircuits
 from kc2spice.netlist.printers.dialect_registry import dialect_named, dialect_names
+from kc2spice.netlist.printers.verilog_a import module_files
 from kc2spice.netlist.translate import dialect_files, translate
 from kc2spice.physics.contact import Normal, contact
 from kc2spice.physics.part import declared_subcircuit as declared
@@ -348,6 +349,40 @@ def test_a_number_is_the_same_double_in_all_dialects(word, dialect):
     *_, written = card.split()
     digits, letters = re.fullmatch(r"([\d.]+(?:e[-+]?\d+)?)([a-z]*)", written.lower()).groups()
     assert float(digits) * SHARED[letters] == pytest.approx(READ_BY_NGSPICE[word], rel=1e-15)
+
+
+# Commands, and the doubles that ngspice reads on them.
+COMMANDS = {
+    ".tran 1us 10ms 0 2a uic": [1e-6, 1e-2, 0.0, 2.0],
+    ".ac dec 10 1Hz 1000Hz": [10.0, 1.0, 1000.0],
+    ".dc V1 0 3mil 1mil": [0.0, 3 * 25.4e-6, 25.4e-6],
+    ".ic v(a)=2mil": [2 * 25.4e-6],
+    ".options reltol=10a": [10.0],
+}
+
+
+@pytest.mark.parametrize("card", COMMANDS)
+def test_numbers_of_commands_have_no_letters(card):
+    """Every number is one that ``float`` reads; Xyce changes ends of ranges, steps and reltol."""
+    keyword = card.split()[0]
+    analysis = "" if keyword in (".tran", ".ac", ".dc") else ".op\n"
+    deck = Deck(name="one", text=f"* title\nV1 a 0 1\nR1 a 0 1k\n{card}\n{analysis}.end\n")
+    for dialect in ("ltspice", "xyce"):
+        lines = translate(deck, dialect).files["one.cir"].splitlines()
+        (written,) = filter(re.compile(rf"{re.escape(keyword)}\b").match, lines)
+        values = [float(text) for text in re.findall(r"(?<=[ =])\d\S*", written)]
+        assert len(values) == len(COMMANDS[card])
+        if dialect == "ltspice":
+            assert values == pytest.approx(COMMANDS[card], rel=1e-15)
+
+
+def test_modules_of_verilog_a_have_numbers_without_letters():
+    """Verilog-A reads M as mega and has no Meg, so that modules have plain numbers."""
+    cards_ = "R1 a b 5Meg\nR2 a b 1M\nC1 a b 2mil\nB1 a b I=V(a,b)*3a+4Ohm"
+    (part,) = subcircuits(f"* load\n.subckt load a b\n{cards_}\n.ends load\n", "load.lib")
+    (module,) = module_files(part).values()
+    numbers = re.findall(r"(?<![\w.])\d[\w.]*(?:(?<=e)-\d+)?", module)
+    assert list(map(float, numbers)) == [5e6, 1e-3, 2 * 25.4e-6, 3.0, 4.0]
 
 
 def test_a_refusal_names_one_action():

@@ -139,6 +139,8 @@ class Dialect(Printer, ABC):
                 return self.save([self.vector(word) for word in item.words])
             case ".ic" | ".nodeset":
                 return self.directive(replace(item, words=tuple(map(self.start, item.words))))
+            case keyword if keyword in _SAME & ANALYSES:
+                return self.directive(replace(item, words=tuple(map(self.number, item.words))))
             case keyword if keyword in _SAME:
                 return self.directive(item)
         raise self.refusal(item.text, f"the command {item.keyword}")
@@ -151,7 +153,7 @@ class Dialect(Printer, ABC):
         if what.startswith("param="):
             expression = what.removeprefix("param=").strip("'")
             known = expression.rpartition("*")[2] not in self.unmeasured
-            return self.scaled(kind, name, expression) if known else ""
+            return self.scaled(kind, name, self.number(expression)) if known else ""
         read: tuple[str, ...] = ()
         match what, rest:
             case (("MAX" | "MIN" | "PP" | "AVG" | "RMS"), [text]):
@@ -159,10 +161,10 @@ class Dialect(Printer, ABC):
             case (("MAX_AT" | "MIN_AT"), [text]):
                 read = self.place(what.removesuffix("_AT"), self.measured(text, kind), kind)
             case "FIND", [text, at] if at.startswith("AT="):
-                read = (what, self.measured(text, kind), at)
+                read = (what, self.measured(text, kind), self.number(at))
             case "WHEN", [condition, "CROSS=1"]:
                 text, _, level = condition.rpartition("=")
-                read = (what, f"{self.measured(text, kind)}={level}", "CROSS=1")
+                read = (what, f"{self.measured(text, kind)}={self.number(level)}", "CROSS=1")
         if not read:
             self.unmeasured.add(name)
             return ""
@@ -230,7 +232,8 @@ class Dialect(Printer, ABC):
     def options(self, words: Sequence[str]) -> str:
         """The simulator settings that exist here; what is dropped becomes a comment."""
         supported = [w for w in words if w.partition("=")[0].lower() in self.known_options]
-        lines = [f"{self.option_prefix} {' '.join(supported)}"] if supported else []
+        settings = " ".join(map(self.number, supported))
+        lines = [f"{self.option_prefix} {settings}"] if supported else []
         dropped = (f"* {self.title} has no option {w}" for w in words if w not in supported)
         return "\n".join([*lines, *dropped])
 
@@ -244,7 +247,7 @@ class Dialect(Printer, ABC):
     def start(self, text: str) -> str:
         """A start value ``v(NODE)=VALUE`` with the node as this dialect names it."""
         node, equals, value = text.partition("=")
-        return f"{self.vector(node)}={value}" if equals else text
+        return f"{self.vector(node)}={self.value(value)}" if equals else text
 
     def vector(self, text: str) -> str:
         result = vector(text)
