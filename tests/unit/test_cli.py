@@ -32,7 +32,7 @@ LATE = {"numpy", "scipy", "pydantic", "jinja2"}
     [
         ("cli.main", BUILDERS | LATE),
         ("workflow.run", BUILDERS),
-        ("parts.piezo_stack", BUILDERS | {"scipy.stats"}),
+        ("parts.bodies.piezo_stack", BUILDERS | {"scipy.stats"}),
     ],
     ids=["help", "run with cached models", "its body"],
 )
