@@ -145,6 +145,12 @@ class Part:
         return hasattr(self.keys, "rom")
 
     @property
+    def parameter_ranges(self) -> Mapping[str, tuple[float | str, float | str]]:
+        """Ranges of the keys of a body that are parameters of its netlist."""
+        rom: Rom | None = getattr(self.keys, "rom", None)
+        return (rom.parameters if rom else None) or {}
+
+    @property
     def declares(self) -> bool:
         """Whether it is a body out of files, whose author declares its ports."""
         return self.reduced and self.type.ports_of_files

@@ -22,7 +22,6 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.parts.bodies._body_checks import TWICE
 from kc2spice.parts.bodies._body_model import reduction_target
-from kc2spice.parts.bodies._box import varied
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
@@ -153,7 +152,7 @@ def _violated(run: Run) -> dict[str, Check]:
 
 def _orders_of(run: Run) -> Iterator[Part]:
     """Parts that have an order, which a box of parameters does not have."""
-    return (part for part in run.build.scene.parts.values() if not varied(part))
+    return (part for part in run.build.scene.parts.values() if not part.parameter_ranges)
 
 
 def _larger_orders(run: Run, clock: Clock) -> Iterator[_Search]:

@@ -17,7 +17,6 @@ from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import reduction_target
 from kc2spice.parts.bodies._body_netlist import BodyNetlist
 from kc2spice.parts.bodies._body_ports import contacts_on, flow_name, wave_name
-from kc2spice.parts.bodies._box import varied
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import chip_response, resonators
 from kc2spice.rom.stability import prove_stability
@@ -134,7 +133,7 @@ class BodyChecks(BodyNetlist):
         worst, states = loaded
         model, target = build.model(part, LinearModel), reduction_target(part, build.scene)
         order = TWICE * (target.order or model.order)
-        default = self._chosen(part, build.scene) is None and not varied(part)
+        default = self._chosen(part, build.scene) is None and not part.parameter_ranges
         key = "rom.order" if part.keys.rom is None and not default else f"{name}.rom.order"
         advice = FEWER.format(states, f"{key} = {order}")
         check = _reduction_check(name, worst, LOADED, advice)

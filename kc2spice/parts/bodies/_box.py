@@ -53,8 +53,7 @@ def varied(part: Part) -> tuple[Varied, ...]:
     UsageError : too many, a key that the part does not have or that is no number, a range that is
         none or without the part's value, values that the part cannot have.
     """
-    rom = getattr(part.keys, "rom", None)
-    ranges = (rom.parameters if rom else None) or {}
+    ranges = part.parameter_ranges
     where = f"{part.name}.{PARAMETERS}"
     if len(ranges) > MOST:
         raise wrong(where, "too many parameters", f"{len(ranges)}", f"at most {MOST}")
