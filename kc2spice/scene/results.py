@@ -1,7 +1,8 @@
-"""Results of a scene: those of its parts, what probes ask for, and the values of a dc sweep.
+"""Results of a scene, and its dc sweep.
 
-Vectors are those of the parts, and the flows and powers of probes. A dc sweep moves one source; a
-noise analysis has one output.
+A build with the records of its parts goes in. Vectors of the netlist come out: results of parts,
+and the flows and powers that probes read. A dc sweep moves one source; a noise
+analysis has one output.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ WATT = "W"
 
 
 def noise_output(build: Build) -> Vector:
-    """Output of the noise analysis: a result, or the wave of a pin.
+    """Return the output of the noise analysis: a result, or the across quantity of a pin.
 
     Raises
     ------
@@ -50,7 +51,7 @@ def noise_output(build: Build) -> Vector:
 
 
 def output_nodes(probe_vector: Vector) -> str | None:
-    """The voltage as the simulator's card has it, None where the vector is none."""
+    """Write the voltage in the syntax of the simulator; None if the vector is no voltage."""
     read = [(sign, vector(text)) for sign, text in terms(probe_vector.expression)]
     if any(v is None or v.quantity != "v" or len(v.names) > 1 for _, v in read) or len(read) > 2:
         return None
@@ -58,14 +59,14 @@ def output_nodes(probe_vector: Vector) -> str | None:
     return f"v({','.join(nodes)})" if sum(sign for sign, _ in read) in (0, 1, -1) else None
 
 
-Powers = tuple[PowerTerm, ...]  # powers whose sum is one of a part
+Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part or pin
 
 
 def result_vectors(build: Build) -> dict[str, Vector]:
-    """Results of all parts that have an instance of their own; the density alone of noise.
+    """Return the results of all parts that have cards; of noise its density alone.
 
-    Of devices' own parameters (``@b1[i]``) ngspice gives the operating point in an ac analysis,
-    which is no response: they are no results there.
+    Parameters of devices such as ``@b1[i]`` are no results of an ac analysis: ngspice returns
+    their value at the operating point there, not a response.
     """
     if build.noisy:
         of = noise_output(build)
@@ -80,7 +81,7 @@ def result_vectors(build: Build) -> dict[str, Vector]:
 
 
 def result_units(build: Build) -> dict[str, str]:
-    """SI units of all results, powers among them."""
+    """Return the SI units of all results, including powers."""
     results = result_vectors(build)
     units = {name: vector.unit for name, vector in results.items()}
     return units | dict.fromkeys(powers(build, results), WATT)
@@ -110,31 +111,34 @@ def require_probed(build: Build) -> None:
         where = scene.where(f"probes.{name}.of")
         if owner not in scene.parts:
             raise unknown(f"this scene has no part {owner!r}", probe.of, scene.parts, where)
-        choices = [each for each in _every_result(build, waiting) if each.startswith(f"{owner}.")]
+        choices = [each for each in _list_results(build, waiting) if each.startswith(f"{owner}.")]
         error = unknown("no such result", probe.of, choices, where)
-        error.hint = error.hint or _short_name(probe.of, choices)
+        error.hint = error.hint or _suggest_result(probe.of, choices)
         raise error
 
 
-def _short_name(name: str, choices: Sequence[str]) -> str | None:
+def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
     """Suggest a result for an unknown name that begins alike: ``r2.v`` for ``r2.voltage``."""
     near = [choice for choice in choices if name.startswith(choice)]
     near = near or [choice for choice in choices if choice.startswith(f"{name}.")][:1]
     return f"did you mean {max(near, key=len)!r}?" if near else None
 
 
-def _every_result(build: Build, waiting: Collection[str]) -> list[str]:
-    """All that a probe may read: results, motions at ports that nothing is joined to, currents and
-    powers that are metered when a probe asks for them."""
+def _list_results(build: Build, waiting: Collection[str]) -> list[str]:
+    """List all results that a probe may read.
+
+    They include motions at unconnected ports, and the currents and powers that have a meter only if
+    a probe reads them.
+    """
     scene = resolve(replace(build.scene, ports="all"))
     result = dict.fromkeys(result_vectors(with_vectors(replace(build, scene=scene), waiting)))
     for part in scene.parts.values():
-        result |= dict.fromkeys(_offered(part, scene, result))
+        result |= dict.fromkeys(_list_metered(part, scene, result))
     return list(result)
 
 
-def _offered(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
-    """Names of flows and powers of a part that probes may read besides the ``known`` results."""
+def _list_metered(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
+    """List flows and powers of a part that probes may read besides the ``known`` results."""
     n, pins, powered = part.name, metered_pins(part, scene), powered_pins(part, scene)
     for domain in dict.fromkeys(powered.values()):
         through = domain.quantity("through")
@@ -149,8 +153,11 @@ def _offered(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
 
 
 def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:
-    """Results of pins with a meter, in SI: ``PART.PIN.current``, into the part, and ``PART.PIN.v``;
-    ``PART.current`` is that of the first pin. Other domains have their own words for both."""
+    """Return the results of pins with a meter, in SI units.
+
+    ``PART.PIN.current`` is the current into the part, ``PART.PIN.v`` the voltage. ``PART.current``
+    is the current of the first pin. Other domains have other names for both quantities.
+    """
     result: dict[str, Vector] = {}
     for name, pin in build.scene.meters:
         part = build.scene.parts[name]
@@ -172,7 +179,7 @@ def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vecto
 
 
 def _element_vectors(part: Part, build: Build) -> dict[str, Vector]:
-    """What is across an element of two pins of one domain whose cards stand in the deck."""
+    """Return the across quantity of a part with cards of its own and two pins of one domain."""
     pins = [pin for pin in build.scene.pins(part.name) if pin.domain is not None]
     if type(part.type).cards is PartType.cards or len(pins) != 2 or pins[0].kind != pins[1].kind:
         return {}
@@ -185,8 +192,10 @@ def _element_vectors(part: Part, build: Build) -> dict[str, Vector]:
 
 
 def powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
-    """``PART.power`` and ``PART.PIN.power`` [W] that probes ask for, by what they are the sums of:
-    all that goes into a part, and what a source gives."""
+    """Return the terms of each ``PART.power`` and ``PART.PIN.power`` [W] that a probe reads.
+
+    A source delivers its power; any other part absorbs it.
+    """
     result: dict[str, Powers] = {}
     for part in _probed_parts(build, "power"):
         n, pins = part.name, powered_pins(part, build.scene)
@@ -209,7 +218,7 @@ def powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
 
 
 def _pin_power(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
-    """The power that enters a part through one of its pins; a velocity pin has no rate."""
+    """Return the power that enters a part through a pin; a velocity needs no derivative."""
     unit = build.scene.terminals[part.name, pin].unit
     power = domain.power if unit == domain.across.pin_unit else "across * through"
     across, through = domain.across.symbol, domain.quantity("through").name
@@ -217,6 +226,7 @@ def _pin_power(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
 
 
 def _probed_parts(build: Build, what: str) -> list[Part]:
+    """Return the parts whose result ``PART.what`` a probe reads."""
     names = dict.fromkeys(
         p.of.partition(".")[0]
         for p in build.scene.probes.values()
@@ -274,21 +284,22 @@ def resolve_sweep(build: Build) -> Sweep:
             expected="the dc value of a source, such as push.dc",
             hint=f"kc2spice sweep SCENE --set {selected.sweep}=FROM:TO:POINTS sweeps any key",
         )
-    unit = _swept_unit(part, key)
-    first, last = ends = moved.range or _range(selected, unit)
+    unit = _unit_of_key(part, key)
+    first, last = ends = moved.range or _sweep_ends(selected, unit)
     turns = 2 if selected.back else 1
     points = turns * (selected.points - 1) + 1
     values = np.linspace(first, first + turns * (last - first), points)
     return Sweep(moved.source, moved.scale, unit, part.name, key, ends, values)
 
 
-def _swept_unit(part: Part, key: str) -> str:
-    """SI unit of a key that a dc analysis moves."""
+def _unit_of_key(part: Part, key: str) -> str:
+    """Return the SI unit of a key that a dc analysis sweeps."""
     units = {item.name: item.unit for item in model_keys(type(part.keys))}
     return getattr(part.keys, "unit", None) or units.get(key) or ""
 
 
-def _range(selected: Analysis, unit: str) -> tuple[float, float]:
+def _sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
+    """Return first and last value of the sweep in SI units; refuse an empty range."""
     first, last = (quantity(getattr(selected, name), unit) for name in ("from_", "to"))
     if first == last:  # a simulator would step on the spot without end
         got, expected = f"{first:g} … {last:g} {unit}", "two values"
