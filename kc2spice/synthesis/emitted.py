@@ -1,4 +1,4 @@
-"""The error of an emitted subcircuit: what its elements do otherwise than the model behind them.
+"""The error of an emitted subcircuit: the difference of its response to that of its model.
 
 The circuit is the tree of the library's own text, solved by nodal analysis
 (:mod:`kc2spice.netlist.nodal`) over the model's whole band: the lowest frequency, a grid, every
@@ -37,7 +37,7 @@ PERTURBED, SPREAD = 4, 10.0  # random roundings of the matrices; ratio of their 
 
 @dataclass(frozen=True)
 class CircuitError:
-    """The largest relative error of a circuit, and the frequency [Hz] at which it has it."""
+    """The largest relative error of a circuit, and the frequency [Hz] of this error."""
 
     error: float
     frequency: float = 0.0
@@ -51,11 +51,12 @@ def circuit_error(
     norm: Norm = "pointwise",
     values: Mapping[str, float] | None = None,
 ) -> CircuitError:
-    """The largest difference between the responses of a subcircuit and of its model in the band.
+    """Return the largest difference between the responses of a subcircuit and of its model.
 
-    It is relative in the ``norm`` of a :class:`kc2spice.rom.linear_model.Certificate`. The ports
-    are loaded as in :func:`kc2spice.synthesis.realize.loaded`; an acceleration port is judged by
-    the force that its pin draws.
+    The difference is relative in the ``norm`` of a
+    :class:`kc2spice.rom.linear_model.Certificate`. The ports are loaded as in
+    :func:`kc2spice.synthesis.realize.loaded`. An acceleration port is judged by the force that its
+    pin draws.
 
     Parameters
     ----------
@@ -65,8 +66,8 @@ def circuit_error(
     """
     emitted = EmittedResponse(NodalCircuit(circuit), tuple(pins), model, values or {})
     exact = Response(model.pencil.dense())
-    frequency = _frequencies(exact, band, emitted.unknowns)
-    relative = _Relative(emitted, exact, norm)
+    frequency = _select_frequencies(exact, band, emitted.unknowns)
+    relative = _RelativeError(emitted, exact, norm)
     error = relative(frequency)
     if emitted.unknowns**2 * len(frequency) < WORK:
         top = np.argsort(error)[-WORST:]
@@ -97,7 +98,7 @@ class EmittedResponse:
             if not port.loaded and port.kind != "output"
         }
         self.equations = circuit.equations(values, grounded, clamps)
-        self.loads = [_load(port) for port in model.ports if port.kind != "output"]
+        self.loads = [_unit_load(port) for port in model.ports if port.kind != "output"]
         self.rows = [port for port in model.ports if port.kind != "input"]
         self.masses = [_mass(model, port) for port in self.rows]
 
@@ -110,51 +111,56 @@ class EmittedResponse:
         """Displacements, charges, forces of accelerated frames, and signals (frequencies, outputs,
         inputs) by forces, voltages, accelerations and signals."""
         s = 2j * np.pi * frequency
-        H = self.equations.solve(s, self.loads, [_answer(port) for port in self.rows])
+        H = self.equations.solve(s, self.loads, [_answer_node(port) for port in self.rows])
         for row, port in enumerate(self.rows):
             if port.domain is not None and port.loaded:
                 H[:, row] *= port.domain.across.factor
             elif port.charged and port.domain is not None:
                 H[:, row] /= -s[:, None] / port.domain.quantity("through").factor
-            elif shakes(port):
+            elif accelerates_frame(port):
                 H[:, row] *= -1.0
         return H
 
-    def at_pins(self, H: np.ndarray, frequency: np.ndarray) -> np.ndarray:
-        """The response ``H`` of the model as the pins have it: of an accelerated frame the force
-        ``m a - y''`` instead of y."""
+    def convert_to_pins(self, H: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+        """Convert the response ``H`` of the model to the quantities at the pins.
+
+        At the pin of an accelerated frame it is the force ``m a - y''`` instead of y.
+        """
         result = H.copy()
         s = 2j * np.pi * frequency[:, None]
         for row, (port, mass) in enumerate(zip(self.rows, self.masses, strict=True)):
-            if shakes(port):
+            if accelerates_frame(port):
                 driven = np.array(self.model.inputs) == port.name
                 result[:, row] = mass * driven - s**2 * H[:, row]
         return result
 
 
-def shakes(port: Port) -> bool:
+def accelerates_frame(port: Port) -> bool:
     """Whether the port accelerates the frame of the body."""
     return port.domain is ACCELERATION
 
 
-def _load(port: Port) -> dict[str, float]:
+def _unit_load(port: Port) -> dict[str, float]:
     node = port.terminals[0].lower()
     unit = port.domain.quantity(port.domain.driven).per_unit if port.domain else 1.0
     return {node if port.loaded else f"i(held_{node})": unit}
 
 
-def _answer(port: Port) -> str:
+def _answer_node(port: Port) -> str:
     node = port.terminals[0].lower()
     return f"i(held_{node})" if port.conservative and not port.loaded else node
 
 
 def _mass(model: LinearModel, port: Port) -> float:
-    return reaction_mass(model, port) if shakes(port) else 0.0
+    return reaction_mass(model, port) if accelerates_frame(port) else 0.0
 
 
 def reaction_mass(model: LinearModel, port: Port) -> float:
-    """Mass [kg] that an acceleration pin moves: the body's, or that of its states alone,
-    ``y'' = C A B a`` at high frequency."""
+    """Return the mass [kg] that an acceleration pin moves.
+
+    It is the mass of the body if the model contains it. Otherwise it is that of the states, by
+    ``y'' = C A B a`` at high frequency.
+    """
     known = model.facts.get("mass_kg")
     if known is not None:
         return known
@@ -163,9 +169,11 @@ def reaction_mass(model: LinearModel, port: Port) -> float:
 
 
 @dataclass
-class _Relative:
-    """Relative errors (frequencies,) of a circuit at frequencies [Hz]; peaks are those of the
-    frequencies that come first."""
+class _RelativeError:
+    """Relative errors (frequencies,) of a circuit at frequencies [Hz].
+
+    The first call sets the peaks to which later errors are relative.
+    """
 
     emitted: EmittedResponse
     exact: Response
@@ -178,9 +186,9 @@ class _Relative:
         s = 2j * np.pi * frequency
         with np.errstate(all="ignore"):
             H = self.exact.transfer(s)
-        expected = self.emitted.at_pins(H, frequency)
+        expected = self.emitted.convert_to_pins(H, frequency)
         if self.entries is None:
-            framed = [shakes(port) for port in self.emitted.rows]
+            framed = [accelerates_frame(port) for port in self.emitted.rows]
             peak = self.exact.peaks(frequency, H)
             peak[framed] = np.abs(expected[:, framed]).max(axis=0)
             self.entries = Entries.of(expected, peak, self.exact.zero)
@@ -189,8 +197,8 @@ class _Relative:
         return np.asarray(apart.max(axis=(1, 2)))
 
 
-def _frequencies(exact: Response, band: tuple[float, float], unknowns: int) -> np.ndarray:
-    """Frequencies [Hz] over the whole band, its ends included."""
+def _select_frequencies(exact: Response, band: tuple[float, float], unknowns: int) -> np.ndarray:
+    """Return frequencies [Hz] over the whole band, its ends included."""
     low, high = band[0] or LOWEST * band[1], band[1]
     start = max(low, 1e-4 * high)
     below = np.geomspace(low, start, max(2, round(DECADE * np.log10(start / low)) + 1))
@@ -205,8 +213,8 @@ def _frequencies(exact: Response, band: tuple[float, float], unknowns: int) -> n
 def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> None:
     """Check that the emitted circuit meets its model's tolerance.
 
-    Where rounding of the model's own numbers changes its response as much as the circuit does, no
-    circuit is better: that is a warning.
+    If rounding of the matrices changes the response by as much as the circuit does, no circuit is
+    better, and the function only warns.
 
     Raises
     ------
@@ -236,8 +244,10 @@ def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> N
 
 
 def rounding(model: LinearModel, frequency: float) -> float:
-    """Relative change of a response at a frequency [Hz] by rounding of the model's matrices: the
-    largest of :data:`PERTURBED` random ones, by the largest entry."""
+    """Return the relative change of a response at a frequency [Hz] by rounded matrices.
+
+    It is the largest change of any entry in :data:`PERTURBED` random roundings of the matrices.
+    """
     random = np.random.default_rng(0)
     unit = np.finfo(float).eps
 

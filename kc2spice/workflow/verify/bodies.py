@@ -28,7 +28,7 @@ from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import Build, Part
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.synthesis.emitted import reaction_mass, shakes
+from kc2spice.synthesis.emitted import accelerates_frame, reaction_mass
 from kc2spice.synthesis.heat import is_heat
 from kc2spice.synthesis.realize import loaded
 
@@ -204,7 +204,7 @@ def netlist_response(
         row = rom.outputs.index(port.name) if port.kind != "input" else -1
         if port.charged:
             H[:, row] /= s
-        elif shakes(port):  # its pin draws the force m a - s^2 y
+        elif accelerates_frame(port):  # its pin draws the force m a - s^2 y
             mass = reaction_mass(rom, port) * (np.array(rom.inputs) == port.name)
             H[:, row] = (mass - H[:, row]) / s**2
     return frequency, H
