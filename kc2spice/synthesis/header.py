@@ -1,5 +1,7 @@
-"""Libraries of parts whose cards are templates, and the head of every one: where it comes from and
-what each pin and parameter means."""
+"""Headers of all libraries, and libraries of parts whose cards are templates.
+
+A header states the origin of a library and the meaning of each pin and parameter.
+"""
 
 from __future__ import annotations
 
@@ -47,17 +49,17 @@ def plan_lines(plan: Mapping[str, Any], without: Collection[str] = ()) -> tuple[
 
 
 def paragraph(text: str) -> list[str]:
-    """``text`` as comment lines of at most 100 characters, all but the first indented."""
+    """Wrap ``text`` to comment lines of at most 100 characters, all but the first indented."""
     words: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
     lines = textwrap.wrap(comment(text), 96, subsequent_indent="  ", **words)
     return [f"* {line}" for line in lines]
 
 
 def rom_lines(reduction: ReductionFacts, certificate: Certificate) -> tuple[str, ...]:
-    """Comment lines: order, band and error estimate of a reduced model, how it was found, the share
-    of the emitted circuit, and what contact sees above the band.
+    """Return comment lines about a reduced model: its order, band, error estimate and method.
 
-    Stability and passivity are stated where one of them is not proven.
+    The lines also give the error of the emitted circuit and the errors above the band. They state
+    stability and passivity if one of these is not proven.
     """
     errors = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
     beyond = f", compliance off by {', '.join(errors)}" if errors else ""
@@ -100,11 +102,11 @@ def part_header(
     lines = [f"* {comment(title)}", use_line(title.partition(":")[0], ends, defaults(params))]
     lines += [*header.origin(), *rom]
     facts = {"mesh": mesh, "sign": sign, "validity": validity, "rating": rating}
-    lines += [line for key, text in facts.items() if text for line in paragraph(f"{key}: {text}")]
-    lines += [
-        f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}"
-        for i, p in enumerate(pins, 1)
-    ]
+    for key, text in facts.items():
+        if text:
+            lines += paragraph(f"{key}: {text}")
+    for i, p in enumerate(pins, 1):
+        lines.append(f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}")
     lines += map(parameter_line, params)
     return tuple(lines)
 

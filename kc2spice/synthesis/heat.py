@@ -60,11 +60,11 @@ def is_heat(model: LinearModel) -> bool:
 
 
 def heat_modes(model: LinearModel) -> HeatModes:
-    """The modes of a heat model, slowest first; those that no port feels are left out.
+    """Return the modes of a heat model that a port excites, slowest first.
 
-    Static shares decide on a network at rest, so modes are those of ``E x = t K x`` where K is
-    positive definite; t is their time constant. Otherwise nothing leads the heat of some away, and
-    a leak takes the place of their resistance.
+    If K is positive definite, the modes are those of ``E x = t K x`` with the time constants t,
+    because static shares decide on a network at rest. Otherwise nothing leads the heat of some
+    modes away, and a leak replaces the resistance of these modes.
 
     Raises
     ------
@@ -72,11 +72,11 @@ def heat_modes(model: LinearModel) -> HeatModes:
     """
     K, E = model.pencil.dense().coefficients
     if not model.symmetric or np.linalg.eigvalsh(model.D).min(initial=0.0) < 0:
-        raise _active(model, "matrices that are not symmetric, or a negative D")
+        raise _not_passive_error(model, "matrices that are not symmetric, or a negative D")
     K, E = 0.5 * (K + K.T), 0.5 * (E + E.T)
     paths, heats = np.linalg.eigvalsh(K), np.linalg.eigvalsh(E)
     if any(size[0] < -STILL * np.abs(size).max() for size in (paths, heats)):
-        raise _active(model, "a matrix E or K with a negative eigenvalue")
+        raise _not_passive_error(model, "a matrix E or K with a negative eigenvalue")
     if paths[0] > STILL * paths[-1]:
         times, shapes = scipy.linalg.eigh(E, K)
     elif heats[0] > STILL * heats[-1]:
@@ -85,7 +85,7 @@ def heat_modes(model: LinearModel) -> HeatModes:
         times = 1 / np.where(rates > STILL * rates[-1], rates, LEAK_RATE)
         shapes = shapes * np.sqrt(times)
     else:
-        raise _active(model, "a matrix E and a matrix K that are both singular")
+        raise _not_passive_error(model, "a matrix E and a matrix K that are both singular")
     gain, times = (shapes.T @ model.B)[::-1], np.maximum(times[::-1], 0.0)
     size = np.abs(gain).max(axis=1)
     felt = (np.abs(gain) / (np.abs(gain).max(axis=0) + np.finfo(float).tiny)).max(axis=1) > UNHEATED
@@ -100,7 +100,7 @@ def heat_modes(model: LinearModel) -> HeatModes:
     )
 
 
-def _active(model: LinearModel, got: str) -> UsageError:
+def _not_passive_error(model: LinearModel, got: str) -> UsageError:
     return UsageError(
         "is no passive heat model",
         where=model.name,
@@ -112,13 +112,13 @@ def _active(model: LinearModel, got: str) -> UsageError:
 
 
 def heat_cards(modes: HeatModes, base: str) -> tuple[list[str], list[Line]]:
-    """Comments about the network and its cards between the pins of the ports and ``base``."""
+    """Return comments about the network, and its cards between its ports and ``base``."""
     one = len(modes.ports) == 1
     about = [*_ABOUT.format(base=base).split("\n"), *(_SERIES if one else _COUPLED).split("\n")]
-    return about, list(_series(modes, base) if one else _coupled(modes, base))
+    return about, list(_series_cards(modes, base) if one else _coupled_cards(modes, base))
 
 
-def _described(modes: HeatModes, j: int) -> str:
+def _describe_mode(modes: HeatModes, j: int) -> str:
     R, C = modes.resistance[j], modes.capacity[j]
     text = f"time constant {R * C:.4g} s, {R:.4g} K/W, {C:.4g} J/K"
     if R * C * LEAK_RATE >= 1 - STILL:
@@ -126,14 +126,14 @@ def _described(modes: HeatModes, j: int) -> str:
     return f"\n* Mode {j + 1}: {text}"
 
 
-def _elements(modes: HeatModes, j: int, node: str, other: str) -> Iterator[Line]:
+def _mode_elements(modes: HeatModes, j: int, node: str, other: str) -> Iterator[Line]:
     yield Element.of(f"R{j + 1}", node, other, float(modes.resistance[j]))
     if modes.capacity[j] > 0:
         yield Element.of(f"C{j + 1}", node, other, float(modes.capacity[j]))
 
 
-def _series(modes: HeatModes, base: str) -> Iterator[Line]:
-    """Foster's form of one port."""
+def _series_cards(modes: HeatModes, base: str) -> Iterator[Line]:
+    """Yield the cards of Foster's form of one port."""
     node, count = modes.ports[0].terminals[0], len(modes.resistance)
     if (direct := float(modes.direct[0, 0])) > 0:
         yield f"\n* Resistance without a heat capacity: {direct:.4g} K/W"
@@ -141,13 +141,13 @@ def _series(modes: HeatModes, base: str) -> Iterator[Line]:
         node = "h1"
     for j in range(count):
         following = base if j == count - 1 else f"h{j + 2}"
-        yield _described(modes, j)
-        yield from _elements(modes, j, node, following)
+        yield _describe_mode(modes, j)
+        yield from _mode_elements(modes, j, node, following)
         node = following
 
 
-def _coupled(modes: HeatModes, base: str) -> Iterator[Line]:
-    """Modes that several ports feel."""
+def _coupled_cards(modes: HeatModes, base: str) -> Iterator[Line]:
+    """Yield the cards of modes that several ports excite."""
     names = [port.terminals[0] for port in modes.ports]
     for k, pin in enumerate(names):
         yield f"\n* Port {pin}: its temperature rise u is the sum of the modes (1 V = 1 K)."
@@ -162,7 +162,7 @@ def _coupled(modes: HeatModes, base: str) -> Iterator[Line]:
                 yield Element.of(name, base, f"u{pin}", f"f{other}", base, float(direct))
     for j, row in enumerate(modes.share):
         node = f"h{j + 1}"
-        yield _described(modes, j)
-        yield from _elements(modes, j, node, base)
+        yield _describe_mode(modes, j)
+        yield from _mode_elements(modes, j, node, base)
         for pin, share in zip(names, row, strict=True):
             yield Element.of(f"Gq{pin}_{j + 1}", base, node, f"f{pin}", base, float(share))
