@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.expression import CircuitVariable, Tree, parse, walk
@@ -190,7 +191,7 @@ class Circuit(Card):
     @property
     def subcircuits(self) -> tuple[Circuit, ...]:
         """The subcircuits that it defines."""
-        return tuple(item for item in self.items if isinstance(item, Circuit))
+        return items_of(self.items, Circuit)
 
     def changed(self, change: Callable[[Item], Item]) -> Circuit:
         """The same with every item changed, what stands in subcircuits first."""
@@ -199,6 +200,12 @@ class Circuit(Card):
 
 
 Item = Element | Model | Parameters | Function | Directive | Circuit
+Kind = TypeVar("Kind")
+
+
+def items_of(items: Iterable[object], kind: type[Kind]) -> tuple[Kind, ...]:
+    """Return the items of one class, such as all elements, in their order."""
+    return tuple(item for item in items if isinstance(item, kind))
 
 
 @dataclass(frozen=True)

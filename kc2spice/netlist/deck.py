@@ -6,11 +6,13 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 from kc2spice.core.domains import Power, units_stated
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import Circuit, Directive, Element, Item
+from kc2spice.netlist.circuit import Circuit, Directive, Element, Item, items_of
 from kc2spice.netlist.elements import Line, noted
 from kc2spice.netlist.expression import literal, terms
 from kc2spice.netlist.library import Subcircuit
@@ -221,9 +223,7 @@ class Deck:
         """
         if self.text is None:
             return self.printed_for(*self._usage)
-        cards = [option.card for option in self.options]
-        cards += [command.directive for command in self.refinements]
-        return _inserted(self._read, cards)
+        return _inserted(self._read, [*self._option_cards, *self._refinement_cards])
 
     @cached_property
     def trees(self) -> dict[str, Circuit]:
@@ -296,8 +296,9 @@ class Deck:
         if self.initial:
             yield "* Nothing holds these nodes before the run begins."
             yield Directive(".ic", tuple(f"v({n})={number(v)}" for n, v in self.initial.items()))
-        yield from (option.card for option in self.options)
-        yield from (command.directive for command in (self.command, *self.refinements))
+        yield from self._option_cards
+        yield self.command.directive
+        yield from self._refinement_cards
         totals = (
             ("onoise_total",) if self.command.kind == "noise" else ()
         )  # vector of the second plot
@@ -309,11 +310,21 @@ class Deck:
         yield Directive(".end")
 
     @property
+    def _option_cards(self) -> Iterator[Item]:
+        """The ``.options`` cards."""
+        return map(attrgetter("card"), self.options)
+
+    @property
+    def _refinement_cards(self) -> Iterator[Item]:
+        """The cards of the further analyses."""
+        return map(attrgetter("directive"), self.refinements)
+
+    @property
     def _pin_units(self) -> set[str]:
         """Units of the pins of its libraries, and of values of its elements."""
-        pins = (pin for part in self.parts for pin in part.pins)
-        elements = (item for item in self.items if isinstance(item, Element))
-        return {*(pin.unit for pin in pins), *(item.unit for item in elements)}
+        pins = chain.from_iterable(part.pins for part in self.parts)
+        elements = items_of(self.items, Element)
+        return set(map(attrgetter("unit"), chain(pins, elements)))
 
     @property
     def _rows(self) -> list[Measure]:
@@ -350,11 +361,13 @@ class Deck:
 
     def option(self, key: str) -> str | None:
         """The value of an option, None where the deck says nothing."""
-        cards = (item for item in self.circuit.items if isinstance(item, Directive))
-        words = (word for card in cards if card.keyword in OPTION_CARDS for word in card.words)
-        pairs = (word.partition("=") for word in words)
-        result = [value for name, _, value in pairs if name.lower() == key and value]
-        return result[-1] if result else None
+        result = None
+        for card in items_of(self.circuit.items, Directive):
+            for word in card.words if card.keyword in OPTION_CARDS else ():
+                name, _, value = word.partition("=")
+                if name.lower() == key and value:
+                    result = value  # the last one counts
+        return result
 
     def saving(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
         """The same deck with these results besides its own."""

@@ -68,11 +68,11 @@ def circuit_problems(deck: Deck) -> list[UsageError]:
 def _problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list[UsageError]:
     signals = frozenset(_signal_pins(trees.values()))
     read = _read_inside(deck, top)
-    checks = (
-        (*_wrong_cards(item), *_dangling(item, signals, read.get(id(item), set())))
-        for item in top.inwards()
-    )
-    return [problem for result in checks for problem in result]
+    problems: list[UsageError] = []
+    for item in top.inwards():
+        problems += _wrong_cards(item)
+        problems += _dangling(item, signals, read.get(id(item), set()))
+    return problems
 
 
 def _read_inside(deck: Deck, top: Scope) -> dict[int, set[str]]:
@@ -206,13 +206,11 @@ def _dangling(
     among those that the deck has ``read``."""
     uses = Counter(n for part in scope.elements for n in part.ends)
     uses.update(scope.pins)
-    watched = {
-        name.strip().lower()
-        for card in scope.commands
-        for inside in _written(card).split("(")[1:]
-        for name in inside.partition(")")[0].split(",")
-    }
-    watched.update(read)
+    watched = set(read)
+    for card in scope.commands:
+        for text in _written(card).split("(")[1:]:
+            names = text.partition(")")[0].lower().split(",")
+            watched.update(map(str.strip, names))
     watched.update(*(part.sensed for part in scope.elements))
     for part in scope.elements:
         called = scope.find(part.model) if part.kind == "x" else None

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import Circuit, Element, Parameters
+from kc2spice.netlist.circuit import Circuit, Element, Parameters, items_of
 from kc2spice.netlist.expression import Tree, parse, value
 
 GROUND = "0"
@@ -78,13 +78,16 @@ class NodalCircuit:
     @cached_property
     def parameters(self) -> list[tuple[str, Tree]]:
         """Names in lower case with their expressions, in the order of the ``.param`` cards."""
-        cards = (item for item in self.circuit.items if isinstance(item, Parameters))
-        return [(key.lower(), parse(text)) for card in cards for key, text in card.values.items()]
+        result: list[tuple[str, Tree]] = []
+        for card in items_of(self.circuit.items, Parameters):
+            for key, text in card.values.items():
+                result.append((key.lower(), parse(text)))
+        return result
 
     @cached_property
     def elements(self) -> list[tuple[Element, Tree | float]]:
         """Each element with the expression of its value, zero of a source."""
-        return [(item, _value(item)) for item in self.circuit.items if isinstance(item, Element)]
+        return [(item, _value(item)) for item in items_of(self.circuit.items, Element)]
 
     def equations(
         self,
@@ -108,7 +111,7 @@ class NodalCircuit:
             Element(kind="v", name=n, nodes=(node, GROUND)) for n, node in sources.items()
         ]
         every = [*self.elements, *((item, 0.0) for item in extra_sources)]
-        low = {GROUND, *(pin.lower() for pin in grounded)}
+        low = {GROUND, *map(str.lower, grounded)}
         nodes = dict.fromkeys(end for item, _ in every for end in item.ends)
         unknowns = [node for node in nodes if node not in low]
         unknowns += [f"i({item.key})" for item, _ in every if item.kind in _BRANCHED]

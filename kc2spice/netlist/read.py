@@ -166,13 +166,22 @@ def _subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
     rest = [word for word in s.words[1:] if word.lower() != "params:"]
     if not rest:
         raise s.error("subcircuit has no name")
-    pins = tuple(w for w in rest[1:] if "=" not in w)
-    low = [pin.lower() for pin in pins]
+    pins, assigned = _split_assigned(rest[1:])
+    low = list(map(str.lower, pins))
     if len(set(low)) < len(low):
         raise s.error("a pin name stands twice", " ".join(low))
-    defaults = _assignments([w for w in rest[1:] if "=" in w], s)
+    defaults = _assignments(assigned, s)
     items, closing = _items(cards, s)
-    return Circuit(rest[0], pins, defaults, items, closing, **_origin(s))
+    return Circuit(rest[0], tuple(pins), defaults, items, closing, **_origin(s))
+
+
+def _split_assigned(card: Iterable[str]) -> tuple[list[str], list[str]]:
+    """Split the words of a card into names and assignments ``name=value``."""
+    names: list[str] = []
+    assignments: list[str] = []
+    for word in card:
+        (assignments if "=" in word else names).append(word)
+    return names, assignments
 
 
 def _item(s: Statement) -> Item:
@@ -232,10 +241,10 @@ def parse_element(s: Statement) -> Element:
         return _behaviour(s)
     name, *rest = (word for word in s.words if word.lower() != "params:")
     if kind == "x":
-        plain = [w for w in rest if "=" not in w]
+        plain, assigned = _split_assigned(rest)
         if not plain:
             raise s.error("instance names no subcircuit")
-        assignments = _assignments([w for w in rest if "=" in w], s)
+        assignments = _assignments(assigned, s)
         return Element(kind, name, tuple(plain[:-1]), (), plain[-1], (), assignments, **origin)
     if kind not in NODES:
         return Element(kind, name, (), values=tuple(rest), **origin)

@@ -42,7 +42,7 @@ def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircui
 def quiet(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
     """``part`` with no noise of resistors but those that are noise, ``Rnoise…``, and those called
     ``noisy`` and a number: the others are arithmetic."""
-    names = {name.lower() for name in noisy}
+    names = set(map(str.lower, noisy))
 
     def item(entry: Item) -> Item:
         if not isinstance(entry, Element) or entry.kind != "r" or entry.key.startswith("rnoise"):

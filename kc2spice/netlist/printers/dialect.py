@@ -15,7 +15,16 @@ from types import MappingProxyType
 from typing import ClassVar
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import Circuit, Directive, Element, Function, Item, Model, Parameters
+from kc2spice.netlist.circuit import (
+    Circuit,
+    Directive,
+    Element,
+    Function,
+    Item,
+    Model,
+    Parameters,
+    items_of,
+)
 from kc2spice.netlist.deck import ANALYSES, Deck
 from kc2spice.netlist.expression import (
     EVERYWHERE,
@@ -104,8 +113,7 @@ class Dialect(Printer, ABC):
     def analysis(self) -> Directive:
         """The card of the deck's analysis; a library is one of a transient from initial states."""
         items = self.deck.trees[self.deck.main].items if self.deck else ()
-        cards = (item for item in items if isinstance(item, Directive))
-        analyses = (card for card in cards if card.keyword in ANALYSES)
+        analyses = (card for card in items_of(items, Directive) if card.keyword in ANALYSES)
         return min(analyses, key=lambda card: card.keyword, default=Directive(".tran", ("uic",)))
 
     def symbols(self, part: Subcircuit, library: str) -> dict[str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
+from itertools import chain
 
 WIDTH = 100  # characters of the longest line
 SHORTEST = 50  # characters that a line has before a break within a word is worse than a short line
@@ -71,7 +72,7 @@ def _best(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
     for places in breaks:
         if within := [place for place in places if SHORTEST <= place - begin <= width]:
             return within[-1]
-    possible = sorted(place for places in breaks for place in places)
+    possible = sorted(chain.from_iterable(breaks))
     further = [place for place in possible if place > begin]
     short = [place for place in further if place - begin <= width]
     return short[-1] if short else next(iter(further), 0)
