@@ -84,8 +84,8 @@ TABLE = (
 
 def declaration(row: Row) -> Declaration:
     """The row's physics with its key, an example and its equations as documentation."""
-    description = f"{row.key.capitalize()} of the {row.name.replace('_', ' ')}"
-    value = Field(gt=0, description=description)
+    noun = row.name.replace("_", " ")
+    value = Field(gt=0, description=f"{row.key.capitalize()} of the {noun}")
     fields: dict[str, Any] = {row.key: (Annotated[float, si(row.unit)], value)}
     words = f"{row.name.title().replace('_', '')}Keys"
     keys = create_model(words, __base__=Section, __module__=__name__, **fields)
