@@ -290,6 +290,12 @@ def _rows(items: Iterable[_Item], width: int) -> Iterator[_Item]:
         y += top + below + 2
 
 
+def _ends(items: Iterable[_Item]) -> Iterator[tuple[int, int, str, str]]:
+    """Yield the free ends of all symbols on the sheet: x, y, side and net of each."""
+    for item in items:
+        yield from item.ends
+
+
 def _sheet(
     name: str, title: str, items: list[_Item], commands: list[str], plain: dict[str, Symbol]
 ) -> str:
@@ -304,7 +310,7 @@ def _sheet(
     every = [*placed, *_grounds(placed, plain)]
     sheet = SimpleNamespace(
         paper=paper,
-        labels=[end for item in placed for end in item.ends if end[3] != "0"],
+        labels=[end for end in _ends(placed) if end[3] != "0"],
         texts=[(line, MARGIN, bottom + k) for k, line in enumerate(commands)],
         items=every,
     )
@@ -321,7 +327,7 @@ def _sheet(
 
 def _grounds(items: list[_Item], plain: dict[str, Symbol]) -> Iterator[_Item]:
     """Ground at every pin on node 0, turned away from the symbol, and one flag."""
-    grounds = [end for item in items for end in item.ends if end[3] == "0"]
+    grounds = [end for end in _ends(items) if end[3] == "0"]
     rows = [("GND", f"#PWR{k:02d}", *end[:2], _TURN[end[2]]) for k, end in enumerate(grounds, 1)]
     if grounds:  # a place of its own, on a ground of its own
         corner = (MARGIN - 2, MARGIN - 2, 0)

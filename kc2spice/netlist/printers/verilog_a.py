@@ -342,9 +342,10 @@ def _mutual(part: Element, names: VerilogNames) -> list[str]:
     coils = [inductors[s.lower()] for s in part.sources if s.lower() in inductors]
     if len(coils) != 2:
         raise part.error(_UNSAID)
-    product = "*".join(names.value(coil.values[0]) for coil in coils)
+    first, second = coils
+    product = f"{names.value(first.values[0])}*{names.value(second.values[0])}"
     mutual = f"{_value(part, names)}*sqrt({product})"
-    one, two = (names.branch(coil.name) for coil in coils)
+    one, two = names.branch(first.name), names.branch(second.name)
     return [f"V({one}) <+ ddt({mutual}*I({two}));", f"V({two}) <+ ddt({mutual}*I({one}));"]
 
 
