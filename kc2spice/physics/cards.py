@@ -40,16 +40,23 @@ from kc2spice.physics.symbolic import (
 
 _FARAD = "1e-06"
 _EDGE = Model("edge", "SW", {"VT": "0", "VH": "0", "RON": "1e6", "ROFF": "2e6"})
+_TIME_INTEGRALS = {
+    "current": ("charge", "coulombs"),
+    "voltage": ("flux", "webers"),
+    "heat_flow": ("stored heat", "joules"),
+    "volume_velocity": ("volume", "m3"),
+    "pressure": ("pressure impulse", "Pa s"),
+}
 _HEAD = {
     "force": "{flow} into {plus}, out of {minus}, 1 V = 1 {unit} on {node}; "
     "{word} = {factor}V({plus},{minus})",
     "direct": "{flow} into {plus}, out of {minus}; {word} = {factor}V({plus},{minus})",
     "place": "in um on {node}: {plus} less {minus}{words}",
     "rate": "velocity of {plus} less that of {minus} [m/s]: the current of 1 uF on that voltage",
-    "charge": "charge between {plus} and {minus} on the node {node}, 1 V = {scale} coulombs; its "
+    "charge": "{integral} between {plus} and {minus} on the node {node}, 1 V = {scale} {unit}; its "
     "rate flows from {plus} to {minus}",
-    "flux": "flux of the current from {plus} to {minus} on the node {node}, 1 V = {scale} webers; "
-    "its rate is a part of the voltage",
+    "flux": "{integral} of the {flow} from {plus} to {minus} on the node {node}, "
+    "1 V = {scale} {unit}; its rate is a part of the {across}",
     "mass": "mass of {plus}: velocity on {speed} (1 V = 1 m/s), place on {place} (1 V = 1 um)",
     "shake": "the frame of {speed} is shaken by {plus} (1 V = 1 m/s2), which draws the force that "
     "takes",
@@ -59,8 +66,8 @@ _HEAD = {
     "state": "a state, whose rate times 1 uF flows into {node}; 1 POhm may be all that sets it at "
     "an operating point",
     "noise": "of the temperature of a loss, 4 k T times {loss}: this resistor has noise",
-    "leak": "by this current the operating point of a floating net keeps its charge, which decays "
-    "within {seconds} s",
+    "leak": "by this current the operating point of a floating net keeps its {integral}, which "
+    "decays within {seconds} s",
     "edge": "a switch without function: ngspice puts a time point where {argument} is zero",
 }  # fmt: skip
 
@@ -242,6 +249,12 @@ def _comment(kind: str, branch: Branch, **words: str) -> str:
     return f"* {_HEAD[kind].format(plus=branch.plus, minus=branch.minus, **words)}"
 
 
+def _time_integral(quantity: Quantity) -> tuple[str, str]:
+    """Name and SI unit of the time integral of a quantity."""
+    plain = quantity.name.replace("_", " ")
+    return _TIME_INTEGRALS.get(quantity.name, (f"integral of the {plain}", f"{quantity.unit} s"))
+
+
 def _states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
     """Signals, then what integrates."""
     base = reference_node(declaration)
@@ -352,12 +365,14 @@ def _charge(
         inner = f"in_{b.name}"
         yield Element.of(meter(b), b.plus, inner, "0")
     if charge != ZERO:
-        yield _comment("charge", b, node=f"q_{b.name}", scale=f"scale_{b.name}")
-        yield f"*   charge = {text(declaration.with_series_named(charge))}"
+        integral, si_unit = _time_integral(b.domain.quantity("through"))
+        words = {"integral": integral, "unit": si_unit, "scale": f"scale_{b.name}"}
+        yield _comment("charge", b, node=f"q_{b.name}", **words)
+        yield f"*   {integral} = {text(declaration.with_series_named(charge))}"
         yield from _scaled(declaration, b, charge, f"q_{b.name}", nodes)
         rate = f"{{scale_{b.name}*1e6{times_unit}}}"
         yield Element.of(f"Fq_{b.name}", inner, b.minus, f"Vrate_{b.name}", rate)
-        yield f"* {_HEAD['leak'].format(seconds=f'{1 / LEAK_RATE:g}')}"
+        yield f"* {_HEAD['leak'].format(integral=integral, seconds=f'{1 / LEAK_RATE:g}')}"
         leak = f"{{{LEAK_RATE:g}*scale_{b.name}{times_unit}}}"
         yield Element.of(f"Gleak_{b.name}", b.plus, b.minus, f"q_{b.name}", b.minus, leak)
     if direct != ZERO or charge == ZERO:
@@ -371,16 +386,20 @@ def _flux(
 ) -> Iterator[Line]:
     flux, drop, inner = declaration.storage(b), declaration.direct(b), f"in_{b.name}"
     unit = _decimal(b.domain.across.per_unit)
+    across = b.domain.across.name.replace("_", " ")
+    integral, si_unit = _time_integral(b.domain.across)
     yield Element.of(meter(b), b.plus, inner, "0")
     if flux != ZERO:
-        yield _comment("flux", b, node=f"l_{b.name}", scale=f"scale_{b.name}")
-        yield f"*   flux = {text(declaration.with_series_named(flux))}"
+        words = {"integral": integral, "unit": si_unit, "scale": f"scale_{b.name}"}
+        words |= {"flow": b.kind.replace("_", " "), "across": across}
+        yield _comment("flux", b, node=f"l_{b.name}", **words)
+        yield f"*   {integral} = {text(declaration.with_series_named(flux))}"
         yield from _scaled(declaration, b, flux, f"l_{b.name}", nodes)
         yield Element.of(
             f"Hl_{b.name}", inner, f"rest_{b.name}", f"Vrate_{b.name}", f"{{scale_{b.name}*1e6}}"
         )
         inner = f"rest_{b.name}"
-    yield f"*   voltage besides that of the flux = {text(drop)}"
+    yield f"*   {across} besides that of the {integral} = {text(drop)}"
     law = _placed(declaration, times(unit, plus(drop, noise)), nodes)
     yield Element.behaviour(f"Bv_{b.name}", inner, b.minus, "V", law)
 
