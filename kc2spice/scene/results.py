@@ -236,7 +236,7 @@ def _probed_parts(build: Build, what: str) -> list[Part]:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class DcSweep:
     """The dc sweep of a scene: the key that it moves, and the source that moves it.
 
     Attributes
@@ -265,7 +265,7 @@ class Sweep:
     values: np.ndarray
 
 
-def resolve_sweep(build: Build) -> Sweep:
+def resolve_dc_sweep(build: Build) -> DcSweep:
     """Resolve the dc sweep of a scene.
 
     Raises
@@ -289,7 +289,7 @@ def resolve_sweep(build: Build) -> Sweep:
     turns = 2 if selected.back else 1
     points = turns * (selected.points - 1) + 1
     values = np.linspace(first, first + turns * (last - first), points)
-    return Sweep(moved.source, moved.scale, unit, part.name, key, ends, values)
+    return DcSweep(moved.source, moved.scale, unit, part.name, key, ends, values)
 
 
 def _unit_of_key(part: Part, key: str) -> str:

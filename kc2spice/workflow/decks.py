@@ -35,10 +35,10 @@ from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.plausible import built, judged
 from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.scene.results import (
-    Sweep,
+    DcSweep,
     powers,
     require_probed,
-    resolve_sweep,
+    resolve_dc_sweep,
     result_vectors,
 )
 from kc2spice.synthesis.header import plan_lines
@@ -95,7 +95,7 @@ def make_deck(build: Build) -> Deck:
     require_probed(build)
     parts = tuple(_libraries(build, header))
     noise = noise_analysis.noise_cards(build) if build.noisy else None
-    sweep = resolve_sweep(build) if scene.analysis.type == "dc" else None
+    sweep = resolve_dc_sweep(build) if scene.analysis.type == "dc" else None
     sweep_scale = 1.0 if sweep is None else sweep.scale
     reduced = ((part.name, part.reduction) for part in parts)
     reductions = (f"* {name}, rom: {facts.summary}" for name, facts in reduced if facts)
@@ -201,7 +201,7 @@ def _step_lines(build: Build) -> Iterator[str]:
         yield f"* {comment(f'largest step {limit.step:g} s: {limit.why}')}"
 
 
-def _command(build: Build, sweep: Sweep | None) -> Command:
+def _command(build: Build, sweep: DcSweep | None) -> Command:
     scene = build.scene
     selected = scene.analysis
     if selected.type == "transient":

@@ -16,7 +16,7 @@ from kc2spice.core.waveforms import SCALES, Waveforms, interpolate
 from kc2spice.report.html import leaves
 from kc2spice.scene.checks import Balance, Check, Gate, Metric, Verdict
 from kc2spice.scene.model import Build, Scene
-from kc2spice.scene.results import WAVE, resolve_sweep, result_units
+from kc2spice.scene.results import WAVE, resolve_dc_sweep, result_units
 from kc2spice.scene.settings import Probe
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.time_step import step_checks
@@ -143,7 +143,7 @@ def _probe_unit(probe: Probe, build: Build, waves: Waveforms, units: Mapping[str
     """SI unit of what a probe takes of a wave, whose unit is among ``units``."""
     scale = SCALES.get(next(iter(waves)), "")
     if build.scene.analysis.type == "dc":
-        scale = resolve_sweep(build).unit
+        scale = resolve_dc_sweep(build).unit
     along = {"argmax": scale, "crossing": scale, "frequency": "Hz"}
     return along.get(probe.take, units.get(probe.of, SCALES.get(probe.of, "")))
 

@@ -21,7 +21,7 @@ from kc2spice.reference.integrate import Trajectory, solve_transient
 from kc2spice.reference.small_signal import solve_ac, solve_noise
 from kc2spice.reference.system import assemble_system
 from kc2spice.scene.model import Build
-from kc2spice.scene.results import WAVE, resolve_sweep
+from kc2spice.scene.results import WAVE, resolve_dc_sweep
 
 RTOL = 1.5e-9  # integrator; at 1e-8 a sphere ringing at megahertz loses 5e-7 of its energy
 
@@ -106,7 +106,7 @@ def _steady_waves(network: Network, build: Build, points: np.ndarray) -> Mapping
         return solve_ac(system, points)
     source, values = None, np.zeros(1)
     if kind == "dc":
-        sweep = resolve_sweep(build)
+        sweep = resolve_dc_sweep(build)
         (first, last), values = sweep.ends, sweep.values
         if build.scene.analysis.back:
             values = last - np.sign(last - first) * np.abs(values - last)
