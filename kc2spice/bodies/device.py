@@ -378,6 +378,12 @@ class Block:
     box: Box
     material: Material
 
+    @property
+    def thickness(self) -> float:
+        """Extent along the last axis [m]."""
+        low, high = self.box[-1]
+        return high - low
+
 
 @dataclass(frozen=True, eq=False)
 class Bonded:
@@ -426,7 +432,7 @@ class Bonded:
         """Voltage [V] at which one of the ceramics reaches its depoling field, the same field in
         all of them where electrodes between them float; None where no limit is known."""
         active = [block for block in self.blocks if block.material.piezoelectric]
-        thick = np.array([block.box[-1][1] - block.box[-1][0] for block in active])
+        thick = np.array([block.thickness for block in active])
         limits = [block.material.depoling_field for block in active]
         if not active or None in limits:
             return None

@@ -24,7 +24,7 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.fem.body_keys import Damping
 from kc2spice.parts.bodies._body_model import loss_tangent
-from kc2spice.parts.bodies._box import Varied, number_of, ranged
+from kc2spice.parts.bodies._box import Varied, number_of, ranged, values_of_part
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.report.pages import write_fit
 from kc2spice.rom.complex_constants import ComplexConstants
@@ -173,7 +173,7 @@ def fit(
         descent = body.descent({item.key: item.axis for item in keys})
         ends = _descents(descent)
         end = _refine_end(descent, ends[0])
-        start = body.response(descent.reduced, {item.key: item.value for item in keys})
+        start = body.response(descent.reduced, values_of_part(keys))
         record = _record(body, start, end, ends)
         if out is None:
             return record
@@ -518,7 +518,7 @@ def _descents(descent: _Descent) -> list[_End]:
     draws = qmc.scale(qmc.Sobol(len(low), seed=1).random(DRAWS), low, high)
     costs = [float(np.sum(descent.deviation(x) ** 2)) for x in draws]
     best = [descent.values(draws[k]) for k in np.argsort(costs)[: STARTS - 1]]
-    starts = [{item.key: item.value for item in descent.body.keys}, *best]
+    starts = [values_of_part(descent.body.keys), *best]
     return sorted((descent.solve(values) for values in starts), key=lambda end: end.cost)
 
 

@@ -367,7 +367,7 @@ def _scene_body(text: str) -> LinearModel | None:
             expected=candidates(part_name, bodies) or "a body; this scene has none",
         )
     full = full_alone(part, scene, Clock())
-    restricted = full.select([port.name for port in part.type.used_ports(part, scene)])
+    restricted = full.select(part.type.used_port_names(part, scene))
     return replace(
         restricted, name=f"{scene.name}_{part.name}", band=scene_band(part, scene, restricted)
     )

@@ -21,7 +21,14 @@ from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.parts.bodies._body_ports import BodyPorts, massless
-from kc2spice.parts.bodies._box import PARAMETERS, corners, varied, with_values
+from kc2spice.parts.bodies._box import (
+    PARAMETERS,
+    corners,
+    middle_values,
+    values_of_part,
+    varied,
+    with_values,
+)
 from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import resonators
@@ -126,12 +133,11 @@ class BodyModel(BodyPorts):
 
     def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
         rom = reduction_target(part, scene)
-        port_names = [port.name for port in self.used_ports(part, scene)]
         settings = rom.model_dump(mode="json")
         result = {
             "type": self.name,
             "full": self.full_key(part, scene),
-            "ports": port_names,
+            "ports": self.used_port_names(part, scene),
             "rom": settings,
         }
         least_end = self.least_band_end(part, scene)
@@ -141,7 +147,7 @@ class BodyModel(BodyPorts):
     def varying(self, part: Part, scene: Scene, clock: Clock) -> Varying:
         """The resonators over the box of ``rom.parameters``, which no value of these changes."""
         keys = varied(part)
-        middle = with_values(part, {item.key: item.axis.middle for item in keys})
+        middle = with_values(part, middle_values(keys))
         target, key = reduction_target(part, scene), self.model_key(middle, scene)
         if loss_tangent(part):
             problem = "a netlist with parameters has no loss of its dielectric"
@@ -166,9 +172,7 @@ class BodyModel(BodyPorts):
                 other = with_values(part, values)
                 return self.varied(other, scene, clock, middle).select(key["ports"])
 
-            band = _reaching(
-                target.band, key, lambda: full({item.key: item.axis.middle for item in keys})
-            )
+            band = _reaching(target.band, key, lambda: full(middle_values(keys)))
             text = f"model of {part.name} over {len(keys)} parameters"
             with clock.stage("reduce", text) as share:
                 return over_box(
@@ -192,10 +196,10 @@ class BodyModel(BodyPorts):
 
     def _full_model(self, part: Part, scene: Scene, clock: Clock) -> LinearModel:
         """The full model with the ports of the scene, in a box on the mesh of all its values."""
-        keys, names = varied(part), [port.name for port in self.used_ports(part, scene)]
+        keys, names = varied(part), self.used_port_names(part, scene)
         if not keys:
             return self.full(part, scene, clock).select(names)
-        middle = with_values(part, {item.key: item.axis.middle for item in keys})
+        middle = with_values(part, middle_values(keys))
         return self.varied(part, scene, clock, middle).select(names)
 
     def build(
@@ -205,7 +209,7 @@ class BodyModel(BodyPorts):
             # the matrices of a full model cannot have some losses
             return None if self._lossy(part) else self._full_model(part, scene, clock)
         if keys := varied(part):
-            return self.varying(part, scene, clock).at({item.key: item.value for item in keys})
+            return self.varying(part, scene, clock).at(values_of_part(keys))
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
         target, model_key = reduction_target(part, scene), self.model_key(part, scene)
         tangent, constants = loss_tangent(part), by_complex_constants(part)
@@ -258,7 +262,7 @@ class BodyModel(BodyPorts):
         scene often asks for a larger one of the same body."""
         from kc2spice.rom.enriched import Orders
 
-        names = [port.name for port in self.used_ports(part, scene)]
+        names = self.used_port_names(part, scene)
         key = json.dumps(
             [part.name, self.full_key(part, scene), names], sort_keys=True, default=str
         )

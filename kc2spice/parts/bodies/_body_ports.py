@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -79,21 +80,27 @@ class BodyPorts(Touching):
         used = [p for p in every if p.kind not in ANSWERS or names & {p.name, *p.terminals}]
         return tuple(used) or every[:1]
 
+    def used_port_names(self, part: Part, scene: JoinedScene) -> list[str]:
+        """Return the names of the ports that the scene needs."""
+        return [port.name for port in self.used_ports(part, scene)]
+
     def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         """In the order of the subcircuit."""
         ports, rated = self.used_ports(part, scene), self.rated(part)
-        electrical = [p for p in ports if p.paired]
-        moved = [p for p in ports if p.kind in ANSWERS]
         result: list[Terminal] = []
         shared: set[str] = set()
-        for port in electrical:
+        for port in ports:
+            if not port.paired:
+                continue
             plus, minus = port.terminals
             result.append(Terminal(plus, port.across, port.flow, rated=rated))
             if minus not in shared:
                 floating = minus in required_ports(part, scene) - set(part.pins)
                 result.append(Terminal(minus, port.across, port.flow, None if floating else "gnd"))
             shared.add(minus)
-        result += [Terminal(port.terminals[0], port.across, port.flow) for port in moved]
+        for port in ports:
+            if port.kind in ANSWERS:
+                result.append(Terminal(port.terminals[0], port.across, port.flow))
         for port in ports:
             if not port.conservative:
                 out = port.kind == "output"
@@ -105,8 +112,8 @@ class BodyPorts(Touching):
         """Holds all pins against its reference."""
         last = scene.pins(part.name)[-1]
         end = GROUND if last.name in (BASE, "ground") else last.name
-        pins = (pin for pin, _ in super().at_rest(part, scene).paths)
-        return Rest(tuple((pin, end) for pin in pins if pin != end))
+        paths = super().at_rest(part, scene).paths
+        return Rest(tuple((pin, end) for pin, _ in paths if pin != end))
 
     def rest_with_model(self, part: Part, build: Build) -> Rest:
         """Holds all pins against its reference; those of a free body against each other.
@@ -126,11 +133,11 @@ class BodyPorts(Touching):
         names = {port.name for port in ports if not port.charged}
         first, *others = [pin for pin, _ in result if pin in names] or [GROUND]
         fixed = tuple(pair for pair in result if pair[0] not in names)
-        return Rest(fixed + tuple((first, other) for other in others), inert=inert)
+        return Rest((*fixed, *product([first], others)), inert=inert)
 
     def inertial(self, part: Part, scene: JoinedScene) -> tuple[str, ...]:
-        ports = (port for port in self.used_ports(part, scene) if port.domain is TRANSLATION)
-        return tuple(port.terminals[0] for port in ports)
+        ports = self.used_ports(part, scene)
+        return tuple(port.terminals[0] for port in ports if port.domain is TRANSLATION)
 
     def surface(
         self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()
@@ -192,12 +199,9 @@ def inert_ports(model: LinearModel) -> tuple[str, ...]:
         return ()
     mass = model.pencil.dense().coefficients[2]
     yields = np.diag(model.D) + np.abs(model.B[~mass.any(axis=0)]).sum(axis=0)
-    driven = (port for port in model.ports if port.kind != "output")
-    return tuple(
-        port.terminals[0]
-        for port, yielding in zip(driven, yields, strict=True)
-        if port.domain is TRANSLATION and yielding <= 0
-    )
+    inputs = dict(zip(model.inputs, yields, strict=True))
+    moved = (port for port in model.ports if port.domain is TRANSLATION)
+    return tuple(port.terminals[0] for port in moved if inputs[port.name] <= 0)
 
 
 def free_to_move(model: LinearModel) -> bool:

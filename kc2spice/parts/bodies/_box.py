@@ -4,7 +4,7 @@ values of them."""
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 from typing import Any
@@ -63,6 +63,16 @@ def varied(part: Part) -> tuple[Varied, ...]:
         low, high = (number_of(with_values(part, {key: end}), key, where)[0] for end in ends)
         result.append(ranged(key, unit, value, (low, high), f"{where}.{key}"))
     return tuple(result)
+
+
+def values_of_part(keys: Iterable[Varied]) -> dict[str, float]:
+    """Return the part's values of the keys."""
+    return {item.key: item.value for item in keys}
+
+
+def middle_values(keys: Iterable[Varied]) -> dict[str, float]:
+    """Return the values of the keys in the middle of their ranges."""
+    return {item.key: item.axis.middle for item in keys}
 
 
 def ranged(

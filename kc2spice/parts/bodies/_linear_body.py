@@ -27,7 +27,7 @@ from kc2spice.parts.bodies._body_model import (
     loss_tangent,
     reduction_target,
 )
-from kc2spice.parts.bodies._box import varied, with_values
+from kc2spice.parts.bodies._box import values_of_part, varied, with_values
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.checks import Check, Metric
@@ -86,7 +86,7 @@ class LinearBody(BodyChecks):
             ends = np.clip(key.value * (1 + STEP * np.array([-1, 1])), key.low, key.high)
             read = []
             for end in ends:
-                model = box.at({item.key: item.value for item in keys} | {key.key: float(end)})
+                model = box.at(values_of_part(keys) | {key.key: float(end)})
                 H = model.select([port]).transfer(frequency)[:, 0, 0]
                 try:
                     read.append(asdict(analyse(frequency, 1 / (2j * np.pi * frequency * H))))

@@ -219,7 +219,7 @@ class MeshedBody(LinearBody):
             from kc2spice.bodies.fields import extremes, recover
 
             loads = self.loads(part, build, waves)
-            port_names = [port.name for port in self.used_ports(part, build.scene)]
+            port_names = self.used_port_names(part, build.scene)
             if unknown := [name for name in port_names if name not in loads]:
                 got = f"a force on {unknown[0]} that its part does not record"
                 expected = "contacts, springs, dampers, masses and sources"

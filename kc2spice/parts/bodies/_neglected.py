@@ -62,10 +62,10 @@ def disc_envelope(blocks: Sequence[Block], baffled: bool, glued: bool) -> Envelo
     radius = max(block.box[0][1] for block in blocks)
     low, high = min(b.box[1][0] for b in blocks), max(b.box[1][1] for b in blocks)
     surface = 2 * math.pi * radius * (radius + high - low)
-    mass = sum(
-        math.pi * (b.box[0][1] ** 2 - b.box[0][0] ** 2) * (b.box[1][1] - b.box[1][0])
-        * b.material.density for b in blocks
-    )  # fmt: skip
+    mass = 0.0
+    for block in blocks:
+        inner, outer = block.box[0]
+        mass += math.pi * (outer**2 - inner**2) * block.thickness * block.material.density
     air = (2 if baffled else 1) * disc_air(radius)
     layers = blocks if glued else ()
     return Envelope(air, mass, surface, layers, radius, math.pi * radius**2)
@@ -78,11 +78,11 @@ def beam_envelope(blocks: Sequence[Block]) -> Envelope:
     """
     (x, length), (y, width) = blocks[0].box[:2]
     length, width = length - x, width - y
-    heights = [b.box[2][1] - b.box[2][0] for b in blocks]
-    mass = sum(
-        length * width * t * b.material.density for t, b in zip(heights, blocks, strict=True)
-    )
-    surface = 2 * (length * width + sum(heights) * (length + width))
+    height, mass = 0.0, 0.0
+    for block in blocks:
+        height += block.thickness
+        mass += length * width * block.thickness * block.material.density
+    surface = 2 * (length * width + height * (length + width))
     air = math.pi / 4 * AIR_DENSITY * width**2 * length
     return Envelope(air, mass, surface, blocks, length, length * width)
 
@@ -143,9 +143,7 @@ def glued_edge(below: Block, above: Block) -> float:
     the shear of their glue, ``(t_g / (G (1/(E1 t1) + 1/(E2 t2))))^1/2`` (E. F. Crawley and J. de
     Luis, AIAA J. 25 (1987) 1373)."""
     shear = material("epoxy").C[3, 3]
-    heights = [block.box[-1][1] - block.box[-1][0] for block in (below, above)]
-    moduli = [_youngs_modulus(block) for block in (below, above)]
-    softness = sum(1 / (E * t) for E, t in zip(moduli, heights, strict=True))
+    softness = sum(1 / (_youngs_modulus(b) * b.thickness) for b in (below, above))
     return math.sqrt(GLUE / (shear * softness))
 
 

@@ -105,9 +105,14 @@ class DiscKeys(FieldKeys):
     damping: Damping = Damping()
     mesh: Mesh = Mesh()
 
+    @property
+    def largest_diameter(self) -> float:
+        """Diameter of the widest layer [m]."""
+        return max(layer.diameter for layer in self.layers)
+
     @model_validator(mode="after")
     def _possible(self) -> DiscKeys:
-        widest, top = max(x.diameter for x in self.layers), self.layers[-1].diameter
+        widest, top = self.largest_diameter, self.layers[-1].diameter
         if isinstance(self.support, Node) and self.support.node > widest:
             raise ValueError(f"support: the node lies outside the body of {widest:g} m")
         if self.centre is not None and self.centre > top * (1 + 1e-9):
@@ -132,7 +137,7 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
         if layer.feedback is not None:
             ring = _face(layer.feedback.inner / 2, layer.feedback.outer / 2, piece.box[1][1])
             electrodes.setdefault("feedback", []).append(ring)
-    top, across = pieces[-1].box[1][1], max(layer.diameter for layer in disc.layers)
+    top, across = pieces[-1].box[1][1], disc.largest_diameter
     patch = disc.centre or min(top, disc.layers[-1].diameter)
     return Bonded(
         pieces,
