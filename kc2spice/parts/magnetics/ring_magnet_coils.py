@@ -407,10 +407,9 @@ class RingMagnetCoils(Touching):
             stated, ends = coils.inductive(), (("i1", 1.0), ("i2", 1.0))
         law = coils.law(n, stated, table, offset(part, "y", scene))
         pins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins)
-        results = {
-            f"{prefix}.{coil}.current": laws.reading(f"{n}.{wave}", sign)
-            for coil, (wave, sign) in zip(COILS, ends, strict=True)
-        }
+        results = {}
+        for coil, (wave, sign) in zip(COILS, ends, strict=True):
+            results[f"{prefix}.{coil}.current"] = laws.reading(f"{n}.{wave}", sign)
         if apart:
             results[f"{prefix}.voltage"] = laws.difference(f"{n}.up", f"{n}.lp")
         return laws.Equations((law,), pins, results)
@@ -461,10 +460,10 @@ class RingMagnetCoils(Touching):
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
         if y is None or "time" not in waves:
             return
-        names = [f"{label(part)}.{coil}.current" for coil in ("lower", "upper")]
-        currents = [waves[name] for name in names if name in waves]
+        currents = _coil_currents(part, waves)
         if currents:
-            heating = max(float(np.trapezoid(i**2, waves["time"])) for i in currents)
+            squares = np.square(list(currents.values()))
+            heating = float(np.trapezoid(squares, waves["time"]).max())
             advice = "the coils overheat: less current, or thicker wire, or shorter"
             limit = rated_heating(part.keys)
             yield Check(f"rating of {part.name}", heating, limit, "A2 s", advice, "warn")
@@ -489,10 +488,10 @@ class RingMagnetCoils(Touching):
 
     def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
         prefix = label(part)
-        names = [f"{prefix}.{coil}.current" for coil in ("upper", "lower")]
-        if "time" in waves and all(name in waves for name in names):
+        currents = _coil_currents(part, waves)
+        if "time" in waves and len(currents) == len(COILS):
             t = 1e3 * waves["time"]
-            curves = [Curve(f"{n.split('.')[1]} coil", t, 1e3 * waves[n]) for n in names]
+            curves = [Curve(f"{coil} coil", t, 1e3 * i) for coil, i in currents.items()]
             if f"{prefix}.wanted" in waves:
                 curves.append(Curve("wanted", t, 1e3 * waves[f"{prefix}.wanted"], ":"))
             panels = [Panel("", "coil current in mA", tuple(curves))]
@@ -581,15 +580,24 @@ def _apart(part: Part, scene: DeclaredScene) -> bool:
     return real(part, scene) or bool(scene.of("current_cases"))
 
 
+def _coil_currents(part: Part, waves: Waveforms) -> dict[str, np.ndarray]:
+    """Return the recorded currents [A] of the coils, the upper one first."""
+    result = {}
+    for coil in reversed(COILS):
+        name = f"{label(part)}.{coil}.current"
+        if name in waves:
+            result[coil] = waves[name]
+    return result
+
+
 def _driven(part: Part, scene: JoinedScene) -> bool:
+    """Whether the part joins pins, or another part joins a pin of its coils."""
     targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", *ENDS)}
-    joined = (
-        target
-        for other in scene.parts.values()
-        if other is not part
-        for target in (*other.pins.values(), *scene.joins[other.name].values())
-    )
-    return bool(part.pins) or any(target in targets for target in joined)
+    for other in scene.parts.values():
+        joined = (*other.pins.values(), *scene.joins[other.name].values())
+        if other is not part and not targets.isdisjoint(joined):
+            return True
+    return bool(part.pins)
 
 
 def largest_current(part: Part, scene: JoinedScene) -> float:
