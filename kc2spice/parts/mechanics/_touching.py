@@ -205,6 +205,10 @@ class Pair:
         """Whether one side starts with a prescribed velocity, or each may; no ceiling does."""
         return self.b.part == GROUND or self.a.rigid or self.b.part in self.scene.initial_states
 
+    def forces(self, waves: Waveforms) -> np.ndarray:
+        """Return the recorded forces [N] of the ports (ports, n)."""
+        return np.array([waves[f"{self.part.name}.force.{port}"] for port in self.ports])
+
     # --- the law ----------------------------------------------------------------------------
 
     @cached_property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import product
 from typing import Annotated, Literal
 
 import numpy as np
@@ -220,19 +221,18 @@ class Contact(DeclaredPart):
         n, pair, d = part.name, pair_of(part, build.scene), self.declared(part, build.scene)
         card = f"@b.x{n}.b{{}}[i]"
         item = {b.through: card.format(force_node(b)).lower() for b in d.branches}
-        result = {
-            f"{n}.force.{port}": Vector(item[f"force.{port}"], 1.0, "N", enters=(port,))
-            for port in pair.ports
-        }
+        result = {}
+        for port in pair.ports:
+            force = item[f"force.{port}"]
+            result[f"{n}.force.{port}"] = Vector(force, 1.0, "N", enters=(port,))
         if part.keys.friction:
             row = Vector(item["friction"], 1.0, "N", ("rail",), ("slide",))
             result[f"{n}.friction"] = row
         total = "+".join(item[f"force.{port}"] for port in pair.ports)
         ends = {"force": (("v", "b", CARRIED), ("va",))}
-        return result | {
-            f"{n}.{word}": Vector(total, by, "N", *ends.get(word, ()))
-            for word, by in _sums(pair).items()
-        }
+        for word, by in _sums(pair).items():
+            result[f"{n}.{word}"] = Vector(total, by, "N", *ends.get(word, ()))
+        return result
 
     def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
         pair = pair_of(part, build.scene)
@@ -279,13 +279,11 @@ class Contact(DeclaredPart):
         x, factor = time_axis(scale[inside])
         if (depth := pair.pushed(waves)) is not None:
             scale, (x, factor) = depth, ("depth in µm", 1e6)
-        item = {port: waves[f"{part.name}.force.{port}"] for port in pair.ports}
-        curves = [
-            Curve(port, factor * scale[inside], wave[inside])
-            for port, wave in item.items()
-            if wave.max() > 0
-        ]
-        if len(item) > 1:
+        curves = []
+        for port, wave in zip(pair.ports, pair.forces(waves), strict=True):
+            if wave.max() > 0:
+                curves.append(Curve(port, factor * scale[inside], wave[inside]))
+        if len(pair.ports) > 1:
             curves.append(Curve("sum", factor * scale[inside], force[inside], "--"))
         sides = f"{pair.a.part} and {pair.b.part}"
         panel = Panel(x, "contact force in N", tuple(curves))
@@ -294,11 +292,10 @@ class Contact(DeclaredPart):
 
     def law(self, part: Part, build: Build) -> laws.Equations:
         n, pair, result = part.name, pair_of(part, build.scene), super().law(part, build)
-        item = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
-        sums = {
-            f"{n}.{word}": laws.Reading(tuple((share, wave) for wave in item))
-            for word, share in _sums(pair).items()
-        }
+        forces = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
+        sums = {}
+        for word, share in _sums(pair).items():
+            sums[f"{n}.{word}"] = laws.Reading(tuple(product([share], forces)))
         return replace(result, results=result.results | sums)
 
     def finer_mesh(
@@ -409,12 +406,12 @@ def _balance(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Balanc
     Springs give back all they took: energy gained here is a bounce higher than the last. The scale
     is the work that went into the springs, or what they hold where nothing moves.
     """
-    normal, ports, name = pair.normal, pair.ports, pair.part.name
+    normal, ports = pair.normal, pair.ports
     heights = [pair.a.height(port, waves) for port in ports]
     if any(height is None for height in heights):
         return
     closing = np.array(heights) - place  # as all of these (ports, n)
-    force, p = np.array([waves[f"{name}.force.{port}"] for port in ports]), normal.power
+    force, p = pair.forces(waves), normal.power
     elastic, energy = force, force ** (1 + 1 / p) / ((p + 1) * normal.stiffness ** (1 / p))
     if normal.damping or normal.radius:  # the force is not that of the depth alone
         x = closing - pair.gaps[: len(ports), None]
@@ -450,10 +447,9 @@ def _start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
 def _events(pair: Pair, waves: Waveforms) -> Iterator[Check]:
     """The deepest penetration, and contacts of the port that has most of them while the drive
     moves."""
-    n, ports, scene = pair.part.name, pair.ports, pair.scene
-    forces = [waves[f"{n}.force.{port}"] for port in ports]
+    n, scene, forces = pair.part.name, pair.scene, pair.forces(waves)
     if pair.b.radius is not None and pair.gaps.size > 1:
-        depth = max(float(force.max()) for force in forces) / pair.normal.stiffness
+        depth = float(forces.max()) / pair.normal.stiffness
         advice = f"the penalty springs give more than the surfaces curve: raise {n}.penalty"
         limit, action = float(pair.gaps[1]), scene.checks.penetration
         yield Check("penetration", depth, limit, "m", advice, action)
@@ -463,8 +459,8 @@ def _events(pair: Pair, waves: Waveforms) -> Iterator[Check]:
         return
     t, end = waves["time"], drive.start + drive.width + drive.edge
     during = (t >= drive.start) & (t <= end)
-    closed = [force[during] > 0.0 for force in forces]
-    most = max(int(np.count_nonzero(now[1:] & ~now[:-1])) for now in closed)
+    closed = forces[:, during] > 0.0
+    most = int(np.count_nonzero(closed[:, 1:] & ~closed[:, :-1], axis=1).max())
     reltol = waves.stats.get("reltol", scene.solver.reltol)
     advice = "so many decide the launch that the errors of their steps add up: lower "
     advice += "solver.reltol; a launch after hundreds of contact events may be ill-conditioned"
@@ -484,7 +480,7 @@ def _open_ports(pair: Pair, build: Build, waves: Waveforms, place: np.ndarray) -
     n, a, ports, action = pair.part.name, pair.a, pair.ports, pair.scene.checks.range
     if pair.b.radius is None or len(a.ports) < 2:
         return
-    force, body = np.array([waves[f"{n}.force.{name}"] for name in ports]), pair.scene.parts[a.part]
+    force, body = pair.forces(waves), pair.scene.parts[a.part]
     model = build.model(body, LinearModel)
     if len(ports) < len(a.ports) and isinstance(model, LinearModel):
         rows = [model.outputs.index(name) for name in ports]

@@ -67,27 +67,28 @@ def point_mass(
 ) -> Declaration:
     """The physics of a mass at the pin ``a``, in a frame whose accelerations are ``shaken`` times
     along its displacement: with the shares s, ``F = m x'' + m g + m sum_k s_k a_k``."""
-    ends = _frames(len(shaken))
-    shares = [f"along_{end}" for end in ends]
-    pulled = "+".join(f"mass*{share}*a_{end}" for share, end in zip(shares, ends, strict=True))
+    branches = [displacement("x", "a", "base")]
+    shares, inertia = [], []
+    for end, value in zip(_frames(len(shaken)), shaken, strict=True):
+        share = f"along_{end}"
+        branches.append(shake(f"a_{end}", end, "base"))
+        shares.append(Param(share, value, "-", f"share of {end} along the displacement of a"))
+        inertia.append(f"mass*{share}*a_{end}")
     return Declaration(
         "mass",
         "point mass",
         Section,
-        (displacement("x", "a", "base"), *(shake(f"a_{end}", end, "base") for end in ends)),
+        tuple(branches),
         kinetic="0.5*mass*x_rate^2",
         energy="mass*gravity*x",
-        forces={"x": pulled} if ends else {},
+        forces={"x": "+".join(inertia)} if inertia else {},
         starts={"x": ("position", "velocity")},
         given=(
             positive("mass", mass, "kg", "mass"),
             Param("gravity", gravity, "m/s2", "gravity, downwards"),
             Param("position", position, "m", "at t = 0, used with uic"),
             Param("velocity", velocity, "m/s", "at t = 0, used with uic"),
-            *(
-                Param(share, value, "-", f"share of {end} along the displacement of a")
-                for share, end, value in zip(shares, ends, shaken, strict=True)
-            ),
+            *shares,
         ),
         rating="none: rigid",
         validity="rigid, in vacuum, at any temperature",

@@ -262,12 +262,16 @@ class Sphere(Touching, DeclaredPart):
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves:
             return
-        aims = [pid for pid in build.scene.of("pid") if controlled(pid, build.scene) is part]
-        goals = [(1e3 * pid.keys.setpoint, 1e3 * settling_band(pid, part)) for pid in aims]
-        levels = tuple((goal, "set point, ±5 % of the step") for goal, _ in goals)
-        bands = tuple((goal - band, goal + band, "") for goal, band in goals)
+        levels, bands = [], []
+        for pid in build.scene.of("pid"):
+            if controlled(pid, build.scene) is part:
+                goal, band = 1e3 * pid.keys.setpoint, 1e3 * settling_band(pid, part)
+                levels.append((goal, "set point, ±5 % of the step"))
+                bands.append((goal - band, goal + band, ""))
         path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
-        panel = Panel("time in ms", "height of the centre in mm", (path,), levels, bands)
+        panel = Panel(
+            "time in ms", "height of the centre in mm", (path,), tuple(levels), tuple(bands)
+        )
         caption = f"Vertical position of {part.name}."
         title = f"Path of {part.name}"
         yield Figure(f"{part.name}_trajectory", title, caption, (panel,), main=True)
