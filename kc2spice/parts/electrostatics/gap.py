@@ -138,10 +138,11 @@ class Patched(DeclaredPart):
 
     def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
         ends = {"minus": "gnd", "b": "gnd"}
-        return tuple(
-            Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name == "plus")
-            for p in pins_of(self.declared(part, scene))
-        )
+        result = []
+        for pin in pins_of(self.declared(part, scene)):
+            end, required = ends.get(pin.name), pin.name == "plus"
+            result.append(Terminal(pin.name, pin.unit, pin.flow, end, required=required))
+        return tuple(result)
 
     def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
         return {f"p{k}": port for k, port in enumerate(patches(part, scene), 1)}
@@ -231,10 +232,10 @@ class Gap(Patched):
         turns = np.diff((stroke >= part.keys.travel).astype(int))
         meets, last = np.flatnonzero(turns > 0), np.flatnonzero(turns)[-1:]
         ends = {"pull_in_v": meets[:1], "release_v": last[turns[last] < 0]}
-        result = {
-            name: Metric(float(size[k[0]] + size[k[0] + 1]) / 2 if k.size else None, "V")
-            for name, k in ends.items()
-        }
+        result = {}
+        for name, k in ends.items():
+            voltage = float(size[k[0]] + size[k[0] + 1]) / 2 if k.size else None
+            result[name] = Metric(voltage, "V")
         return result | {"largest_travel_m": Metric(float(stroke.max()), "m")}
 
 
@@ -314,26 +315,34 @@ def _declared(text: str, count: int, film_branches: int, top: float) -> Declarat
     keys = GapKeys.model_validate_json(text)
     shares = keys.shares or (1 / count,) * count
     numbers: dict[str, float | str] = {"eps0": EPSILON_0, **_stop.CONSTANTS}
-    numbers |= {f"share{k}": share for k, share in enumerate(shares, 1)}
-    patches, sign = range(1, count + 1), "-" if keys.side == "below" else "+"
+    sign = "-" if keys.side == "below" else "+"
     branches = [voltage("v", "plus", "minus")]
-    branches += [displacement(f"x{k}", f"p{k}", "b", f"force{k}") for k in patches]
-    # Relative gap, 1 at rest: ngspice adds 1e-32 to every divisor.
-    left = {k: f"(1 - {sign}1*x{k}/gap)" for k in patches}
-    item = {k: f"share{k}*area/gap/{left[k]}" for k in patches}
-    if keys.fringing is not None:  # whose roots no iterate may take of what is below zero
-        left = {k: f"(least + max(0, {d[1:-1]} - least))" for k, d in left.items()}
+    gaps, capacitances, energy, damping = [], [], [], []
+    forces, stops, limits = {}, {}, {}
+    for k, share in enumerate(shares, 1):
+        numbers[f"share{k}"] = share
+        branches.append(displacement(f"x{k}", f"p{k}", "b", f"force{k}"))
+        # Relative gap, 1 at rest: ngspice adds 1e-32 to every divisor.
+        gap = f"(1 - {sign}1*x{k}/gap)"
+        capacitance = f"share{k}*area/gap/{gap}"
+        if keys.fringing is not None:  # no iterate may take a root of a negative number
+            gap = f"(least + max(0, {gap[1:-1]} - least))"
+            roots = f"1.06*sqrt(sqrt(width/gap/{gap})) + 1.06*sqrt(thickness/gap/{gap})"
+            capacitance = f"share{k}*area/width*(width/gap/{gap} + 0.77 + {roots})"
+        gaps.append(f"share{k}*{gap}")
+        capacitances.append(capacitance)
+        damping.append(f"0.5*rest*share{k}/{gap}^3*x{k}_rate^2")
+        indentation = f"{sign}1*x{k} - travel"
+        energy.append(_stop.energy(indentation, f"share{k}*"))
+        forces[f"x{k}"] = _stop.lost_force(indentation, f"x{k}_rate", f"share{k}*")
+        stops[f"the stop of patch {k}"] = indentation
+        limits[f"what is left of the gap at patch {k}"] = f"gap - {sign}1*x{k}"
+    if keys.fringing is not None:
         numbers |= {"least": "0.5*(1 - travel/gap)"}
         numbers |= {"width": keys.fringing.width, "thickness": keys.fringing.thickness}
-        for k, d in left.items():
-            root = f"1.06*sqrt(sqrt(width/gap/{d})) + 1.06*sqrt(thickness/gap/{d})"
-            item[k] = f"share{k}*area/width*(width/gap/{d} + 0.77 + {root})"
-    met = {k: f"{sign}1*x{k} - travel" for k in patches}
-    energy = [_stop.energy(met[k], f"share{k}*") for k in patches]
-    forces = {f"x{k}": _stop.lost_force(met[k], f"x{k}_rate", f"share{k}*") for k in patches}
     content = []
     if keys.film is not None:
-        mean = f"({'+'.join(f'share{k}*{left[k]}' for k in patches)})"
+        mean = f"({'+'.join(gaps)})"
         terms, rest = _film(keys.film, count, film_branches)
         for n, (damper, spring, parts) in enumerate(terms, 1):
             numbers |= {f"c{n}": f"{damper!r}/gap^3", f"k{n}": f"{spring!r}/gap"}
@@ -342,7 +351,7 @@ def _declared(text: str, count: int, film_branches: int, top: float) -> Declarat
             energy.append(f"0.5*k{n}*({moved} - y{n})^2")
             content.append(f"0.5*c{n}/{mean}^3*y{n}_rate^2")
         numbers |= {"rest": f"{rest!r}/gap^3"}
-        content += [f"0.5*rest*share{k}/{left[k]}^3*x{k}_rate^2" for k in patches]
+        content += damping
     constants = {name: str(value) for name, value in numbers.items()}
     return Declaration(
         "gap",
@@ -352,10 +361,10 @@ def _declared(text: str, count: int, film_branches: int, top: float) -> Declarat
         constants=constants,
         energy=" + ".join(energy),
         forces=forces,
-        stops={f"the stop of patch {k}": met[k] for k in patches},
-        coenergy=f"0.5*eps0*permittivity*v^2*({' + '.join(item.values())})",
+        stops=stops,
+        coenergy=f"0.5*eps0*permittivity*v^2*({' + '.join(capacitances)})",
         content=" + ".join(content) or "0",
-        limits={f"what is left of the gap at patch {k}": f"gap - {sign}1*x{k}" for k in patches},
+        limits=limits,
         neglected=tuple(_neglected(keys, film_branches, top)),
         rating="not known; compare v / gap with the breakdown of what is in the gap",
         example=EXAMPLE,
