@@ -688,7 +688,7 @@ class Table(tuple[dict[str, Any], ...]):
         return pandas.DataFrame({name: self[name] for name in self.columns})
 
     def _cells(self) -> list[list[str]]:
-        return [[_summary(value) for value in row.values()] for row in self]
+        return [list(map(_summary, row.values())) for row in self]
 
     def __repr__(self) -> str:
         cells = [list(self.columns), *self._cells()]
@@ -713,7 +713,7 @@ def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
             hint = f"write [{item!r}] for a single value"
             raise UsageError("not a list of values", where=f"values: {key}", got=repr(item)[:120],
                              expected=expected, hint=hint)  # fmt: skip
-    if not values or not all(len(item) for item in values.values()):
+    if not values or not all(map(len, values.values())):
         raise UsageError("nothing to sweep", where="values", got=repr(dict(values))[:120],
                          expected=expected)  # fmt: skip
 

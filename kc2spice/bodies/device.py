@@ -516,7 +516,7 @@ class Bonded:
             fixed=fixed.ravel(),
             electrodes={pin: touched(faces) for pin, faces in self.electrodes.items()},
             reference="cathode",
-            floating=[touched(faces) for faces in self.floating],
+            floating=list(map(touched, self.floating)),
             shapes=[
                 ForceShape(Port(name, TRANSLATION.port), spread(shares(box), UP, solid))
                 for name, box in self.ports.items()

@@ -250,7 +250,7 @@ def extremes(motion: NodalMotion) -> list[Extreme]:
             values = partial(_values, quantity, T[members], E[members], poling)
             parts = map(values, np.array_split(states, -(-len(states) // CHUNK)))
             rows = [(part.max(axis=1), part.argmax(axis=1)) for part in parts]
-            curve, points = (np.concatenate(item) for item in zip(*rows, strict=True))
+            curve, points = map(np.concatenate, zip(*rows, strict=True))
             k = int(curve.argmax())
             point = int(points[k])
             at, place = float(motion.time[selected[k]]), tuple(places[:, members[point]])

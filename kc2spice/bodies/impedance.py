@@ -160,7 +160,7 @@ def _fit(f: np.ndarray, Y: np.ndarray) -> BVD:
         columns = np.column_stack([-y * s, -y * s**2, s, s**2, s**3, s**4]) * weight[:, None]
         system = np.concatenate([columns.real, columns.imag])
         right = np.concatenate([(y * weight).real, (y * weight).imag])
-        a, b, c1, _, c3, c4 = (float(x) for x in np.linalg.lstsq(system, right, rcond=None)[0])
+        a, b, c1, _, c3, c4 = map(float, np.linalg.lstsq(system, right, rcond=None)[0])
         weight = 1 / (np.abs(y) * np.abs(1 + a * s + b * s**2))
     c0 = (c3 - a * c4 / b) / b
     cm = c1 - c0

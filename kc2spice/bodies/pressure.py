@@ -244,7 +244,7 @@ def _basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.n
         form = LinearForm(lambda v, w: profile(w.x[0]) * w.x[0] * np.abs(w.n[1]) * v)
         return np.asarray(form.assemble(basis))
 
-    axial = np.column_stack([load(heights) for heights in np.eye(len(shape.nodes))[:-1]])
+    axial = np.column_stack(list(map(load, np.eye(len(shape.nodes))[:-1])))
     return np.kron(axial / axial.sum(axis=0), [[0.0], [1.0]])
 
 

@@ -92,7 +92,7 @@ def examine() -> Iterator[Finding]:
     fix = "" if ok else install_command("libngspice0")
     yield Finding("libngspice", ok, name or "not found", fix, needed=ok)
     folder = cache_dir()
-    existing = next(path for path in (folder, *folder.parents) if os.path.exists(path))
+    existing = next(filter(os.path.exists, (folder, *folder.parents)))
     ok = os.path.isdir(existing) and os.access(existing, os.W_OK | os.X_OK)
     fix = "set KC2SPICE_CACHE to a directory that you can write to"
     yield Finding("cache", ok, f"{folder}{'' if ok else ' cannot be written'}", fix, needed=False)

@@ -497,7 +497,7 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
         )
     if keys:
         every = list(scene_keys())
-        if caller.reads([asdict(key) for key in every]):
+        if caller.reads(list(map(asdict, every))):
             texts = (": ".join(filter(None, (" | ".join(k.choices), k.doc))) for k in every)
             rows = [
                 (key.name, key.unit or "", _text(key.default), text)
@@ -506,7 +506,7 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
             print_table("keys of a scene", rows, ("key", "unit", "default", ""), names=0)
     elif parts:
         docs = list(part_docs())
-        for doc in docs if caller.reads([asdict(doc) for doc in docs]) else ():
+        for doc in docs if caller.reads(list(map(asdict, docs))) else ():
             rows = [("pin", p.name, p.kind, _text(p.default or None, "default ")) for p in doc.pins]
             rows += [
                 ("key", k.name, k.unit or " | ".join(k.choices), _text(k.default, "default "))
@@ -531,7 +531,7 @@ def _doctor(caller: Caller) -> None:
     from kc2spice.cli.doctor import examine
 
     findings = list(examine())
-    if caller.reads({"findings": [asdict(finding) for finding in findings]}):
+    if caller.reads({"findings": list(map(asdict, findings))}):
         marks = ("ok" if f.ok else "MISSING" if f.needed else "absent" for f in findings)
         rows = [
             (mark, f.name, f.state, "" if f.ok else f.fix)
@@ -626,7 +626,7 @@ def _compare_methods(
         result = compare(model, **options, progress=progress)
     if caller.reads(result):
         title = f"{result['unknowns']} equations, error {result['norm']}"
-        print_table(title, [_method_row(row) for row in result["methods"]], METHOD_COLUMNS)
+        print_table(title, list(map(_method_row, result["methods"])), METHOD_COLUMNS)
         print(f"CPU time of the basis that all methods use: {result['shared_cpu_s']:.2g} s")
     require_stable(result)
 

@@ -139,7 +139,7 @@ def print_table(
 
     table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
     table.show_header = bool(header)
-    for k, name in enumerate(header or [""] * max((len(row) for row in rows), default=0)):
+    for k, name in enumerate(header or [""] * max(map(len, rows), default=0)):
         table.add_column(name, overflow="fold", no_wrap=k == names)
     for row in rows:
         table.add_row(*(cell.replace("[", r"\[") for cell in row))

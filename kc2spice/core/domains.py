@@ -354,7 +354,7 @@ def units_stated(units: Collection[str]) -> str:
         across = [domain.across, *([domain.rate] if domain.rate else [])]
         through = domain.quantity("through")
         letters = "VIRCL" if QUANTITIES[through.name][0] is domain else "VRCL"  # a shared force
-        of_pins = {domain.value_unit(letter) for letter in letters} | {q.pin_unit for q in across}
+        of_pins = set(map(domain.value_unit, letters)) | {q.pin_unit for q in across}
         if domain.units != SPICE_UNITS and of_pins & {*units}:
             words |= dict.fromkeys(f"1 V = 1 {q.pin_unit} ({q.plural})" for q in across)
             words[f"1 A = 1 {through.pin_unit} ({through.plural})"] = None

@@ -45,7 +45,7 @@ def staged(out: Path | str) -> Iterator[Path]:
         raise UsageError("has a zero byte", where=repr(str(out)), hint=_ELSEWHERE)
     out = Path(os.path.realpath(out))  # behind a link: its own file system, and the link stays
     # os.path answers False where pathlib raises, below directories that may not be entered.
-    nearest = next(item for item in (out, *out.parents) if os.path.exists(item))
+    nearest = next(filter(os.path.exists, (out, *out.parents)))
     if not os.path.isdir(nearest):
         raise UsageError("is a file, not a directory", where=str(nearest), hint=_ELSEWHERE)
     if not os.access(nearest, os.W_OK | os.X_OK):
@@ -86,7 +86,7 @@ def _publish(work: Path, out: Path) -> None:
         files = [path.relative_to(work) for path in sorted(work.rglob("*")) if path.is_file()]
         if Path(RESULT) in files:
             _record_hashes(work, files)
-        stale = earlier(out) - {str(name) for name in files}
+        stale = earlier(out) - set(map(str, files))
         for name in files:
             if _rank(name) >= 0:
                 (out / name).unlink(missing_ok=True)
@@ -138,7 +138,7 @@ def earlier(out: Path) -> set[str]:
     hashes = record.get("sha256") if isinstance(record, dict) and "scene" in record else None
     if not isinstance(hashes, dict):
         return set()
-    plain = (name for name in hashes if _PLAIN.fullmatch(name))
+    plain = filter(_PLAIN.fullmatch, hashes)
     present = (name for name in plain if (out / name).is_file() and not (out / name).is_symlink())
     return {RESULT, *(name for name in present if hashes[name] == _hash(out / name))}
 

@@ -52,7 +52,7 @@ def waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) -> fl
     without end; of a train of many pulses what its beginning has too."""
     if not wave.straight:
         return wave.frequency
-    times, values = (np.array(row) for row in zip(*wave.points, strict=True))
+    times, values = map(np.array, zip(*wave.points, strict=True))
     if wave.period is not None:
         times, stop = np.append(times, times[0] + wave.period), min(stop, times[0] + wave.period)
     if wave.period is not None or times[-1] > stop or values[-1] != values[0]:

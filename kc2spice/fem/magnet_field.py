@@ -192,7 +192,7 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
 
     mesh = stator_mesh(catch, bore)
     centres = mesh.p[:, mesh.t].mean(axis=1)
-    (r, y), boxes = centres, [rectangle(part) for part in parts(catch)]
+    (r, y), boxes = centres, list(map(rectangle, parts(catch)))
     ring, *coils = ((r > a) & (r < c) & (y > b) & (y < d) for a, b, c, d in boxes)
     sources = {RING: (_remanence, coercivity, ring)}
     for column, coil, inside in zip((LOWER, UPPER), (catch.lower, catch.upper), coils, strict=True):
@@ -319,7 +319,7 @@ def rectangle(part: Ring) -> tuple[float, float, float, float]:
 
 def air(catch: Catch) -> tuple[float, float, float, float]:
     """Section of the air cylinder, centred on the actuator's parts (paper 2.2.1)."""
-    boxes = [rectangle(part) for part in parts(catch)]
+    boxes = list(map(rectangle, parts(catch)))
     low, high = min(box[1] for box in boxes), max(box[3] for box in boxes)
     if high - low >= catch.air_height:
         expected = f"more than {high - low:g} m, several times that for a small error"
@@ -362,7 +362,7 @@ def bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: floa
 def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
     """Whole half plane without a sphere: free triangles around the bore's lattice."""
     top = bore.bottom + bore.rows * bore.pitch
-    boxes = [rectangle(part) for part in parts(catch)]
+    boxes = list(map(rectangle, parts(catch)))
     shapes = [air(catch), (0.0, bore.bottom, bore.wall, top), *boxes]
     corners = [*chain.from_iterable(product(box[::2], box[1::2]) for box in boxes)]
 

@@ -205,7 +205,7 @@ class Winding:
         """Mutual inductance [H] with circles (...), by Gauss's points of the section."""
         sides = np.array([self.width, self.height])
         counts = np.maximum(3, np.round(POINTS * sides / sides.max())).astype(int)
-        (x, p), (y, q) = (np.polynomial.legendre.leggauss(n) for n in counts)
+        (x, p), (y, q) = map(np.polynomial.legendre.leggauss, counts)
         at, height = self.radius + self.width / 2 * x, self.y + self.height / 2 * y
         result = mutual(r[..., None, None], z[..., None, None], at[:, None], height)
         return np.asarray(self.turns * np.einsum("...ij,i,j->...", result, p / 2, q / 2))
@@ -384,7 +384,7 @@ def _nodes(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _inductance(coils: Sequence[Winding]) -> np.ndarray:
-    return np.array([[a.with_other(b) for b in coils] for a in coils])
+    return np.array([list(map(a.with_other, coils)) for a in coils])
 
 
 def _subspace(
@@ -447,6 +447,6 @@ def _polynomials(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.
         problem = "couplings change too fast with the height"
         raise wrong(None, problem, got, f"{tolerance / 10:g}", hint)
     flat = c[: degree + 1].reshape(degree + 1, -1)
-    series = [chebyshev.cheb2poly(column) for column in flat.T]
+    series = list(map(chebyshev.cheb2poly, flat.T))
     powers = np.array([np.pad(item, (0, degree + 1 - item.size)) for item in series])
     return powers.reshape(*values.shape[::2], degree + 1)

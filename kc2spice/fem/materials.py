@@ -487,7 +487,7 @@ class MaterialTable(Section):
 
 
 def _full(rows: list[list[float]], shape: tuple[int, int], key: str) -> np.ndarray:
-    if [len(row) for row in rows] != [shape[1]] * shape[0]:
+    if list(map(len, rows)) != [shape[1]] * shape[0]:
         got = f"rows of {', '.join(str(len(row)) for row in rows[:8])} numbers"
         expected = f"{shape[0]} rows of {shape[1]} numbers"
         raise UsageError("wrong number of entries", where=key, got=got, expected=expected)

@@ -401,7 +401,7 @@ def _nodes_on_other_pieces(
     reach = np.linalg.norm(points[faces] - middle[:, None], axis=-1).max(axis=1) + near
     nodes = np.unique(faces)
     around = cKDTree(points[nodes]).query_ball_point(middle, reach)
-    face = np.repeat(np.arange(len(faces)), [len(item) for item in around])
+    face = np.repeat(np.arange(len(faces)), list(map(len, around)))
     node = nodes[np.concatenate([np.asarray(item, int) for item in around])]
     other = label[faces[face, 0]] != label[node]
     face, node = face[other], node[other]
@@ -656,7 +656,7 @@ def _pick(
         if not hits:
             problem = f"no {DIMENSION[dimension][:-1]} contains this point"
             expected = "a point of the geometry, in the file's unit here"
-            raise wrong(f"groups.{name}.at", problem, [float(x) for x in point], expected)
+            raise wrong(f"groups.{name}.at", problem, list(map(float, point)), expected)
         result += hits
     if box is not None:
         low, high = np.min(box, axis=0) - near, np.max(box, axis=0) + near
@@ -665,7 +665,7 @@ def _pick(
     if not result:
         expected = f"a point of, or a box around, {DIMENSION[dimension]} of the geometry"
         raise UsageError("this group selects nothing", where=f"groups.{name}", expected=expected)
-    return sorted({int(tag) for tag in result})
+    return sorted(set(map(int, result)))
 
 
 def _contains(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:

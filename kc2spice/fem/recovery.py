@@ -130,7 +130,7 @@ def _monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
         for axes in combinations_with_replacement(range(x.shape[-1]), p)
     ]
     columns = [np.prod(x[..., list(axes)], axis=-1) for axes in powers]
-    return np.stack(columns, axis=-1), np.array([len(axes) for axes in powers])
+    return np.stack(columns, axis=-1), np.array(list(map(len, powers)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -378,7 +378,7 @@ def _device(text: str, parameter: str) -> Trace:
 
 def terms(expression: str) -> list[tuple[float, str]]:
     """Signs and vectors of a sum: ``v(a)-v(b)`` is ``[(1, "v(a)"), (-1, "v(b)")]``."""
-    result = (term for term in expression.replace("-", "+-").split("+") if term)
+    result = filter(None, expression.replace("-", "+-").split("+"))
     return [(-1.0 if term.startswith("-") else 1.0, term.removeprefix("-")) for term in result]
 
 

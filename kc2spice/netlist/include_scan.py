@@ -132,7 +132,7 @@ class _Reader:
         """The file that an include names: one word, or one text in quotes."""
         rest = split_comment(rest)[0].strip()
         result = _TARGET.fullmatch(rest)
-        target = next((text for text in result.groups() if text), "") if result else ""
+        target = next(filter(None, result.groups()), "") if result else ""
         if not self.trust:
             reason = "more than one word" if rest and result is None else name_threat(target)
             if reason:

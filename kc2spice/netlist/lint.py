@@ -24,7 +24,7 @@ from kc2spice.netlist.expression import (
 from kc2spice.netlist.library import declared_pins
 from kc2spice.netlist.scope import GROUND, Scope, circuit, inside
 
-_ODD = tuple(Number(text) for text in ("1", "3", "5", "7", "9"))
+_ODD = tuple(map(Number, ("1", "3", "5", "7", "9")))
 # Parasitic settings of elements in LTspice, and the equivalent separate elements.
 _PARASITIC = {"rser": "R in series", "lser": "L in series", "rpar": "R across it",
               "rlshunt": "R across it", "cpar": "C across it"}  # fmt: skip

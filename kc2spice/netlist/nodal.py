@@ -122,7 +122,7 @@ class NodalCircuit:
             for part, i, j, entry in _stamps(item, number):
                 if i in rows and j in rows:
                     stamps[part].append((rows[i], rows[j], entry))
-        return NodalEquations(rows, tuple(_arrays(entries) for entries in stamps))
+        return NodalEquations(rows, tuple(map(_arrays, stamps)))
 
 
 def _arrays(

@@ -194,7 +194,7 @@ def _probes(declaration: Declaration) -> Mapping[str, Tree]:
             else CircuitVariable("v", _place(declaration, b))
         )
         result[b.name] = _in_si(read, coordinate(b).factor)
-        ends = (declaration.speeds.get(pin) for pin in (b.plus, b.minus))
+        ends = map(declaration.speeds.get, (b.plus, b.minus))
         high, low = (CircuitVariable("v", (end,)) if end else ZERO for end in ends)
         sensed = _in_si(CircuitVariable("i", (f"Vrate_{b.name}",)), coordinate(b).factor * 1e6)
         sensed = sensed if ZERO in (high, low) else ZERO

@@ -395,7 +395,7 @@ def _exchanges(system: System, segment: Segment) -> tuple[list[float], list[floa
     interval, steps = segment.interval, segment.steps
     t = np.concatenate([s.start + s.length * NODES for s in steps])
     w = np.concatenate([s.length * WEIGHTS for s in steps])
-    z, r = (np.hstack(rows) for rows in zip(*(s.nodes() for s in steps), strict=True))
+    z, r = map(np.hstack, zip(*(s.nodes() for s in steps), strict=True))
     X = interval.with_sources(t, z)
     came, went = [], []
     waves = interval.waves(t, z, r) if system.sources else {}

@@ -537,7 +537,7 @@ def _linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndar
 
 def _quadratic(f: Callable[[np.ndarray], float], n: int) -> tuple[np.ndarray, np.ndarray]:
     """``Q`` (n, n) and ``b`` (n,) of a function ``e' Q e + b' e``."""
-    item = np.array([f(e) for e in np.eye(n)])
+    item = np.array(list(map(f, np.eye(n))))
     both = np.array([[f(a + b) for b in np.eye(n)] for a in np.eye(n)])
     Q = (both - item[:, None] - item) / 2
     return Q, item - Q.diagonal()

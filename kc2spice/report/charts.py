@@ -38,7 +38,7 @@ def figure_html(figure: Figure) -> str:
         panels = _with_x_unit(panels, next((p.x for p in reversed(panels) if p.x), ""))
     else:
         panels = [one for panel in panels for one in _with_x_unit([panel], panel.x)]
-    span = _union([_range_x(p) for p in panels]) if stacked else None
+    span = _union(list(map(_range_x, panels))) if stacked else None
     data = {
         "title": figure.title,
         "columns": figure.columns,
@@ -235,7 +235,7 @@ def _range_x(panel: Panel) -> Range:
     if panel.map is not None:
         ends = _outer(panel.map.x, panel.log_x)
     else:
-        halves = [_half_bar(curve) for curve in panel.curves]
+        halves = list(map(_half_bar, panel.curves))
         both = [_ends(curve.x) for curve in panel.curves]
         ends = _union([(a - h, b + h) for (a, b), h in zip(both, halves, strict=True)])
     return _widen_range(ends)

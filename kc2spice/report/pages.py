@@ -322,7 +322,7 @@ def sweep_figures(
             yield Figure(f"map_{name}", title, "Grey where there is none.", (panel,))
     else:
         caption = "Lines at the median and at 5 and 95 % of the points."
-        panels = [_histogram(axis) for axis in y.values()]
+        panels = list(map(_histogram, y.values()))
         yield Figure("histograms", "Distributions", caption, tuple(panels), columns=3)
         for name, (label, values) in y.items():
             panels = [Panel(k, label, (Curve("", v, values, "o"),)) for k, v in x.values()]
@@ -407,7 +407,7 @@ class Findings:
             key: value for key, value in vars(self).items() if key not in ("figures", "units")
         }
         checks = [check.record() for check in self.checks]
-        outputs = [asdict(output) for output in self.outputs]
+        outputs = list(map(asdict, self.outputs))
         return {"passed": self.passed, **result, "checks": checks, "outputs": outputs}
 
 

@@ -114,7 +114,7 @@ def band_end(pencil: Pencil, count: int, high: float) -> float:
 
 
 def _small(pencil: Pencil) -> np.ndarray:
-    rest, inertia = (dense(P) for P in (pencil.coefficients[0], pencil.coefficients[-1]))
+    rest, inertia = map(dense, (pencil.coefficients[0], pencil.coefficients[-1]))
     if largest(rest) == 0 or largest(inertia) == 0:
         return np.empty(0)
     rates = np.abs(Pencil((rest, inertia), pencil.B, pencil.C, pencil.D).poles())

@@ -118,7 +118,7 @@ def fit_branches(samples: Samples) -> Elements:
     best, least, useless = elements, np.inf, 0
     patience = POOR_PATIENCE
     while len(elements) < MAX_ELEMENTS and useless < patience:
-        ends = [samples.polished(start) for start in _starts(samples, elements)]
+        ends = list(map(samples.polished, _starts(samples, elements)))
         ends = [end for end in ends if _visible(samples, end)]
         if not ends:
             break
@@ -146,7 +146,7 @@ def _parameters(elements: Elements) -> int:
 
 def _first_of_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
     """The first of the sums whose criterion is as good as the least: rounding chooses none."""
-    values = [samples.criterion(end) for end in ends]
+    values = list(map(samples.criterion, ends))
     good = (end for end, value in zip(ends, values, strict=True) if value < min(values) + AS_GOOD)
     return next(good)
 
@@ -258,7 +258,7 @@ def _starts(samples: Samples, elements: Elements) -> list[Elements]:
         tried = [samples.amplitudes((*elements, option)) for option in options]
         result.append(min(tried, key=lambda item: item[1])[0])
     result += [samples.amplitudes(item)[0] for item in _halves(samples, elements)]
-    return [item for item in result if item]
+    return list(filter(None, result))
 
 
 def _peak(samples: Samples, elements: Elements) -> Elements:

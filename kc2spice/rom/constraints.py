@@ -68,7 +68,7 @@ def unconstrained(pencil: Pencil) -> Pencil:
         return pencil
     parts = [_symmetrised(Z.T @ P @ Z, pencil.symmetric) for P in (K, E, M)]
     if pencil.is_dense:
-        parts = [dense(P) for P in parts]
+        parts = list(map(dense, parts))
     C = pencil.C[:, keep]
     B = Z.T @ pencil.B[keep]
     plain = Pencil(tuple(parts), B, B.T.copy() if pencil.collocated else C @ Z, pencil.D)
@@ -125,7 +125,7 @@ def _with_multipliers(
 ) -> Pencil:
     """With outputs that see multipliers, ``l = S^-1 L'M^-1 (B u - E x' - K x)``, ``S = L'M^-1 L``;
     first order if these depend on velocities."""
-    K, E, M = (dense(P) for P in parts)
+    K, E, M = map(dense, parts)
     L, Z = dense(L), dense(Z)
     try:
         through = np.linalg.solve(M.T, L).T

@@ -191,7 +191,7 @@ def above_band(
     if not moved:
         return ()
     points = clear_of_poles(ABOVE * band[1], *exact.resonances)
-    diagonal = [rows.index(port) for port in moved], [columns.index(port) for port in moved]
+    diagonal = list(map(rows.index, moved)), list(map(columns.index, moved))
     H, ours = (item.transfer(2j * np.pi * points)[:, *diagonal] for item in (exact, reduced))
     size = np.abs(ours - H) / (np.abs(H) + np.finfo(float).tiny)
     return tuple(zip(points.tolist(), size.max(axis=1).tolist(), strict=True))

@@ -138,7 +138,7 @@ def _growing(pencil: Pencil, rate: float) -> np.ndarray:
     for value, x in zip(values, vectors[:n].T, strict=True):
         pole = rate * (value + 1) / (value - 1)
         terms = [pole**k * (P @ x) for k, P in enumerate(pencil.coefficients)]
-        size = sum(np.linalg.norm(term) for term in terms)
+        size = sum(map(np.linalg.norm, terms))
         small = np.linalg.norm(np.sum(terms, axis=0)) <= BACKWARD * size
         if small and pole.real > GROWTH * abs(pole):
             unstable_poles.append(pole)

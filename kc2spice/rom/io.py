@@ -83,7 +83,7 @@ def _sizes(data: bytes, start: int) -> tuple[list[int], int]:
         line = data[start:end].strip()
         start = end + 1
         if line and not line.startswith(b"%"):
-            return [int(word) for word in line[:200].split()], start
+            return list(map(int, line[:200].split())), start
     raise ValueError("the line of sizes is missing")
 
 
@@ -174,7 +174,7 @@ def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
     letters = _letters(model.first_order)
     matrices = {letter: getattr(model, letter) for letter in letters}
     content = {
-        "ports": [asdict(p) for p in model.ports],
+        "ports": list(map(asdict, model.ports)),
         "certificate": asdict(model.certificate),
         "facts": mesh_facts(model.facts),
     }

@@ -556,7 +556,7 @@ def _loss_of(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
     if isinstance(K, np.ndarray):
         loss = dense(loss)
     else:
-        K, loss = (scipy.sparse.csc_array(P) for P in (K, loss))
+        K, loss = map(scipy.sparse.csc_array, (K, loss))
     scale = largest(K)
     if not scale:
         raise _unfit(where, "an imaginary part without a real one")
@@ -610,7 +610,7 @@ def _rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
     if pair is None:
         return None
     try:
-        alpha, beta = (float(value) for value in pair)
+        alpha, beta = map(float, pair)
     except (TypeError, ValueError):
         raise UsageError(
             "not the pair of Rayleigh's damping",

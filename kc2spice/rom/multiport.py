@@ -199,7 +199,7 @@ def _nearest(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
     cone = np.zeros((1 + m * (n + m), count + 1))
     cone[0, -1] = -1.0
     cone[1:, triangle:count] = np.kron(np.eye(m), R / scale)
-    G = np.vstack([cone, np.transpose([inequality(x) for x in np.eye(count + 1)])])
+    G = np.vstack([cone, np.transpose(list(map(inequality, np.eye(count + 1))))])
     h = np.concatenate([[0.0], (q.T / scale).ravel(), least.ravel()])
     cost = np.zeros(count + 1)
     cost[-1] = 1.0

@@ -72,7 +72,7 @@ class ParallelBranches:
         if self.lead != IDEAL_LEAD and capacitance > 0:
             branches, capacitance = (*branches, CircuitBranch(0.0, elastance=1 / capacitance)), 0.0
         values = np.array([(b.inductance, b.resistance, b.elastance) for b in branches])
-        M, E, K = (np.diag(column) for column in values.reshape(-1, 3).T)
+        M, E, K = map(np.diag, values.reshape(-1, 3).T)
         return LinearModel(
             M=M + self.lead.inductance,
             E=E + self.lead.resistance,
@@ -90,7 +90,7 @@ def parallel_branches(model: LinearModel) -> ParallelBranches | None:
     if model.first_order or not one_port or not (model.B == 1).all() or not (model.C == 1).all():
         return None
     matrices = model.pencil.dense().coefficients
-    elastance, resistance, inductance = (_shared(matrix) for matrix in matrices)
+    elastance, resistance, inductance = map(_shared, matrices)
     if elastance != 0 or resistance is None or inductance is None:
         return None
     capacitance, lead = float(model.D[0, 0]), CircuitBranch(resistance, inductance)

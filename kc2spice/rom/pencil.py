@@ -216,7 +216,7 @@ class Pencil:
     def symmetric(self) -> bool:
         """Every coefficient equals its transpose."""
         stated = self.coefficients[:: 1 if self.rayleigh is None else 2]
-        return self.symmetry.get(lambda: all(symmetric(P) for P in stated))
+        return self.symmetry.get(lambda: all(map(symmetric, stated)))
 
     @cached_property
     def collocated(self) -> bool:
@@ -235,7 +235,7 @@ class Pencil:
 
     def dense(self) -> Pencil:
         """The same model with arrays throughout."""
-        parts = tuple(dense(P) for P in self.coefficients)
+        parts = tuple(map(dense, self.coefficients))
         return replace(self, coefficients=parts, rayleigh=None)
 
     def bordered(self, k: complex, e: complex, m: complex) -> Matrix:
@@ -407,7 +407,7 @@ class Pencil:
                 return P.scaled(t)
             return t[:, None] * P * t if isinstance(P, np.ndarray) else scaled(P, t, t)
 
-        parts = tuple(both(P) for P in self.coefficients)
+        parts = tuple(map(both, self.coefficients))
         B = t[:, None] * self.B
         C = B.T.copy() if self.collocated else self.C * t
         result = Pencil(parts, B, C, self.D, self.rayleigh)
@@ -447,7 +447,7 @@ class Pencil:
     def poles(self, omega: float | None = None) -> np.ndarray:
         """Finite poles [1/s] by dense eigenvalues; ``omega`` is a frequency that matters."""
         full = self.coefficients if self.is_dense else self.dense().coefficients
-        sizes = [largest(P) for P in full]
+        sizes = list(map(largest, full))
         if omega is None:
             tops = sizes[0] / sizes[-1] if sizes[0] and sizes[-1] else 1.0
             omega = float(tops ** (1 / self.degree))

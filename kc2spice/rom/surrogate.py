@@ -50,5 +50,5 @@ def _solution_rounding(pencil: Pencil, frequency: float, exact: np.ndarray) -> f
     the unknowns, which change nothing but rounding: thin bodies answer with the small difference
     of large forces."""
     rng, s = np.random.default_rng(0), np.array([2j * np.pi * frequency])
-    trials = (pencil.in_units(t) for t in rng.uniform(1.0, 2.0, (TRIALS, pencil.size)))
+    trials = map(pencil.in_units, rng.uniform(1.0, 2.0, (TRIALS, pencil.size)))
     return SPREAD * max(relative_error(again.transfer(s), exact[None]) for again in trials)

@@ -325,7 +325,7 @@ class _Modes:
         )
         line = np.cos(np.pi * (np.arange(GRID[self.axes]) + 0.5) / GRID[self.axes])
         self.grid = np.array([np.zeros(self.axes), *product(line, repeat=self.axes)])
-        points = [self.at(x) for x in self.grid]
+        points = list(map(self.at, self.grid))
         last = min(p.w2.size for p in points) - 1
         while self.free < last and any(
             p.w2[self.free] < STILL * p.w2[self.free + 1] for p in points
@@ -341,7 +341,7 @@ class _Modes:
                     expected="a body with a support, or with electrical ports only",
                     hint="remove the key rom.parameters of this body",
                 )
-        self.points = [self._elastic(p) for p in points]
+        self.points = list(map(self._elastic, points))
         w2 = np.array([p.w2 for p in self.points])
         least = max(1, int((w2 < (ABOVE * 2 * np.pi * band[1]) ** 2).any(axis=0).sum()))
         counts = np.arange(least, min(least + MORE, w2.shape[1]) + 1)
@@ -367,14 +367,14 @@ class _Space:
         self.shift = 0.5 * (2 * np.pi * modes.band[1]) ** 2
         rest = modes.points[0].w2[modes.count :]
         self.unit = rest[0] - self.shift if rest.size else 1.0
-        answers = [self._answers(p) for p in modes.points]
+        answers = list(map(self._answers, modes.points))
         size = np.linalg.norm(answers[0], axis=0)
         size[size == 0] = 1.0
         w, T = np.linalg.eigh(sum((a / size).T @ (a / size) for a in answers))
         large = w > max(DEPENDENT * w[-1], 0.0)
         large[: max(0, len(w) - rest.size)] = False  # no more than there are dimensions
         self.T = T[:, large] / size[:, None]
-        pairs = [self._ritz(p) for p in modes.points]
+        pairs = list(map(self._ritz, modes.points))
         self.w2 = np.array([w2 for w2, _ in pairs])
         self.Z = [Z for _, Z in pairs]
         self._known: dict[tuple[int, int], tuple[np.ndarray, np.ndarray] | None] = {}
@@ -426,11 +426,7 @@ class _Space:
             return None
         port = np.max([np.abs(block[1]).max(axis=(0, 1)) for block in result if block], axis=0)
         port[port == 0] = 1.0
-        blocks = [
-            (K, g)
-            for K, g in (block for block in result if block)
-            if (np.abs(g) / port).max() > SILENT
-        ]
+        blocks = [(K, g) for K, g in filter(None, result) if (np.abs(g) / port).max() > SILENT]
         exponents = exponents_to(modes.axes, degree)
         fit = np.linalg.pinv(polynomials(modes.grid, exponents))
         ratio = min(_ratio(p, modes.band) for p in modes.points)

@@ -234,7 +234,7 @@ def plan(build: Build) -> dict[str, Any]:
         ],
         "joins": drawing(scene),
         "frames": list(frame_lines(scene)),
-        "left_out": [asdict(row) for row in dict.fromkeys(left_out)],
+        "left_out": list(map(asdict, dict.fromkeys(left_out))),
         "error_budget": scene.error_budget,
         "settings": settings,
     }

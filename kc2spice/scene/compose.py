@@ -265,7 +265,7 @@ def _not_joined(name: str, terminal: Terminal, alone: Collection[Pin], scene: Sc
         if end[0] != name and _compatible(terminal, other)
     ]
     waiting = [end for end in fitting if end in alone]
-    names = [".".join(end) for end in (waiting + [e for e in fitting if e not in waiting])]
+    names = list(map(".".join, waiting + [e for e in fitting if e not in waiting]))
     pin, more = terminal.name, "" if len(names) <= MOST_NAMED else ", …"
     if waiting:
         hint = f'add  pins = {{ {pin} = "{names[0]}" }}  to [{name}]'

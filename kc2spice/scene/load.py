@@ -380,7 +380,7 @@ def _copied(value: Any) -> Any:
     """A copy whose tables and lists may be changed."""
     if isinstance(value, Mapping):
         return {key: _copied(item) for key, item in value.items()}
-    return [_copied(item) for item in value] if isinstance(value, (list, tuple)) else value
+    return list(map(_copied, value)) if isinstance(value, (list, tuple)) else value
 
 
 def _scene(data: dict[str, Any], source: _Source) -> Scene:

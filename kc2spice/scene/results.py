@@ -119,7 +119,7 @@ def require_probed(build: Build) -> None:
 
 def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
     """Suggest a result for an unknown name that begins alike: ``r2.v`` for ``r2.voltage``."""
-    near = [choice for choice in choices if name.startswith(choice)]
+    near = list(filter(name.startswith, choices))
     near = near or [choice for choice in choices if choice.startswith(f"{name}.")][:1]
     return f"did you mean {max(near, key=len)!r}?" if near else None
 

@@ -111,7 +111,7 @@ class EmittedResponse:
         """Displacements, charges, forces of accelerated frames, and signals (frequencies, outputs,
         inputs) by forces, voltages, accelerations and signals."""
         s = 2j * np.pi * frequency
-        H = self.equations.solve(s, self.loads, [_answer_node(port) for port in self.rows])
+        H = self.equations.solve(s, self.loads, list(map(_answer_node, self.rows)))
         for row, port in enumerate(self.rows):
             if port.domain is not None and port.loaded:
                 H[:, row] *= port.domain.across.factor
@@ -188,7 +188,7 @@ class _RelativeError:
             H = self.exact.transfer(s)
         expected = self.emitted.convert_to_pins(H, frequency)
         if self.entries is None:
-            framed = [accelerates_frame(port) for port in self.emitted.rows]
+            framed = list(map(accelerates_frame, self.emitted.rows))
             peak = self.exact.peaks(frequency, H)
             peak[framed] = np.abs(expected[:, framed]).max(axis=0)
             self.entries = Entries.of(expected, peak, self.exact.zero)

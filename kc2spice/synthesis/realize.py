@@ -503,7 +503,7 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
     several = sum(port.charged for port in rom.ports) > 1
     result, column, row = [], 0, 0
     for port in rom.ports:
-        pins = tuple(checked_name(pin) for pin in port.terminals)
+        pins = tuple(map(checked_name, port.terminals))
         if len(pins) != (2 if port.paired else 1):
             raise UsageError(
                 "wrong number of pins",
@@ -657,7 +657,7 @@ def _wired(
                 return replace(t, sums=states.cards(rate, base) + jumps)
         return replace(t, sums=states.cards(row, base), through=through(direct))
 
-    return [wired(t) for t in terminals]
+    return list(map(wired, terminals))
 
 
 def conservative(terminals: Sequence[PortTerminal], base: str, share: float) -> list[Line]:
@@ -745,7 +745,7 @@ def _resonators(
     states = _States(
         [f"{node}{j}" for node in "qp" for j in numbers],
         [f"{mark}{j}" for mark in ("", "d") for j in numbers],
-        np.block([[np.diag(rate) for rate in row] for row in rates]),
+        np.block([list(map(np.diag, row)) for row in rates]),
         np.vstack([np.zeros_like(drive), drive]),
         np.hstack(
             [(gain / scale).T * [[MICRO / t.unit] for t in terminals], np.zeros_like(gain.T)]
@@ -950,7 +950,7 @@ def _blocks(
     wired = _wired(terminals, states, model.D, rom, base)
     ports = [t for t in wired if t.port.conservative]
     inputs = [t.pins[0] for t in terminals if t.kind == "input"]
-    noise_inputs = [pin for pin in inputs if _INNER_FORCE.fullmatch(pin)]  # forces that are noise
+    noise_inputs = list(filter(_INNER_FORCE.fullmatch, inputs))  # forces that are noise
     inputs = [pin for pin in inputs if pin not in noise_inputs]
     body: list[Line] = [Element.of(f"R{pin}", pin, base, "1") for pin in noise_inputs]
     body += ["* An input that is left open is zero."] * bool(inputs)

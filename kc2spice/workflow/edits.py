@@ -48,9 +48,9 @@ def _cards(scope: Scope, above: frozenset[str]) -> Any:
             within = _cards(called, above | {called.name.lower()})
             inside.append((item.model.lower(), sorted(called.defaults.items()), within))
     printer = Printer()
-    plain = [printer.card(item) for item in scope.commands]
+    plain = list(map(printer.card, scope.commands))
     models = {name: printer.card(item) for name, item in scope.models.maps[0].items()}
-    return scope.pins, [element_text(item) for item in scope.elements], plain, models, inside
+    return scope.pins, list(map(element_text, scope.elements)), plain, models, inside
 
 
 def element_text(card: Element) -> str:

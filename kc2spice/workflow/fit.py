@@ -519,7 +519,7 @@ def _descents(descent: _Descent) -> list[_End]:
     costs = [float(np.sum(descent.deviation(x) ** 2)) for x in draws]
     best = [descent.values(draws[k]) for k in np.argsort(costs)[: STARTS - 1]]
     starts = [values_of_part(descent.body.keys), *best]
-    return sorted((descent.solve(values) for values in starts), key=lambda end: end.cost)
+    return sorted(map(descent.solve, starts), key=lambda end: end.cost)
 
 
 def _correct_end(descent: _Descent, end: _End) -> _End | None:

@@ -214,7 +214,7 @@ def _expected_time(seconds: float, model: LinearModel, larger: LinearModel) -> f
     It is in proportion to the time of a point, and to the highest frequency of a mode with inertia,
     whose periods the time steps follow.
     """
-    points = [_highest(item) for item in (model, larger)]
+    points = list(map(_highest, (model, larger)))
     more = points[1] / points[0] if all(points) else 1.0
     return seconds * more * point_time(larger.order) / point_time(model.order)
 

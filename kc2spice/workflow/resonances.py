@@ -111,7 +111,7 @@ def _narrow(build: Build) -> list[tuple[float, float]]:
 def _poles(laws: SceneLaws) -> np.ndarray:
     """Poles [1/s] of the scene's circuits, and of reduced models whose circuit has no equations."""
     try:
-        solved = [_network_poles(network) for network in laws.networks]
+        solved = list(map(_network_poles, laws.networks))
     except UsageError:
         solved = [None]
     result = [poles for poles in solved if poles is not None]

@@ -72,7 +72,7 @@ class Completed:
                 "version": self.simulator.version,
                 "engine": "shared" if sampled(build) else "batch",
                 "setting": attempts[-1].setting,
-                "attempts": [asdict(attempt) for attempt in attempts],
+                "attempts": list(map(asdict, attempts)),
             },
             **run.facts,
             "modes": mode_tables(build),

@@ -313,7 +313,7 @@ def _write_failure(error: SimulationError, folder: Path, scene: str) -> None:
     record |= {"got": error.got, "next": error.hint, "waveforms": None, "attempts": []}
     if isinstance(error, RetriesFailedError):
         failure = error.failure
-        record["attempts"] = [asdict(attempt) for attempt in error.attempts]
+        record["attempts"] = list(map(asdict, error.attempts))
         if failure is not None:
             record |= {"node": failure.node, "time_s": failure.time, "part": failure.part}
         if failure is not None and failure.partial is not None:

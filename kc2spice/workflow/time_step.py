@@ -292,7 +292,7 @@ def _check(name: str, largest: tuple[float, float, str]) -> Check:
 
 def _meets(build: Build, network: Network, missing: Sequence[str]) -> bool:
     """Whether a part without a law is joined to this network."""
-    parts = {law_of(name) for name in network.names}
+    parts = set(map(law_of, network.names))
     scene = build.scene
     return any(
         other in missing

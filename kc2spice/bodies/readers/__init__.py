@@ -185,7 +185,7 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
         candidates = [f"{stem}{tail}" for stem in stems for tail in _TAILS]
         if "_" in separators:  # a matrix file NAME_K has a suffix
             candidates.remove(f"{base.name}_{letter}")
-        fits = [other for other in map(base.with_name, candidates) if raw.present(other)]
+        fits = list(filter(raw.present, map(base.with_name, candidates)))
         if len(fits) > 1:
             problem = f"two files for matrix {letter}"
             names = ", ".join(other.name for other in fits)
@@ -196,7 +196,7 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
     if result:
         return base, result
     archives = [path.with_name(f"{path.name}{suffix}") for suffix in READERS]
-    archives = [] if raw.present(path) else [other for other in archives if raw.present(other)]
+    archives = [] if raw.present(path) else list(filter(raw.present, archives))
     if len(archives) > 1:
         got = ", ".join(other.name for other in archives)
         hint = f"give the full name, such as {archives[0].name}"
@@ -239,7 +239,7 @@ def _matrices(files: dict[str, Path]) -> raw.Raw:
         elif codes.is_harwell_boeing(head):
             read = partial(codes.read_harwell_boeing, allowed=allowed)
             result[letter] = raw.parse_file(path, codes.EXPECTED, read)
-            mapped += (path.with_suffix(suffix) for suffix in (".mapping", ".MAPPING"))
+            mapped += map(path.with_suffix, (".mapping", ".MAPPING"))
         elif (
             letter in f"MEK{codes.LOSS}" and path.suffix.lower() == ".mtx"
         ):  # matrix file of Abaqus
@@ -253,7 +253,7 @@ def _matrices(files: dict[str, Path]) -> raw.Raw:
         expected = "stiffness, mass and damping of one job"
         abaqus = raw.call_reader(one, expected, lambda: codes.read_abaqus(tables))
     result |= abaqus.matrices
-    dofs, names = abaqus.dofs, [path for path in mapped if raw.present(path)]
+    dofs, names = abaqus.dofs, list(filter(raw.present, mapped))
     if names and dofs is None:
         size = next(m.shape[0] for k, m in result.items() if k in "MEKA")
         expected = f"lines of equation, node and degree of freedom for {size} equations"

@@ -132,7 +132,7 @@ def read_calculix(path: Path, _: object) -> raw.Raw:
     ------
     UsageError : a file is missing, damaged, too large, or they do not fit together.
     """
-    stiffness, mass, rows = (path.with_suffix(suffix) for suffix in SUFFIXES)
+    stiffness, mass, rows = map(path.with_suffix, SUFFIXES)
     for file in (stiffness, mass, rows):
         if not raw.present(file):
             hint = f"{file.suffix} is written by *FREQUENCY, SOLVER=MATRIXSTORAGE"
@@ -230,8 +230,8 @@ def read_harwell_boeing(
     kind = match[1].decode().upper()
     if kind not in ("RSA", "RUA", "RZA", "RRA", "CSA", "CUA"):
         raise ValueError(f"type {kind}")
-    counts = [int(word) for word in lines[1].split()[:4]]
-    rows, columns, entries = (int(word) for word in lines[2].split()[1:4])
+    counts = list(map(int, lines[1].split()[:4]))
+    rows, columns, entries = map(int, lines[2].split()[1:4])
     allowed((rows, columns), entries)
     if min(counts) < 0 or (kind[1] in "SZ" and rows != columns):
         raise ValueError("the header is damaged")

@@ -167,7 +167,7 @@ def _blocks(data: bytes) -> Found:
         if head.startswith("NBLOCK"):
             # (3i9,6e21.13e3): how many numbers and coordinates of which widths
             integers, floats = next(lines).strip().strip("()").lower().split(",")[:2]
-            fields, wide = (int(word) for word in integers.split("i"))
+            fields, wide = map(int, integers.split("i"))
             item = int(floats.split("e")[1].split(".")[0])
             ends = [fields * wide + k * item for k in range(4)]
             for row in lines:
@@ -179,7 +179,7 @@ def _blocks(data: bytes) -> Found:
             next(lines)
             members: list[int] = []
             while len(members) < int(count.split("!")[0]):
-                members += [int(word) for word in next(lines).split()]
+                members += list(map(int, next(lines).split()))
             for before, number in pairwise([0, *members] if kind == "NODE" else ()):
                 # a negative number ends a range that the one before began
                 sets.add(name, range(before + 1, 1 - number) if number < 0 else [number])

@@ -135,7 +135,7 @@ def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int |
     ------
     UsageError : not two-dimensional, or above the limits of this module.
     """
-    shape = tuple(int(k) for k in shape)
+    shape = tuple(map(int, shape))
     what = f"matrix {letter} of {' x '.join(map(str, shape))}"
     if len(shape) != 2:
         raise unusable_file(path, what, "2 dimensions")
@@ -332,7 +332,7 @@ def _raw(arrays: Mapping[str, np.ndarray], path: Path) -> Raw:
 def _sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.sparray:
     kind = str(parts["format"].item()) if "format" in parts else "coo"
     kind = kind.removeprefix("b'").removesuffix("'")
-    rows, columns = (int(k) for k in parts["shape"])
+    rows, columns = map(int, parts["shape"])
     require_size(path, letter, (rows, columns), parts["data"].size)
     if kind == "coo":
         inner = (parts["data"], (parts["row"], parts["col"]))

@@ -280,7 +280,7 @@ def _with_format(
 def _continued(before: TextTable, table: TextTable) -> TextTable:
     """A table with the rows of a further block that has no titles."""
     pairs = zip(before.numbers, table.numbers, strict=True)
-    numbers = tuple(np.concatenate(pair) for pair in pairs)
+    numbers = tuple(map(np.concatenate, pairs))
     note = f"{table.place} have no titles: taken as further rows of the table above"
     lines = before.lines[0], table.lines[1]
     notes = (*before.notes, *table.notes, note)
@@ -355,4 +355,4 @@ def _column_numbers(words: list[str], rows: list[list[str]], title: str) -> np.n
     if any(w.strip("()")[-1:] in "ij" for w in plain):
         values = np.array([complex(w.strip("()").replace("i", "j")) for w in plain])
         return values if values.imag.any() else values.real
-    return np.array([float(w) for w in plain])
+    return np.array(list(map(float, plain)))

@@ -139,7 +139,7 @@ def read_title(text: str) -> Title | None:
         if unit_text is None:
             first = next((m for m in meanings if not m.needs_unit), None)
             if first is None:
-                choices = [_in_unit(meaning) for meaning in meanings]
+                choices = list(map(_in_unit, meanings))
                 raise ValueError(f"column {text.strip()!r} has no unit: {' or '.join(choices)}")
             return Title(text, first, sign, None)
         units = units_of(unit_text)

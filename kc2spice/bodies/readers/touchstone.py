@@ -33,7 +33,7 @@ def touchstone_response(text: str, ports: int) -> MeasuredResponse:
             section += line.split()
     for option in options[:1]:
         at = option.index("r") if "r" in option else len(option)
-        reference = [float(w) for w in option[at + 1 :]] or reference
+        reference = list(map(float, option[at + 1 :])) or reference
         unknown = [word for word in option[:at] if word not in _OPTIONS]
         if unknown:
             raise ValueError(f"the option line has the word {unknown[0]!r}, which is not known")
@@ -47,13 +47,13 @@ def touchstone_response(text: str, ports: int) -> MeasuredResponse:
     if not set(stated) & set(_FORMS):
         notes.append("the option line has no format, taken as MA")
     words = keys.get("network data", words)
-    reference = [float(w) for w in keys.get("reference", ())] or reference
+    reference = list(map(float, keys.get("reference", ()))) or reference
     n = int(keys.get("number of ports", [str(ports)])[0])
     order, shape = keys.get("two-port data order"), keys.get("matrix format", ["full"])
     if kind in "gh" or not 1 <= n <= 64 or shape != ["full"]:
         raise ValueError(f"{kind.upper()} parameters of {n} ports, {' '.join(shape)}")
     width = 1 + 2 * n * n
-    values = np.array([float(w) for w in words])
+    values = np.array(list(map(float, words)))
     table = values[: len(values) // width * width].reshape(-1, width)
     back = np.flatnonzero(np.diff(table[:, 0]) < 0)  # noise parameters of version 1 come last
     if len(values) % width and not back.size:

@@ -144,7 +144,7 @@ class Dialect(Printer, ABC):
             case ".options" | ".option" | ".opt":
                 return self.options(item.words)
             case ".save":
-                return self.save([self.vector(word) for word in item.words])
+                return self.save(list(map(self.vector, item.words)))
             case ".ic" | ".nodeset":
                 return self.directive(replace(item, words=tuple(map(self.start, item.words))))
             case keyword if keyword in _SAME & ANALYSES:

@@ -122,7 +122,7 @@ class Printer(Writer):
         if function != "pwl":
             return super().call(function, arguments)
         head, *numbers = map(self.write, arguments)
-        rows = [", ".join(pair) for pair in zip(numbers[::2], numbers[1::2], strict=False)]
+        rows = list(map(", ".join, zip(numbers[::2], numbers[1::2], strict=False)))
         lines = textwrap.wrap(", ".join(rows), _WIDTH, break_long_words=False)
         return f"pwl({head},\n+ " + "\n+ ".join(lines) + ")"
 

@@ -25,7 +25,7 @@ def plot_script(deck: Deck) -> dict[str, str]:
         return {}
     wrap = "db({})" if deck.command.kind == "ac" else "{}"
     lines = [
-        f"plot {' '.join(wrap.format(v) for v in list(dict.fromkeys(vectors))[:CURVES])}{axis} "
+        f"plot {' '.join(map(wrap.format, list(dict.fromkeys(vectors))[:CURVES]))}{axis} "
         f"ylabel '{'dB of ' if deck.command.kind == 'ac' else ''}{unit}' title '{deck.name}'"
         for unit, vectors in windows.items()
     ]

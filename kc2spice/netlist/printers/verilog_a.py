@@ -259,7 +259,7 @@ def _contribute(part: Element, names: VerilogNames) -> None:
     if part.kind == "k":
         module.laws += _mutual(part, names)
         return
-    a, b = (names.node(n) for n in part.nodes[:2]) if part.nodes else ("", "")
+    a, b = map(names.node, part.nodes[:2]) if part.nodes else ("", "")
     through, across = f"I({a},{b})", f"V({a},{b})"
     if part.quantity == "V" or (part.kind in "vleh" and not part.quantity):
         branch = names.branch(part.name)
@@ -411,7 +411,7 @@ def _changed(item: Item, stems: Mapping[str, str], replaced: Collection[str]) ->
         return item
     words = item.words
     if item.keyword == ".save":
-        words = tuple(word for word in words if _outer(word))
+        words = tuple(filter(_outer, words))
     elif item.keyword == ".tran":
         words = tuple(word for word in words if word.lower() != "uic")
     elif item.keyword in _PRINTED or (item.keyword in INCLUDES and words[0] in replaced):

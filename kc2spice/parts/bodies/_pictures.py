@@ -96,7 +96,7 @@ def port_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
     moved = {n: v for n, v in waves.data.items() if n.startswith(f"{name}.u.")}
     if "time" not in waves or not moved:
         return
-    t, size = waves["time"], np.sum([np.abs(v) for v in moved.values()], axis=0)
+    t, size = waves["time"], np.sum(list(map(np.abs, moved.values())), axis=0)
     inside = np.ones(t.size, dtype=bool)
     if (above := np.flatnonzero(size > 0.02 * size.max())).size:
         first, last = t[above[0]], t[above[-1]]

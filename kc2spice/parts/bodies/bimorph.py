@@ -131,7 +131,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     ends = [heights[k + upper] for k in active for upper in (0, 1)]
     levels = [ends[:1], *zip(ends[1:-1:2], ends[2::2], strict=True), ends[-1:]] if active else []
     series = beam.wiring != "parallel"
-    faces = [[plane(height) for height in level] for level in levels]
+    faces = [list(map(plane, level)) for level in levels]
     electrodes = {"anode": faces[::-2], "cathode": faces[-2::-2]}
     if series:
         electrodes = {"anode": faces[-1:], "cathode": faces[:1]}

@@ -263,7 +263,7 @@ class BodyKeys(FieldKeys):
         if stray:
             raise ValueError(f"poling of groups without material: {', '.join(sorted(stray))}")
         vectors = (item for item in self.poling.values() if isinstance(item, tuple))
-        if not all(any(direction) for direction in vectors):
+        if not all(map(any, vectors)):
             raise ValueError("poling without a direction")
         if len(self.electrodes) == 1:
             raise ValueError("a single electrode has no voltage: name the reference electrode")
@@ -509,7 +509,7 @@ class Body(MeshedBody):
             with part_named(part.name):
                 path = _path(part, scene)
                 sides = mesh_file.length_unit(path, part.keys.unit) * mesh_file.extent(path)
-            return [float(side) for side in sides]
+            return list(map(float, sides))
 
         key = {"file": file_stamp(_path(part, scene)), "unit": part.keys.unit}
         return cached("extent", key, size, sources=self.sources())
@@ -517,7 +517,7 @@ class Body(MeshedBody):
     def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
         sides = self.sides(part, scene)
         if part.keys.axisymmetric:
-            sides = [side for side in sides if side] or sides[:2]
+            sides = list(filter(None, sides)) or sides[:2]
         return box_envelope(sides)
 
     def dimensions(self, part: Part) -> int:

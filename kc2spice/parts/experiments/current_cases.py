@@ -105,7 +105,7 @@ class CurrentCases(PartType):
         return {
             "force_max_n": Metric(largest, "N"),
             "position_m": Metric(waves[f"{_sphere(part, build.scene)}.y"].tolist(), "m"),
-            "current_pairs_a": Metric([list(case) for case in cases(part)], "A"),
+            "current_pairs_a": Metric(list(map(list, cases(part))), "A"),
             "force_n": Metric([force.tolist() for force in forces], "N"),
         }
 

@@ -177,7 +177,7 @@ def _declared(
 def declared(part: Part, model: Ladder) -> Declaration:
     """Its coenergy ``i' L i / 2`` with the couplings as power series of the height, and losses. Of
     a magnet, which has no loop with a rate, they are those of a tesla."""
-    keys, coils = part.keys, [_coil(name) for name in part.keys.coils]
+    keys, coils = part.keys, list(map(_coil, part.keys.coils))
     eddies = [f"eddy{k + 1}" for k in range(model.rates.size)]
     loops = eddies or ["remanence"]
     place = f"(y - {(model.low + model.high) / 2:.11g})/{(model.high - model.low) / 2:.11g}"

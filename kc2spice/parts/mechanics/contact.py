@@ -483,7 +483,7 @@ def _open_ports(pair: Pair, build: Build, waves: Waveforms, place: np.ndarray) -
     force, body = pair.forces(waves), pair.scene.parts[a.part]
     model = build.model(body, LinearModel)
     if len(ports) < len(a.ports) and isinstance(model, LinearModel):
-        rows = [model.outputs.index(name) for name in ports]
+        rows = list(map(model.outputs.index, ports))
         static = model.transfer(np.zeros(1))[0][rows, rows[-1]].real
         rise = waves[f"{a.part}.u.{ports[-1]}"] + static @ force - place
         gap, highest = float(pair.gaps[len(ports)]), float(rise.max())

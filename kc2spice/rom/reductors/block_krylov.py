@@ -141,7 +141,7 @@ def extend(
     count = old = basis.shape[1]
     lengths = np.sqrt(np.einsum("ki,ki->i", candidates, stiffness(candidates)))
     fresh = np.empty((2, len(basis), candidates.shape[1]))
-    V, KV = (np.hstack(pair) for pair in zip((basis, images), fresh, strict=True))
+    V, KV = map(np.hstack, zip((basis, images), fresh, strict=True))
     for vector, length in zip(candidates.T, lengths, strict=True):
         for _ in range(2):  # twice is enough (Kahan, Parlett)
             vector = vector - V[:, :count] @ (KV[:, :count].T @ vector)

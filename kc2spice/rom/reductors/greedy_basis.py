@@ -141,7 +141,7 @@ class GreedyBasis:
         """The rigid-body motion of the projected model, within rounding of the full one's entries;
         where the model has a static answer, no input moves it, and it is left out."""
         V, coefficients = self.modal, self.pencil.coefficients
-        sizes, eps = [magnitudes(P) for P in coefficients], np.finfo(float).eps
+        sizes, eps = list(map(magnitudes, coefficients)), np.finfo(float).eps
         bound = FREE * eps * (np.abs(V).T @ (sizes[0] @ np.abs(V)))
         energies = np.abs(np.diag(small.coefficients[0]))
         if (energies > np.diag(bound)).all():

@@ -300,9 +300,9 @@ def write_csv(table: Mapping[str, Sequence[Any]], path: Path) -> None:
     """
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(plain_cell(name) for name in table)
+        writer.writerow(map(plain_cell, table))
         for row in zip(*table.values(), strict=True):
-            writer.writerow(_csv_cell(value) for value in row)
+            writer.writerow(map(_csv_cell, row))
 
 
 def _csv_cell(value: Any) -> str | None:
@@ -426,7 +426,7 @@ def sweep_of_plan(
     ------
     UsageError : the scene is wrong at the first point, or at an end of one of the ranges.
     """
-    first, *_ = [job.load(values) for values in plan.ends()]
+    first, *_ = list(map(job.load, plan.ends()))
     return Sweep(first, job, plan, units, metrics)
 
 

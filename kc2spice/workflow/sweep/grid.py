@@ -101,7 +101,7 @@ def form(text: str) -> tuple[str, list[str]]:
                 if len(words) == 2
                 else None,
             )
-        if kind == "log" and any(_ZERO.match(word) for word in words[:2]):
+        if kind == "log" and any(map(_ZERO.match, words[:2])):
             raise _crosses_zero(text)
         return kind, words
     words = _split(text, ",")
@@ -167,8 +167,8 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Draws
         values = (np.geomspace if kind == "log" else np.linspace)(a, b, int(count)).tolist()
         if key.integer and not all(value == round(value) for value in values):
             raise refused("not all values are whole numbers", values[:5])
-        values = [int(value) for value in values] if key.integer else values
-    if len({repr(value) for value in values}) < len(values):
+        values = list(map(int, values)) if key.integer else values
+    if len(set(map(repr, values))) < len(values):
         raise refused("a value occurs twice", words)
     return tuple(values)
 
@@ -234,9 +234,9 @@ class Plan:
             for values in block.values():
                 numbers = all(isinstance(value, (int, float)) for value in values)
                 extremes = (min(values), max(values)) if numbers else values
-                steps = {values.index(value) for value in extremes}
+                steps = set(map(values.index, extremes))
                 places += [step * prod(self.lengths[k + 1 :]) for step in sorted(steps)]
-        return [self.values(place) for place in dict.fromkeys(places)]
+        return list(map(self.values, dict.fromkeys(places)))
 
     def distinct(self, keys: Sequence[str]) -> int:
         """Number of combinations of values of the ``keys`` in all points."""

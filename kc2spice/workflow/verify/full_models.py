@@ -106,7 +106,7 @@ def full_solution(
                     words = f"{body.model.order} unknowns at {points} frequencies, solved at each"
         with clock.stage("full model", words):
             return FullSolution(solve_steady(networks, full, ours))
-    networks = [network for network in networks if port_bodies(network)]
+    networks = list(filter(port_bodies, networks))
     if not networks:
         return None
     rows = (full_differences(network, build, exact, clock, thorough) for network in networks)

@@ -163,7 +163,7 @@ def _still_until(
     """
     waves, time = run.waves, run.time
     first = time.size
-    loads = chain.from_iterable(_port_waves(law) for law in bodies)
+    loads = chain.from_iterable(map(_port_waves, bodies))
     for wave in (waves[name] for name in loads):
         swing = np.abs(wave - wave[0])
         moved = np.flatnonzero(swing > STILL * swing.max()) if swing.any() else [time.size]
@@ -193,7 +193,7 @@ def _state_of_waves(
     recorded = np.array([not name.endswith(".through") for name in system.names]) & algebraic
     now, names = system.now[recorded], np.array(system.names)[recorded].tolist()
     A, drives = now[:, : z.size], system.source_values(t, t)
-    b = np.array([wave(name) for name in names]) - now[:, z.size :] @ drives
+    b = np.array(list(map(wave, names))) - now[:, z.size :] @ drives
     level = np.abs(A).max(axis=1)
     A, b = A[level > 0] / level[level > 0, None], b[level > 0] / level[level > 0]
     return z + np.linalg.lstsq(A, b - A @ z, rcond=1e-12)[0]
