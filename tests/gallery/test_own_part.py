@@ -33,7 +33,8 @@ def package(tmp_path_factory):
 
 def test_the_file_and_its_closed_form_run(package):
     (package / "trial.py").write_text("\n".join(blocks("python")), encoding="utf-8")
-    python(package, "trial.py", path=[package])
+    (output,) = blocks("text")
+    assert python(package, "trial.py", path=[package]) == output
 
 
 @pytest.mark.slow
