@@ -81,6 +81,7 @@ def test_the_table_of_sizes_is_made_by_the_documented_command(tmp_path):
     said = python(tmp_path, *words)
     rows = [line.split("|") for line in said.splitlines() if "| plate |" in line]
     assert [int(row[2]) for row in rows] == [300, 867]
+    assert all(float(row[8]) > 0 for row in rows)  # CPU relative to the lower bound
 
 
 def test_parts_can_be_chosen_and_wrong_ones_are_named(tmp_path):
