@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kc2spice.core.domains import QUANTITIES, Domain
+from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.quantities import quantity
 from kc2spice.netlist.deck import PowerTerm
@@ -235,8 +236,8 @@ def _probed_parts(build: Build, what: str) -> list[Part]:
     return [build.scene.parts[name] for name in names if name in build.scene.parts]
 
 
-@dataclass(frozen=True)
-class DcSweep:
+@dataclass(frozen=True, eq=False)
+class DcSweep(EqualByContent):
     """The dc sweep of a scene: the key that it moves, and the source that moves it.
 
     Attributes
