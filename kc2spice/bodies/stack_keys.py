@@ -112,7 +112,7 @@ class Chip(Section):
         None, gt=0, description="Second width of a rectangular chip; by default equal to side"
     )
     diameter: Width | None = Field(
-        None, gt=0, description="Diameter of a round stack, instead of side"
+        None, gt=0, description="Diameter of a round stack, instead of the key `side`"
     )
     layers: Count = Field(33, ge=1, le=400, description="Number of active layers")
     layer_thickness: Length | None = Field(

@@ -181,7 +181,7 @@ def _prune(root: Path) -> None:
 
 
 def _load(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
-    """The result of an entry in a tuple of its own, None where there is none that can be read."""
+    """A tuple with the cached result, or None if the entry is missing or unreadable."""
     if not path.exists():
         return None
     try:

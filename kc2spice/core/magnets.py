@@ -93,7 +93,7 @@ NEAR = 1e-6  # distance of two equal heights, relative to the range of the table
 ORDER = 3
 
 
-# Linear magnetics: what each coefficient of the force is multiplied by, as powers of both currents.
+# Linear magnetics: exponents of both currents that multiply each coefficient of the force.
 POWERS = {"c0": (0, 0), "c1": (1, 0), "c2": (0, 1), "c11": (2, 0), "c12": (1, 1), "c22": (0, 2)}
 FORCE = tuple(POWERS)
 

@@ -1,4 +1,4 @@
-"""Two coils and magnets around a moving one: declarations from one coenergy of height and currents.
+"""Two coils and fixed magnets around a moving magnet: one coenergy of height and currents.
 
 Magnetic materials are linear, so at each height it is a quadratic function of the currents, of the
 powers in :data:`kc2spice.core.magnets.POWERS`. Its slopes are the force and the flux linkages.

@@ -85,7 +85,7 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
             case Call(name, _):
                 functions = (*_SPECIAL, *_CHAIN, *tables)
                 raise UsageError(
-                    "no such function in physics",
+                    "no such function in a declaration",
                     where=where,
                     got=name,
                     expected="one of " + candidates(name, functions, _PAGE),

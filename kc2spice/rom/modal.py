@@ -338,8 +338,8 @@ def chip_response(
 def resonant(
     omega: np.ndarray, damp: np.ndarray, t: np.ndarray, drive: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacements and rates (n, modes) of ``z'' + damp z' + omega^2 z = drive``, which starts in
-    equilibrium and is linear between the times."""
+    """Displacements and rates (n, modes) of ``z'' + damp z' + omega^2 z = drive``, from
+    equilibrium; ``drive`` is linear between the times."""
     a, b = _roots(omega, damp)
     if (b == a.conj()).all():  # then x_b is the conjugate of x_a
         x_a = march(a, t, drive)

@@ -282,7 +282,8 @@ class Gates(Section):
         3e-4,
         gt=0,
         description=(
-            "Error of the magnetic force, table against a denser one, relative to the largest force"
+            "Error of the table of magnetic forces, compared with a denser table, relative to the "
+            "largest force"
         ),
     )
 
@@ -373,7 +374,10 @@ class Probe(Section):
         "value",
     ] = Field(
         "max",
-        description=("Quantity that the probe takes of the result; value reads it at the key `at`"),
+        description=(
+            "Quantity that the probe computes from the result; `value` reads the result at the key "
+            "`at`"
+        ),
     )
     at: Place | None = Field(
         None, description="Frequency, time or swept value at which take = value reads the result"

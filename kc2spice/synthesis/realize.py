@@ -990,8 +990,8 @@ def _blocks(
 
 
 def _with_forces(rom: LinearModel) -> LinearModel:
-    """``rom`` with an input for the force of every loss: ``E`` is the sum of squares of their
-    columns of B, so that each has the noise of a loss of one.
+    """``rom`` with an input for the force of every loss: ``E`` is the sum of squares of the columns
+    of B of these forces, so that each force has the noise of a loss of one.
 
     Raises
     ------

@@ -566,7 +566,7 @@ def test_models_that_are_none(tmp_path, matrices, words):
         (TIP + 'axis = "y"\n', ("both dof and axis",)),
         (TIP.replace('dof = "uy"', ""), ("no direction", 'axis = "z"')),
         (TIP + 'nodeset = "ENDS"\n', ("node, nodeset",)),
-        (TIP.replace("node = 300", 'nodeset = "ENDS"'), ("nodeset and at need a mesh",)),
+        (TIP.replace("node = 300", 'nodeset = "ENDS"'), ("keys `nodeset` and `at` need a mesh",)),
         ('mesh="mesh.inp"\n' + TIP.replace("node = 300", 'nodeset = "NONE"'), ("NONE", "ENDS")),
         ('mesh="mesh.inp"\n' + TIP.replace("node = 300", "at = [20, 1, 0]"), ("node 300", "0.5")),
         ('mesh="none.inp"\n' + TIP.replace("node = 300", "at = [0, 0, 0]"), ("none.inp",)),

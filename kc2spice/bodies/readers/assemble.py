@@ -156,7 +156,7 @@ class Rows:
         elif mesh is None:
             expected = 'mesh = "FILE" with nodes and node sets in the TOML file'
             hint = 'add  mesh = "FILE"  to the TOML file'
-            raise wrong(where, "nodeset and at need a mesh", None, expected, hint)
+            raise wrong(where, "the keys `nodeset` and `at` need a mesh", None, expected, hint)
         elif place.nodeset is not None:
             nodes = read_nodes(mesh).nodeset(place.nodeset, where)
         else:

@@ -419,8 +419,8 @@ def _plain(name: str, matrix: Any) -> Any:
 
 
 def real_if_possible(matrix: Any) -> Any:
-    """The real part of a complex matrix without an imaginary one, as COMSOL writes it where a
-    solver was complex."""
+    """The real part of a complex matrix whose imaginary part is zero; COMSOL writes such matrices
+    after a complex solution."""
     data = matrix.data if sparse.issparse(matrix) else matrix
     return matrix.real if np.iscomplexobj(data) and not data.imag.any() else matrix
 

@@ -328,7 +328,7 @@ class Sidecar(Section):
         return self._where
 
     def of(self, entry: NodeSelection) -> str:
-        """The file and the table that ``entry`` is."""
+        """The file and the table that ``entry`` refers to."""
         for word in ("ports", "fixed"):
             for number, item in enumerate(getattr(self, word)):
                 if item is entry:

@@ -138,7 +138,8 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     blocks = []
     for k, (one, span) in enumerate(zip(materials, pairwise(heights), strict=True)):
         above = sum(span) / 2 >= top / 2 * (1 - 1e-9)
-        # the field of a positive voltage points down in all in series, by turns from the top else
+        # a positive voltage makes a field that points down in all layers in series, otherwise in
+        # every other one
         down = series or k not in active or (active.index(k) - len(active)) % 2
         poled = one.poled((0, 0, -1.0 if down == above else 1.0)) if k in active else one
         box = ((0.0, length), (0.0, width), span)

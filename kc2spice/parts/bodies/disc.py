@@ -99,7 +99,8 @@ class DiscKeys(FieldKeys):
         None,
         gt=0,
         description=(
-            "Diameter of the patch of port centre; by default the thickness of the disc on its axis"
+            "Diameter of the patch of the port `centre`; by default the thickness of the disc on "
+            "its axis"
         ),
     )
     damping: Damping = Damping()

@@ -13,7 +13,8 @@ from kc2spice.scene.parttype import register
 class ParallelPlateKeys(_stop.Stopped):
     """``C = permittivity eps0 area / (gap - x)``; the coenergy ``C v^2 / 2`` pulls x up.
 
-    A spring of stiffness ``k`` between its plates snaps in at ``sqrt(8 k gap^3 / (27 eps area))``.
+    With a spring of stiffness ``k`` between them the plates pull in at the voltage
+    ``sqrt(8 k gap^3 / (27 eps area))``.
     """
 
     area: Annotated[float, si("m2")] = Field(gt=0, description="Area of the plates")

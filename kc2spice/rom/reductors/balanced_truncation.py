@@ -138,7 +138,7 @@ def balanced_basis(
 
 
 def balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return factors of rows and columns whose products are closest to ``size``.
+    """Return scale factors of rows and columns whose products are closest to ``size``.
 
     The size is (..., rows, columns), and the distance is that of logarithms.
     """
