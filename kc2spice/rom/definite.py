@@ -16,6 +16,12 @@ def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
     return pencil.degree == 2 and proportional and pencil.symmetric and pencil.collocated
 
 
+def expects_cholesky(pencil: Pencil) -> bool:
+    """Whether a Cholesky factor is all that a reduction needs, if the stiffness is definite."""
+    form = has_definite_form(pencil, undamped_too=True)
+    return form and not isinstance(pencil.coefficients[0], Schur)
+
+
 def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
     """Of definite form (:func:`has_definite_form`), K positive definite."""
     if not has_definite_form(pencil, undamped_too=undamped_too):

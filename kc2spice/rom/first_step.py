@@ -15,7 +15,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import require_factors
-from kc2spice.rom.definite import is_definite
+from kc2spice.rom.definite import expects_cholesky, is_definite
 from kc2spice.rom.error_estimate import inexact, relative_size
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil, symmetric
@@ -75,7 +75,8 @@ def intermediate_model(
             return _in_units_of(pencil, band, complete)
     if is_definite(pencil, undamped_too=True):
         return definite_krylov_model(pencil, band, target, limit)
-    require_factors(pencil.bordered(1.0, 1.0, 1.0))
+    if expects_cholesky(pencil):  # its memory was checked for a Cholesky factor only
+        require_factors(pencil.bordered(1.0, 1.0, 1.0))
     scaled = pencil.scaled(2 * np.pi * band[1])
     states = pencil.degree * pencil.size
     moderate = WHOLE < states <= DENSE

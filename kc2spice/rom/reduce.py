@@ -24,11 +24,11 @@ from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.band import natural_band
 from kc2spice.rom.certification import certified, with_full_order
 from kc2spice.rom.constraints import reduced_form
-from kc2spice.rom.definite import has_definite_form, is_definite
+from kc2spice.rom.definite import expects_cholesky, is_definite
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.linear_model import LinearModel, Norm
-from kc2spice.rom.pencil import Pencil, Schur
+from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor, require_basis
 from kc2spice.rom.reductors.block_krylov import BlockArnoldi, nested_model
@@ -201,9 +201,7 @@ def verified_first_step(
     Without ``exact`` the error of the intermediate model may be any: a later target decides.
     """
     # A stiffness that turns out not to be definite is checked again.
-    definite = has_definite_form(pencil, undamped_too=True)
-    definite = definite and not isinstance(pencil.coefficients[0], Schur)
-    require_factors(pencil.bordered(1.0, 1.0, 1.0), definite=definite)
+    require_factors(pencil.bordered(1.0, 1.0, 1.0), definite=expects_cholesky(pencil))
     goal, limit = FIXED_ORDER_TARGET, np.inf
     if target.tolerance is not None:
         goal = max(INTERMEDIATE_SHARE * target.tolerance, 0.1 * LOWEST)

@@ -166,8 +166,8 @@ def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bo
 def _factorises(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     """Whether a sparse matrix is semidefinite.
 
-    Scaled to a unit diagonal it passes Lanczos steps, or moved up by rounding it has a Cholesky
-    factor.
+    Its diagonal is scaled to one first. Either Lanczos steps show that all eigenvalues are above
+    zero, or the matrix has a Cholesky factor after rounding errors are added to its diagonal.
     """
     if not largest(matrix):
         return True

@@ -374,7 +374,7 @@ def reduction_target(part: Part, scene: Scene) -> Rom:
 
 
 def file_stamp(path: Path) -> str:
-    """Identification of the content of a file; a copy elsewhere has the same."""
+    """Return a hash of the content of a file, which is the same for copies of the file."""
     try:
         result = path.stat()
         if not stat.S_ISREG(result.st_mode):

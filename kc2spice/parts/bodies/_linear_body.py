@@ -57,7 +57,7 @@ MESH_FACTS = {
 class LinearBody(BodyChecks):
     """A linear part with metrics, figures and notes.
 
-    Its base classes are one subject each: ports, models, netlist, checks. A subclass says which
+    Each base class has one subject: ports, models, netlist, checks. A subclass says which
     :meth:`ports` its keys give and builds the :meth:`full` model of the whole device with them.
     """
 
