@@ -296,6 +296,12 @@ def _by_quantity() -> dict[str, tuple[Domain, Side]]:
 
 
 QUANTITIES = _by_quantity()
+# Words of flows in names of results by the names of the quantities: ``i`` of a ``current``.
+FLOW_SYMBOLS = {
+    name: domain.quantity(side).symbol
+    for name, (domain, side) in QUANTITIES.items()
+    if side == "through"
+}
 
 
 def _pin_units() -> Iterator[tuple[str, str]]:

@@ -12,7 +12,7 @@ from functools import cached_property
 from itertools import chain
 from typing import NamedTuple
 
-from kc2spice.core.domains import QUANTITIES
+from kc2spice.core.domains import FLOW_SYMBOLS
 from kc2spice.core.laws import GROUND, Equations, IdealSource, Law, Reading
 from kc2spice.equations.networks import (
     Network,
@@ -141,10 +141,9 @@ class SceneLaws:
 def _with_quantity_names(part: str, results: Mapping[str, Reading]) -> dict[str, Reading]:
     """Return the results of a part, and each flow such as ``r.i`` also as ``r.current``."""
     names = dict(results)
-    for quantity_name, (domain, side) in QUANTITIES.items():
-        symbol = f"{part}.{domain.quantity(side).symbol}"
-        if side == "through" and symbol in results:
-            names.setdefault(f"{part}.{quantity_name}", results[symbol])
+    for quantity_name, symbol in FLOW_SYMBOLS.items():
+        if f"{part}.{symbol}" in results:
+            names.setdefault(f"{part}.{quantity_name}", results[f"{part}.{symbol}"])
     return names
 
 

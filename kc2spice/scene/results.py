@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kc2spice.core.domains import QUANTITIES, Domain
+from kc2spice.core.domains import FLOW_SYMBOLS, Domain
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.quantities import quantity
@@ -169,9 +169,9 @@ def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vecto
         result[f"{name}.{pin}.{domain.across.symbol}"] = build.across(part, pin)
         if not domain.reference and pin == next(iter(powered_pins(part, build.scene))):
             result[f"{name}.{through.name}"] = read
-    for quantity_name, (domain, side) in QUANTITIES.items():
-        for part in _probed_parts(build, quantity_name) if side == "through" else ():
-            known_as = f"{part.name}.{domain.quantity(side).symbol}"
+    for quantity_name, symbol in FLOW_SYMBOLS.items():
+        for part in _probed_parts(build, quantity_name):
+            known_as = f"{part.name}.{symbol}"
             if known_as in known:  # flow of an element, under the name that bodies use
                 result.setdefault(f"{part.name}.{quantity_name}", known[known_as])
     for part in _probed_parts(build, "power"):
