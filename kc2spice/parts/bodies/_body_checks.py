@@ -31,7 +31,7 @@ from kc2spice.synthesis.realize import (
 )
 
 BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
-OUTSIDE = "nothing certifies what a reduced model says above its band: widen rom.band"
+OUTSIDE = "the reduced model has no error estimate above its band: widen rom.band"
 TWICE = 2  # states of a reduced model that is advised, per state of one that is too coarse
 WRONG, COARSE_ROM = 0.1, 0.01  # certified relative errors that fail a run, or are warned of
 # Error of a port's compliance above the band. A body in contact with a larger one is judged by
@@ -49,7 +49,7 @@ SHARP = (
 GROWS = "the body has motions that grow by themselves: check signs and halves of its matrices"
 LOST = "the full model has motions that grow by themselves, and the reduced one does not hold them"
 STEEP = "its current within an edge is off: widen rom.band, or give the drive the edge that it has"
-TOUCHED = "what touches the body excites motions that the reduced one does not have: widen rom.band"
+TOUCHED = "a contact excites modes of the body that the reduced model lacks: widen rom.band"
 RESONANT = 1.5  # times its lowest resonance: a kick whose band ended below that was 2 % off
 STILL = 1e-9  # distance of equal time points, relative to the duration of a run
 KEPT = 1e-4  # share of a floating electrode's charge that a run may lose by the netlist's leak
