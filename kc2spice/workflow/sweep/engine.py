@@ -84,6 +84,9 @@ _LOST = {
 }
 
 
+_GROUP = ".group"  # ending of the file that is named after a worker's process group
+
+
 def cores() -> int:
     """Processors that this process may use."""
     try:
@@ -104,14 +107,24 @@ def processes(count: int) -> Workers:
 
     @contextmanager
     def opened() -> Iterator[tuple[Executor, int]]:
-        with tempfile.TemporaryDirectory(prefix="kc2spice-sweep-") as scratch:
+        with tempfile.TemporaryDirectory(
+            prefix="kc2spice-sweep-", ignore_cleanup_errors=True
+        ) as scratch:
             pool = ProcessPoolExecutor(count, get_context("spawn"), _worker_starts, (scratch,))
             try:
                 yield pool, count
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)
+                _end_orphans(Path(scratch))
 
     return opened
+
+
+def _end_orphans(scratch: Path) -> None:
+    """Kill what killed workers leave running: an ngspice that would still write to ``scratch``."""
+    for mark in scratch.glob("*" + _GROUP):
+        with suppress(ProcessLookupError, PermissionError):  # its whole group has ended
+            os.killpg(int(mark.stem), signal.SIGKILL)
 
 
 def _worker_starts(scratch: str) -> None:
@@ -123,6 +136,7 @@ def _worker_starts(scratch: str) -> None:
     parent, group = parent_process(), hasattr(os, "setpgrp")
     if group:
         os.setpgrp()
+        Path(scratch, f"{os.getpid()}{_GROUP}").touch()
 
     def watch() -> None:
         if parent is None:
