@@ -20,7 +20,7 @@ from kc2spice.sim.ngspice import find_ngspice, run_deck
 
 _PYTHON = (
     "numpy", "scipy", "cvxopt", "scikit-fem", "gmsh", "meshio", "PySpice", "matplotlib", "typer",
-    "rich", "pydantic", "Jinja2",
+    "rich", "pydantic", "Jinja2", "typing_extensions",
 )  # fmt: skip
 # Shared libraries that the gmsh wheel loads, and the Debian and Ubuntu packages that have them.
 _GMSH = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from kc2spice.scene.model import (
     DeclaredScene,
     GovernedScene,
     JoinedScene,
+    KeysT,
     Part,
     PartType,
     Scene,
@@ -51,7 +52,7 @@ def settling(part: Part, scene: DeclaredScene) -> Iterator[Numerics]:
         yield Numerics(part.name, options={"reltol": change})
 
 
-class DeclaredPart(PartType):
+class DeclaredPart(PartType[KeysT]):
     """The part type of a declaration."""
 
     source = "closed form"
@@ -62,20 +63,21 @@ class DeclaredPart(PartType):
             return
         self.declaration = declaration
         self.name, self.title = declaration.name, declaration.title
-        self.schema, self.example = declaration.keys, declaration.example
+        self.schema = cast("type[KeysT]", declaration.keys)
+        self.example = declaration.example
         self.noise = ("Rnoise",) if noisy(declaration) else ()
 
     # --- pins and netlist -------------------------------------------------------------------
 
-    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
+    def declared(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
         """The physics of a part; that of its type, unless its keys say how many branches it has."""
         return self.declaration
 
-    def built(self, part: Part, build: Build) -> Declaration:
+    def built(self, part: Part[KeysT], build: Build) -> Declaration:
         """The same, of a part that may have a model."""
         return self.declared(part, build.scene)
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         plus = {b.plus for b in self.declared(part, scene).branches}
         return tuple(
             Terminal(p.name, p.unit, p.flow, required=True)
@@ -84,12 +86,12 @@ class DeclaredPart(PartType):
             for p in pins_of(self.declared(part, scene))
         )
 
-    def inertial(self, part: Part, scene: JoinedScene) -> tuple[str, ...]:
+    def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
         d = self.declared(part, scene)
         moved = [b for b in d.acting if b.moves and d.mass(b) != ZERO]
         return tuple(d.speeds.get(b.plus, b.plus) for b in moved)
 
-    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
         """Holds displacements with a stiffness at rest, and is a path for flows."""
         d = self.declared(part, scene)
         values = d.values(part.keys)
@@ -102,17 +104,19 @@ class DeclaredPart(PartType):
         pairs = ((b.plus, b.minus) for b, result in zip(moved, stiff, strict=True) if result)
         return Rest((*pairs, *flowing))
 
-    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+    def subcircuits(
+        self, part: Part[KeysT], build: Build, header: Header
+    ) -> tuple[Subcircuit, ...]:
         d, name = self.built(part, build), build.libraries[part.name]
         return (declared_subcircuit(header, name, d, d.values(part.keys), build.noisy),)
 
-    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterator[Numerics]:
         if not self.declared(part, scene).linear:
             yield from settling(part, scene)
 
     # --- results ----------------------------------------------------------------------------
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
         result, d = {}, self.built(part, build)
         for b in d.branches:
             voltage = b.domain.across
@@ -135,11 +139,11 @@ class DeclaredPart(PartType):
             result[f"{part.name}.{name}"] = Vector(value, 1.0, "SI")
         return result
 
-    def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
+    def begins(self, part: Part[KeysT], build: Build) -> tuple[float, float] | None:
         """Displacement [m] and velocity [m/s] at t = 0, None where the system holds it."""
         return None
 
-    def law(self, part: Part, build: Build) -> laws.Equations:
+    def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
         n, d = part.name, self.built(part, build)
         results = {}
         for b in d.open:  # loops of a full model are others
@@ -156,7 +160,7 @@ class DeclaredPart(PartType):
 
     # --- what a run says --------------------------------------------------------------------
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Any]:
+    def checks(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Any]:
         """Limits, impacts, and the balance of the energy through pins, stored energy and losses."""
         d = self.built(part, build)
         known = {} if "frequency" in waves else self._recorded(part, build, waves)
@@ -171,7 +175,7 @@ class DeclaredPart(PartType):
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
                 yield Check(f"strikes of {part.name}", strikes, STRIKES, "", REBOUND, "warn")
 
-    def standing(self, part: Part, build: Build, point: Waveforms) -> Iterator[Check]:
+    def standing(self, part: Part[KeysT], build: Build, point: Waveforms) -> Iterator[Check]:
         """Whether it rests on a stop, about which small signals are those of the stop, or beyond
         its limits."""
         d, known = self.built(part, build), self._recorded(part, build, point)
@@ -185,7 +189,7 @@ class DeclaredPart(PartType):
                 advice = "it has pulled in: lower the bias, or stiffen what holds it"
                 yield Check(name, max(depth, 0.0), 0.0, "m", advice, "fail" if small else "warn")
 
-    def _recorded(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
+    def _recorded(self, part: Part[KeysT], build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
         """Coordinates, states and signals over time, as far as the run has them."""
         d = self.built(part, build)
         names = (*d.coordinates, *d.states, *d.signals)
@@ -194,7 +198,7 @@ class DeclaredPart(PartType):
 
     # --- what explain says ------------------------------------------------------------------
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
         yield "; ".join(self.declared(part, scene).equations)
         yield from (Neglected(*row) for row in self.declared(part, scene).neglected)
 

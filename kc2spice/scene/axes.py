@@ -133,7 +133,7 @@ def _reductions(build: Build) -> Iterator[Axis]:
         rom = scene.records[part.name].reduction
         if rom is None:
             continue
-        separate = part.keys.rom is not None
+        separate = getattr(part.keys, "rom", None) is not None
         prefix = f"{key_prefix(part)}.rom" if separate or not _alone(part, scene) else "rom"
         if prefix in known:
             continue

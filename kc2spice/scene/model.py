@@ -6,14 +6,17 @@ in other modules that register themselves (:mod:`kc2spice.scene.parttype`).
 
 from __future__ import annotations
 
+import builtins
 import hashlib
 import json
+import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, cast
 
 import numpy as np
+from typing_extensions import TypeVar
 
 from kc2spice.core.domains import SIGNAL, Domain, Quantity, across_of, domain_of
 from kc2spice.core.errors import UsageError, unknown
@@ -41,7 +44,7 @@ if TYPE_CHECKING:
     from kc2spice.core.figure import Figure, Shape, Written
     from kc2spice.core.laws import Equations
     from kc2spice.core.progress import Clock
-    from kc2spice.core.waveforms import Waveforms
+    from kc2spice.core.waveforms import Waveform, Waveforms
     from kc2spice.netlist.library import Header, Subcircuit
     from kc2spice.scene.checks import Balance, Check, Gate
 
@@ -60,6 +63,8 @@ SHORT = {
 }
 TABLES = {kind: name for name, kind in SHORT.items()}
 T = TypeVar("T")
+S = TypeVar("S", bound=Section)
+KeysT = TypeVar("KeysT", bound=Section, default=Section, covariant=True)
 M = TypeVar("M")
 Function = Callable[[float, Mapping[str, float]], float]  # of a controller: time, inputs -> output
 
@@ -121,18 +126,29 @@ class Terminal:
 
 
 @dataclass(frozen=True)
-class Part:
-    """One part of a scene: its checked keys and the pins that the scene joins by name.
+class Part(Generic[KeysT]):
+    """One part of a scene: its checked keys, an instance of the type's schema, and its joined pins.
 
     ``at`` is where the file has the keys of a part that another one brings along, which is under
     that part's keys; empty for a part with a table of its own.
     """
 
     name: str
-    type: PartType
-    keys: Any
+    type: PartType[KeysT]
+    keys: KeysT
     pins: Mapping[str, str] = field(default_factory=dict)
     at: tuple[str | int, ...] = ()
+
+    def with_schema(self, schema: builtins.type[S]) -> Part[S]:
+        """The part itself, whose keys are of the class ``schema``.
+
+        Raises
+        ------
+        TypeError : its keys are of another class.
+        """
+        if not isinstance(self.keys, schema):
+            raise TypeError(f"the keys of {self.name} are no {schema.__name__}: {self.keys!r:.80}")
+        return cast("Part[S]", self)
 
     @property
     def netlist(self) -> bool:
@@ -304,6 +320,10 @@ class DeclaredScene:
     def of(self, *types: str) -> tuple[Part, ...]:
         """All parts of these types, in order."""
         return tuple(part for part in self.parts.values() if part.type.name in types)
+
+    def of_schema(self, kind: str, schema: type[S]) -> tuple[Part[S], ...]:
+        """All parts of the type ``kind``, whose keys are of the class ``schema``, in order."""
+        return tuple(part.with_schema(schema) for part in self.of(kind))
 
     def only(self, *types: str) -> Part | None:
         """The part of one of these types if there is exactly one, else None."""
@@ -552,15 +572,16 @@ class Build:
         return self.scene.names[part.name, *words]
 
 
-class PartType:
-    """Base of all part types; every hook may stay, ``schema`` must be there.
+class PartType(Generic[KeysT]):
+    """Base of all part types, generic in the class of their keys, which is ``schema``.
 
-    ``name`` is what a scene writes behind ``part =``, ``title`` one line for ``scenes --parts``.
+    ``name`` is what a scene writes behind ``part =``, ``title`` one line for ``scenes --parts``. A
+    subclass overrides the methods that it needs.
     """
 
     name: str
     title: str
-    schema: type[Section]
+    schema: type[KeysT]
     #: tables of a small scene (TOML) with a part of this type, for ``scenes --parts`` and the docs
     example: str = ""
     #: where its model comes from, for ``explain``
@@ -579,7 +600,9 @@ class PartType:
 
     # --- scene: keys, pins, what a part brings along -------------------------------------------
 
-    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+    def expand(
+        self, part: Part[KeysT], data: Mapping[str, object]
+    ) -> Mapping[str, Mapping[str, object]]:
         """Tables of further parts that this one stands for; ``data`` is the whole scene.
 
         Where the file has such a table itself, ``at`` in it names its keys: ``("kick", "drive")``.
@@ -587,50 +610,52 @@ class PartType:
         """
         return {}
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Its pins in the order of its subcircuit."""
         return ()
 
-    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+    def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
         """Joins ``pin: target`` that follow from its keys; the scene's ``pins`` come first."""
         return {}
 
-    def files(self, part: Part, scene: DeclaredScene) -> tuple[str, ...]:
+    def files(self, part: Part[KeysT], scene: DeclaredScene) -> tuple[str, ...]:
         """Names of the files beside the scene that it reads: that of its key ``file``."""
         file = getattr(part.keys, "file", None)
         return () if file is None else (file,)
 
-    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, State | Governed]:
+    def governs(self, part: Part[KeysT], scene: DeclaredScene) -> Mapping[str, State | Governed]:
         """Parts of which it decides how their motion begins, all of their motion, or that they are
         copied, see :class:`State` and :data:`Governed`."""
         return {}
 
-    def inner_names(self, part: Part, scene: WiredScene) -> Iterable[tuple[str, ...]]:
+    def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterable[tuple[str, ...]]:
         """Words of the names of its nodes and cards besides its pins' nodes and ``LETTERname``;
         :meth:`Build.inner_name` returns the names."""
         return ()
 
-    def detail(self, part: Part, scene: GovernedScene) -> object:
+    def detail(self, part: Part[KeysT], scene: GovernedScene) -> object:
         """Data that parts of the same package need of it, in a class of that package; they are in
         its :class:`Record`. It follows from keys and from what parts govern."""
         return None
 
-    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
         """Constraints and loads of the part at rest on pins that need a path to their reference.
 
         They apply before its model is built. By default the part holds all of its pins in place.
         """
         return Rest(tuple((p.name, GROUND) for p in scene.pins(part.name) if p.needs_path))
 
-    def directions(self, part: Part, scene: DeclaredScene) -> Mapping[str, tuple[float, ...]]:
+    def directions(
+        self, part: Part[KeysT], scene: DeclaredScene
+    ) -> Mapping[str, tuple[float, ...]]:
         """Unit vectors of the translations and accelerations at its pins, as far as known."""
         return {}
 
-    def inertial(self, part: Part, scene: JoinedScene) -> tuple[str, ...]:
+    def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
         """Pins that move against inertia of its own."""
         return ()
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterable[UsageError]:
+    def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[UsageError]:
         """Faults of the part in this scene, ``where`` a dotted key.
 
         Keys that can be computed but hardly exist (:func:`kc2spice.scene.plausible.within`) are
@@ -640,11 +665,11 @@ class PartType:
 
     # --- models and netlist --------------------------------------------------------------------
 
-    def reduction(self, part: Part, scene: Scene) -> Rom | None:
+    def reduction(self, part: Part[KeysT], scene: Scene) -> Rom | None:
         """Settings of its reduction, None where its model is not a reduced one."""
         return None
 
-    def build(self, part: Part, scene: Scene, clock: Clock, full: bool = False) -> object:
+    def build(self, part: Part[KeysT], scene: Scene, clock: Clock, full: bool = False) -> object:
         """Its model: fields, reduced matrices, tables; cached by all that it depends on.
 
         In ``full`` what that approximates, in the same form: the full
@@ -653,15 +678,17 @@ class PartType:
         """
         return None
 
-    def library(self, part: Part, scene: Scene) -> str:
+    def library(self, part: Part[KeysT], scene: Scene) -> str:
         """Name of its subcircuit: the type's where the scene has one part of it, else its own."""
         return self.name if len(scene.of(self.name)) == 1 else part.name
 
-    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+    def subcircuits(
+        self, part: Part[KeysT], build: Build, header: Header
+    ) -> tuple[Subcircuit, ...]:
         """Its subcircuit, behind those that it needs; empty for a part of plain cards."""
         return ()
 
-    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[KeysT], build: Build) -> tuple[Item, ...]:
         """Its elements in the deck: an instance of its subcircuit with the meters that probes ask
         for, unless the type overrides this method."""
         pins = {pin.name: build.net(part, pin.name) for pin in build.scene.pins(part.name)}
@@ -670,7 +697,7 @@ class PartType:
         read = (Element.of(name, pins[pin], name, "0") for pin, name in meters.items())
         return (Element.of(f"X{part.name}", *nodes, build.libraries[part.name]), *read)
 
-    def settable(self, part: Part, build: Build) -> Mapping[str, Swept | Sampled | float]:
+    def settable(self, part: Part[KeysT], build: Build) -> Mapping[str, Swept | Sampled | float]:
         """Quantities that the equations of the part do not determine.
 
         By key: the source that a dc sweep moves, or the function that runs beside the simulator.
@@ -678,31 +705,39 @@ class PartType:
         """
         return {}
 
-    def drives(self, part: Part, scene: DeclaredScene) -> bool:
+    def drives(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
         """Whether it sets small signals of an ``ac`` analysis."""
         return False
 
-    def numerics(self, part: Part, scene: WiredScene) -> Iterable[Numerics]:
+    def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterable[Numerics]:
         """Numerical requirements of the part.
 
         They are frequency and edges of a source, a carrier, a contact, time steps, and options.
         """
         return ()
 
-    def highest_frequency(self, part: Part, scene: DeclaredScene) -> HighestFrequency | None:
+    def rails(self, part: Part[KeysT]) -> tuple[float, float]:
+        """Lower and upper supply voltage [V] of its output, infinite where it has none."""
+        return -math.inf, math.inf
+
+    def voltage(self, part: Part[KeysT], scene: DeclaredScene) -> Waveform | None:
+        """Voltage [V] over time that it prescribes from ``ret`` to ``out``, None of other parts."""
+        return None
+
+    def highest_frequency(self, part: Part[KeysT], scene: DeclaredScene) -> HighestFrequency | None:
         """Frequency [Hz] up to which what it prescribes in a transient has nearly all of its
         energy, as a function of the time constant [s] behind which a voltage or force acts."""
         return None
 
-    def rest_with_model(self, part: Part, build: Build) -> Rest:
+    def rest_with_model(self, part: Part[KeysT], build: Build) -> Rest:
         """Constraints and loads of the part on moving pins at rest, with its model."""
         return build.scene.records[part.name].rest
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
         """Its results by name."""
         return {}
 
-    def forces(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
+    def forces(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
         """Forces [N] over time on what its mechanical pins are joined to, by pin.
 
         Each is the sum of the results that leave the part there. Pins without a result are absent.
@@ -717,17 +752,19 @@ class PartType:
 
     # --- what a run says -----------------------------------------------------------------------
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Numbers that describe what it did, each a :class:`kc2spice.scene.checks.Metric` with its
         unit, or a mapping of such; a plain number has no unit."""
         return {}
 
-    def main_metrics(self, part: Part, build: Build) -> Mapping[str, Probe | LargestRealPart]:
+    def main_metrics(
+        self, part: Part[KeysT], build: Build
+    ) -> Mapping[str, Probe | LargestRealPart]:
         """Those of its metrics that a simulator can take, by how it reads them off its results."""
         return {}
 
     def checks(
-        self, part: Part, build: Build, waves: Waveforms
+        self, part: Part[KeysT], build: Build, waves: Waveforms
     ) -> Iterable[Check | Balance | Gate]:
         """Checks of a result.
 
@@ -738,7 +775,7 @@ class PartType:
         return ()
 
     def finer_mesh(
-        self, part: Part, build: Build, clock: Clock, most: float
+        self, part: Part[KeysT], build: Build, clock: Clock, most: float
     ) -> Iterable[Check | str]:
         """Compare its model with that of a mesh half as wide, of at most so many unknowns.
 
@@ -748,29 +785,31 @@ class PartType:
         """
         return ()
 
-    def standing(self, part: Part, build: Build, point: Waveforms) -> Iterable[Check]:
+    def standing(self, part: Part[KeysT], build: Build, point: Waveforms) -> Iterable[Check]:
         """Whether small signals about the operating ``point`` of a scene mean anything."""
         return ()
 
-    def law(self, part: Part, build: Build) -> Equations | None:
+    def law(self, part: Part[KeysT], build: Build) -> Equations | None:
         """Its equations for the independent integrator; None where it has none."""
         return None
 
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterable[Figure | Written]:
+    def figures(
+        self, part: Part[KeysT], build: Build, waves: Waveforms
+    ) -> Iterable[Figure | Written]:
         """Plots of its results for the report, and further files of a run, arrays or fields."""
         return ()
 
-    def outline(self, part: Part, scene: Scene) -> Iterable[Shape]:
+    def outline(self, part: Part[KeysT], scene: Scene) -> Iterable[Shape]:
         """Its side view for the report; the upper face of a body is at y = 0, its axis at x = 0."""
         return ()
 
     # --- what explain says ---------------------------------------------------------------------
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
         """Text about the model of the part, and the effects that it neglects."""
         yield self.title
 
-    def discretisation(self, part: Part, build: Build) -> str:
+    def discretisation(self, part: Part[KeysT], build: Build) -> str:
         """Error estimate of the mesh that it is solved on, in words; empty without a mesh."""
         text = mesh_words(build.facts(part))
         return f"error estimate of its mesh: {text}" if text else ""

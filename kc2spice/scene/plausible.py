@@ -108,10 +108,10 @@ def _voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
     volts = (key for key, pin in scene.terminals.items() if pin.unit == "V")
     nets = {scene.nets[key] for key in volts if key[0] == body}
     for source in scene.of("source"):
-        if source.keys.kind != "voltage" or scene.nets[source.name, "ret"] != "0":
+        wave = source.type.voltage(source, scene)
+        if wave is None or scene.nets[source.name, "ret"] != "0":
             continue
         if scene.nets[source.name, "out"] in nets:
-            wave = source.keys.waveform(scene.home)
             corners = np.concatenate([[0.0], wave.corners(scene.stop), [scene.stop]])
             peak = np.abs(wave(corners)).max() if wave.straight else abs(wave.amplitude)
             yield source.name, float(peak)

@@ -9,7 +9,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import scipy
@@ -23,7 +23,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.fem.body_keys import Damping
-from kc2spice.parts.bodies._body_model import loss_tangent
+from kc2spice.parts.bodies._body_model import damping_of, loss_tangent
 from kc2spice.parts.bodies._box import Varied, number_of, ranged, values_of_part
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.report.pages import write_fit
@@ -298,7 +298,7 @@ class _Body:
         part = loaded.part(self.part, where=self.part)
         assert isinstance(part.type, LinearBody)  # required before the fit
         rest = {k: v for k, v in values.items() if not k.startswith("damping.")}
-        key, damping = (id(self.like) if moved else 0, *rest.items()), part.keys.damping
+        key, damping = (id(self.like) if moved else 0, *rest.items()), damping_of(part)
         if key in self.last and not damping.per_material:
             return by_rayleigh(self.last[key], damping)
         self.counted[0] += 1
@@ -332,7 +332,7 @@ class _Body:
     @property
     def damping(self) -> Damping:
         """Losses of the scene's part."""
-        return cast(Damping, self.scene.part(self.part).keys.damping)
+        return damping_of(self.scene.part(self.part))
 
     def by_complex_constants(self, pencil: Pencil, values: Mapping[str, float]) -> np.ndarray:
         """Admittance (n,) [S] of a small model with complex constants of IEEE 176.

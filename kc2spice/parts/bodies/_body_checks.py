@@ -17,6 +17,7 @@ from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import reduction_target
 from kc2spice.parts.bodies._body_netlist import BodyNetlist
 from kc2spice.parts.bodies._body_ports import contacts_on, flow_name, wave_name
+from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import chip_response, resonators
 from kc2spice.rom.stability import prove_stability
@@ -57,10 +58,12 @@ STORED = 0.1  # limit relative to the stored energy; after a pulse a chip rings 
 UNPRESSED = 1e-9  # zero load, relative to the largest force or energy; far above rounding
 
 
-class BodyChecks(BodyNetlist):
+class BodyChecks(BodyNetlist[LinearKeysT]):
     """A linear part that judges its reduced model by the loads of a run."""
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
+    def checks(
+        self, part: Part[LinearKeysT], build: Build, waves: Waveforms
+    ) -> Iterator[Check | Balance]:
         """Yield the checks of a reduced body after a run.
 
         They are the error of the reduced model, the stability of the full model, the band and the
@@ -88,7 +91,9 @@ class BodyChecks(BodyNetlist):
             yield from self._excited(part, build, waves, result)
         yield from self._leaked(part, build)
 
-    def _within_rating(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    def _within_rating(
+        self, part: Part[LinearKeysT], build: Build, waves: Waveforms
+    ) -> Iterator[Check]:
         """Whether the voltage at each electrode stays within its rating.
 
         Of a response to small signals the amplitude counts, at the voltages that the scene states.
@@ -102,7 +107,7 @@ class BodyChecks(BodyNetlist):
                 largest = float(np.abs(waves[f"{name}.voltage"]).max())
                 yield Check(f"rating of {name}", largest, volts, "V", BEYOND, "warn")
 
-    def _leaked(self, part: Part, build: Build) -> Iterator[Check]:
+    def _leaked(self, part: Part[LinearKeysT], build: Build) -> Iterator[Check]:
         """Check of the charge that a floating electrode loses through the netlist's leak."""
         leaked = -math.expm1(-build.scene.stop * LEAK_RATE)
         ports = [p.name for p in build.model(part, LinearModel).ports if p.paired]
@@ -112,7 +117,7 @@ class BodyChecks(BodyNetlist):
             yield Check(name, leaked, KEPT, "of it lost", advice, "warn")
 
     def _reduced(
-        self, part: Part, build: Build, waves: Waveforms, certificate: Certificate
+        self, part: Part[LinearKeysT], build: Build, waves: Waveforms, certificate: Certificate
     ) -> Iterator[Check]:
         """How far its reduced model is off: at the worst frequency of its band; in a transient,
         where that is too much or a contact excites what the model lacks, under the recorded loads.
@@ -142,7 +147,7 @@ class BodyChecks(BodyNetlist):
         yield Check(f"resonances of {name}", error, COARSE_ROM, "of a response", SHARP, "warn")
 
     def error_under_load(
-        self, part: Part, build: Build, waves: Waveforms, model: LinearModel
+        self, part: Part[LinearKeysT], build: Build, waves: Waveforms, model: LinearModel
     ) -> tuple[float, int] | None:
         """Largest error of the reduced ``model`` under the loads of a run while these change.
 
@@ -178,7 +183,7 @@ class BodyChecks(BodyNetlist):
         return None if errors is None else (max(errors.values(), default=0.0), rich.order)
 
     def _excited(
-        self, part: Part, build: Build, waves: Waveforms, certificate: Certificate
+        self, part: Part[LinearKeysT], build: Build, waves: Waveforms, certificate: Certificate
     ) -> Iterator[Check]:
         """Whether its band holds what drives it: ``max |v'| / (pi (max v - min v))``, the frequency
         of a sine and a third of the reciprocal of an edge; or its first resonance, which a contact
@@ -204,7 +209,9 @@ class BodyChecks(BodyNetlist):
             content = float(slope / (np.pi * np.ptp(voltage)))
             yield Check(name, content, high, "Hz", STEEP, "warn")
 
-    def loads(self, part: Part, build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
+    def loads(
+        self, part: Part[LinearKeysT], build: Build, waves: Waveforms
+    ) -> dict[str, np.ndarray]:
         """Loads of every kept port over time, in SI.
 
         A load is a voltage, an acceleration, or the force of all parts joined to the port. Ports
@@ -223,7 +230,7 @@ class BodyChecks(BodyNetlist):
                 result[port.name] = sum((acting[end] for end in joined), start=still)
         return result
 
-    def _balance(self, part: Part, build: Build, waves: Waveforms) -> Balance | None:
+    def _balance(self, part: Part[LinearKeysT], build: Build, waves: Waveforms) -> Balance | None:
         """Work of voltage and forces on the body against its exact response to the same loads.
 
         What the exact response takes in and does not store is damped. The electrical part needs the

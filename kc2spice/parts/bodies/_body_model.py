@@ -12,14 +12,12 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from pydantic import Field, StringConstraints
+from typing import TYPE_CHECKING, Any
 
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.progress import Clock
-from kc2spice.core.quantities import Section, Voltage
+from kc2spice.fem.body_keys import Damping
 from kc2spice.parts.bodies._body_ports import BodyPorts, massless
 from kc2spice.parts.bodies._box import (
     PARAMETERS,
@@ -29,6 +27,7 @@ from kc2spice.parts.bodies._box import (
     varied,
     with_values,
 )
+from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import resonators
@@ -58,21 +57,7 @@ SOURCES = (
 )  # fmt: skip
 
 
-class LinearKeys(Section):
-    """Keys of every linear body."""
-
-    rom: Rom | None = None
-    number: Annotated[str, StringConstraints(min_length=1, max_length=40)] | None = Field(
-        None, description="Part number, the name of the exported library; SCENE_PART by default"
-    )
-    rated_voltage: Voltage | None = Field(
-        None,
-        gt=0,
-        description="Largest voltage between electrodes; by default that of the materials",
-    )
-
-
-class BodyModel(BodyPorts):
+class BodyModel(BodyPorts[LinearKeysT]):
     """A part whose model is a :class:`kc2spice.rom.linear_model.LinearModel`.
 
     A subclass builds the :meth:`full` model of the whole device. The scene or the keys of the part
@@ -80,22 +65,24 @@ class BodyModel(BodyPorts):
     """
 
     @abstractmethod
-    def full(self, part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
+    def full(self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock) -> LinearModel:
         """The full model of the whole device."""
 
-    def varied(self, part: Part, scene: GovernedScene, clock: Clock, like: Part) -> LinearModel:
+    def varied(
+        self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock, like: Part[LinearKeysT]
+    ) -> LinearModel:
         """:meth:`full` on the mesh that ``like`` has, a part of other values, moved to these."""
         return self.full(part, scene, clock)
 
-    def full_key(self, part: Part, scene: GovernedScene) -> Mapping[str, Any]:
+    def full_key(self, part: Part[LinearKeysT], scene: GovernedScene) -> Mapping[str, Any]:
         """Keys on which the full model depends."""
         return {"keys": part.keys.model_dump(mode="json", exclude=_NO_MODEL)}
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         yield from dimensions(part.name, part.keys)
         yield from corners(part, scene)
 
-    def _chosen(self, part: Part, scene: Scene) -> Rom | None:
+    def _chosen(self, part: Part[LinearKeysT], scene: Scene) -> Rom | None:
         """The reduction that somebody chose: the body's own, which may as well say no more than
         which keys are parameters of the netlist, else the scene's."""
         specified: Rom | None = part.keys.rom
@@ -103,7 +90,7 @@ class BodyModel(BodyPorts):
             return specified
         return scene.rom if "rom" in scene.frame.model_fields_set else None
 
-    def reduction(self, part: Part, scene: Scene) -> Rom:
+    def reduction(self, part: Part[LinearKeysT], scene: Scene) -> Rom:
         """Settings of the keys; by default a tolerance over the band that the analysis uses.
 
         In ``ac``, the band ends 20 % above the last frequency. In a transient, it contains what the
@@ -122,7 +109,7 @@ class BodyModel(BodyPorts):
             return result
         return result.model_copy(update={"parameters": specified.parameters})
 
-    def least_band_end(self, part: Part, scene: Scene) -> float | None:
+    def least_band_end(self, part: Part[LinearKeysT], scene: Scene) -> float | None:
         """Least upper end of the band of a transient [Hz]; None if the user set the band.
 
         It does not depend on the natural frequencies of the body.
@@ -131,7 +118,7 @@ class BodyModel(BodyPorts):
             return None
         return max([LEAST, *(r.content for r in scene.numerics if math.isfinite(r.step))])
 
-    def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
+    def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:
         rom = reduction_target(part, scene)
         settings = rom.model_dump(mode="json")
         result = {
@@ -144,11 +131,12 @@ class BodyModel(BodyPorts):
         reached = {} if least_end is None else {"sure": least_end, "motions": MOTIONS}
         return result | reached | {"massless": massless(part, scene)}
 
-    def varying(self, part: Part, scene: Scene, clock: Clock) -> Varying:
+    def varying(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> Varying:
         """The resonators over the box of ``rom.parameters``, which no value of these changes."""
         keys = varied(part)
         middle = with_values(part, middle_values(keys))
         target, key = reduction_target(part, scene), self.model_key(middle, scene)
+        specified = part.keys.rom
         if loss_tangent(part):
             problem = "a netlist with parameters has no loss of its dielectric"
             raise wrong(f"{part.name}.damping.loss_tangent", problem, loss_tangent(part), "0")
@@ -160,7 +148,8 @@ class BodyModel(BodyPorts):
             raise wrong(
                 f"{part.name}.{PARAMETERS}", problem, ", ".join(i.key for i in keys), "none"
             )
-        if target.order is not None and "order" in target.model_fields_set and part.keys.rom.order:
+        ordered = target.order is not None and "order" in target.model_fields_set
+        if ordered and specified is not None and specified.order:
             problem = "a netlist with parameters has as many states as its tolerance takes"
             raise wrong(f"{part.name}.rom.order", problem, target.order, "rom.tolerance")
         key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
@@ -190,11 +179,11 @@ class BodyModel(BodyPorts):
 
         return scene.workspace.latest(f"range of {part.name}", key, load)
 
-    def _lossy(self, part: Part) -> bool:
+    def _lossy(self, part: Part[LinearKeysT]) -> bool:
         """Whether it has losses that the matrices of a full model cannot have."""
         return bool(loss_tangent(part)) or by_complex_constants(part)
 
-    def _full_model(self, part: Part, scene: Scene, clock: Clock) -> LinearModel:
+    def _full_model(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> LinearModel:
         """The full model with the ports of the scene, in a box on the mesh of all its values."""
         keys, names = varied(part), self.used_port_names(part, scene)
         if not keys:
@@ -203,7 +192,7 @@ class BodyModel(BodyPorts):
         return self.varied(part, scene, clock, middle).select(names)
 
     def build(
-        self, part: Part, scene: Scene, clock: Clock, full: bool = False
+        self, part: Part[LinearKeysT], scene: Scene, clock: Clock, full: bool = False
     ) -> LinearModel | None:
         if full:
             # the matrices of a full model cannot have some losses
@@ -257,7 +246,7 @@ class BodyModel(BodyPorts):
         kinds = (LinearModel, Certificate, Port)
         return cached("body", model_key, build, classes=kinds, sources=self.sources())
 
-    def orders(self, part: Part, scene: Scene, clock: Clock) -> Orders:
+    def orders(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> Orders:
         """Reductions of the full model with the ports of the scene to prescribed orders; the next
         scene often asks for a larger one of the same body."""
         from kc2spice.rom.enriched import Orders
@@ -288,6 +277,12 @@ def by_complex_constants(part: Part) -> bool:
     return getattr(getattr(part.keys, "damping", None), "model", None) == "ieee176"
 
 
+def damping_of(part: Part) -> Damping:
+    """Damping of a body whose keys state it."""
+    damping: Damping = part.keys.damping  # type: ignore[attr-defined]  # not that of all bodies
+    return damping
+
+
 def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
     """Complex constants of a body's damping, as stated at a frequency or at a resonance of its
     ``model``.
@@ -296,7 +291,7 @@ def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
     ------
     UsageError : there is no resonance that says at which frequency.
     """
-    damping, facts = part.keys.damping, model.facts
+    damping, facts = damping_of(part), model.facts
     at = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if at is None:
         where = f"{part.name}.damping.at"

@@ -12,6 +12,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.parts.bodies._body_model import BodyModel
 from kc2spice.parts.bodies._body_ports import flow_name, wave_name
 from kc2spice.parts.bodies._box import varied
+from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.rom.pencil import first_order
@@ -36,29 +37,31 @@ RATED = "electrodes, as stated or by the field in its ceramic; the netlist itsel
 _LONGEST = 47  # letters of a scene's and a part's name in that of a library
 
 
-class BodyNetlist(BodyModel):
+class BodyNetlist(BodyModel[LinearKeysT]):
     """A linear part with its subcircuit, the results of its ports, and its law."""
 
     noise = ("Rnoise",)
 
-    def weights(self, part: Part, scene: DeclaredScene) -> StepWeights:
+    def weights(self, part: Part[LinearKeysT], scene: DeclaredScene) -> StepWeights:
         """Weights of the modes in time step control.
 
         ``COARSE`` if time steps need not resolve the ringing of the body without load.
         """
         return COARSE if scene.solver.ringing == "coarse" else RINGING
 
-    def library(self, part: Part, scene: Scene) -> str:
+    def library(self, part: Part[LinearKeysT], scene: Scene) -> str:
         """Its part number, else :meth:`scene_library`."""
         scene_name = self.scene_library(part, scene)
         return identifier(part.keys.number, part.name) if part.keys.number else scene_name
 
-    def scene_library(self, part: Part, scene: Scene) -> str:
+    def scene_library(self, part: Part[LinearKeysT], scene: Scene) -> str:
         """The names of scene and part: libraries of many scenes may stand in one folder."""
         name = f"{scene.name[: _LONGEST - len(part.name)]}_{part.name}"
         return identifier(name, part.name)
 
-    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+    def subcircuits(
+        self, part: Part[LinearKeysT], build: Build, header: Header
+    ) -> tuple[Subcircuit, ...]:
         name = build.libraries[part.name]
         volts = self.rated(part, build)
         rating = f"{volts:.4g} V between {RATED}" if volts else UNRATED
@@ -77,7 +80,7 @@ class BodyNetlist(BodyModel):
             subcircuit(build.model(part, LinearModel), name, header, **words, noise=build.noisy),
         )
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[LinearKeysT], build: Build) -> Mapping[str, Vector]:
         result: dict[str, Vector] = {}
         ports = self.used_ports(part, build.scene)
         for port in ports:
@@ -97,7 +100,7 @@ class BodyNetlist(BodyModel):
                     result[flow_name(part.name, ports, port)] = flow
         return result
 
-    def law(self, part: Part, build: Build) -> laws.Equations | None:
+    def law(self, part: Part[LinearKeysT], build: Build) -> laws.Equations | None:
         model = build.model(part, LinearModel)
         ports, n = model.ports, part.name
         heat, last = is_heat(model), build.scene.pins(part.name)[-1].name

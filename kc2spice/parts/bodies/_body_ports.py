@@ -10,6 +10,8 @@ import numpy as np
 
 from kc2spice.core.domains import BASE, PORTS, REFERENCES, TRANSLATION
 from kc2spice.core.errors import unknown
+from kc2spice.parts.bodies._linear_keys import LinearKeysT
+from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import Surface, Touching
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.modal import resonators
@@ -36,7 +38,7 @@ WORDS = (*(domain.word for domain in ANSWERS.values()), *FLOWS.values())
 NO_ENERGY = 1e-13  # rounding error of an energy, relative to that of the stiffest motion
 
 
-class BodyPorts(Touching):
+class BodyPorts(Touching[LinearKeysT]):
     """A part with typed ports, of which a scene uses those that something names.
 
     A subclass says which :meth:`ports` its keys give.
@@ -46,24 +48,24 @@ class BodyPorts(Touching):
     source = "FE, linear"
 
     @abstractmethod
-    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
+    def ports(self, part: Part[LinearKeysT], scene: DeclaredScene) -> tuple[Port, ...]:
         """All ports that the body offers."""
 
-    def headline(self, part: Part) -> str:
+    def headline(self, part: Part[LinearKeysT]) -> str:
         """First line of its library: what it is and what it assumes."""
         return self.title
 
-    def by_material(self, part: Part) -> float | None:
+    def by_material(self, part: Part[LinearKeysT]) -> float | None:
         """Largest voltage [V] that the material stands between electrodes, None if not known."""
         return None
 
-    def rated(self, part: Part, build: Build | None = None) -> float | None:
+    def rated(self, part: Part[LinearKeysT], build: Build | None = None) -> float | None:
         """Largest voltage [V] between electrodes: as its keys, its layers or its mesh say."""
         mesh = {} if build is None else build.model(part, LinearModel).facts
         known = part.keys.rated_voltage or self.by_material(part)
         return known or mesh.get("depoling_voltage_v")
 
-    def used_ports(self, part: Part, scene: JoinedScene) -> tuple[Port, ...]:
+    def used_ports(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Port, ...]:
         """The ports that the scene needs: electrical ones, and others that something names.
 
         Return all ports if the body is the only part, because such a scene exists to export the
@@ -80,11 +82,11 @@ class BodyPorts(Touching):
         used = [p for p in every if p.kind not in ANSWERS or names & {p.name, *p.terminals}]
         return tuple(used) or every[:1]
 
-    def used_port_names(self, part: Part, scene: JoinedScene) -> list[str]:
+    def used_port_names(self, part: Part[LinearKeysT], scene: JoinedScene) -> list[str]:
         """Return the names of the ports that the scene needs."""
         return [port.name for port in self.used_ports(part, scene)]
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """In the order of the subcircuit."""
         ports, rated = self.used_ports(part, scene), self.rated(part)
         result: list[Terminal] = []
@@ -108,14 +110,14 @@ class BodyPorts(Touching):
         last = reference_pin(ports)
         return (*result, Terminal(last.name, last.unit, last.flow, "gnd"))
 
-    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[LinearKeysT], scene: WiredScene) -> Rest:
         """Holds all pins against its reference."""
         last = scene.pins(part.name)[-1]
         end = GROUND if last.name in (BASE, "ground") else last.name
         paths = super().at_rest(part, scene).paths
         return Rest(tuple((pin, end) for pin, _ in paths if pin != end))
 
-    def rest_with_model(self, part: Part, build: Build) -> Rest:
+    def rest_with_model(self, part: Part[LinearKeysT], build: Build) -> Rest:
         """Holds all pins against its reference; those of a free body against each other.
 
         A port that takes up volume for a pressure is a path for flow only if the body gives way
@@ -135,12 +137,12 @@ class BodyPorts(Touching):
         fixed = tuple(pair for pair in result if pair[0] not in names)
         return Rest((*fixed, *product([first], others)), inert=inert)
 
-    def inertial(self, part: Part, scene: JoinedScene) -> tuple[str, ...]:
+    def inertial(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[str, ...]:
         ports = self.used_ports(part, scene)
         return tuple(port.terminals[0] for port in ports if port.domain is TRANSLATION)
 
     def surface(
-        self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()
+        self, part: Part[LinearKeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> Surface | None:
         mechanical = [p.name for p in self.ports(part, scene) if p.domain is TRANSLATION]
         names = ports or tuple(mechanical[:1])
@@ -150,7 +152,7 @@ class BodyPorts(Touching):
         modulus = self.indentation_modulus(part)
         return Surface(part.name, names, (0.0,) * len(names), modulus=modulus)
 
-    def indentation_modulus(self, part: Part) -> float | None:
+    def indentation_modulus(self, part: Part[LinearKeysT]) -> float | None:
         """Modulus [Pa] of the half-space that a contact presses on; None where it is not one."""
         return None
 
@@ -179,9 +181,9 @@ def required_ports(part: Part, scene: JoinedScene) -> set[str]:
     return result
 
 
-def contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part]:
+def contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part[ContactKeys]]:
     """The contacts that press on ports of ``part``."""
-    for contact in scene.of("contact"):
+    for contact in scene.of_schema("contact", ContactKeys):
         targets = scene.joins[contact.name].values()
         if any(target.startswith(f"{part.name}.") for target in targets):
             yield contact

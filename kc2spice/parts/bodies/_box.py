@@ -15,6 +15,7 @@ from kc2spice.core.errors import UsageError, did_you_mean, wrong
 from kc2spice.core.quantities import dotted, entries, unit_of, validated
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.netlist.circuit import Param
+from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.parametric import ParameterAxis
 from kc2spice.scene.model import GovernedScene, Part
 
@@ -45,7 +46,7 @@ class Varied:
         return Param(name, self.value, self.unit or "-", self.key, self.low, self.high)
 
 
-def varied(part: Part) -> tuple[Varied, ...]:
+def varied(part: Part[LinearKeysT]) -> tuple[Varied, ...]:
     """The keys that ``rom.parameters`` names.
 
     Raises
@@ -91,7 +92,7 @@ def ranged(
     return Varied(key, unit, value, low, high)
 
 
-def corners(part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+def corners(part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
     """Faults of the parameter range, before any full model is made."""
     try:
         keys = varied(part)
@@ -103,7 +104,7 @@ def corners(part: Part, scene: GovernedScene) -> Iterator[UsageError]:
         yield error
 
 
-def with_values(part: Part, values: Mapping[str, Any]) -> Part:
+def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[LinearKeysT]:
     """The part with other values of some keys.
 
     Raises
@@ -114,7 +115,7 @@ def with_values(part: Part, values: Mapping[str, Any]) -> Part:
     table.pop("rom", None)
     for key, value in values.items():
         steps = _steps(key)
-        holder = table
+        holder: Any = table
         try:
             for step, after in pairwise(steps):
                 inner = holder.get(step, {}) if isinstance(holder, dict) else holder[step]

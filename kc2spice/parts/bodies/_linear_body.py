@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from fnmatch import fnmatch
-from functools import reduce as reduce_with
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from kc2spice.parts.bodies._body_model import (
     reduction_target,
 )
 from kc2spice.parts.bodies._box import values_of_part, varied, with_values
+from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.checks import Check, Metric
@@ -54,14 +54,16 @@ MESH_FACTS = {
 }
 
 
-class LinearBody(BodyChecks):
+class LinearBody(BodyChecks[LinearKeysT]):
     """A linear part with metrics, figures and notes.
 
     Each base class has one subject: ports, models, netlist, checks. A subclass says which
     :meth:`ports` its keys give and builds the :meth:`full` model of the whole device with them.
     """
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[LinearKeysT], build: Build, waves: Waveforms
+    ) -> Mapping[str, object]:
         z = measured(part, waves)
         if z is None:
             return {}
@@ -107,7 +109,9 @@ class LinearBody(BodyChecks):
             }
         return result
 
-    def main_metrics(self, part: Part, build: Build) -> Mapping[str, Probe | LargestRealPart]:
+    def main_metrics(
+        self, part: Part[LinearKeysT], build: Build
+    ) -> Mapping[str, Probe | LargestRealPart]:
         """The resonance of an impedance, where the model's conductance is largest there.
 
         It is that of the current of a voltage source at its first electrode, nothing else loading
@@ -118,7 +122,7 @@ class LinearBody(BodyChecks):
             return {}
         return {"resonance_hz": LargestRealPart(result)} if self._leads(part, build) else {}
 
-    def _leads(self, part: Part, build: Build) -> bool:
+    def _leads(self, part: Part[LinearKeysT], build: Build) -> bool:
         """Whether a source alone drives the body, and the resonance that an analyser reads off is
         the largest conductance of all."""
         from kc2spice.bodies.impedance import analyse
@@ -147,7 +151,9 @@ class LinearBody(BodyChecks):
         largest = int(Y.real.argmax())
         return bool(f[max(largest - 1, 0)] <= resonance <= f[min(largest + 1, len(f) - 1)])
 
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
+    def figures(
+        self, part: Part[LinearKeysT], build: Build, waves: Waveforms
+    ) -> Iterator[Figure | Written]:
         yield from _pictures.port_figures(part.name, waves)
         z = measured(part, waves)
         if z is not None:
@@ -159,7 +165,7 @@ class LinearBody(BodyChecks):
         model = build.model(part, LinearModel)
         yield from _pictures.own_impedances(part.name, model, resonators(model))
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[LinearKeysT], scene: Scene) -> Iterator[str | Neglected]:
         rom = reduction_target(part, scene)
         used = self.used_ports(part, scene)
         ports = ", ".join(port.name for port in used)
@@ -187,7 +193,7 @@ class LinearBody(BodyChecks):
             )
         yield from self.neglected(part, scene)
 
-    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+    def neglected(self, part: Part[LinearKeysT], scene: Scene) -> Iterator[Neglected]:
         """Effect that ``solver.ringing = "coarse"`` neglects."""
         if self.weights(part, scene) == COARSE:
             why = "solver.ringing lets go of it once nothing presses on the body"
@@ -195,12 +201,12 @@ class LinearBody(BodyChecks):
                 f"free ringing of {part.name}", why, "all of its own current and motion"
             )
 
-    def dimensions(self, part: Part) -> int:
+    def dimensions(self, part: Part[LinearKeysT]) -> int:
         """Number of dimensions of the mesh."""
         return 3
 
     def finer_mesh(
-        self, part: Part, build: Build, clock: Clock, most: float
+        self, part: Part[LinearKeysT], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
         if not self.discretisations:
             return
@@ -230,14 +236,17 @@ class LinearBody(BodyChecks):
             if change is not None:
                 yield Check(f"mesh of {part.name} half as wide, {words}", change, limit)
 
-    def discretisation(self, part: Part, build: Build) -> str:
+    def discretisation(self, part: Part[LinearKeysT], build: Build) -> str:
         """Error estimate of its mesh, or why there is none."""
         return super().discretisation(part, build) or f"mesh: {NOT_ESTIMATED}"
 
 
 def _value_of(part: Part, key: str) -> int:
     """The value of a dotted key of a part, a number of pieces."""
-    return int(reduce_with(getattr, key.split("."), part.keys))
+    value: Any = part.keys
+    for name in key.split("."):
+        value = getattr(value, name)
+    return int(value)
 
 
 def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:

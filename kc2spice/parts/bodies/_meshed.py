@@ -14,20 +14,18 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pydantic import Field
 
 from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
 from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.progress import Clock
-from kc2spice.core.quantities import Time
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.bodies._body_model import LinearKeys
 from kc2spice.parts.bodies._linear_body import COARSE_MESH, LinearBody
+from kc2spice.parts.bodies._linear_keys import FieldKeys, FieldKeysT
 from kc2spice.parts.bodies._neglected import (
     Envelope,
     beam_envelope,
@@ -53,7 +51,6 @@ if TYPE_CHECKING:
     from kc2spice.bodies.undamped import FiniteElementModel
 
 TOO_COARSE = "refine the mesh (its key refine), or set error_budget, which refines all settings"
-MOST = 20  # instants that one run writes
 MODES = 6  # drawn at most, the lowest ones
 _SINGULAR = "look at the VTU file: edges of clamps and corners exceed any limit when refined"
 # Word and unit of the metrics, panel and scale of the plot, and what going beyond means.
@@ -88,47 +85,36 @@ class Recovered:
         return max(limited, key=lambda item: item.value / (item.limit or 1.0))
 
 
-class FieldKeys(LinearKeys):
-    """Whether a run recovers what happens inside the body; instants become VTU files."""
-
-    fields: bool | Annotated[tuple[Time, ...], Field(min_length=1, max_length=MOST)] | None = Field(
-        None,
-        description=(
-            "Whether fields are computed, or a list of instants for which VTU files are written"
-        ),
-    )
-
-
-class MeshedBody(LinearBody):
+class MeshedBody(LinearBody[FieldKeysT]):
     """A body with a key ``fields``; a subclass makes its device."""
 
     @abstractmethod
-    def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
+    def envelope(self, part: Part[FieldKeysT], scene: DeclaredScene) -> Envelope:
         """Its outer size, for the sizes of effects that it lacks."""
 
-    def support(self, part: Part) -> str:
+    @abstractmethod
+    def support(self, part: Part[FieldKeysT]) -> str:
         """Support of the body in words."""
-        return f"support is {part.keys.support}, ideal"
 
-    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+    def neglected(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
         yield from super().neglected(part, scene)
         yield from neglected_effects(part.name, self.envelope(part, scene), self.support(part))
 
     @abstractmethod
-    def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
+    def make(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
         """The full model with its mesh."""
 
-    def device(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
+    def device(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
         """The same; the latest of the type stays in the workspace of the scene, as the next scene
         often asks for another reduction of it."""
         key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
         return scene.workspace.latest(f"device {self.name}", key, lambda: self.make(part, scene))
 
-    def full(self, part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
+    def full(self, part: Part[FieldKeysT], scene: GovernedScene, clock: Clock) -> LinearModel:
         with clock.stage("assemble", f"mesh and matrices of {part.name}"):
             return self.device(part, scene).model
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         kind = scene.analysis.type
         if kind != "transient" and (chosen(part) or (part.keys.fields and kind != "ac")):
@@ -142,7 +128,9 @@ class MeshedBody(LinearBody):
             expected = f"0 to {scene.stop:g} s"
             yield wrong(f"{part.name}.fields", problem, f"{outside[0]:g} s", expected)
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[FieldKeysT], build: Build, waves: Waveforms
+    ) -> Mapping[str, object]:
         result = dict(super().metrics(part, build, waves))
         recovered = self.recovered(part, build, waves)
         if recovered is None:
@@ -155,7 +143,9 @@ class MeshedBody(LinearBody):
                 result[f"{quantity}_limit_{of}"] = Metric(item.limit, item.unit)
         return result | {"worst_stress_time_s": Metric(recovered.worst.instant, "s")}
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Balance]:
+    def checks(
+        self, part: Part[FieldKeysT], build: Build, waves: Waveforms
+    ) -> Iterator[Check | Balance]:
         yield from super().checks(part, build, waves)
         for words, error in mesh_errors(build.facts(part)).items():
             if words in COARSE_MESH:
@@ -171,7 +161,9 @@ class MeshedBody(LinearBody):
                 advice = _QUANTITIES[item.quantity][-1]
                 yield Check(name, item.value, item.limit, item.unit, advice, "warn")
 
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
+    def figures(
+        self, part: Part[FieldKeysT], build: Build, waves: Waveforms
+    ) -> Iterator[Figure | Written]:
         yield from super().figures(part, build, waves)
         if part.keys.fields:
             from kc2spice.bodies.fields import lowest_modes
@@ -203,7 +195,7 @@ class MeshedBody(LinearBody):
                 fields = partial(write_vtu, device=device, z=state[0], voltages=state[1])
                 yield Written(f"{part.name}_fields{stem}.vtu", fields)
 
-    def recovered(self, part: Part, build: Build, waves: Waveforms) -> Recovered | None:
+    def recovered(self, part: Part[FieldKeysT], build: Build, waves: Waveforms) -> Recovered | None:
         """Return the motion inside the body during a transient.
 
         The result is None without the key ``fields``.
@@ -233,54 +225,62 @@ class MeshedBody(LinearBody):
         return build.workspace.latest(kind, id(waves), recover_fields)[1]
 
 
-def chosen(part: Part) -> tuple[float, ...]:
+def chosen(part: Part[FieldKeys]) -> tuple[float, ...]:
     """Instants [s] that the user asks for."""
     return part.keys.fields if isinstance(part.keys.fields, tuple) else ()
 
 
-class BondedBody(MeshedBody):
+class BondedBody(MeshedBody[FieldKeysT]):
     """A body of blocks: a subclass gives their :meth:`structure` from its keys."""
 
     discretisations = ("mesh.refine",)
     structure: Callable[[Any, str], Bonded]
 
-    def bonded(self, part: Part) -> Bonded:
+    def is_clamped(self, part: Part[FieldKeysT]) -> bool:
+        """Whether its rim is held, so that air cannot flow around it."""
+        return False
+
+    def bonded(self, part: Part[FieldKeysT]) -> Bonded:
         """Its blocks, electrodes, supports and ports."""
         return _bonded(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
 
-    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
+    def ports(self, part: Part[FieldKeysT], scene: DeclaredScene) -> tuple[Port, ...]:
         return self.bonded(part).every_port
 
-    def directions(self, part: Part, scene: DeclaredScene) -> Mapping[str, tuple[float, ...]]:
+    def directions(
+        self, part: Part[FieldKeysT], scene: DeclaredScene
+    ) -> Mapping[str, tuple[float, ...]]:
         """All of its motions are upwards."""
         moved = (TRANSLATION, ACCELERATION)
         ports = (port for port in self.ports(part, scene) if port.domain in moved)
         return {port.terminals[0]: (0.0, 0.0, 1.0) for port in ports}
 
-    def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
+    def make(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
         return self.bonded(part).device()
 
-    def varied(self, part: Part, scene: GovernedScene, clock: Clock, like: Part) -> LinearModel:
+    def varied(
+        self, part: Part[FieldKeysT], scene: GovernedScene, clock: Clock, like: Part[FieldKeysT]
+    ) -> LinearModel:
         return replace(self.bonded(part), like=self.bonded(like)).device().model
 
-    def by_material(self, part: Part) -> float | None:
+    def by_material(self, part: Part[FieldKeysT]) -> float | None:
         return self.bonded(part).rated
 
-    def dimensions(self, part: Part) -> int:
+    def dimensions(self, part: Part[FieldKeysT]) -> int:
         return len(self.bonded(part).blocks[0].box)
 
-    def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
+    def envelope(self, part: Part[FieldKeysT], scene: DeclaredScene) -> Envelope:
         blocks = self.bonded(part).blocks
         if len(blocks[0].box) == 3:
             return beam_envelope(blocks)
-        baffled = part.keys.support not in ("free", "back")
+        baffled = self.is_clamped(part)
         return disc_envelope(blocks, baffled, hasattr(part.keys, "layers"))
 
-    def indentation_modulus(self, part: Part) -> float | None:
+    def indentation_modulus(self, part: Part[FieldKeysT]) -> float | None:
         top = self.bonded(part).blocks[-1].material
         return top.indentation_modulus if hasattr(part.keys, "layers") else None
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         """As those of all bodies, and what :func:`kc2spice.scene.plausible.layers` says of layers
         of their own diameters, or all as wide as the body."""
         yield from super().problems(part, scene)
@@ -291,7 +291,7 @@ class BondedBody(MeshedBody):
         ]
         yield from plausible_layers(f"{part.name}.layers", result, plate=width is None)
 
-    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+    def outline(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Shape]:
         """Blocks from the side, the highest at zero, those of a bore on both sides of it; each kind
         is named once."""
         blocks, known = self.bonded(part).blocks, set[str]()

@@ -37,7 +37,9 @@ from kc2spice.core.quantities import (
 )
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
-from kc2spice.parts.bodies._meshed import BondedBody, FieldKeys
+from kc2spice.parts.bodies._linear_keys import FieldKeys
+from kc2spice.parts.bodies._meshed import BondedBody
+from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register
 
 LENGTHWISE, ACROSS = 20, 4  # elements at refine = 1
@@ -205,12 +207,15 @@ def _grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
     )
 
 
-class Bimorph(BondedBody):
+class Bimorph(BondedBody[BimorphKeys]):
     name = "bimorph"
     title = "layered beam that bends (3-D piezoelectric FE, reduced)"
     schema = BimorphKeys
     source = "FE (piezoelectric, hexahedra)"
     structure = staticmethod(bimorph_body)
+
+    def support(self, part: Part[BimorphKeys]) -> str:
+        return f"support is {part.keys.support}, ideal"
 
 
 register(Bimorph())

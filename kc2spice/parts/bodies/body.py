@@ -44,7 +44,8 @@ from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import CylindricalAxes, Material, material
 from kc2spice.fem.solid import Solid
 from kc2spice.parts.bodies._body_model import file_stamp
-from kc2spice.parts.bodies._meshed import FieldKeys, MeshedBody
+from kc2spice.parts.bodies._linear_keys import FieldKeys
+from kc2spice.parts.bodies._meshed import MeshedBody
 from kc2spice.parts.bodies._neglected import Envelope, box_envelope
 from kc2spice.parts.bodies._pictures import edges
 from kc2spice.rom.linear_model import Port
@@ -455,7 +456,7 @@ def _shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.n
     return shares
 
 
-class Body(MeshedBody):
+class Body(MeshedBody[BodyKeys]):
     name = "body"
     title = "the user's own mesh (piezoelectric FE, reduced)"
     discretisations = ("refine",)
@@ -463,11 +464,13 @@ class Body(MeshedBody):
     source = "FE (piezoelectric, the user's mesh)"
     ports_of_files = True
 
-    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
+    def ports(self, part: Part[BodyKeys], scene: DeclaredScene) -> tuple[Port, ...]:
         result: tuple[Port, ...] = part.keys.every_port
         return result
 
-    def directions(self, part: Part, scene: DeclaredScene) -> Mapping[str, tuple[float, ...]]:
+    def directions(
+        self, part: Part[BodyKeys], scene: DeclaredScene
+    ) -> Mapping[str, tuple[float, ...]]:
         """Axes of its translations and accelerations."""
         result: dict[str, tuple[float, ...]] = {}
         for keys in part.keys.ports:
@@ -480,11 +483,11 @@ class Body(MeshedBody):
                     result[port.terminals[0]] = tuple(axis.tolist())
         return result
 
-    def files(self, part: Part, scene: DeclaredScene) -> tuple[str, ...]:
+    def files(self, part: Part[BodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
         _path(part, scene)
         return (part.keys.mesh,)
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[BodyKeys], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         try:
             path = _path(part, scene)
@@ -496,13 +499,13 @@ class Body(MeshedBody):
                 error.where = f"{part.name}.unit"
             yield error
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[BodyKeys], scene: Scene) -> Iterator[str | Neglected]:
         """The bounding box of its file, then what all bodies say."""
         sides = self.sides(part, scene)
         yield " x ".join(f"{1e3 * side:.4g}" for side in sides) + " mm"
         yield from super().notes(part, scene)
 
-    def sides(self, part: Part, scene: DeclaredScene) -> list[float]:
+    def sides(self, part: Part[BodyKeys], scene: DeclaredScene) -> list[float]:
         """Sides of the bounding box of its file [m]."""
 
         def size() -> list[float]:
@@ -514,23 +517,25 @@ class Body(MeshedBody):
         key = {"file": file_stamp(_path(part, scene)), "unit": part.keys.unit}
         return cached("extent", key, size, sources=self.sources())
 
-    def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
+    def envelope(self, part: Part[BodyKeys], scene: DeclaredScene) -> Envelope:
         sides = self.sides(part, scene)
         if part.keys.axisymmetric:
             sides = list(filter(None, sides)) or sides[:2]
         return box_envelope(sides)
 
-    def dimensions(self, part: Part) -> int:
+    def dimensions(self, part: Part[BodyKeys]) -> int:
         return 2 if part.keys.axisymmetric else 3
 
-    def support(self, part: Part) -> str:
+    def support(self, part: Part[BodyKeys]) -> str:
         groups = [item if isinstance(item, str) else item.group for item in part.keys.fixed]
         return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
 
-    def full_key(self, part: Part, scene: GovernedScene) -> dict[str, Any]:
+    def full_key(self, part: Part[BodyKeys], scene: GovernedScene) -> dict[str, Any]:
         return {**super().full_key(part, scene), "file": file_stamp(_path(part, scene))}
 
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
+    def figures(
+        self, part: Part[BodyKeys], build: Build, waves: Waveforms
+    ) -> Iterator[Figure | Written]:
         """Its mesh, then what all bodies show."""
         curve = cached(
             "outline",
@@ -544,11 +549,11 @@ class Body(MeshedBody):
         yield Figure(f"{part.name}_mesh", f"Mesh of {part.name}", caption, (panel,))
         yield from super().figures(part, build, waves)
 
-    def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
+    def make(self, part: Part[BodyKeys], scene: GovernedScene) -> FiniteElementModel:
         return device(part.keys, scene.home, part.name)
 
 
-def _path(part: Part, scene: DeclaredScene) -> Path:
+def _path(part: Part[BodyKeys], scene: DeclaredScene) -> Path:
     return file_in_folder(scene.home, part.keys.mesh, f"{part.name}.mesh")
 
 

@@ -25,7 +25,9 @@ from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, validated
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
-from kc2spice.parts.bodies._meshed import BondedBody, FieldKeys
+from kc2spice.parts.bodies._linear_keys import FieldKeys
+from kc2spice.parts.bodies._meshed import BondedBody
+from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register
 
 _CELLS = 20  # along the largest radius (or half the height) before refinement
@@ -236,12 +238,18 @@ def _supports(disc: DiscKeys, pieces: list[Block], radius: float) -> list[tuple[
     return [("z", _face(radius, radius, sum(z) / 2))]
 
 
-class Disc(BondedBody):
+class Disc(BondedBody[DiscKeys]):
     name = "disc"
     title = "circular layers with electrodes (axisymmetric piezoelectric FE, reduced)"
     schema = DiscKeys
     source = "FE (piezoelectric, axisymmetric)"
     structure = staticmethod(disc_body)
+
+    def support(self, part: Part[DiscKeys]) -> str:
+        return f"support is {part.keys.support}, ideal"
+
+    def is_clamped(self, part: Part[DiscKeys]) -> bool:
+        return part.keys.support != "free"
 
 
 register(Disc())

@@ -29,7 +29,8 @@ from kc2spice.core.quantities import (
 )
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
-from kc2spice.parts.bodies._meshed import BondedBody, FieldKeys
+from kc2spice.parts.bodies._linear_keys import FieldKeys
+from kc2spice.parts.bodies._meshed import BondedBody
 from kc2spice.parts.bodies._neglected import UNKNOWN
 from kc2spice.scene.model import (
     Part,
@@ -195,7 +196,7 @@ def _blocks(body: LangevinKeys, where: str) -> list[Block]:
     return result
 
 
-class Langevin(BondedBody):
+class Langevin(BondedBody[LangevinKeys]):
     name = "langevin"
     title = "bolted sandwich transducer (axisymmetric piezoelectric FE, reduced)"
     schema = LangevinKeys
@@ -220,7 +221,10 @@ stop = "100 kHz"
     source = "FE (piezoelectric, axisymmetric)"
     structure = staticmethod(langevin_body)
 
-    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+    def support(self, part: Part[LangevinKeys]) -> str:
+        return f"support is {part.keys.support}, ideal"
+
+    def neglected(self, part: Part[LangevinKeys], scene: Scene) -> Iterator[Neglected]:
         yield from super().neglected(part, scene)
         why = "pieces are bonded and free of stress at rest"
         yield Neglected(f"{part.name}: preload of the bolt, compliance of joints", why, UNKNOWN)

@@ -16,8 +16,9 @@ from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.figure import Shape
 from kc2spice.core.progress import Clock
 from kc2spice.core.untrusted_files import file_in_folder
-from kc2spice.parts.bodies._body_model import LinearKeys, file_stamp
+from kc2spice.parts.bodies._body_model import file_stamp
 from kc2spice.parts.bodies._linear_body import LinearBody
+from kc2spice.parts.bodies._linear_keys import LinearKeys
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.model import (
     DeclaredScene,
@@ -42,17 +43,19 @@ class MatricesKeys(LinearKeys):
     )
 
 
-class Matrices(LinearBody):
+class Matrices(LinearBody[MatricesKeys]):
     name = "matrices"
     title = "linear model from the matrices of another tool, reduced"
     schema = MatricesKeys
     source = "matrices of another tool"
     ports_of_files = True
 
-    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
+    def ports(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[Port, ...]:
         return self._model(part, scene).ports
 
-    def directions(self, part: Part, scene: DeclaredScene) -> Mapping[str, tuple[float, ...]]:
+    def directions(
+        self, part: Part[MatricesKeys], scene: DeclaredScene
+    ) -> Mapping[str, tuple[float, ...]]:
         """Those that the sidecar states by ``dof`` or ``axis``; a column of B has none."""
         *_, sidecar = locate_model(*self._source(part, scene))
         result = {}
@@ -63,21 +66,21 @@ class Matrices(LinearBody):
                 result[pin] = tuple(entry.weights.get(axis, 0.0) for axis in TRANSLATIONS)
         return result
 
-    def full_key(self, part: Part, scene: GovernedScene) -> dict[str, Any]:
+    def full_key(self, part: Part[MatricesKeys], scene: GovernedScene) -> dict[str, Any]:
         return {**super().full_key(part, scene), "files": self._stamps(part, scene)}
 
-    def _stamps(self, part: Part, scene: DeclaredScene) -> dict[str, str]:
+    def _stamps(self, part: Part[MatricesKeys], scene: DeclaredScene) -> dict[str, str]:
         """Identification of the content of each file."""
         return {name: file_stamp(scene.home / name) for name in self.files(part, scene)}
 
-    def files(self, part: Part, scene: DeclaredScene) -> tuple[str, ...]:
+    def files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[str, ...]:
         result = source_files(*self._source(part, scene))
         return tuple(os.path.relpath(path, scene.home) for path in result)
 
-    def full(self, part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
+    def full(self, part: Part[MatricesKeys], scene: GovernedScene, clock: Clock) -> LinearModel:
         return self._model(part, scene)
 
-    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+    def outline(self, part: Part[MatricesKeys], scene: Scene) -> Iterator[Shape]:
         """The box of its mesh from the side, where its TOML file names one."""
         size = mesh_extent(*self._source(part, scene))
         if size is None or not size[:2].any():
@@ -86,10 +89,10 @@ class Matrices(LinearBody):
         high = max(high, THIN * wide)
         yield Shape(0.0, -high / 2, wide, high, label=part.name)
 
-    def _model(self, part: Part, scene: DeclaredScene) -> LinearModel:
+    def _model(self, part: Part[MatricesKeys], scene: DeclaredScene) -> LinearModel:
         return _read(*self._source(part, scene), str(self._stamps(part, scene)))
 
-    def _source(self, part: Part, scene: DeclaredScene) -> tuple[Path, Path | None]:
+    def _source(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[Path, Path | None]:
         """Path of the matrices, and of the TOML file that is named."""
         name, home, keys = part.name, scene.home, part.keys
         sidecar = (

@@ -21,9 +21,11 @@ from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import material
 from kc2spice.parts.bodies._body_model import SOURCES, aim, reduction_target
 from kc2spice.parts.bodies._body_ports import required_ports
-from kc2spice.parts.bodies._meshed import FieldKeys, MeshedBody
+from kc2spice.parts.bodies._linear_keys import FieldKeys
+from kc2spice.parts.bodies._meshed import MeshedBody
 from kc2spice.parts.bodies._neglected import Envelope, disc_air
 from kc2spice.parts.electronics.netlist import driver
+from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import Penetration, Surface, pair_of
 from kc2spice.rom.linear_model import Port
 from kc2spice.scene.checks import Metric
@@ -136,14 +138,16 @@ class Stack(Chip, FieldKeys):
         return self
 
 
-class PiezoStack(MeshedBody):
+class PiezoStack(MeshedBody[Stack]):
     name = "piezo_stack"
     title = "layered piezoelectric chip (3-D FE, reduced)"
     discretisations = ("mesh.refine",)
     schema = Stack
     source = "FE (piezoelectric, linear)"
 
-    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+    def expand(
+        self, part: Part[Stack], data: Mapping[str, object]
+    ) -> Mapping[str, Mapping[str, object]]:
         keys: Stack = part.keys
         anode = f"{part.name}.anode"
         if keys.electrical == "short":
@@ -155,28 +159,28 @@ class PiezoStack(MeshedBody):
         source: dict[str, Any] = {"part": "source", "pulse": wave, "pins": {"out": anode}}
         if keys.driver is None:
             return {f"{part.name}_drive": source}
-        table, name = driver(part, DRIVERS, data), f"{part.name}_driver"
+        table, name = driver(part, part.keys.driver or {}, DRIVERS, data), f"{part.name}_driver"
         pins = {"out": anode}
         if table["part"] == "charge_drive":
             pins = {"anode": anode, "cathode": f"{part.name}.cathode"}
         source["pins"] = {"out": f"{name}.command"}
         return {f"{part.name}_drive": source, name: {**table, "pins": pins}}
 
-    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
+    def ports(self, part: Part[Stack], scene: DeclaredScene) -> tuple[Port, ...]:
         names = [f"ring{k}" for k in range(part.keys.mesh.rings + 1)]
         if pressure_nodes(part, scene) is not None:
             names = [PATCH]
         ring_ports = (Port(name, TRANSLATION.port) for name in names)
         return (*ring_ports, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
-    def used_ports(self, part: Part, scene: JoinedScene) -> tuple[Port, ...]:
+    def used_ports(self, part: Part[Stack], scene: JoinedScene) -> tuple[Port, ...]:
         """Rings up to the last that is needed, so that every scene's are nested."""
         if pressure_nodes(part, scene) is not None:
             return super().used_ports(part, scene)
         *ring_ports, anode = self.ports(part, scene)
         return (*ring_ports[: used_rings(part, scene)], anode)
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[Stack], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         keys, name, drive = part.keys, part.name, part.keys.drive
         transient = scene.analysis.type == "transient"
@@ -199,7 +203,9 @@ class PiezoStack(MeshedBody):
             why = f"{drive.voltage:g} V across {layer:.3g} m; the ceramic breaks down"
             yield from within(f"{name}.drive.voltage", field, "V/m", 0.0, 2e7, why)
 
-    def surface(self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface:
+    def surface(
+        self, part: Part[Stack], scene: GovernedScene, ports: tuple[str, ...] = ()
+    ) -> Surface:
         if part.keys.poling == "x":
             problem = "the top of a stack that shears moves sideways: nothing can press on it"
             raise part.wrong("poling", problem, "x", "z under a contact")
@@ -220,7 +226,7 @@ class PiezoStack(MeshedBody):
             modulus=modulus,
         )
 
-    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(self, part: Part[Stack], scene: WiredScene) -> Iterator[Numerics]:
         """A trapezoid's error of phase adds up as long as a mode rings while something touches.
 
         A low kick closes fewer rings and its launch depends more on every step: from 40 to 60 V
@@ -243,35 +249,35 @@ class PiezoStack(MeshedBody):
         chgtol = min(1.0, speed or 1.0)
         yield Numerics(what, FLIGHT, decides=True, reltol=close, chgtol=chgtol)
 
-    def weights(self, part: Part, scene: DeclaredScene) -> StepWeights:
+    def weights(self, part: Part[Stack], scene: DeclaredScene) -> StepWeights:
         """Its ringing is what strikes the sphere if the kick begins downwards."""
         return THROWING if _downwards(part) else super().weights(part, scene)
 
-    def penetrations(self, part: Part, scene: GovernedScene) -> Iterator[Penetration]:
+    def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[Penetration]:
         voltage = highest_voltage(part, scene)
         if voltage:
             stroke = free_stroke(part.keys, voltage)
             why = f"{SWING:g} times the free stroke of {part.name} at {voltage:g} V"
             yield Penetration(SWING * stroke, why)
 
-    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+    def outline(self, part: Part[Stack], scene: Scene) -> Iterator[Shape]:
         keys = part.keys
         label = f"{part.name}: {1e3 * keys.side:g} mm wide, {1e3 * keys.height:g} mm high, "
         label += f"{keys.layers} layers"
         yield Shape(0.0, -keys.height / 2, keys.side, keys.height, "ceramic", label, keys.layers)
 
-    def headline(self, part: Part) -> str:
+    def headline(self, part: Part[Stack]) -> str:
         return f"{self.title}; {mounted(part.keys)}"
 
-    def by_material(self, part: Part) -> float:
+    def by_material(self, part: Part[Stack]) -> float:
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
-    def full_key(self, part: Part, scene: GovernedScene) -> Mapping[str, Any]:
+    def full_key(self, part: Part[Stack], scene: GovernedScene) -> Mapping[str, Any]:
         shape, chip = pressure_nodes(part, scene), part.keys.model_dump(mode="json", include=CHIP)
         result = {"chip": chip, "field": part.keys.rated_field}
         return result if shape is None else result | {"pressure_basis": shape.nodes.tolist()}
 
-    def reduction(self, part: Part, scene: Scene) -> Rom:
+    def reduction(self, part: Part[Stack], scene: Scene) -> Rom:
         """As asked; else the paper's chip has the paper's order, and any other stack a tolerance
         over the band that is to it what the paper's is to the paper's chip."""
         specified = part.keys.rom or scene.rom
@@ -285,7 +291,7 @@ class PiezoStack(MeshedBody):
         low, high = specified.band
         return Rom(band=(low, high * plain.height / part.keys.height))
 
-    def envelope(self, part: Part, scene: DeclaredScene) -> Envelope:
+    def envelope(self, part: Part[Stack], scene: DeclaredScene) -> Envelope:
         keys = part.keys
         (x, y), caps = keys.half, (keys.bottom_cap, keys.top_cap)
         height = keys.height + sum(cap.thickness for cap in caps if cap is not None)
@@ -297,17 +303,17 @@ class PiezoStack(MeshedBody):
             disc_air(math.sqrt(area / math.pi)), area * height * keys.ceramic.density, surface
         )
 
-    def support(self, part: Part) -> str:
+    def support(self, part: Part[Stack]) -> str:
         return "" if part.keys.mounting == "roller" else mounted(part.keys)
 
-    def make(self, part: Part, scene: GovernedScene) -> FiniteElementModel:
+    def make(self, part: Part[Stack], scene: GovernedScene) -> FiniteElementModel:
         from kc2spice.bodies.stack import stack_device
 
         shape = pressure_nodes(part, scene)
         pressure = None if shape is None else shape.pressure(_compliance_of(part, shape).shares)
         return stack_device(part.keys, part.keys.rated_field, pressure)
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(self, part: Part[Stack], build: Build, waves: Waveforms) -> Mapping[str, object]:
         result = dict(super().metrics(part, build, waves))
         if "time" not in waves:
             return result
@@ -319,7 +325,8 @@ class PiezoStack(MeshedBody):
         if part.keys.fields and shape is not None:  # which its own mesh does not resolve
             from kc2spice.bodies.pressure import UNITS, stresses_under
 
-            name = next(c.name for c in scene.of("contact") if c.keys.shape == "pressure")
+            contacts = scene.of_schema("contact", ContactKeys)
+            name = next(c.name for c in contacts if c.keys.shape == "pressure")
             if (most := float(waves[f"{name}.force"].max())) > 0:
                 forces = pair_of(scene.parts[name], scene).basis_forces(most)
                 inside = stresses_under(part.keys, shape, forces)
@@ -334,13 +341,13 @@ class PiezoStack(MeshedBody):
                 result["kick_charge_peak_c"] = Metric(float(np.abs(charge).max()), "C")
         return result
 
-    def indentation_modulus(self, part: Part) -> float:
+    def indentation_modulus(self, part: Part[Stack]) -> float:
         keys, cap = part.keys, part.keys.top_cap
-        bare = cap is None or cap.material is None
-        top = keys.ceramic if bare else material(cap.material, "top_cap.material")
+        stated = None if cap is None else cap.material
+        top = keys.ceramic if stated is None else material(stated, "top_cap.material")
         return float(top.indentation_modulus)
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[Stack], scene: Scene) -> Iterator[str | Neglected]:
         keys, rom = part.keys, reduction_target(part, scene)
         pressed = pressure_nodes(part, scene) is not None
         used, last = used_rings(part, scene), keys.mesh.rings
@@ -365,7 +372,7 @@ class PiezoStack(MeshedBody):
             yield Neglected(effect, "nothing of the scene needs them", "checked after the run")
 
 
-def _kick_speed(part: Part, scene: GovernedScene) -> float | None:
+def _kick_speed(part: Part[Stack], scene: GovernedScene) -> float | None:
     """Speed [m/s] of a kick that lasts as the stack's quarter wave, or as the edge of its pulse:
     the free stroke over ``4 H / c`` or the edge; None without a voltage."""
     voltage = highest_voltage(part, scene)
@@ -379,7 +386,7 @@ def _kick_speed(part: Part, scene: GovernedScene) -> float | None:
     return max(1e-3, SLOWER * speed if _downwards(part) else speed)
 
 
-def _downwards(part: Part) -> bool:
+def _downwards(part: Part[Stack]) -> bool:
     """Whether its pulse draws the top face back before it rises."""
     drive = part.keys.drive
     return drive is not None and part.keys.electrical == "driven" and drive.voltage < 0
@@ -402,9 +409,9 @@ def mounted(keys: Chip) -> str:
     return ", ".join(words)
 
 
-def pressure_nodes(part: Part, scene: DeclaredScene) -> PressureBasis | None:
+def pressure_nodes(part: Part[Stack], scene: DeclaredScene) -> PressureBasis | None:
     """Pressure on the top where a contact asks for it, as far out as the rings are."""
-    for contact in scene.of("contact"):
+    for contact in scene.of_schema("contact", ContactKeys):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
             from kc2spice.bodies.pressure import pressure_basis
 
@@ -417,7 +424,7 @@ def ring_radii(keys: Chip) -> np.ndarray:
     return keys.mesh.ring_spacing * np.arange(keys.mesh.rings + 1)
 
 
-def used_rings(part: Part, scene: JoinedScene) -> int:
+def used_rings(part: Part[Stack], scene: JoinedScene) -> int:
     """How many rings, ring0 first, are ports: up to the last that another part or a probe wants,
     all where the stack is the only part, which is there to be exported."""
     if len(scene.parts) == 1 or scene.ports == "all":
@@ -427,21 +434,22 @@ def used_rings(part: Part, scene: JoinedScene) -> int:
     return 1 + max((_ring(part, name) for name in names if name.startswith("ring")), default=-1)
 
 
-def _ring(part: Part, name: str) -> int:
+def _ring(part: Part[Stack], name: str) -> int:
     match, last = re.fullmatch(r"ring(\d{1,3})", name), part.keys.mesh.rings
     if match is None or int(match[1]) > last:
         raise part.wrong("", f"{part.name} has no such port", repr(name), f"ring0 to ring{last}")
     return int(match[1])
 
 
-def highest_voltage(part: Part, scene: DeclaredScene) -> float:
+def highest_voltage(part: Part[Stack], scene: DeclaredScene) -> float:
     """Largest voltage [V] that the drive asks for; 0 where the anode is not driven."""
     keys = part.keys
     if keys.drive is not None and keys.electrical == "driven":
         return abs(keys.drive.voltage)
-    waves = [p.keys.waveform(scene.home) for p in scene.of("source") if p.keys.kind == "voltage"]
-    tops = [float(np.abs(np.array(wave.points)[:, 1]).max()) for wave in waves]
-    rails = [p.keys.rail for p in scene.of("half_bridge", "amplifier", "charge_drive")]
+    drivers = scene.of("half_bridge", "amplifier", "charge_drive")
+    rails = [part.type.rails(part)[1] for part in drivers]
+    waves = (part.type.voltage(part, scene) for part in scene.parts.values())
+    tops = [float(np.abs(np.array(wave.points)[:, 1]).max()) for wave in waves if wave is not None]
     return max([*tops, *rails], default=0.0)
 
 
@@ -452,7 +460,7 @@ def free_stroke(keys: Chip, voltage: float) -> float:
     return keys.layers * abs(keys.ceramic.d[axis, strain] * voltage)
 
 
-def _compliance_of(part: Part, shape: PressureBasis) -> LocalCompliance:
+def _compliance_of(part: Part[Stack], shape: PressureBasis) -> LocalCompliance:
     from kc2spice.bodies.pressure import LocalCompliance, local_compliance
 
     chip = part.keys.model_dump(mode="json", include=CHIP - {"damping"})

@@ -54,13 +54,13 @@ class StretchKeys(Section):
     width: Length = Field(0.0, ge=0, description="Width of a plate, all its rows together")
 
 
-class Stretch(Patched):
+class Stretch(Patched[StretchKeys]):
     """The part type; how many branches it has is up to its keys."""
 
-    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
+    def declared(self, part: Part[StretchKeys], scene: GovernedScene) -> Declaration:
         return _declared(len(patches(part, scene)), part.keys.rows)
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[StretchKeys], scene: GovernedScene) -> Iterator[UsageError]:
         keys, count = part.keys, len(patches(part, scene))
         if count % keys.rows:
             problem, got = "patches do not fill the rows", f"{count} patches, {keys.rows} rows"

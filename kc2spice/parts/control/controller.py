@@ -61,7 +61,7 @@ class ControllerKeys(Section):
     )
 
 
-class Controller(PartType):
+class Controller(PartType[ControllerKeys]):
     name = "controller"
     title = "controller that is a Python function, sampled"
     schema = ControllerKeys
@@ -84,7 +84,7 @@ layers = [
 wiring = "parallel"
 """
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[ControllerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         keys = part.keys
         inputs = (
             Terminal(name, keys.units.get(name, "um"), "-", required=True) for name in keys.inputs
@@ -92,7 +92,7 @@ wiring = "parallel"
         ends = (Terminal("out", "V", "A", required=True), Terminal("ret", "V", "A", "gnd"))
         return (*inputs, *ends)
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[ControllerKeys], scene: GovernedScene) -> Iterator[UsageError]:
         keys = part.keys
         if keys.delay >= keys.period:
             got, expected = f"{keys.delay:g} s", f"less than the period, {keys.period:g} s"
@@ -103,7 +103,7 @@ wiring = "parallel"
             expected = 'names of its input pins, such as inputs = ["y"]'
             yield part.wrong("inputs", "the controller has no inputs", "no input", expected)
 
-    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[ControllerKeys], build: Build) -> tuple[Item, ...]:
         out, ret = build.net(part, "out"), build.net(part, "ret")
         if part.keys.output == "voltage":
             return (Element.of(f"V{part.name}", out, ret, "EXTERNAL"),)
@@ -113,13 +113,15 @@ wiring = "parallel"
             Element.of(f"G{part.name}", ret, out, level, "0", "1"),
         )
 
-    def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:
+    def inner_names(
+        self, part: Part[ControllerKeys], scene: WiredScene
+    ) -> Iterator[tuple[str, ...]]:
         yield part.name.lower(), "held"
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.{name}": build.across(part, name) for name in part.keys.inputs}
 
-    def settable(self, part: Part, build: Build) -> Mapping[str, Sampled]:
+    def settable(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, Sampled]:
         keys = part.keys
         nodes = {name: build.net(part, name) for name in keys.inputs}
         factors = {name: build.across(part, name).factor for name in keys.inputs}
@@ -135,7 +137,7 @@ wiring = "parallel"
 
         return {"out": Sampled(f"v{part.name}".lower(), keys.period, keys.delay, load(), load)}
 
-    def _function(self, part: Part, build: Build) -> Function:
+    def _function(self, part: Part[ControllerKeys], build: Build) -> Function:
         keys = part.keys
         if keys.file is None:
             expected = (
@@ -163,7 +165,7 @@ wiring = "parallel"
             raise part.wrong("function", problem, keys.function, hint=hint)
         return cast(Function, result)
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[ControllerKeys], scene: Scene) -> Iterator[str]:
         keys = part.keys
         yield f"{keys.output} every {keys.period:g} s, held from {keys.delay:g} s later on"
 

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.domains import DISPLACEMENT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.magnets import EMTable
-from kc2spice.core.quantities import Current, Length, Section, Time, si
+from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import self_contained
+from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics._template import BANDWIDTH, opamp_subcircuit
-from kc2spice.parts.magnetics.ring_magnet_coils import label
+from kc2spice.parts.magnetics.ring_magnet_coils import Coils, label
 from kc2spice.parts.mechanics import sphere
 from kc2spice.physics.declaration import Branch, Declaration, displacement, seen, voltage
 from kc2spice.physics.law import DeclaredLaw
@@ -47,48 +46,6 @@ HEADROOM = 1.2  # ratio of a supply voltage to the required output
 EDGE = 1e-8  # s, of the enabling signal
 EMPTYING = 1e-6  # s, in which the integral of a disabled controller dies out
 SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
-
-
-class Control(Section):
-    """PID with clamped output: same current in both coils, the lower one negated (paper 2.4)."""
-
-    setpoint: Length = Field(2.5e-3, description="Height at which the sphere is to be held")
-    kp: Annotated[float, si("A/m")] = Field(
-        5e4, ge=0, description="Proportional gain of the controller"
-    )
-    ki: Annotated[float, si("A/(m s)")] = Field(
-        10.0, ge=0, description="Integral gain of the controller"
-    )
-    kd: Annotated[float, si("A s/m")] = Field(
-        20.0, ge=0, description="Differential gain of the controller"
-    )
-    rolloff: Time = Field(100e-9, gt=0, description="Time constant of the differentiator's pole")
-    current_limit: Current = Field(0.1, gt=0, description="Largest current of each coil")
-    form: Literal["opamps", "ideal"] | None = Field(
-        None, description="Form of the netlist: op-amps, or the ideal law, which is faster"
-    )
-    enable_at: Time | tuple[Time, ...] = Field(
-        0.5e-3, description="Instant at which the controller is enabled, or a list of instants"
-    )
-    disable_at: tuple[Time, ...] = Field(
-        (),
-        description=(
-            "Instants at which the controller is disabled, one after each enable_at except the last"
-        ),
-    )
-    of: str | None = Field(
-        None, description="Sphere whose height is controlled; by default the only one"
-    )
-    coils: str | None = Field(
-        None, description="Coils that the controller drives; by default the only ones"
-    )
-
-    @property
-    def switching(self) -> tuple[tuple[float, float], ...]:
-        """Times [s] and states, 1 enabled and 0 not, in order."""
-        on = self.enable_at if isinstance(self.enable_at, tuple) else (self.enable_at,)
-        both = [(t, 1.0) for t in on] + [(t, 0.0) for t in self.disable_at]
-        return tuple(sorted(both))
 
 
 # Gains of the netlist. A gain of zero has no stage, so a netlist cannot set it.
@@ -221,12 +178,14 @@ def pid_subcircuit(
     return self_contained(part, [opamp_subcircuit(header)])
 
 
-class Pid(PartType):
+class Pid(PartType[Control]):
     name = "pid"
     title = "PID controller of a sphere's height"
     schema = Control
 
-    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+    def expand(
+        self, part: Part[Control], data: Mapping[str, object]
+    ) -> Mapping[str, Mapping[str, object]]:
         switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}
         if len(switching) == 1:
             wave = {"high": 1.0, "width": 1e3, "edge": EDGE, "start": switching[0][0]}
@@ -237,10 +196,10 @@ class Pid(PartType):
             state = value
         return {f"{part.name}_enable": {"part": "source", "pwl": tuple(points), "pins": pins}}
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[Control], scene: JoinedScene) -> tuple[Terminal, ...]:
         return _terminals(not _remote(part, scene))
 
-    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+    def default_joins(self, part: Part[Control], scene: GovernedScene) -> Mapping[str, str]:
         ball = sphere.controlled(part, scene)
         joins = {} if ball is None else {"y": f"{ball.name}.y"}
         if not _remote(part, scene):
@@ -248,7 +207,7 @@ class Pid(PartType):
             joins |= {"drive": f"{coils}.drive", "sense": f"{coils}.ret"}
         return joins
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[Control], scene: GovernedScene) -> Iterator[UsageError]:
         keys, coils = part.keys, _coils(part, scene)
         low, high = coils.keys.y_min, coils.keys.y_max
         if not low < keys.setpoint < high:
@@ -269,13 +228,15 @@ class Pid(PartType):
             expected = f"before the end of the simulation, {scene.stop:g} s"
             yield part.wrong("enable_at", problem, f"{times[0]:g} s", expected)
 
-    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+    def subcircuits(
+        self, part: Part[Control], build: Build, header: Header
+    ) -> tuple[Subcircuit, ...]:
         local = not _remote(part, build.scene)
         load = float(build.model(_coils(part, build.scene), EMTable).resistance.sum())
         name = build.libraries[part.name]
         return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[Control], build: Build) -> Mapping[str, Vector]:
         node = "error" if part.keys.form == "ideal" else "e"
         error = Vector(f"v(x{part.name.lower()}.{node})", 1.0 / SENSOR, "m")
         result = {f"{part.name}.error": error}
@@ -284,7 +245,7 @@ class Pid(PartType):
             result["coil.wanted"] = Vector(command, 1.0 / SENSE, "A")
         return result
 
-    def law(self, part: Part, build: Build) -> laws.Equations | None:
+    def law(self, part: Part[Control], build: Build) -> laws.Equations | None:
         """Law of both forms; deviations of the amplifiers count as an error of the netlist."""
         keys, n, scene = part.keys, part.name, build.scene
         if _remote(part, scene) or build.net(part, "ref") != "0":
@@ -296,7 +257,7 @@ class Pid(PartType):
         error = laws.reading(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
         return laws.Equations((controller,), pins, {f"{n}.error": error})
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(self, part: Part[Control], build: Build, waves: Waveforms) -> Mapping[str, object]:
         ball = sphere.controlled(part, build.scene)
         if "time" not in waves or ball is None or f"{ball.name}.y" not in waves:
             return {}
@@ -311,7 +272,7 @@ class Pid(PartType):
             "caught": Metric(caught),
         }
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    def checks(self, part: Part[Control], build: Build, waves: Waveforms) -> Iterator[Check]:
         current = waves.data.get(f"{label(_coils(part, build.scene))}.upper.current")
         if current is None or "time" not in waves:
             return
@@ -322,18 +283,18 @@ class Pid(PartType):
         advice, action = f"{advice}{part.name}.current_limit", build.scene.checks.saturation
         yield Check("saturation", share, SATURATED, "of the time", advice, action)
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[Control], scene: Scene) -> Iterator[str]:
         coils = "real coils" if _remote(part, scene) else "current-driven coils"
         form = "ideal" if part.keys.form == "ideal" else "op-amp"
         yield f"{form} PID, output clamped at {part.keys.current_limit:g} A, {coils}"
 
 
-def _coils(part: Part, scene: DeclaredScene) -> Part:
+def _coils(part: Part[Control], scene: DeclaredScene) -> Part[Coils]:
     """The coils that it feeds."""
-    return scene.partner(part, "ring_magnet_coils", key="coils")
+    return scene.partner(part, "ring_magnet_coils", key="coils").with_schema(Coils)
 
 
-def _remote(part: Part, scene: DeclaredScene) -> bool:
+def _remote(part: Part[Control], scene: DeclaredScene) -> bool:
     """Whether the output is the pin ``command`` for another circuit with the coils."""
     joined = scene.is_target(part.name, "command") or "command" in part.pins
     return joined or bool(_coils(part, scene).keys.driver)

@@ -70,7 +70,7 @@ def sensor_declaration(keys: SensorKeys) -> Declaration:
     )
 
 
-class Sensor(PartType):
+class Sensor(PartType[SensorKeys]):
     name = "sensor"
     title = "position sensor with bandwidth, offset and noise"
     schema = SensorKeys
@@ -88,20 +88,22 @@ kind = "displacement"
 dc = "1 um"
 """
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[SensorKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         return (
             Terminal.signal("of", DISPLACEMENT, required=True),
             Terminal.signal("out", DISPLACEMENT, signal_out=True),
             Terminal.of("ref", TRANSLATION, GROUND),
         )
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[SensorKeys], scene: GovernedScene) -> Iterator[UsageError]:
         kinds = ("transient", "noise")
         if part.keys.noise and scene.analysis.type not in kinds:
             words = "noise is drawn in time, or analysed"
             yield part.wrong("noise", words, scene.analysis.type, f"{' or '.join(kinds)}, or none")
 
-    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+    def subcircuits(
+        self, part: Part[SensorKeys], build: Build, header: Header
+    ) -> tuple[Subcircuit, ...]:
         d, keys = sensor_declaration(part.keys), part.keys
         cards: tuple[Item, ...] = ()
         size = DISPLACEMENT.per_unit * keys.noise
@@ -123,16 +125,16 @@ dc = "1 um"
         name = build.libraries[part.name]
         return (declared_subcircuit(header, name, d, d.values(Section()), more=cards),)
 
-    def settable(self, part: Part, build: Build) -> Mapping[str, float]:
+    def settable(self, part: Part[SensorKeys], build: Build) -> Mapping[str, float]:
         start = sphere.beginning(part, "of", build.scene)
         if start is None:
             return {}
         return {f"x{part.name}.{state_node('followed')}": DISPLACEMENT.per_unit * start}
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[SensorKeys], build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.y": build.across(part, "out")}
 
-    def law(self, part: Part, build: Build) -> laws.Equations | None:
+    def law(self, part: Part[SensorKeys], build: Build) -> laws.Equations | None:
         if part.keys.noise:
             return None
         n, d = part.name, sensor_declaration(part.keys)
@@ -143,7 +145,7 @@ dc = "1 um"
         result = laws.reading(f"{n}.out", DISPLACEMENT.factor)
         return laws.Equations((declared_law,), pins, {f"{n}.y": result})
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[SensorKeys], scene: Scene) -> Iterator[str]:
         keys = part.keys
         yield f"{keys.bandwidth:g} Hz, offset {keys.offset:g} m, noise {keys.noise:g} m rms"
 

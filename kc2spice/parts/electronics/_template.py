@@ -19,12 +19,14 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import self_contained
+from kc2spice.parts.control._pid_keys import Control
 from kc2spice.scene.checks import Check
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import (
     Build,
     GovernedScene,
     JoinedScene,
+    KeysT,
     Part,
     PartType,
     Scene,
@@ -59,7 +61,7 @@ class InputNoise(Section):
     )
 
 
-class TemplatePart(PartType):
+class TemplatePart(PartType[KeysT]):
     """A part whose cards are ``templates/TEMPLATE.j2``, with an amplifier of the level ``opamp``.
 
     ``heading`` says in its library's first line what it is; ``fixed`` are its pins, ``constants``
@@ -74,14 +76,18 @@ class TemplatePart(PartType):
     opamp: ClassVar[Level | None] = None
     constants: ClassVar[Mapping[str, float]] = {}
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         return self.fixed
 
-    def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+    def design(
+        self, part: Part[KeysT], build: Build
+    ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """Parameters of its netlist, and further values that the template asks for."""
         return parameters(part.keys), _NOTHING
 
-    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+    def subcircuits(
+        self, part: Part[KeysT], build: Build, header: Header
+    ) -> tuple[Subcircuit, ...]:
         params, values = self.design(part, build)
         if build.noisy and isinstance(part.keys, InputNoise):
             values = {**values, "input_noise": part.keys}
@@ -177,7 +183,7 @@ def ends(*terminals: str) -> tuple[Terminal, ...]:
     return (Terminal("command", "V", "-"), *driven, Terminal("ref", "V", "A", "gnd"))
 
 
-class Driver(TemplatePart):
+class Driver(TemplatePart[KeysT]):
     """From ``command`` to its terminals; the last resistor of its netlist is ``Rout``."""
 
     opamp: ClassVar[Level | None] = "slew"
@@ -189,48 +195,50 @@ class Driver(TemplatePart):
         "data sheet of your devices"
     )
 
-    def library(self, part: Part, scene: Scene) -> str:
+    def library(self, part: Part[KeysT], scene: Scene) -> str:
         return self.template.removeprefix("driver_") if len(scene.of(self.name)) == 1 else part.name
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
         if build.scene.analysis.type != "transient":
             return {}
         result = potentials(part, build, ("command", *self.terminals))
         read = f"@r.x{part.name.lower()}.rout[i]"
         return result | {f"{part.name}.i": Vector(read, 1.0, "A", self.terminals[:1])}
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    def checks(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Check]:
         """Whether its load drives the output of an amplifier, behind all resistance, beyond its
         rails; the diodes of a bridge see to that themselves."""
-        keys, name, i = part.keys, f"{part.name}.{self.terminals[0]}", f"{part.name}.i"
+        name, i = f"{part.name}.{self.terminals[0]}", f"{part.name}.i"
         if self.opamp == "slew" and {"time", name, i} <= set(waves.data):
-            low, high = self.constants.get("sink", -keys.rail), keys.rail
-            inner = waves[name] + (getattr(keys, "resistance", 0.0) + OUTPUT) * waves[i]
+            low, high = self.rails(part)
+            inner = waves[name] + (getattr(part.keys, "resistance", 0.0) + OUTPUT) * waves[i]
             yield rails_check(part.name, inner, low, high, SLACK * (high - low), LOADED)
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str]:
         settings = (f"{key} {value:g}" for key, value in part.keys if value is not None)
         yield f"{self.name}, " + ", ".join(settings)
 
 
-class CoilDriver(Driver):
+class CoilDriver(Driver[KeysT]):
     """A source of the current ``V(command) / 100 Ohm``, whose loop is made for the coils at its
     terminals."""
 
     terminals, fixed = ("drive", "ret"), ends("drive", "ret")
 
-    def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+    def design(
+        self, part: Part[KeysT], build: Build
+    ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         return self.for_load(part.keys, self.load(part, build))
 
     @abstractmethod
     def for_load(self, keys: Any, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """Parameters and values of its template for these coils."""
 
-    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+    def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
         control = scene.only("pid")
         return {} if control is None else {"command": f"{control.name}.command"}
 
-    def load(self, part: Part, build: Build) -> Load:
+    def load(self, part: Part[KeysT], build: Build) -> Load:
         """Coils at its terminals, with the sphere at the set point."""
         coils = _neighbour(part, "drive", build.scene, "ring_magnet_coils")
         if coils is None:
@@ -240,10 +248,10 @@ class CoilDriver(Driver):
                 expected="joined to a part of type ring_magnet_coils",
                 hint="for a load of your own, put your driver's circuit into a netlist part",
             )
-        control = _neighbour(part, "command", build.scene, "pid")
-        height, current = (
-            (control.keys.setpoint, control.keys.current_limit) if control else (0.0, 1.0)
-        )
+        control, height, current = _neighbour(part, "command", build.scene, "pid"), 0.0, 1.0
+        if control is not None:
+            keys = control.with_schema(Control).keys
+            height, current = keys.setpoint, keys.current_limit
         table = build.model(coils, EMTable)
         series = np.array([1.0, -1.0])
         inductance = float(series @ table.coenergy.inductances(height) @ series)

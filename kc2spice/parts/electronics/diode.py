@@ -42,7 +42,7 @@ class DiodeKeys(Section):
     )
 
 
-class Diode(TemplatePart):
+class Diode(TemplatePart[DiodeKeys]):
     name = "diode"
     title = heading = "junction diode"
     schema = DiodeKeys
@@ -52,7 +52,9 @@ class Diode(TemplatePart):
     validity = "27 C, or what .options temp says; it does not heat up"
     fixed = tuple(Terminal(pin, "V", "A", required=True) for pin in ("anode", "cathode"))
 
-    def design(self, part: Part, build: Build) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+    def design(
+        self, part: Part[DiodeKeys], build: Build
+    ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         keys = part.keys
         params = (
             Param("is", keys.saturation_current, "A", "saturation current"),
@@ -64,11 +66,11 @@ class Diode(TemplatePart):
         )
         return params, {}
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[DiodeKeys], build: Build) -> Mapping[str, Vector]:
         read, ends = f"@d.x{part.name.lower()}.djunction[id]", (("cathode",), ("anode",))
         return {f"{part.name}.i": Vector(read, 1.0, "A", *ends)}
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[DiodeKeys], scene: Scene) -> Iterator[str | Neglected]:
         keys = part.keys
         yield f"diode, IS {keys.saturation_current:g} A, N {keys.emission:g}"
         yield Neglected("heating of diodes", "27 °C throughout", "not estimated")

@@ -48,12 +48,15 @@ class AmplifierKeys(InputNoise):
     current_limit: Current = Field(15.0, gt=0, description="Largest output current")
 
 
-class Amplifier(Driver):
+class Amplifier(Driver[AmplifierKeys]):
     name, title = "amplifier", "high-voltage amplifier with slew rate and current limit"
     schema = AmplifierKeys
     template, heading = "driver_amplifier", "high-voltage amplifier for the chip"
     noise = ("R", "Rout")
     constants: ClassVar = {"sink": -10}  # V, the lower rail
+
+    def rails(self, part: Part[AmplifierKeys]) -> tuple[float, float]:
+        return self.constants["sink"], part.keys.rail
 
 
 class ChargeKeys(InputNoise):
@@ -72,12 +75,15 @@ class ChargeKeys(InputNoise):
     current_limit: Current = Field(10.0, gt=0, description="Largest output current")
 
 
-class ChargeDrive(Driver):
+class ChargeDrive(Driver[ChargeKeys]):
     name, title = "charge_drive", "charge drive for a floating capacitive load"
     schema = ChargeKeys
     template, heading = "driver_charge", "charge drive for the chip"
     noise = ("Rout", "Rsense", "Rchip")
     terminals, fixed = ("anode", "cathode"), ends("anode", "cathode")
+
+    def rails(self, part: Part[ChargeKeys]) -> tuple[float, float]:
+        return -part.keys.rail, part.keys.rail
 
 
 class HalfBridgeKeys(Section):
@@ -100,12 +106,15 @@ class HalfBridgeKeys(Section):
     )
 
 
-class HalfBridge(Driver):
+class HalfBridge(Driver[HalfBridgeKeys]):
     name, title = "half_bridge", "half-bridge with gate resistors and reservoir"
     schema = HalfBridgeKeys
     template, heading = "driver_half_bridge", "half-bridge for the chip"
     noise = ("Rout", "Rsupply", "Rhigh", "Rlow")
     opamp = None
+
+    def rails(self, part: Part[HalfBridgeKeys]) -> tuple[float, float]:
+        return 0.0, part.keys.rail
 
 
 class LinearDriverKeys(InputNoise):
@@ -116,14 +125,19 @@ class LinearDriverKeys(InputNoise):
     slew: Slew = Field(20e6, gt=0, description="Largest rate of change of the output voltage")
 
 
-class LinearDrive(CoilDriver):
+class LinearDrive(CoilDriver[LinearDriverKeys]):
     name, title = "linear_drive", "current source for coils, linear amplifier between two rails"
     schema = LinearDriverKeys
     template, heading = "driver_linear", "current source for the coils"
     noise = ("R", "Rout", "Rsense")
     constants: ClassVar = {"sense": SENSE}
 
-    def for_load(self, keys: Any, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+    def rails(self, part: Part[LinearDriverKeys]) -> tuple[float, float]:
+        return -part.keys.rail, part.keys.rail
+
+    def for_load(
+        self, keys: LinearDriverKeys, load: Load
+    ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """``drive = command + (command - V(ret)) ratio (1 + 1 / (s L / R))``, ``ratio = 2 pi f L /
         100 Ohm``, through an amplifier of five times the bandwidth ``f``."""
         ratio = 2 * math.pi * keys.bandwidth * load.inductance / SENSE
@@ -152,7 +166,7 @@ class PwmKeys(Section):
     edge: Time = Field(50e-9, gt=0, description="Rise and fall time of the switched voltage")
 
 
-class PwmDrive(CoilDriver):
+class PwmDrive(CoilDriver[PwmKeys]):
     name, title = "pwm_drive", "current source for coils, pulse-width modulated H-bridge"
     schema = PwmKeys
     template, heading = "driver_pwm", "H-bridge for the coils"
@@ -162,7 +176,7 @@ class PwmDrive(CoilDriver):
     # each ampere in it
     constants: ClassVar = {"carrier": 10.0, "headroom": 1.2, "shunt": 1, "sense": SENSE}
 
-    def for_load(self, keys: Any, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+    def for_load(self, keys: PwmKeys, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """``u = command + (command - 100 Ohm i) ratio (1 + 1 / (s L / R))``, ``ratio = 2 pi f L
         carrier / (100 Ohm rail)``, against a triangle of ``carrier``."""
         resistance = load.resistance + 2 * keys.resistance + self.constants["shunt"]
@@ -177,12 +191,12 @@ class PwmDrive(CoilDriver):
             "constant": load.inductance / resistance,
         }
 
-    def numerics(self, part: Part, scene: WiredScene) -> Iterable[Numerics]:
+    def numerics(self, part: Part[PwmKeys], scene: WiredScene) -> Iterable[Numerics]:
         f, edge = part.keys.frequency, part.keys.edge
         what = f"a tenth of a period of the carrier of {part.name}"
         return (Numerics(what, 0.1 / f, 1 / edge),)
 
-    def highest_frequency(self, part: Part, scene: DeclaredScene) -> HighestFrequency:
+    def highest_frequency(self, part: Part[PwmKeys], scene: DeclaredScene) -> HighestFrequency:
         return partial(_ripple_frequency, float(part.keys.frequency))
 
 

@@ -78,14 +78,14 @@ class NetlistKeys(Section):
     )
 
 
-class Netlist(PartType):
+class Netlist(PartType[NetlistKeys]):
     name = "netlist"
     noise = "that of its own cards"
     title = "the user's own subcircuit"
     schema = NetlistKeys
     source = "yours"
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[NetlistKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         result = []
         for name in _pins(part, scene):
             unit, flow = KINDS[part.keys.units.get(name, "V/A")]
@@ -95,7 +95,7 @@ class Netlist(PartType):
             )
         return tuple(result)
 
-    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+    def default_joins(self, part: Part[NetlistKeys], scene: GovernedScene) -> Mapping[str, str]:
         """As the driver of another part's table its ``command`` is what a controller asks for."""
         control = scene.only("pid")
         commanded = part.at[1:2] == ("driver",) and "drive" in part.pins
@@ -103,7 +103,7 @@ class Netlist(PartType):
             return {}
         return {"command": f"{control.name}.command"}
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[NetlistKeys], scene: GovernedScene) -> Iterator[UsageError]:
         pins = _pins(part, scene)
         for name, kind in part.keys.units.items():
             if name not in pins or kind not in KINDS:
@@ -136,13 +136,15 @@ class Netlist(PartType):
             if name not in pins:
                 yield part.wrong("ratings", "no such pin", name, ", ".join(pins))
 
-    def drives(self, part: Part, scene: DeclaredScene) -> bool:
+    def drives(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
         return _read(part.keys.file, scene.home, _stamp(part, scene)).excites
 
-    def library(self, part: Part, scene: Scene) -> str:
+    def library(self, part: Part[NetlistKeys], scene: Scene) -> str:
         return str(part.keys.subckt)
 
-    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+    def subcircuits(
+        self, part: Part[NetlistKeys], build: Build, header: Header
+    ) -> tuple[Subcircuit, ...]:
         result = included_netlist(part.keys.file, build.scene.home, trust=build.trust)
         pins = tuple(Pin(t.name, t.unit, t.flow) for t in build.scene.pins(part.name))
         text, file = result.text, result.file
@@ -150,7 +152,7 @@ class Netlist(PartType):
         tree = read(text, file)
         return (Subcircuit(part.keys.subckt, pins, (), tree, title=title, file=file, source=text),)
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[NetlistKeys], build: Build) -> Mapping[str, Vector]:
         """Its rated pins, and what probes name: pins, ``i(ELEMENT)``, and nodes over ``ref``."""
         scene, pins = build.scene, {t.name: t for t in build.scene.pins(part.name)}
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()
@@ -169,7 +171,7 @@ class Netlist(PartType):
                 result[name] = Vector(inner if base == "0" else f"{inner}-v({base})", 1.0, "V")
         return result
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    def checks(self, part: Part[NetlistKeys], build: Build, waves: Waveforms) -> Iterator[Check]:
         for pin, rating in part.keys.ratings.items():
             name, volts = f"{part.name}.{pin}", waves.data.get(f"{part.name}.{pin}")
             if volts is None or "time" not in waves:
@@ -184,11 +186,16 @@ class Netlist(PartType):
                 name = f"{name} within its slew rate"
                 yield Check(name, most, slack, "V ahead", RATED, wiring=True)
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[NetlistKeys], scene: Scene) -> Iterator[str]:
         yield f".subckt {part.keys.subckt} of {part.keys.file}"
 
 
-def driver(part: Part, known: Mapping[str, str], data: Mapping[str, Any]) -> dict[str, Any]:
+def driver(
+    part: Part,
+    drivers: Mapping[str, dict[str, Any]],
+    known: Mapping[str, str],
+    data: Mapping[str, Any],
+) -> dict[str, Any]:
     """Table of the one part that the key ``driver`` names, of a type ``known`` by a user's word.
 
     The first file of the scene's ``include`` is that of a netlist which names none.
@@ -197,7 +204,6 @@ def driver(part: Part, known: Mapping[str, str], data: Mapping[str, Any]) -> dic
     ------
     UsageError : not one driver, none of that type, no file.
     """
-    drivers: dict[str, dict[str, Any]] = part.keys.driver
     expected = "one table of " + ", ".join(known)
     if len(drivers) != 1:
         raise part.wrong("driver", "needs one driver", ", ".join(drivers), expected)
@@ -216,7 +222,7 @@ def driver(part: Part, known: Mapping[str, str], data: Mapping[str, Any]) -> dic
     return {**table, "part": selected, "at": (part.name, "driver", kind)}
 
 
-def _pins(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
+def _pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
     """Pins of the subcircuit in its own order.
 
     Raises
@@ -246,7 +252,7 @@ def _pins(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
     return pins
 
 
-def _probed(part: Part, scene: DeclaredScene) -> Iterator[tuple[str, str]]:
+def _probed(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str, str]]:
     """Names of the probes of this part, with the pin, node or ``i(ELEMENT)`` that each looks at;
     those of a meter at a pin are everybody's."""
     for name, probe in scene.probes.items():
@@ -268,7 +274,7 @@ def _inside(node: str, part: str = "") -> str:
     return f"i({name})" if read == "" else f"@{name}[{read}]"
 
 
-def _scope(part: Part, scene: DeclaredScene) -> Scope:
+def _scope(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
     """Its subcircuit as elements with nodes."""
     flat = read_untrusted(part.keys.file, scene.home)
     result = circuit(read(flat.text, flat.file)).find(part.keys.subckt)
@@ -277,7 +283,7 @@ def _scope(part: Part, scene: DeclaredScene) -> Scope:
     return result
 
 
-def _stamp(part: Part, scene: DeclaredScene) -> int:
+def _stamp(part: Part[NetlistKeys], scene: DeclaredScene) -> int:
     """Age of the part's file."""
     path = scene.home / part.keys.file
     return path.stat().st_mtime_ns if path.is_file() else 0

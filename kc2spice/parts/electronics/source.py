@@ -169,30 +169,33 @@ class SourceKeys(Section):
         return waves_.constant(quantity(0.0 if self.dc is None else self.dc, unit, where="dc"))
 
 
-class Source(PartType):
+class Source(PartType[SourceKeys]):
     name = "source"
     title = "independent source: voltage, current, force, displacement or acceleration"
     schema = SourceKeys
     source = "ideal source"
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[SourceKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         pins = KINDS[part.keys.kind].domain.units
         return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
 
-    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[Numerics]:
         yield from drive_scales(part.name, part.keys.waveform(scene.home))
         pulse = part.keys.pulse
         if pulse is not None and pulse.count is None and pulse.period:
             yield Numerics(part.name, period=pulse.period)
 
-    def drives(self, part: Part, scene: DeclaredScene) -> bool:
+    def voltage(self, part: Part[SourceKeys], scene: DeclaredScene) -> Waveform | None:
+        return part.keys.waveform(scene.home) if part.keys.kind == "voltage" else None
+
+    def drives(self, part: Part[SourceKeys], scene: DeclaredScene) -> bool:
         return quantity(part.keys.ac, part.keys.unit) != 0
 
-    def highest_frequency(self, part: Part, scene: DeclaredScene) -> HighestFrequency:
+    def highest_frequency(self, part: Part[SourceKeys], scene: DeclaredScene) -> HighestFrequency:
         share = 1.0 if part.keys.kind in SMOOTHED else 0.0
         return partial(_frequency_behind, part.keys.waveform(scene.home), scene.stop, share)
 
-    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[SourceKeys], scene: WiredScene) -> Rest:
         pair = (("out", "ret"),)
         if KINDS[part.keys.kind].letter == "V":
             wave = part.keys.waveform(scene.home)
@@ -202,7 +205,7 @@ class Source(PartType):
         constant = part.keys.waveform(scene.home)(np.zeros(1))[0]
         return Rest(pushed=("out", "ret") if constant else ())
 
-    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[SourceKeys], build: Build) -> tuple[Item, ...]:
         kind, ends = KINDS[part.keys.kind], [build.net(part, pin) for pin in ("out", "ret")]
         if kind.letter == "I":  # the current leaves the source at "out" and enters it at "ret"
             ends.reverse()
@@ -215,17 +218,17 @@ class Source(PartType):
         card = Element.of(f"{kind.letter}{part.name}", *ends, *words(wave), *ac)
         return (card.valued(kind.value_unit),)
 
-    def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:
+    def inner_names(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[tuple[str, ...]]:
         if _returns(part, scene):
             yield from ((part.name, word) for word in ("swept", "folded"))
 
-    def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
+    def settable(self, part: Part[SourceKeys], build: Build) -> Mapping[str, Swept]:
         kind = KINDS[part.keys.kind]
         if _returns(part, build.scene):
             return {"dc": Swept(f"V{build.inner_name(part, part.name, 'swept')}", kind.scale)}
         return {"dc": Swept(f"{kind.letter}{part.name}", kind.scale)}
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[SourceKeys], build: Build) -> Mapping[str, Vector]:
         n, kind, result = part.name, KINDS[part.keys.kind], {}
         flow = kind.domain.quantity("through")
         name, factor, unit = f"{n}.{flow.symbol}", flow.factor, flow.unit
@@ -241,7 +244,7 @@ class Source(PartType):
             result[f"{n}.{across.symbol}"] = Vector(ends, across.factor, across.unit)
         return result
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check]:
+    def checks(self, part: Part[SourceKeys], build: Build, waves: Waveforms) -> Iterator[Check]:
         """The source did what it says: compared over the whole run, at every time point."""
         result = waves.data.get(f"{part.name}.{KINDS[part.keys.kind].sets}")
         if result is None or "time" not in waves:
@@ -253,7 +256,7 @@ class Source(PartType):
         advice = "the netlist's source is not the scene's: please report it"
         yield Check(name, off, DEVIATION, "of its swing", advice, wiring=True)
 
-    def law(self, part: Part, build: Build) -> laws.Equations:
+    def law(self, part: Part[SourceKeys], build: Build) -> laws.Equations:
         n, keys = part.name, part.keys
         wave = part.keys.waveform(build.scene.home)
         unloaded = keys.kind == "voltage" and _unloaded(part, build)
@@ -269,7 +272,7 @@ class Source(PartType):
             results[through] = laws.reading(f"{n}.out.through", -1.0)
         return laws.Equations((law,), pins, results, {"dc": (n, 1.0)})
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[SourceKeys], scene: Scene) -> Iterator[str]:
         yield f"{part.keys.kind}, {part.keys.shape}"
 
 
@@ -278,14 +281,16 @@ def _frequency_behind(wave: Waveform, stop: float, share: float, constant: float
     return waveform_frequency(wave, stop, share * constant)
 
 
-def _returns(part: Part, scene: DeclaredScene) -> bool:
+def _returns(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
     """Whether a dc sweep moves it to the end and back."""
     selected = scene.analysis
     moved = selected.type == "dc" and selected.sweep == f"{part.name}.dc"
     return moved and bool(selected.back)
 
 
-def _returning(part: Part, build: Build, kind: Kind, ends: list[str]) -> Iterator[Element]:
+def _returning(
+    part: Part[SourceKeys], build: Build, kind: Kind, ends: list[str]
+) -> Iterator[Element]:
     """Source of a sweep that returns from ``to``.
 
     The simulator sweeps a voltage beyond ``to``. The source folds it at ``to``, so that both
@@ -316,7 +321,7 @@ def drive_scales(name: str, wave: Waveform) -> Iterator[Numerics]:
             yield Numerics(f"edges of {name}, {moving.min():g} s", content=EDGE / moving.min())
 
 
-def _unloaded(part: Part, build: Build) -> bool:
+def _unloaded(part: Part[SourceKeys], build: Build) -> bool:
     """Whether nothing but inputs of signals, which draw no current, listens to its voltage."""
     result = [
         build.scene.terminals[name, pin].flow for name, pin in build.scene.joined(part.name, "out")

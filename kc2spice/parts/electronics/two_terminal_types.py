@@ -31,6 +31,7 @@ from kc2spice.physics.part import DeclaredPart, across_pins
 from kc2spice.physics.symbolic import ONE, ZERO, derivative, evaluated, over, times
 from kc2spice.scene.model import (
     Build,
+    KeysT,
     Part,
     Scene,
     WiredScene,
@@ -104,7 +105,7 @@ part = "source"
     return result
 
 
-class LinearElement(DeclaredPart):
+class LinearElement(DeclaredPart[KeysT]):
     """``through = admittance d^order/dt^order`` of voltage or velocity: one plain card.
 
     Currents are not read from the device (``@r[i]``), which ngspice gives at the operating point
@@ -140,18 +141,20 @@ class LinearElement(DeclaredPart):
         value = self.branch.domain.admittance
         return ONE if value == 1 else Number(f"{value:g}")
 
-    def _number(self, part: Part, tree: Tree) -> float:
+    def _number(self, part: Part[KeysT], tree: Tree) -> float:
         return float(evaluated(tree, self.declaration.values(part.keys)))
 
-    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+    def subcircuits(
+        self, part: Part[KeysT], build: Build, header: Header
+    ) -> tuple[Subcircuit, ...]:
         return ()
 
-    def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:
+    def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterator[tuple[str, ...]]:
         n = part.name
         yield from ((f"V{n}", "meter"), (n.lower(), "metered"), (f"G{n}", "leak"))
         yield from ((name, "noise") for name in (f"R{n}", f"G{n}", n.lower()))
 
-    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[KeysT], build: Build) -> tuple[Item, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")
         admittance = times(self._unit, self.linear[1])
         if self._letter != "C":
@@ -171,7 +174,7 @@ class LinearElement(DeclaredPart):
             *(self._noise_cards(part, build, a, b) if build.noisy else ()),
         )
 
-    def _leak_cards(self, part: Part, build: Build, a: str, b: str) -> tuple[Element, ...]:
+    def _leak_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
         """A conductance by which the operating point of a floating net keeps its charge: it is in
         proportion to the capacitance, as that of a body's electrode is, so that their currents
         ``rate C v`` sum to zero where the charges ``C v`` do."""
@@ -188,7 +191,7 @@ class LinearElement(DeclaredPart):
         """Whether the noise of a resistor's card is that of the element, whose units are SI."""
         return self._unit == ONE
 
-    def _noise_cards(self, part: Part, build: Build, a: str, b: str) -> tuple[Element, ...]:
+    def _noise_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
         """Force noise ``4 k T c`` [N^2/Hz]: the voltage noise of a resistor of c ohms."""
         if not self._lossy:
             return ()
@@ -199,7 +202,7 @@ class LinearElement(DeclaredPart):
         gain = f"{self.branch.domain.quantity('through').per_unit:g}"
         return Element.of(R, node, "0", value), Element.of(G, a, b, node, "0", gain)
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
         across, n, b = across_pins(build, part, self.branch), part.name, self.branch
         voltage, flow = b.domain.across, b.domain.quantity("through")
         if self._letter == "R":
@@ -213,7 +216,7 @@ class LinearElement(DeclaredPart):
         difference = Vector(across, voltage.factor, voltage.unit)
         return {f"{n}.{b.across}": difference, f"{n}.{b.through}": through}
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str]:
         row = next(row for row in TABLE if row.name == self.name)
         yield f"{row.name.replace('_', ' ')} of {getattr(part.keys, row.key):g} {row.unit}"
 

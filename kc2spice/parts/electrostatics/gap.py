@@ -57,6 +57,7 @@ from kc2spice.scene.model import (
     DeclaredScene,
     GovernedScene,
     JoinedScene,
+    KeysT,
     Part,
     Scene,
     Terminal,
@@ -133,10 +134,10 @@ class GapKeys(_stop.Stopped):
     film: Film | None = Field(None, description="Squeezed gas film in the gap; by default none")
 
 
-class Patched(DeclaredPart):
+class Patched(DeclaredPart[KeysT]):
     """Part that acts on a row of patches ``p1`` …, whose number follows from its key ``a``."""
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         ends = {"minus": "gnd", "b": "gnd"}
         result = []
         for pin in pins_of(self.declared(part, scene)):
@@ -144,38 +145,42 @@ class Patched(DeclaredPart):
             result.append(Terminal(pin.name, pin.unit, pin.flow, end, required=required))
         return tuple(result)
 
-    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+    def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
         return {f"p{k}": port for k, port in enumerate(patches(part, scene), 1)}
 
 
-class Gap(Patched):
+class Gap(Patched[GapKeys]):
     """The part type; how many branches it has is up to its keys."""
 
     discretisations = ("film.branches",)
 
-    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
+    def declared(self, part: Part[GapKeys], scene: GovernedScene) -> Declaration:
         return self._with_branches(part, scene, branches_of(part, scene))
 
-    def built(self, part: Part, build: Build) -> Declaration:
+    def built(self, part: Part[GapKeys], build: Build) -> Declaration:
         finer = build.models.get(part.name)
         if not isinstance(finer, int):
             return self.declared(part, build.scene)
         return self._with_branches(part, build.scene, finer)
 
-    def build(self, part: Part, scene: Scene, clock: Clock, full: bool = False) -> int | None:
+    def build(
+        self, part: Part[GapKeys], scene: Scene, clock: Clock, full: bool = False
+    ) -> int | None:
         """In ``full`` the branches of its film, :data:`FINER` times those of its netlist."""
         return FINER * branches_of(part, scene) or None if full else None
 
-    def law(self, part: Part, build: Build) -> laws.Equations:
+    def law(self, part: Part[GapKeys], build: Build) -> laws.Equations:
         """Without the pins of branches that the netlist does not have: they are joined nowhere."""
         result, known = super().law(part, build), {pin.name for pin in build.scene.pins(part.name)}
         return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
 
-    def _with_branches(self, part: Part, scene: GovernedScene, branches: int) -> Declaration:
+    def _with_branches(
+        self, part: Part[GapKeys], scene: GovernedScene, branches: int
+    ) -> Declaration:
         keys, top = part.keys, highest_frequency(scene) if part.keys.film else 0.0
         return _declared(keys.model_dump_json(), len(patches(part, scene)), branches, top)
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[GapKeys], scene: GovernedScene) -> Iterator[UsageError]:
         keys, ports = part.keys, patches(part, scene)
         if not keys.travel < keys.gap:
             got, expected = f"{keys.travel:g} m", f"less than the gap, {keys.gap:g} m"
@@ -184,13 +189,13 @@ class Gap(Patched):
             got, expected = f"{len(keys.shares)} shares", f"{len(ports)}, as many as patches"
             yield part.wrong("shares", "patches and shares of the area differ", got, expected)
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[GapKeys], build: Build) -> Mapping[str, Vector]:
         """Without what nothing but rounding flows into: the films' own pins are joined nowhere."""
         result = super().vectors(part, build)
         return {name: row for name, row in result.items() if ".film_force" not in name}
 
     def checks(
-        self, part: Part, build: Build, waves: Waveforms
+        self, part: Part[GapKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
         """After a dc sweep also that no point is on the branch between pull-in and release: what
         rests has a capacitance that never falls with ``v^2``, as the coenergy's least is convex."""
@@ -208,7 +213,7 @@ class Gap(Patched):
         what = "of its capacitance, more as the voltage falls"
         yield Check(name, most, UNSTABLE, what, advice)
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(self, part: Part[GapKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Voltage at which a patch first meets the stop, and at which the last one then leaves it,
         each the mean of the two points around, and the largest travel; in ``ac`` the real part of
         force over displacement, and the imaginary one over ``2 pi f``, none where that is rounding,
@@ -241,7 +246,7 @@ class Gap(Patched):
 
 def patches(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
     """Ports of the body that a part's patches are, in their order."""
-    name = part.keys.a
+    name = getattr(part.keys, "a", "")
     if not isinstance(name, str):
         return tuple(name)
     if "." in name:
@@ -255,9 +260,9 @@ def patches(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
     return tuple(f"{name}.{port}" for port in row)
 
 
-def branches_of(part: Part, scene: GovernedScene) -> int:
+def branches_of(part: Part[GapKeys], scene: GovernedScene) -> int:
     """Terms of the series of its film that keep their spring; 0 without a film."""
-    keys: GapKeys = part.keys
+    keys = part.keys
     if keys.film is None:
         return 0
     if keys.film.branches is not None:
@@ -285,7 +290,7 @@ def truncation(film: Film, gap: float, branches: int, frequency: float) -> float
     return float(max(abs(off.imag) / total.imag, abs(off.real) / abs(total)))
 
 
-def _film_checks(part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
+def _film_checks(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
     """The error of the series at the highest frequency of a run: of its response, or that up to
     which the velocity of its patches has 99.9 % of its energy."""
     film, frequency = part.keys.film, 0.0

@@ -15,6 +15,7 @@ from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.elements import Line, noted
 from kc2spice.netlist.spelling import number
+from kc2spice.parts.magnetics.ring_magnet_coils import Coils
 from kc2spice.parts.mechanics.sphere import sphere_of
 from kc2spice.physics import coils
 from kc2spice.scene.checks import PAIRS, Check, Gate, Metric
@@ -46,24 +47,26 @@ class CurrentCasesKeys(Section):
     )
 
 
-class CurrentCases(PartType):
+class CurrentCases(PartType[CurrentCasesKeys]):
     name = "current_cases"
     title = "force on a sphere over height for every pair of coil currents"
     schema = CurrentCasesKeys
     source = "ideal sources"
 
-    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+    def expand(
+        self, part: Part[CurrentCasesKeys], data: Mapping[str, object]
+    ) -> Mapping[str, Mapping[str, object]]:
         sweep = {"type": "dc", "sweep": f"{part.name}.height", "points": HEIGHTS}
         return {"analysis": sweep}
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[CurrentCasesKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         height = Terminal.signal("y", DISPLACEMENT, signal_out=True)
         return height, Terminal.speed("v", TRANSLATION, GROUND)
 
-    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, Governed]:
+    def governs(self, part: Part[CurrentCasesKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
         return {_sphere(part, scene): "moved", _coils(part, scene).name: "copied"}
 
-    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[CurrentCasesKeys], build: Build) -> tuple[Item, ...]:
         library, y = build.libraries[_coils(part, build.scene).name], build.net(part, "y")
         height = Element.of(build.inner_name(part, "Vheight"), y, "0", "0")
         cards: list[Line] = [height.valued(DISPLACEMENT.pin_unit)]
@@ -82,24 +85,28 @@ class CurrentCases(PartType):
             ]
         return noted(cards)
 
-    def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:
+    def inner_names(
+        self, part: Part[CurrentCasesKeys], scene: WiredScene
+    ) -> Iterator[tuple[str, ...]]:
         yield ("Vheight",)
         words = "lower", "upper", "force", "Xcatch", "Ilower", "Iupper", "Vforce"
         for k in range(len(cases(part))):
             yield from ((f"{word}{k}",) for word in words)
 
-    def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
+    def settable(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, Swept]:
         keys = _coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift
         return {"height": Swept(build.inner_name(part, "Vheight"), DISPLACEMENT.per_unit, heights)}
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, Vector]:
         result = {f"{_sphere(part, build.scene)}.y": build.across(part, "y")}
         for k, name in enumerate(_forces(part, build)):
             result[name] = Vector(f"i({build.inner_name(part, f'Vforce{k}').lower()})", 1.0, "N")
         return result
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[CurrentCasesKeys], build: Build, waves: Waveforms
+    ) -> Mapping[str, object]:
         forces = [waves[name] for name in _forces(part, build)]
         largest = max(float(np.abs(force).max()) for force in forces)
         return {
@@ -109,7 +116,7 @@ class CurrentCases(PartType):
             "force_n": Metric([force.tolist() for force in forces], "N"),
         }
 
-    def law(self, part: Part, build: Build) -> laws.Equations:
+    def law(self, part: Part[CurrentCasesKeys], build: Build) -> laws.Equations:
         """The height is a source's; a force on it is the reaction to what the coils exert."""
         n, pulled, fed = part.name, _sphere(part, build.scene), _coils(part, build.scene)
         table, height = build.model(fed, EMTable), [f"{n}.out"]
@@ -124,7 +131,9 @@ class CurrentCases(PartType):
         pins, sweeps = (("y", f"{n}.out"),), {"height": (n, 1.0)}
         return laws.Equations(tuple(result), pins, results, sweeps, (tuple(height),))
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
+    def checks(
+        self, part: Part[CurrentCasesKeys], build: Build, waves: Waveforms
+    ) -> Iterator[Check | Gate]:
         """Largest change of slope from one segment of the lookup to the next, of the largest slope;
         the heights are finer than the lookup, so that a jump shows at full size."""
         forces = np.array([waves[name] for name in _forces(part, build)])
@@ -139,26 +148,26 @@ class CurrentCases(PartType):
         of = f"{_coils(part, build.scene).name}.force.*"
         yield Gate("force, of the largest", of, limits, "largest", leads=True)
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[CurrentCasesKeys], scene: Scene) -> Iterator[str]:
         yield f"{len(cases(part))} pairs of currents"
 
 
-def cases(part: Part) -> list[tuple[float, float]]:
+def cases(part: Part[CurrentCasesKeys]) -> list[tuple[float, float]]:
     """Every pair (lower, upper) of currents [A], the lower coil's slowest."""
     currents = part.keys.currents
     return [(lower, upper) for lower in currents for upper in currents]
 
 
-def _forces(part: Part, build: Build) -> list[str]:
+def _forces(part: Part[CurrentCasesKeys], build: Build) -> list[str]:
     """Names of the forces as results, one a case."""
     return [f"{_coils(part, build.scene).name}.force.{k}" for k in range(len(cases(part)))]
 
 
-def _coils(part: Part, scene: DeclaredScene) -> Part:
-    return scene.partner(part, "ring_magnet_coils")
+def _coils(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> Part[Coils]:
+    return scene.partner(part, "ring_magnet_coils").with_schema(Coils)
 
 
-def _sphere(part: Part, scene: DeclaredScene) -> str:
+def _sphere(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> str:
     return sphere_of(_coils(part, scene), scene).name
 
 

@@ -18,6 +18,7 @@ from kc2spice.core.quantities import Count, Frequency, Notch, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.elements import Line, noted
+from kc2spice.parts.bodies.piezo_stack import Stack
 from kc2spice.parts.electronics.two_terminal_types import element
 from kc2spice.scene.checks import PAIRS, Gate, Metric
 from kc2spice.scene.model import (
@@ -48,30 +49,32 @@ class PortLoadsKeys(Section):
     )
 
 
-class PortLoads(PartType):
+class PortLoads(PartType[PortLoadsKeys]):
     name = "port_loads"
     title = "unit load on every port of a body in turn, all responses"
     schema = PortLoadsKeys
     source = "unit loads"
 
-    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+    def expand(
+        self, part: Part[PortLoadsKeys], data: Mapping[str, object]
+    ) -> Mapping[str, Mapping[str, object]]:
         start, stop, points = part.keys.start, part.keys.stop, part.keys.steps
         linear = {"scale": "linear", "points": points, "stop": stop}
         return {"analysis": {"type": "ac", "start": start + (stop - start) / points, **linear}}
 
-    def drives(self, part: Part, scene: DeclaredScene) -> bool:
+    def drives(self, part: Part[PortLoadsKeys], scene: DeclaredScene) -> bool:
         return True
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[PortLoadsKeys], scene: GovernedScene) -> Iterator[UsageError]:
         body_of(part, scene)
         if part.keys.start >= part.keys.stop:
             got = f"{part.keys.start:g} … {part.keys.stop:g} Hz"
             yield part.wrong("stop", "empty frequency range", got, "start < stop")
 
-    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, Governed]:
+    def governs(self, part: Part[PortLoadsKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
         return {body_of(part, scene).name: "copied"}
 
-    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[PortLoadsKeys], build: Build) -> tuple[Item, ...]:
         body, name = body_of(part, build.scene), partial(build.inner_name, part)
         rings, library = _rings(body, build.scene), build.libraries[body.name]
         is_open = body.keys.electrical == "open"
@@ -100,7 +103,9 @@ class PortLoads(PartType):
                 ]
         return noted(cards)
 
-    def inner_names(self, part: Part, scene: WiredScene) -> Iterator[tuple[str, ...]]:
+    def inner_names(
+        self, part: Part[PortLoadsKeys], scene: WiredScene
+    ) -> Iterator[tuple[str, ...]]:
         rings = _rings(body_of(part, scene), scene)
         for load in (*rings, "anode"):
             yield from ((ring, load) for ring in rings)
@@ -109,7 +114,7 @@ class PortLoads(PartType):
             yield from ((f"{letter}charge", load) for letter in "FCR")
         yield from ((word,) for word in ("Vload", "load", "Cload", "Fload"))
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[PortLoadsKeys], build: Build) -> Mapping[str, Vector]:
         """``INPUT>OUTPUT``, complex: displacements [m], of the anode charge [C] or voltage [V]."""
         body = body_of(part, build.scene)
         rings = _rings(body, build.scene)
@@ -126,7 +131,9 @@ class PortLoads(PartType):
             )
         return result
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms
+    ) -> Mapping[str, object]:
         """``amplitude[input][output]`` per unit input, by ``frequency_hz``."""
         amplitude: dict[str, dict[str, Metric]] = {}
         units = {name: row.unit for name, row in build.records[part.name].vectors.items()}
@@ -138,7 +145,7 @@ class PortLoads(PartType):
                 )
         return {"frequency_hz": Metric(waves["frequency"].tolist(), "Hz"), "amplitude": amplitude}
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
+    def checks(self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
         """Gates of the harmonic loads; the tolerance of the reduction limits them."""
         gates, target = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
         rom = min(gates.harmonic_rom, target.tolerance or gates.harmonic_rom)
@@ -147,7 +154,9 @@ class PortLoads(PartType):
         low = {"rom_vs_fom": gates.harmonic_low}
         yield Gate("response, lowest fifth of the band", "*>*", low, "spectral", share=0.2)
 
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+    def figures(
+        self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms
+    ) -> Iterator[Figure]:
         f = waves["frequency"].real / 1e3
         rings = _rings(body_of(part, build.scene), build.scene)
         curves = tuple(Curve(ring, f, np.abs(waves[f"{ring}>{ring}"])) for ring in rings)
@@ -155,7 +164,7 @@ class PortLoads(PartType):
         caption = "Response of every port to a unit load on itself."
         yield Figure(f"{part.name}_responses", "Frequency response", caption, (panel,))
 
-    def law(self, part: Part, build: Build) -> laws.Equations | None:
+    def law(self, part: Part[PortLoadsKeys], build: Build) -> laws.Equations | None:
         """One copy of the body's law per load. A unit charge is a voltage behind a capacitance so
         small that nothing but its charge matters."""
         body = body_of(part, build.scene)
@@ -190,26 +199,31 @@ class PortLoads(PartType):
             results[f"{load}>anode"] = laws.reading(f"{name}.anode") if is_open else charge
         return laws.Equations(tuple(result), (), results, nets=tuple(nets))
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[PortLoadsKeys], scene: Scene) -> Iterator[str]:
         keys = part.keys
         yield f"{keys.steps} frequencies, {keys.start:g} … {keys.stop:g} Hz"
 
 
-def body_of(part: Part, scene: DeclaredScene) -> Part:
-    """The body that is loaded.
+def body_of(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Stack]:
+    """The stack that is loaded.
 
     Raises
     ------
-    UsageError : none is named and there is not exactly one.
+    UsageError : none is named and there is not exactly one, or the body has no rings.
     """
     if part.keys.of is not None:
-        return scene.part(part.keys.of, f"{part.name}.of")
+        body = scene.part(part.keys.of, f"{part.name}.of")
+        if not isinstance(body.keys, Stack):
+            problem, got = "this part has no rings to load", f"{body.name}, a {body.type.name}"
+            raise part.wrong("of", problem, got, "the name of a piezo_stack")
+        return body.with_schema(Stack)
     result = [p for p in scene.parts.values() if p.reduced]
-    if len(result) != 1:
-        problem = f"{part.name} needs to know which body it loads"
-        got, hint = ", ".join(p.name for p in result) or "no body", "add [kick]; an empty table "
-        raise part.wrong("of", problem, got, "the name of a body", hint + "takes the defaults")
-    return result[0]
+    if len(result) != 1 or not isinstance(result[0].keys, Stack):
+        problem = f"{part.name} needs to know which piezo_stack it loads"
+        got = ", ".join(p.name for p in result) or "no body"
+        hint = "add [kick]; an empty table takes the defaults"
+        raise part.wrong("of", problem, got, "the name of a piezo_stack", hint)
+    return result[0].with_schema(Stack)
 
 
 def _rings(body: Part, scene: WiredScene) -> tuple[str, ...]:

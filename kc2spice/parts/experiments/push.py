@@ -39,24 +39,26 @@ class PushKeys(Section):
     of: str | None = Field(None, description="Sphere that is pushed; by default the only one")
 
 
-class Push(Touching):
+class Push(Touching[PushKeys]):
     name = "push"
     title = "sphere pushed down in equal steps, each an operating point"
     schema = PushKeys
     source = "prescribed"
 
-    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+    def expand(
+        self, part: Part[PushKeys], data: Mapping[str, object]
+    ) -> Mapping[str, Mapping[str, object]]:
         points = part.keys.steps + 1
         return {"analysis": {"type": "dc", "sweep": f"{part.name}.depth", "points": points}}
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[PushKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         bottom = Terminal.signal("bottom", DISPLACEMENT, signal_out=True)
         return bottom, Terminal.speed("v", TRANSLATION, GROUND)
 
-    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, Governed]:
+    def governs(self, part: Part[PushKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
         return {sphere_of(part, scene).name: "moved"}
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[UsageError]:
         ball = sphere_of(part, scene)
         _pair(part, scene)  # says what it needs
         if part.keys.depth >= ball.keys.radius:
@@ -64,21 +66,21 @@ class Push(Touching):
             problem = "deeper than the sphere's radius"
             yield part.wrong("depth", problem, f"{part.keys.depth:g} m", expected)
 
-    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[PushKeys], build: Build) -> tuple[Item, ...]:
         drive = Element.of(f"V{part.name}", build.net(part, "bottom"), "0", "0")
         return (drive.valued(DISPLACEMENT.pin_unit),)
 
-    def settable(self, part: Part, build: Build) -> Mapping[str, Swept]:
+    def settable(self, part: Part[PushKeys], build: Build) -> Mapping[str, Swept]:
         return {"depth": Swept(f"V{part.name}", -DISPLACEMENT.per_unit, (0.0, part.keys.depth))}
 
-    def penetrations(self, part: Part, scene: GovernedScene) -> Iterator[Penetration]:
+    def penetrations(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[Penetration]:
         yield Penetration(part.keys.depth, f"{part.name}.depth")
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[PushKeys], build: Build) -> Mapping[str, Vector]:
         bottom = build.across(part, "bottom")
         return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
 
-    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(self, part: Part[PushKeys], scene: WiredScene) -> Iterator[Numerics]:
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
         if _pair(part, scene).keys.shape == "pressure":
             last = "1e-12", "the law is curved: what the last iteration leaves"
@@ -87,7 +89,7 @@ class Push(Touching):
         options = {"reltol": last, "vntol": near, "pivrel": ("0.9", pivots)}
         yield Numerics("imprint", options=options)
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Force of one symmetry sector at each depth, and the largest."""
         pair = _pair(part, build.scene)
         force = waves[f"{pair.part.name}.force"] / pair.a.sectors
@@ -97,7 +99,7 @@ class Push(Touching):
             "force_n": Metric(force.tolist(), "N"),
         }
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
+    def checks(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
         pair, gates = _pair(part, build.scene), build.scene.gates
         # The first depths are contacts of one basis function, which the law does not resolve: all
         # errors are of the largest force then, and against the full model those of the basis.
@@ -110,18 +112,18 @@ class Push(Touching):
         measure: Measure = "largest" if law else "relative"
         yield Gate("static force", f"{pair.part.name}.force", limits, measure, leads=True)
 
-    def law(self, part: Part, build: Build) -> laws.Equations:
+    def law(self, part: Part[PushKeys], build: Build) -> laws.Equations:
         n = part.name
         source = laws.IdealSource(n, "displacement", constant(0.0))
         results = {f"{n}.depth": laws.reading(f"{n}.out", -1.0)}
         return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[PushKeys], scene: Scene) -> Iterator[str]:
         keys = part.keys
         yield f"{keys.steps} steps down to {keys.depth:g} m"
 
 
-def _pair(part: Part, scene: GovernedScene) -> Pair:
+def _pair(part: Part[PushKeys], scene: GovernedScene) -> Pair:
     """Contact pair of the sphere and the surface that it is pushed into."""
     return pair_of(scene.partner(part, "contact"), scene)
 

@@ -38,34 +38,39 @@ class ThrowKeys(Section):
     of: str | None = Field(None, description="Sphere that is thrown; by default the only one")
 
 
-class Throw(_touching.Touching):
+class Throw(_touching.Touching[ThrowKeys]):
     name = "throw"
     title = "velocity and height of a sphere at t = 0"
     schema = ThrowKeys
     source = "initial state"
 
-    def cards(self, part: Part, build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[ThrowKeys], build: Build) -> tuple[Item, ...]:
         return ()
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[ThrowKeys], scene: GovernedScene) -> Iterator[UsageError]:
         sphere_of(part, scene)
         if part.keys.velocity >= 0:
             got = f"{part.keys.velocity:g} m/s"
             yield part.wrong("velocity", "the sphere never arrives", got, "negative (downwards)")
 
-    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, State]:
+    def governs(self, part: Part[ThrowKeys], scene: DeclaredScene) -> Mapping[str, State]:
         return {sphere_of(part, scene).name: State(part.keys.velocity, part.keys.gap)}
 
-    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[Numerics]:
         """Numerical requirements: the allowed charge error falls with the speed of the impact."""
         speed = max(1e-3, _arriving(part, scene))
         yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
-    def penetrations(self, part: Part, scene: GovernedScene) -> Iterator[_touching.Penetration]:
+    def penetrations(
+        self, part: Part[ThrowKeys], scene: GovernedScene
+    ) -> Iterator[_touching.Penetration]:
         ball, speed = sphere_of(part, scene), _arriving(part, scene)
-        yield from _touching.impact_penetration(ball, scene, speed, f"impact at {speed:.3g} m/s")
+        why, mass = f"impact at {speed:.3g} m/s", ball.keys.mass
+        yield from _touching.impact_penetration(ball, mass, scene, speed, why)
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[ThrowKeys], build: Build, waves: Waveforms
+    ) -> Mapping[str, object]:
         """Positions from the touching height, the force of one symmetry sector."""
         pair = _touching.only_pair(build.scene)
         if pair is None or "time" not in waves:
@@ -83,7 +88,7 @@ class Throw(_touching.Touching):
             "max_force_n": Metric(float(force.max() / pair.a.sectors), "N"),
         }
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Gate]:
+    def checks(self, part: Part[ThrowKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
         gates, ball = build.scene.gates, sphere_of(part, build.scene).name
         pair = _touching.only_pair(build.scene)
         law = pair.unresolved() if pair else 0.0
@@ -94,16 +99,16 @@ class Throw(_touching.Touching):
         time = dict.fromkeys(PAIRS, gates.separation_time)
         yield Gate("separation time", "separation_time_s", time, "absolute", "s")
 
-    def law(self, part: Part, build: Build) -> laws.Equations:
+    def law(self, part: Part[ThrowKeys], build: Build) -> laws.Equations:
         """None of its own: the sphere starts as it says."""
         return laws.Equations()
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[ThrowKeys], scene: Scene) -> Iterator[str]:
         keys = part.keys
         yield f"{keys.velocity:g} m/s from {keys.gap:g} m"
 
 
-def _arriving(part: Part, scene: DeclaredScene) -> float:
+def _arriving(part: Part[ThrowKeys], scene: DeclaredScene) -> float:
     """Speed [m/s] of the impact."""
     return math.sqrt(part.keys.velocity**2 + 2 * max(scene.gravity, 0.0) * part.keys.gap)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
@@ -11,6 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
+from typing_extensions import TypeVar
 
 from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError
@@ -153,7 +155,7 @@ def _branches(keys: Moving, loops: int) -> tuple[Branch, ...]:
 
 @cache
 def _declared(
-    kind: MovingConductor,
+    kind: MovingBody,
     branches: tuple[Branch, ...],
     low: str = "",
     high: str = "",
@@ -174,7 +176,7 @@ def _declared(
     )
 
 
-def declared(part: Part, model: Ladder) -> Declaration:
+def declared(part: Part[Moving], model: Ladder) -> Declaration:
     """Its coenergy ``i' L i / 2`` with the couplings as power series of the height, and losses. Of
     a magnet, which has no loop with a rate, they are those of a tesla."""
     keys, coils = part.keys, list(map(_coil, part.keys.coils))
@@ -203,26 +205,26 @@ def declared(part: Part, model: Ladder) -> Declaration:
     )
 
 
-class MovingConductor(DeclaredPart):
-    name = "moving_conductor"
-    title = "conducting body that moves along coils and magnets (eddy currents)"
-    discretisations: ClassVar[tuple[str, ...]] = ("rings", "frequency", "tolerance")
-    schema: type[Section] = MovingConductorKeys
-    parameters: ClassVar[type[Section]] = Conduction
-    rating = "not known; i^2 resistance heats each coil, the eddy currents the body"
-    source = "rings (integral equation, axisymmetric), reduced"
-    results_of_model = True  # as many loops as it has
+MovingT = TypeVar("MovingT", bound=Moving, default=Moving)
 
-    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
+
+class MovingBody(DeclaredPart[MovingT]):
+    """A body that moves in the field of coils and magnets."""
+
+    results_of_model = True  # as many loops as it has
+    parameters: ClassVar[type[Section]]
+    rating: ClassVar[str]
+
+    def numerics(self, part: Part[MovingT], scene: WiredScene) -> Iterator[Numerics]:
         return settling(part, scene)
 
-    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
+    def declared(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
         return _declared(self, _branches(part.keys, 0))
 
-    def built(self, part: Part, build: Build) -> Declaration:
+    def built(self, part: Part[MovingT], build: Build) -> Declaration:
         return declared(part, build.model(part, Ladder))
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[MovingT], scene: GovernedScene) -> Iterator[UsageError]:
         keys = part.keys
         if keys.y_min >= keys.y_max:
             got = f"{keys.y_min:g} … {keys.y_max:g} m"
@@ -252,16 +254,7 @@ class MovingConductor(DeclaredPart):
                 expected = f"y_min of at least {over:g} m, or y_max of at most {under:g} m"
                 yield part.wrong(where, f"the body touches the {what}", got, expected)
 
-    def misshapen(self, part: Part) -> Iterator[UsageError]:
-        """Faults of its shape."""
-        keys = part.keys
-        if keys.shape == "disc" and not keys.thickness:
-            yield part.wrong("thickness", "a disc needs a thickness", "none", "a length above zero")
-        if keys.shape == "sphere" and (keys.inner or keys.thickness):
-            got = f"inner {keys.inner:g} m, thickness {keys.thickness}"
-            yield part.wrong("shape", "a sphere has a radius alone", got, "neither of them")
-
-    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+    def outline(self, part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
         for name, coil in part.keys.coils.items():
             for side in (-1, 1):
                 label = f"{part.name}: coil {name}, {coil.turns:g} turns" if side > 0 else ""
@@ -269,26 +262,7 @@ class MovingConductor(DeclaredPart):
 
     # --- model ------------------------------------------------------------------------------
 
-    def resolved(self, part: Part, scene: Scene) -> float:
-        """Frequency [Hz] up to which its eddy currents are resolved."""
-        return float(part.keys.frequency or max(LEAST, highest_frequency(scene, _lag(part, scene))))
-
-    def field(
-        self, keys: Any, fixed: list[Winding], tolerance: float, rings: int, frequency: float
-    ) -> Ladder:
-        """Couplings of its loops with its coils and with ``fixed`` currents, and their rates."""
-        body, coils = _divided(keys, rings, frequency), windings(keys)
-        settings = keys.y_min, keys.y_max, keys.conductivity, frequency, tolerance
-        return ladder(body, coils, fixed, *settings)
-
-    def refined(self, ladder: Ladder, keys: Any, fixed: list[Winding], rings: int) -> Ladder:
-        """The loops with the error of their rings: of second order in the size of a ring, thus in
-        proportion to the reciprocal of their number, and so is what finer ones change."""
-        finer = _divided(keys, FINER * rings, ladder.frequency)
-        changed = roughness(finer, ladder, windings(keys), fixed, keys.conductivity)
-        return replace(ladder, rough=changed / max(1 - ladder.rings / finer.r.size, LEAST_CHANGE))
-
-    def build(self, part: Part, scene: Scene, clock: Clock, full: bool = False) -> Ladder:
+    def build(self, part: Part[MovingT], scene: Scene, clock: Clock, full: bool = False) -> Ladder:
         """In ``full`` more loops of more rings up to twice the highest frequency of the scene and
         of the netlist, couplings of a closer fit."""
         keys, frequency = part.keys, self.resolved(part, scene)
@@ -312,7 +286,7 @@ class MovingConductor(DeclaredPart):
             details = str(error.message), error.got, error.expected, error.hint
             raise part.wrong("y_max", *details) from None
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(self, part: Part[MovingT], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Heights and times at which it turns back, see :func:`turns`."""
         if "time" not in waves or f"{part.name}.y" not in waves:
             return {}
@@ -326,7 +300,7 @@ class MovingConductor(DeclaredPart):
         }
 
     def checks(
-        self, part: Part, build: Build, waves: Waveforms
+        self, part: Part[MovingT], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
         result = build.model(part, Ladder)
         loops, limit = result.rates.size, part.keys.tolerance
@@ -351,7 +325,7 @@ class MovingConductor(DeclaredPart):
             yield Gate(words, of, limits, "travel", discretisation=True)
         yield from super().checks(part, build, waves)
 
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+    def figures(self, part: Part[MovingT], build: Build, waves: Waveforms) -> Iterator[Figure]:
         y = waves.data.get(f"{part.name}.y")
         if y is not None and "time" in waves:
             path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
@@ -360,7 +334,73 @@ class MovingConductor(DeclaredPart):
             title = f"Path of {part.name}"
             yield Figure(f"{part.name}_height", title, caption, (panel,), main=True)
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+    def discretisation(self, part: Part[MovingT], build: Build) -> str:
+        return _of_rings(build.model(part, Ladder)) or f"no mesh: {CIRCLES}"
+
+    @abstractmethod
+    def field(
+        self, keys: MovingT, fixed: list[Winding], tolerance: float, rings: int, frequency: float
+    ) -> Ladder:
+        """Couplings of its loops with its coils and with ``fixed`` currents, and their rates."""
+
+    def misshapen(self, part: Part[MovingT]) -> Iterator[UsageError]:
+        """Faults of its shape."""
+        return iter(())
+
+    def resolved(self, part: Part[MovingT], scene: Scene) -> float:
+        """Frequency [Hz] up to which its eddy currents are resolved."""
+        return 0.0
+
+    def refined(self, ladder: Ladder, keys: MovingT, fixed: list[Winding], rings: int) -> Ladder:
+        """The loops with the error of their rings."""
+        return ladder
+
+
+class MovingConductor(MovingBody[MovingConductorKeys]):
+    name = "moving_conductor"
+    title = "conducting body that moves along coils and magnets (eddy currents)"
+    schema = MovingConductorKeys
+    discretisations: ClassVar[tuple[str, ...]] = ("rings", "frequency", "tolerance")
+    parameters: ClassVar[type[Section]] = Conduction
+    rating = "not known; i^2 resistance heats each coil, the eddy currents the body"
+    source = "rings (integral equation, axisymmetric), reduced"
+
+    def misshapen(self, part: Part[MovingConductorKeys]) -> Iterator[UsageError]:
+        """Faults of its shape."""
+        keys = part.keys
+        if keys.shape == "disc" and not keys.thickness:
+            yield part.wrong("thickness", "a disc needs a thickness", "none", "a length above zero")
+        if keys.shape == "sphere" and (keys.inner or keys.thickness):
+            got = f"inner {keys.inner:g} m, thickness {keys.thickness}"
+            yield part.wrong("shape", "a sphere has a radius alone", got, "neither of them")
+
+    def resolved(self, part: Part[MovingConductorKeys], scene: Scene) -> float:
+        """Frequency [Hz] up to which its eddy currents are resolved."""
+        return float(part.keys.frequency or max(LEAST, highest_frequency(scene, _lag(part, scene))))
+
+    def field(
+        self,
+        keys: MovingConductorKeys,
+        fixed: list[Winding],
+        tolerance: float,
+        rings: int,
+        frequency: float,
+    ) -> Ladder:
+        """Couplings of its loops with its coils and with ``fixed`` currents, and their rates."""
+        body, coils = _divided(keys, rings, frequency), windings(keys)
+        settings = keys.y_min, keys.y_max, keys.conductivity, frequency, tolerance
+        return ladder(body, coils, fixed, *settings)
+
+    def refined(
+        self, ladder: Ladder, keys: MovingConductorKeys, fixed: list[Winding], rings: int
+    ) -> Ladder:
+        """The loops with the error of their rings: of second order in the size of a ring, thus in
+        proportion to the reciprocal of their number, and so is what finer ones change."""
+        finer = _divided(keys, FINER * rings, ladder.frequency)
+        changed = roughness(finer, ladder, windings(keys), fixed, keys.conductivity)
+        return replace(ladder, rough=changed / max(1 - ladder.rings / finer.r.size, LEAST_CHANGE))
+
+    def notes(self, part: Part[MovingConductorKeys], scene: Scene) -> Iterator[str | Neglected]:
         keys, frequency = part.keys, self.resolved(part, scene)
         yield (
             f"{len(keys.coils)} coils, eddy currents as loops to {keys.tolerance:g} of flux and "
@@ -373,9 +413,6 @@ class MovingConductor(DeclaredPart):
         )
         yield Neglected("eddy currents in the coils' wires", "thin wires", "not estimated")
         yield Neglected("tilting and sideways motion", "one degree of freedom", "not estimated")
-
-    def discretisation(self, part: Part, build: Build) -> str:
-        return _of_rings(build.model(part, Ladder)) or f"no mesh: {CIRCLES}"
 
 
 def _of_rings(model: Ladder) -> str:
@@ -401,12 +438,12 @@ def turns(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
     return result
 
 
-def _depth(keys: Any, frequency: float) -> float:
+def _depth(keys: MovingConductorKeys, frequency: float) -> float:
     """Skin depth [m]: ``1 / sqrt(pi f MU_0 conductivity)``."""
     return 1 / math.sqrt(math.pi * frequency * MU_0 * keys.conductivity)
 
 
-def _divided(keys: Any, rings: int, frequency: float) -> Cells:
+def _divided(keys: MovingConductorKeys, rings: int, frequency: float) -> Cells:
     """The body in rings, fine enough for the skin depth at a frequency [Hz]."""
     box = keys.inner, keys.radius, -_tall(keys) / 2, _tall(keys) / 2, rings
 
@@ -417,7 +454,7 @@ def _divided(keys: Any, rings: int, frequency: float) -> Cells:
     return divide_section(*box, inside if ball else None, _depth(keys, frequency))
 
 
-def _lag(part: Part, scene: WiredScene) -> float:
+def _lag(part: Part[Moving], scene: WiredScene) -> float:
     """The least time constant [s] of its coils with the resistors in series."""
     result = []
     for name, coil, winding in zip(
@@ -428,14 +465,17 @@ def _lag(part: Part, scene: WiredScene) -> float:
     return min(result, default=0.0)
 
 
-def _in_series(part: Part, scene: WiredScene, pins: set[str]) -> float:
+def _in_series(part: Part[Moving], scene: WiredScene, pins: set[str]) -> float:
     """Sum of the resistors [Ohm] at one of two pins of a coil and not at the other."""
     coil_nets = {scene.net(part.name, pin) for pin in pins} - {"0"}
-    ends = ((r, {scene.net(r.name, pin) for pin in "ab"}) for r in scene.of("resistor"))
-    return sum(r.keys.resistance for r, nets in ends if len(nets & coil_nets) == 1)
+    result = 0.0
+    for resistor in scene.of("resistor"):
+        if len({scene.net(resistor.name, pin) for pin in "ab"} & coil_nets) == 1:
+            result += resistor.keys.model_dump()["resistance"]
+    return result
 
 
-def _seen_frequency(part: Part, build: Build, waves: Waveforms) -> float:
+def _seen_frequency(part: Part[Moving], build: Build, waves: Waveforms) -> float:
     """Highest frequency [Hz] of what a run did: of its response, or of the coils' currents."""
     if "frequency" in waves:
         return float(waves["frequency"].real[-1])

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
-from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import MU_0, FluxDensity, Length, Notch, Ratio, Section
 from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import Ladder, Winding, current_body
-from kc2spice.parts.magnetics.moving_conductor import Moving, MovingConductor, sheets, windings
+from kc2spice.parts.magnetics.moving_conductor import Moving, MovingBody, sheets, windings
 from kc2spice.scene.model import (
     Part,
     Scene,
@@ -60,7 +59,7 @@ def demagnetising(inner: float, outer: float, height: float) -> float:
     return 1 - linked * height / (MU_0 * math.pi * (outer**2 - inner**2))
 
 
-class MovingMagnet(MovingConductor):
+class MovingMagnet(MovingBody[MovingMagnetKeys]):
     name = "moving_magnet"
     title = "magnet that moves along coils and magnets"
     discretisations = ("tolerance",)
@@ -96,14 +95,13 @@ part = "source"
 sine = { amplitude = "1 V", frequency = "50 Hz" }
 """
 
-    def misshapen(self, part: Part) -> Iterator[UsageError]:
-        return iter(())
-
-    def resolved(self, part: Part, scene: Scene) -> float:
-        return 0.0
-
     def field(
-        self, keys: Any, fixed: list[Winding], tolerance: float, rings: int, frequency: float
+        self,
+        keys: MovingMagnetKeys,
+        fixed: list[Winding],
+        tolerance: float,
+        rings: int,
+        frequency: float,
     ) -> Ladder:
         shape = keys.inner, keys.radius, keys.thickness
         share = 1 / (1 + demagnetising(*shape) * (keys.mu_r - 1))
@@ -112,9 +110,9 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
             sheets(ring, share), windings(keys), fixed, keys.y_min, keys.y_max, tolerance
         )
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[MovingMagnetKeys], scene: Scene) -> Iterator[str | Neglected]:
         yield f"{len(part.keys.coils)} coils, exact in currents, power series of the height"
-        keys: MovingMagnetKeys = part.keys
+        keys = part.keys
         extra = keys.mu_r - 1
         factor = demagnetising(keys.inner, keys.radius, keys.thickness)
         yield Neglected(

@@ -31,6 +31,7 @@ from kc2spice.netlist.circuit import positive
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import number
 from kc2spice.parts.bodies._pictures import impedances
+from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics.netlist import driver
 from kc2spice.parts.mechanics._touching import Penetration, Touching, impact_penetration
 from kc2spice.parts.mechanics.sphere import offset, sphere_of
@@ -241,21 +242,24 @@ def _lookup(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
     return [", ".join(points[k : k + 5]) for k in range(0, len(points), 5)]
 
 
-class RingMagnetCoils(Touching):
+class RingMagnetCoils(Touching[Coils]):
     name = "ring_magnet_coils"
     title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
     schema = Coils
     source = "FE (magnetostatic, axisymmetric)"
     discretisations = ("positions", "refine")
 
-    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+    def expand(
+        self, part: Part[Coils], data: Mapping[str, object]
+    ) -> Mapping[str, Mapping[str, object]]:
         if part.keys.driver is None:
             return {}
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
         pins = {"drive": f"{part.name}.up", "ret": f"{part.name}.lp"}
-        return {f"{part.name}_driver": {**driver(part, known, data), "pins": pins}}
+        table = driver(part, part.keys.driver or {}, known, data)
+        return {f"{part.name}_driver": {**table, "pins": pins}}
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[Coils], scene: JoinedScene) -> tuple[Terminal, ...]:
         if not real(part, scene):
             rest = None if _driven(part, scene) else "gnd"
             return (*(replace(end, default=rest) for end in SERIES_PINS[:2]), *PLACE)
@@ -263,12 +267,12 @@ class RingMagnetCoils(Touching):
             replace(pin, default=f"{part.name}.un") if pin.name == "ln" else pin for pin in PINS
         )
 
-    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+    def default_joins(self, part: Part[Coils], scene: GovernedScene) -> Mapping[str, str]:
         ball = sphere_of(part, scene).name
         ball = scene.movers.get(ball) or ball
         return {"y": f"{ball}.y", "v": f"{ball}.v"}
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[Coils], scene: GovernedScene) -> Iterator[UsageError]:
         keys, name, ball = part.keys, part.name, sphere_of(part, scene)
         radius = ball.keys.radius
         if keys.y_min >= keys.y_max:
@@ -315,13 +319,14 @@ class RingMagnetCoils(Touching):
         long = "field and force fall off with the fourth power of the distance"
         yield from within(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
 
-    def penetrations(self, part: Part, scene: GovernedScene) -> Iterator[Penetration]:
+    def penetrations(self, part: Part[Coils], scene: GovernedScene) -> Iterator[Penetration]:
         sphere = sphere_of(part, scene)
         drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)
         speed = math.sqrt(max(0.0, drop))
-        yield from impact_penetration(sphere, scene, speed, f"fall from {part.name}.y_max")
+        why, mass = f"fall from {part.name}.y_max", sphere.keys.mass
+        yield from impact_penetration(sphere, mass, scene, speed, why)
 
-    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+    def outline(self, part: Part[Coils], scene: Scene) -> Iterator[Shape]:
         keys = part.keys
         coils, magnet = f"coil, {keys.turns} turns", f"ring magnet, {keys.remanence:g} T"
         rows: tuple[tuple[Literal["magnet", "coil"], Ring, str], ...] = (
@@ -335,17 +340,17 @@ class RingMagnetCoils(Touching):
                 x, wide = side * (ring.inner + ring.outer) / 2, ring.outer - ring.inner
                 yield Shape(x, ring.y + keys.shift, wide, ring.height, kind, label)
 
-    def _unit(self, part: Part, count: int) -> Catch:
+    def _unit(self, part: Part[Coils], count: int) -> Catch:
         """Keys on which a table depends, besides the sphere's radius."""
         alone = {"remanence": 1.0, "shift": 0.0, "points": POINTS, "positions": count}
         return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields} | alone)
 
-    def model_key(self, part: Part, scene: Scene) -> Mapping[str, Any]:
+    def model_key(self, part: Part[Coils], scene: Scene) -> Mapping[str, Any]:
         """Keys on which its table depends."""
         catch = self._unit(part, part.keys.positions).model_dump(mode="json")
         return {"catch": catch, "radius": sphere_of(part, scene).keys.radius}
 
-    def build(self, part: Part, scene: Scene, clock: Clock, full: bool = False) -> EMTable:
+    def build(self, part: Part[Coils], scene: Scene, clock: Clock, full: bool = False) -> EMTable:
         """Compute the table for unit remanence, then scale and shift it, which is exact.
 
         A ``full`` table is so dense that the interpolation error of its splines is ``DENSER**4``
@@ -364,10 +369,12 @@ class RingMagnetCoils(Touching):
         table = cached("catch", key, build, classes=(EMTable,), sources=SOURCES)
         return table.magnetised(keys.remanence, keys.shift)
 
-    def library(self, part: Part, scene: Scene) -> str:
+    def library(self, part: Part[Coils], scene: Scene) -> str:
         return "coil" if _apart(part, scene) and part.name == "catch" else part.name
 
-    def subcircuits(self, part: Part, build: Build, header: Header) -> tuple[Subcircuit, ...]:
+    def subcircuits(
+        self, part: Part[Coils], build: Build, header: Header
+    ) -> tuple[Subcircuit, ...]:
         keys, name, apart = part.keys, build.libraries[part.name], _apart(part, build.scene)
         rating = f"{rated_heating(keys):.3g} A^2 s in each coil, the integral of i^2 that "
         rating += f"warms its copper by {keys.rated_rise:g} K without cooling; steady current: not "
@@ -375,7 +382,7 @@ class RingMagnetCoils(Touching):
         words: dict[str, Any] = {"apart": apart, "points": keys.points, "rating": rating}
         return (coils_subcircuit(header, build.model(part, EMTable), name, **words),)
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[Coils], build: Build) -> Mapping[str, Vector]:
         if not _driven(part, build.scene):
             return {}
         prefix, inst = label(part), f"x{part.name.lower()}"
@@ -390,7 +397,7 @@ class RingMagnetCoils(Touching):
             result[f"{prefix}.voltage"] = Vector(f"v({up})-v({lp})", 1.0, "V")
         return result
 
-    def forces(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
+    def forces(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
         if y is None or beyond(build.model(part, EMTable), y) > 0:
             return {}
@@ -399,7 +406,7 @@ class RingMagnetCoils(Touching):
         upper = waves.data.get(f"{label(part)}.upper.current", zero)
         return {"v": np.asarray(build.model(part, EMTable).coenergy.force(y, lower, upper))}
 
-    def law(self, part: Part, build: Build) -> laws.Equations:
+    def law(self, part: Part[Coils], build: Build) -> laws.Equations:
         n, scene, table = part.name, build.scene, build.model(part, EMTable)
         prefix, apart = label(part), real(part, scene)
         stated, ends = coils.resistive(), (("drive.through", -1.0), ("drive.through", 1.0))
@@ -414,7 +421,7 @@ class RingMagnetCoils(Touching):
             results[f"{prefix}.voltage"] = laws.difference(f"{n}.up", f"{n}.lp")
         return laws.Equations((law,), pins, results)
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, object]:
         if f"{label(part)}.voltage" not in waves:
             return {}
         current = waves[f"{label(part)}.upper.current"]
@@ -425,7 +432,7 @@ class RingMagnetCoils(Touching):
         }
 
     def finer_mesh(
-        self, part: Part, build: Build, clock: Clock, most: float
+        self, part: Part[Coils], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
         """Force and inductance at some heights, with cells half as wide."""
         from kc2spice.fem.magnet_field import catch_table, some_positions
@@ -456,7 +463,7 @@ class RingMagnetCoils(Touching):
         changed /= np.abs(fine.inductance).max()
         yield Check(f"mesh of {part.name} half as wide, inductance", float(changed), COARSE)
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
+    def checks(self, part: Part[Coils], build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
         if y is None or "time" not in waves:
             return
@@ -486,7 +493,9 @@ class RingMagnetCoils(Touching):
         check = Check("table_left", beyond(table, y), 0.0, "m", advice, action)
         yield replace(check, distance=distance, travel=travel)
 
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure | Written]:
+    def figures(
+        self, part: Part[Coils], build: Build, waves: Waveforms
+    ) -> Iterator[Figure | Written]:
         prefix = label(part)
         currents = _coil_currents(part, waves)
         if "time" in waves and len(currents) == len(COILS):
@@ -509,7 +518,7 @@ class RingMagnetCoils(Touching):
         file = "em_table.npz" if alone else f"{part.name}_table.npz"
         yield Written(file, lambda path: np.savez_compressed(path, **arrays))
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[Coils], scene: Scene) -> Iterator[str | Neglected]:
         """Eddy currents die away with the diffusion time ``mu sigma R^2 / pi^2`` of a sphere."""
         yield f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
         if real(part, scene):
@@ -535,7 +544,7 @@ class RingMagnetCoils(Touching):
             )
 
 
-def force_map(part: Part, build: Build) -> Figure:
+def force_map(part: Part[Coils], build: Build) -> Figure:
     """Force over height without current, with both currents, and with opposite ones."""
     table = build.model(part, EMTable)
     limit = largest_current(part, build.scene) or USUAL_CURRENT
@@ -553,7 +562,7 @@ def force_map(part: Part, build: Build) -> Figure:
     return Figure(f"{part.name}_force", "Force map", caption, (panel,))
 
 
-def coil_impedance(part: Part, build: Build) -> Figure:
+def coil_impedance(part: Part[Coils], build: Build) -> Figure:
     """``|R + j w L|`` of the coils, alone and in series as one current with two signs sees them."""
     table = build.model(part, EMTable)
     matrix = table.coenergy.inductances(0.5 * (table.y[0] + table.y[-1]))
@@ -564,23 +573,23 @@ def coil_impedance(part: Part, build: Build) -> Figure:
     return impedances(part.name, f, z, how + "of the windings left out.")
 
 
-def label(part: Part) -> str:
+def label(part: Part[Coils]) -> str:
     """First word of its results: ``coil`` for the paper's catch, else its own name."""
     return "coil" if part.name == "catch" else part.name
 
 
-def real(part: Part, scene: DeclaredScene) -> bool:
+def real(part: Part[Coils], scene: DeclaredScene) -> bool:
     """Whether its coils have inductance and back-EMF: where a circuit drives their terminals."""
     joined = any(scene.is_target(part.name, pin) or pin in part.pins for pin in ENDS)
     return bool(part.keys.driver) or joined
 
 
-def _apart(part: Part, scene: DeclaredScene) -> bool:
+def _apart(part: Part[Coils], scene: DeclaredScene) -> bool:
     """Whether its netlist has terminals of both coils: real ones, or of cases that feed each."""
     return real(part, scene) or bool(scene.of("current_cases"))
 
 
-def _coil_currents(part: Part, waves: Waveforms) -> dict[str, np.ndarray]:
+def _coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]:
     """Return the recorded currents [A] of the coils, the upper one first."""
     result = {}
     for coil in reversed(COILS):
@@ -590,7 +599,7 @@ def _coil_currents(part: Part, waves: Waveforms) -> dict[str, np.ndarray]:
     return result
 
 
-def _driven(part: Part, scene: JoinedScene) -> bool:
+def _driven(part: Part[Coils], scene: JoinedScene) -> bool:
     """Whether the part joins pins, or another part joins a pin of its coils."""
     targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", *ENDS)}
     for other in scene.parts.values():
@@ -600,12 +609,12 @@ def _driven(part: Part, scene: JoinedScene) -> bool:
     return bool(part.pins)
 
 
-def largest_current(part: Part, scene: JoinedScene) -> float:
+def largest_current(part: Part[Coils], scene: JoinedScene) -> float:
     """Largest coil current [A] that a controller of the scene asks for.
 
     1 A where something drives the coils that tells no limit, 0 where nothing does.
     """
-    limits = [pid.keys.current_limit for pid in scene.of("pid")]
+    limits = [pid.keys.current_limit for pid in scene.of_schema("pid", Control)]
     return float(max(limits, default=1.0 if _driven(part, scene) else 0.0))
 
 

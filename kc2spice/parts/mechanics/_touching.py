@@ -6,14 +6,17 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kc2spice.parts.electronics.source import SourceKeys
+from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.physics.contact import Normal
 from kc2spice.scene.model import (
     GROUND,
     GovernedScene,
+    KeysT,
     Part,
     PartType,
     WiredScene,
@@ -93,16 +96,16 @@ class Penetration:
     why: str
 
 
-class Touching(PartType):
+class Touching(PartType[KeysT]):
     """Base of types that offer a surface to contacts, or press those of a scene together."""
 
     def surface(
-        self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()
+        self, part: Part[KeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> Surface | None:
         """Surface for a contact; None if the part cannot touch."""
         return None
 
-    def penetrations(self, part: Part, scene: GovernedScene) -> Iterable[Penetration]:
+    def penetrations(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[Penetration]:
         """Largest indentation that the part can cause in each contact of the scene."""
         return ()
 
@@ -125,11 +128,11 @@ def ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
 class Pair:
     """Both sides of a contact: ``a`` with one or several ports, and ``b``, whose rise opens it."""
 
-    part: Part
+    part: Part[ContactKeys]
     scene: GovernedScene
 
     @property
-    def keys(self) -> Any:
+    def keys(self) -> ContactKeys:
         """Keys of the contact."""
         return self.part.keys
 
@@ -188,7 +191,7 @@ class Pair:
         if rings == "all" or len(ports) == 1 or list(self.a.distance) != sorted(self.a.distance):
             return ports
         if rings == "needed":
-            rings = max(1, int(np.count_nonzero(self.gaps < self.deepest.depth)))
+            return ports[: max(1, int(np.count_nonzero(self.gaps < self.deepest.depth)))]
         return ports[:rings]
 
     @cached_property
@@ -345,7 +348,7 @@ def pair_of(contact: Part, scene: GovernedScene) -> Pair:
     """Both sides of a contact, as its record has them."""
     record = scene.record(contact)
     if record is None or not isinstance(record.detail, Pair):
-        return Pair(contact, scene)
+        return Pair(contact.with_schema(ContactKeys), scene)
     return record.detail
 
 
@@ -372,14 +375,14 @@ def _dented_by(nodes: bytes, compliance: bytes, radius: float) -> Indented:
 
 
 def impact_penetration(
-    sphere: Part, scene: GovernedScene, speed: float, why: str
+    sphere: Part, mass: float, scene: GovernedScene, speed: float, why: str
 ) -> Iterator[Penetration]:
     """How deep a sphere that arrives with ``speed`` [m/s] goes into the bodies that it touches.
 
     No state of the body stores less energy under a dent than the static one, so what the static
     law needs to stop the sphere is a bound: ``m v^2 / 2 = 8/15 E sqrt(R) d^(5/2)`` (Hertz 1881).
     """
-    energy = 0.5 * sphere.keys.mass * speed**2
+    energy = 0.5 * mass * speed**2
     for contact in scene.of("contact"):
         pair = pair_of(contact, scene)
         if pair.b.part == sphere.name and pair.b.radius and (modulus := pair.a.modulus):
@@ -439,7 +442,7 @@ def busy_until(scene: WiredScene) -> float:
     Infinite where one never does or there is none.
     """
     ends = []
-    for source in scene.of("source"):
+    for source in scene.of_schema("source", SourceKeys):
         wave, joined = source.keys.waveform(scene.home), scene.joined(source.name, "out")
         if all(scene.parts[name].type.name == "pid" for name, _ in joined):
             continue

@@ -6,27 +6,15 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import product
-from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, time_axis
 from kc2spice.core.progress import Clock
-from kc2spice.core.quantities import (
-    Length,
-    Notch,
-    Pressure,
-    Ratio,
-    Rings,
-    Section,
-    Stiffness,
-    Velocity,
-    si,
-)
 from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import PATCH, Pair, busy_until, pair_of, separation
 from kc2spice.physics import Declaration, DeclaredPart
 from kc2spice.physics.cards import force_node
@@ -52,7 +40,6 @@ from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 # sharp resonance may be any number, and runs warn of loads that are answered off by a hundredth.
 REDUCED, BEYOND, WORST_LAUNCH = 0.4, 1e-3, 1e-2
 MISSING = 1e-3  # energy that the springs may make or lose, of what went through them
-STIFFEST = 1e15  # N/m; a gram on it rings at 160 GHz, which no simulator ends to follow
 CARRYING = 3.0  # basis functions across a contact's radius: 5e-3 off, half as many 3e-2
 COARSE_BASIS = 3e-2  # error estimate of the force by the pressure basis functions: see CARRYING
 OPEN = 0.95  # largest motion of an omitted ring, relative to its gap
@@ -67,91 +54,7 @@ FEW = 20  # events that are not too many for any reltol
 CARRIED = "dent"  # pin that meets the port of an elastic sphere
 
 
-class ContactKeys(Section):
-    """Penalty contact, one spring per port of ``a`` (paper eq. 10)."""
-
-    penalty: Stiffness = Field(
-        1e8, gt=0, le=STIFFEST, description="Penalty stiffness of one ring in one symmetry sector"
-    )
-    rings: Rings = Field(
-        "needed",
-        description=("Rings that are modelled: needed, all, or a number counted from the centre"),
-    )
-    a: str | tuple[str, ...] | None = Field(
-        None,
-        description=(
-            "Lower side, whose rise closes the gap: a body, its ports, or gnd; by default the "
-            "only body"
-        ),
-    )
-    b: str | None = Field(
-        None,
-        description=(
-            "Upper side, whose rise opens the gap: a sphere, a port of a body, or gnd; by default "
-            "the only sphere"
-        ),
-    )
-    gap: Length = Field(0.0, description="Gap at rest, in addition to that of the geometry")
-    inertia: Literal["massless", "lumped"] = Field(
-        "massless",
-        description=(
-            "Inertia of the residual modes behind the ports: none (massless), or one mass for each "
-            "port (lumped)"
-        ),
-    )
-    shape: Literal["rings", "pressure"] = Field(
-        "rings",
-        description=(
-            "Contact ports of the chip: circles of the mesh, or pressure basis functions under a "
-            "sphere"
-        ),
-    )
-    spacing: Annotated[Length, Notch(0.5, model=True, when=(("shape", "pressure"),))] = Field(
-        10e-6, gt=0, description="Radial spacing of the pressure basis functions (P1)"
-    )
-    law: Literal["linear", "hertz"] = Field(
-        "linear",
-        description=(
-            "Force law: penalty times indentation, or Hertz's 4/3 E* sqrt(R) x^(3/2) for a sphere "
-            "at one port"
-        ),
-    )
-    modulus: Pressure | None = Field(
-        None,
-        gt=0,
-        description=(
-            "Effective modulus E* of both sides for law = hertz; by default that of their materials"
-        ),
-    )
-    groove: Ratio | None = Field(
-        None,
-        gt=0,
-        le=180,
-        description="Opening angle in degrees of the groove in a in which b lies",
-    )
-    damping: Annotated[float, si("s/m")] = Field(
-        0.0,
-        ge=0,
-        description=(
-            "Damping of Hunt and Crossley: the force is multiplied by 1 + damping times the "
-            "closing speed"
-        ),
-    )
-    friction: Ratio = Field(
-        0.0,
-        ge=0,
-        description=(
-            "Coulomb's coefficient of friction of pin slide on pin rail, on both flanks of a groove"
-        ),
-    )
-    creep: Velocity = Field(
-        1e-4,
-        gt=0,
-        description=("Sliding speed below which friction is viscous, a substitute for sticking"),
-    )
-
-
-class Contact(DeclaredPart):
+class Contact(DeclaredPart[ContactKeys]):
     """Its physics is up to its keys and to what touches."""
 
     name = "contact"
@@ -159,17 +62,17 @@ class Contact(DeclaredPart):
     discretisations = ("spacing",)
     schema = ContactKeys
 
-    def detail(self, part: Part, scene: GovernedScene) -> Pair:
+    def detail(self, part: Part[ContactKeys], scene: GovernedScene) -> Pair:
         """Both sides of the contact."""
         return Pair(part, scene)
 
-    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
+    def declared(self, part: Part[ContactKeys], scene: GovernedScene) -> Declaration:
         pair = pair_of(part, scene)
         radius, distance = pair.b.radius, pair.a.distance
         under = None if radius is None else (radius, tuple(map(float, distance)))
         return _declared(pair, pair.normal, under, part.keys.groove)
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[ContactKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         d = _declared(pair_of(part, scene), Normal(1.0, friction=part.keys.friction))
         ends = {"rail": "gnd", "base": "gnd"}
         return tuple(
@@ -177,13 +80,13 @@ class Contact(DeclaredPart):
             for p in pins_of(d)
         )
 
-    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+    def default_joins(self, part: Part[ContactKeys], scene: GovernedScene) -> Mapping[str, str]:
         pair = pair_of(part, scene)
         joins = pair.a.joins(("va", "a") if pair.a.rigid else pair.ports, scene)
         joins |= pair.b.joins(("v", "bottom") if pair.b.rigid else ("b",), scene)
         return joins | ({CARRIED: f"{pair.b.elastic}.{PATCH}"} if pair.b.elastic else {})
 
-    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[ContactKeys], scene: WiredScene) -> Rest:
         """Surfaces that touch at rest: what presses on them finds its place."""
         pair = pair_of(part, scene)
         clamps = [(pin, GROUND) for pin in ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)]
@@ -191,7 +94,7 @@ class Contact(DeclaredPart):
             clamps += [(port, "b") for port in pair.ports]
         return Rest(tuple(clamps))
 
-    def numerics(self, part: Part, scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(self, part: Part[ContactKeys], scene: WiredScene) -> Iterator[Numerics]:
         """A trapezoid's errors of closing and opening cancel for a linear spring alone. Rebounds
         that lose 0 to 70 % of their energy are then good to 1.5e-4 at the usual reltol."""
         curved = part.keys.law == "hertz" or part.keys.shape == "pressure"
@@ -199,7 +102,7 @@ class Contact(DeclaredPart):
         what = "contact, as far as a body has motions"
         yield Numerics(what, content=EXCITED, reltol=reltol)
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[ContactKeys], scene: GovernedScene) -> Iterator[UsageError]:
         pair = pair_of(part, scene)
         a, b = pair.a, pair.b
         if a.part == b.part != GROUND and set(a.pushed) & set(b.pushed):
@@ -217,7 +120,7 @@ class Contact(DeclaredPart):
         else:
             assert pair.normal  # says what it cannot know
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[ContactKeys], build: Build) -> Mapping[str, Vector]:
         n, pair, d = part.name, pair_of(part, build.scene), self.declared(part, build.scene)
         card = f"@b.x{n}.b{{}}[i]"
         item = {b.through: card.format(force_node(b)).lower() for b in d.branches}
@@ -234,7 +137,9 @@ class Contact(DeclaredPart):
             result[f"{n}.{word}"] = Vector(total, by, "N", *ends.get(word, ()))
         return result
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[ContactKeys], build: Build, waves: Waveforms
+    ) -> Mapping[str, object]:
         pair = pair_of(part, build.scene)
         v = waves.data.get(f"{pair.b.part}.v")
         if "time" not in waves or v is None or pair.thrown:
@@ -247,7 +152,7 @@ class Contact(DeclaredPart):
         }
 
     def checks(
-        self, part: Part, build: Build, waves: Waveforms
+        self, part: Part[ContactKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
         pair, gates = pair_of(part, build.scene), build.scene.gates
         if "time" in waves and not pair.thrown:
@@ -269,7 +174,7 @@ class Contact(DeclaredPart):
             yield from _open_ports(pair, build, waves, place)
             yield from _within_law(pair, waves, place)
 
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+    def figures(self, part: Part[ContactKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
         force = waves.data.get(f"{part.name}.force")
         if force is None:
             return
@@ -290,7 +195,7 @@ class Contact(DeclaredPart):
         caption = f"Force between {sides}, whole device, at each port that closes."
         yield Figure(f"{part.name}_force", f"Contact of {sides}", caption, (panel,))
 
-    def law(self, part: Part, build: Build) -> laws.Equations:
+    def law(self, part: Part[ContactKeys], build: Build) -> laws.Equations:
         n, pair, result = part.name, pair_of(part, build.scene), super().law(part, build)
         forces = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
         sums = {}
@@ -299,17 +204,17 @@ class Contact(DeclaredPart):
         return replace(result, results=result.results | sums)
 
     def finer_mesh(
-        self, part: Part, build: Build, clock: Clock, most: float
+        self, part: Part[ContactKeys], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
         """The force on pressure basis functions half as wide."""
         if part.keys.shape == "pressure":
             name = f"force of {part.name}, pressure basis functions half as wide"
             yield Check(name, pair_of(part, build.scene).unresolved(), COARSE_BASIS)
 
-    def discretisation(self, part: Part, build: Build) -> str:
+    def discretisation(self, part: Part[ContactKeys], build: Build) -> str:
         return f"mesh: {SPACED}" if part.keys.shape == "pressure" else ""
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[ContactKeys], scene: Scene) -> Iterator[str | Neglected]:
         keys, pair = part.keys, pair_of(part, scene)
         normal = pair.normal
         if keys.shape == "pressure":

@@ -13,10 +13,11 @@ from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.fem.body_keys import Damping, Mesh
-from kc2spice.parts.bodies._body_model import LinearKeys
 from kc2spice.parts.bodies._linear_body import LinearBody
+from kc2spice.parts.bodies._linear_keys import LinearKeys
+from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import PATCH, Surface, pair_of
-from kc2spice.parts.mechanics.sphere import made_of
+from kc2spice.parts.mechanics.sphere import SphereKeys, made_of
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.model import (
     DeclaredScene,
@@ -43,7 +44,7 @@ class ElasticSphereKeys(LinearKeys):
     mesh: Mesh = Mesh()
 
 
-class ElasticSphere(LinearBody):
+class ElasticSphere(LinearBody[ElasticSphereKeys]):
     name = "elastic_sphere"
     title = "elasticity of a sphere, relative to its centre of mass (axisymmetric FE, reduced)"
     schema = ElasticSphereKeys
@@ -62,16 +63,17 @@ shape = "pressure"
 elastic = true
 """
 
-    def dimensions(self, part: Part) -> int:
+    def dimensions(self, part: Part[ElasticSphereKeys]) -> int:
         return 2
 
-    def ports(self, part: Part, scene: DeclaredScene) -> tuple[Port, ...]:
+    def ports(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> tuple[Port, ...]:
         return (Port(PATCH, TRANSLATION.port),)
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         _contact(part, scene)  # says what it cannot be
-        owner, stuff = scene.parts[part.keys.of], made_of(scene.parts[part.keys.of])
+        owner = scene.parts[part.keys.of].with_schema(SphereKeys)
+        stuff = made_of(owner)
         if stuff.piezoelectric:
             expected = "a material that is not piezoelectric"
             yield owner.wrong("material", "a sphere has no electrodes", stuff.name, expected)
@@ -83,7 +85,7 @@ elastic = true
             yield owner.wrong("elastic.damping.model", "a sphere rings viscously", got, expected)
 
     def surface(
-        self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()
+        self, part: Part[ElasticSphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> Surface | None:
         """Return the patch on its sphere that a contact names as port; otherwise None.
 
@@ -95,7 +97,7 @@ elastic = true
         compliance, pace = partial(self._compliance_of, part, scene), _body(part, scene).rayleigh[1]
         return Surface(part.name, ports, (0.0,), compliance=compliance, pace=pace)
 
-    def full_key(self, part: Part, scene: GovernedScene) -> Mapping[str, Any]:
+    def full_key(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Mapping[str, Any]:
         body, mesh = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
         return {
             "radius": body.radius,
@@ -106,7 +108,9 @@ elastic = true
             "pressure_basis": pair_of(_contact(part, scene), scene).shape.nodes.tolist(),
         }
 
-    def full(self, part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
+    def full(
+        self, part: Part[ElasticSphereKeys], scene: GovernedScene, clock: Clock
+    ) -> LinearModel:
         from kc2spice.bodies.pressure import sphere
 
         shape = pair_of(_contact(part, scene), scene).shape
@@ -114,23 +118,23 @@ elastic = true
             shares = self._compliance_of(part, scene, shape).shares
             return sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
 
-    def reduction(self, part: Part, scene: Scene) -> Rom:
+    def reduction(self, part: Part[ElasticSphereKeys], scene: Scene) -> Rom:
         """Its own, not the scene's: its modes lie above any band of an actuator."""
         specified: Rom | None = part.keys.rom
         if specified is not None:
             return specified
         return Rom(tolerance=1e-3, band=(0.0, float(f"{BAND * _body(part, scene).oblate:.3g}")))
 
-    def weights(self, part: Part, scene: DeclaredScene) -> StepWeights:
+    def weights(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> StepWeights:
         """Nothing is joined to it that could tell: at 0.01 % of damping steps would follow its
         megahertz through the flight, eight times as many."""
         return COARSE
 
-    def neglected(self, part: Part, scene: Scene) -> Iterator[Neglected]:
+    def neglected(self, part: Part[ElasticSphereKeys], scene: Scene) -> Iterator[Neglected]:
         why = "steps let go of it once nothing presses on the sphere, whose path it is no part of"
         yield Neglected(f"free ringing of {part.keys.of}", why, "none of the path")
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[ElasticSphereKeys], scene: Scene) -> Iterator[str | Neglected]:
         yield from super().notes(part, scene)
         deep = pair_of(_contact(part, scene), scene).normal.depth / _body(part, scene).radius
         yield Neglected(
@@ -140,7 +144,7 @@ elastic = true
         )
 
     def _compliance_of(
-        self, part: Part, scene: GovernedScene, shape: PressureBasis
+        self, part: Part[ElasticSphereKeys], scene: GovernedScene, shape: PressureBasis
     ) -> LocalCompliance:
         from kc2spice.bodies.pressure import LocalCompliance, sphere_compliance
 
@@ -155,17 +159,19 @@ elastic = true
         )
 
 
-def _body(part: Part, scene: DeclaredScene) -> IsotropicSphere:
+def _body(part: Part[ElasticSphereKeys], scene: DeclaredScene) -> IsotropicSphere:
     from kc2spice.bodies.pressure import IsotropicSphere
 
-    owner = scene.parts[part.keys.of]
+    owner = scene.parts[part.keys.of].with_schema(SphereKeys)
     return IsotropicSphere(owner.keys.radius, made_of(owner), part.keys.damping)
 
 
-def _contact(part: Part, scene: GovernedScene) -> Part:
+def _contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[ContactKeys]:
     """The one contact of the sphere, by pressure."""
     owner = scene.parts[part.keys.of]
-    pairs = ((contact, pair_of(contact, scene)) for contact in scene.of("contact"))
+    pairs = (
+        (contact, pair_of(contact, scene)) for contact in scene.of_schema("contact", ContactKeys)
+    )
     result = [contact for contact, p in pairs if part.name in (p.a.elastic, p.b.elastic)]
     if len(result) != 1:
         got = ", ".join(c.name for c in result) or "none"

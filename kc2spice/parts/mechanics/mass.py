@@ -96,43 +96,45 @@ def point_mass(
     )
 
 
-class PointMass(Touching, DeclaredPart):
+class PointMass(Touching[MassKeys], DeclaredPart[MassKeys]):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
 
-    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
+    def declared(self, part: Part[MassKeys], scene: GovernedScene) -> Declaration:
         keys, gravity = part.keys, scene.gravity if part.keys.weight else 0.0
         shares = tuple(float(shake.along or 0.0) for shake in _shakes(part, scene))
         return point_mass(keys.mass, gravity, keys.position, keys.velocity, shares)
 
     follows_frames = True
 
-    def default_joins(self, part: Part, scene: GovernedScene) -> Mapping[str, str]:
+    def default_joins(self, part: Part[MassKeys], scene: GovernedScene) -> Mapping[str, str]:
         """Its pins for the accelerations of a frame are where the body has those."""
         shakes = _shakes(part, scene)
         pins = zip(_frames(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
 
-    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[MassKeys], scene: WiredScene) -> Rest:
         falls = part.keys.weight and scene.gravity
         return Rest((("base", GROUND),), pushed=("a",) if falls else (), inert=("a",))
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[MassKeys], scene: GovernedScene) -> Iterator[UsageError]:
         if _has_initial_state(part) and scene.analysis.type != "transient":
             problem = "a position or velocity at t = 0 begins a transient"
             yield part.wrong("", problem, f"analysis {scene.analysis.type}", "neither of them")
         yield from dimensions(part.name, part.keys)
 
-    def settable(self, part: Part, build: Build) -> Mapping[str, float]:
+    def settable(self, part: Part[MassKeys], build: Build) -> Mapping[str, float]:
         state = self.begins(part, build)
         if state is None:
             return {}
         inner = f"x{part.name.lower()}"
         return {f"{inner}.place_x": DISPLACEMENT.per_unit * state[0], f"{inner}.speed_x": state[1]}
 
-    def surface(self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface:
+    def surface(
+        self, part: Part[MassKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
+    ) -> Surface:
         return Surface(part.name, ("a",), (0.0,))
 
-    def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
+    def begins(self, part: Part[MassKeys], build: Build) -> tuple[float, float] | None:
         """Position [m] and velocity [m/s] at which it begins, None where it begins in equilibrium.
 
         Of masses that are fixed to each other the first one begins, the others follow.
@@ -163,16 +165,16 @@ class PointMass(Touching, DeclaredPart):
         masses = (m.name for m in scene.of(part.type.name) if scene.nets[m.name, "a"] in fixed)
         return state if next(masses) == part.name else None
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Any]:
+    def checks(self, part: Part[MassKeys], build: Build, waves: Waveforms) -> Iterator[Any]:
         """None: a mass at rest on something stiff turns over less energy than the steps lose."""
         return iter(())
 
-    def main_metrics(self, part: Part, build: Build) -> Mapping[str, Probe]:
+    def main_metrics(self, part: Part[MassKeys], build: Build) -> Mapping[str, Probe]:
         if build.scene.analysis.type != "transient":
             return {}
         return {f"{part.name}_peak_m": Probe(of=f"{part.name}.x", take="max")}
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(self, part: Part[MassKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
         if "time" not in waves:
             return {}
         x, v = waves[f"{part.name}.x"], waves[f"{part.name}.v"]
@@ -181,17 +183,17 @@ class PointMass(Touching, DeclaredPart):
             f"{part.name}_speed_m_s": Metric(float(np.abs(v).max()), "m/s"),
         }
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[MassKeys], scene: Scene) -> Iterator[str]:
         yield f"mass {part.keys.mass:g}"
 
 
-def _shakes(part: Part, scene: GovernedScene) -> tuple[Shake, ...]:
+def _shakes(part: Part[MassKeys], scene: GovernedScene) -> tuple[Shake, ...]:
     """Accelerations that shake its frame."""
     frame = scene.frames.get((part.name, "a"))
     return () if frame is None else frame.shakes
 
 
-def _has_initial_state(part: Part) -> bool:
+def _has_initial_state(part: Part[MassKeys]) -> bool:
     return bool({"position", "velocity"} & part.keys.model_fields_set)
 
 

@@ -17,6 +17,8 @@ from kc2spice.core.quantities import AIR_DENSITY, Density, Length, Section, Velo
 from kc2spice.core.waveforms import Waveforms, running
 from kc2spice.fem.materials import Material, material
 from kc2spice.netlist.circuit import positive
+from kc2spice.parts.control._pid_keys import Control
+from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import Surface, Touching, pair_of
 from kc2spice.parts.mechanics.mass import point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
@@ -134,29 +136,32 @@ def rigid_sphere(
     )
 
 
-class Sphere(Touching, DeclaredPart):
+class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
 
-    def declared(self, part: Part, scene: GovernedScene) -> Declaration:
+    def declared(self, part: Part[SphereKeys], scene: GovernedScene) -> Declaration:
         keys, begin = part.keys, scene.initial_states.get(part.name, AT_REST)
         return rigid_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
 
-    def expand(self, part: Part, data: Mapping[str, object]) -> Mapping[str, Mapping[str, object]]:
+    def expand(
+        self, part: Part[SphereKeys], data: Mapping[str, object]
+    ) -> Mapping[str, Mapping[str, object]]:
         if (elastic := part.keys.elastic) is None:
             return {}
         table = {"part": "elastic_sphere", "of": part.name, "at": (part.name, "elastic")}
-        return {_carried(part): table if elastic is True else {**elastic, **table}}
+        keys = elastic if isinstance(elastic, dict) else {}
+        return {_carried(part): {**keys, **table}}
 
-    def pins(self, part: Part, scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[SphereKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         declared = () if _moved(part, scene) else pins_of(self.declared(part, scene))
         return tuple(
             Terminal(p.name, p.unit, p.flow, {"base": "gnd"}.get(p.name), signal_out=p.flow == "-")
             for p in declared
         )
 
-    def problems(self, part: Part, scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[SphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
         bodies = [p.name for p in scene.parts.values() if p.reduced]
         if bodies and not scene.of("contact") and scene.analysis.type == "transient":
             yield UsageError(
@@ -172,28 +177,30 @@ class Sphere(Touching, DeclaredPart):
         solid = "no solid is lighter than an aerogel or heavier than osmium"
         yield from within(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
 
-    def surface(self, part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface:
+    def surface(
+        self, part: Part[SphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
+    ) -> Surface:
         keys, carried = part.keys, _carried(part)
         known = keys.material is not None or carried
         modulus = made_of(part).indentation_modulus if known else None
         place = part.name, ("bottom",), (0.0,), "v"
         return Surface(*place, radius=keys.radius, elastic=carried, modulus=modulus)
 
-    def outline(self, part: Part, scene: Scene) -> Iterator[Shape]:
+    def outline(self, part: Part[SphereKeys], scene: Scene) -> Iterator[Shape]:
         r, label = part.keys.radius, f"{part.name}: radius {1e3 * part.keys.radius:g} mm"
         yield Shape(0.0, r, 2 * r, 2 * r, "metal", label, round=True)
 
-    def governs(self, part: Part, scene: DeclaredScene) -> Mapping[str, State]:
+    def governs(self, part: Part[SphereKeys], scene: DeclaredScene) -> Mapping[str, State]:
         keys = part.keys
         moving = keys.velocity or keys.height
         return {part.name: State(keys.velocity, keys.height)} if moving else {}
 
-    def at_rest(self, part: Part, scene: WiredScene) -> Rest:
+    def at_rest(self, part: Part[SphereKeys], scene: WiredScene) -> Rest:
         if _moved(part, scene):
             return Rest()
         return Rest((("base", GROUND),), pushed=("v",) if scene.gravity else (), inert=("v",))
 
-    def settable(self, part: Part, build: Build) -> Mapping[str, float]:
+    def settable(self, part: Part[SphereKeys], build: Build) -> Mapping[str, float]:
         joined = build.scene.joined(part.name, "v")
         if (
             joined
@@ -204,10 +211,10 @@ class Sphere(Touching, DeclaredPart):
         # a sphere without support starts at rest at the height where it touches the body below
         return {build.net(part, "v"): 0.0, build.net(part, "bottom"): 0.0}
 
-    def vectors(self, part: Part, build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[SphereKeys], build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.{pin}": build.across(part, pin) for pin in ("y", "v")}
 
-    def main_metrics(self, part: Part, build: Build) -> Mapping[str, Probe]:
+    def main_metrics(self, part: Part[SphereKeys], build: Build) -> Mapping[str, Probe]:
         if build.scene.analysis.type != "transient" or part.name in build.scene.initial_states:
             return {}
         of = f"{part.name}.y"
@@ -216,7 +223,9 @@ class Sphere(Touching, DeclaredPart):
             "final_position_m": Probe(of=of, take="final"),
         }
 
-    def metrics(self, part: Part, build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[SphereKeys], build: Build, waves: Waveforms
+    ) -> Mapping[str, object]:
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves or part.name in build.scene.initial_states:
             return {}
@@ -226,7 +235,9 @@ class Sphere(Touching, DeclaredPart):
         rising = v is not None and y[-1] == y.max() and v[-1] > 0
         return result | {"still_rising": Metric(True)} if rising else result
 
-    def checks(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Balance | Gate]:
+    def checks(
+        self, part: Part[SphereKeys], build: Build, waves: Waveforms
+    ) -> Iterator[Balance | Gate]:
         """Work of all forces on the sphere against its kinetic energy.
 
         The scale is all work that was turned over, in whichever direction.
@@ -258,12 +269,12 @@ class Sphere(Touching, DeclaredPart):
         advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
         yield Balance(entries, abs(float(gap[-1])), turnover, WORK, advice)
 
-    def figures(self, part: Part, build: Build, waves: Waveforms) -> Iterator[Figure]:
+    def figures(self, part: Part[SphereKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves:
             return
         levels, bands = [], []
-        for pid in build.scene.of("pid"):
+        for pid in build.scene.of_schema("pid", Control):
             if controlled(pid, build.scene) is part:
                 goal, band = 1e3 * pid.keys.setpoint, 1e3 * settling_band(pid, part)
                 levels.append((goal, "set point, ±5 % of the step"))
@@ -276,24 +287,24 @@ class Sphere(Touching, DeclaredPart):
         title = f"Path of {part.name}"
         yield Figure(f"{part.name}_trajectory", title, caption, (panel,), main=True)
 
-    def begins(self, part: Part, build: Build) -> tuple[float, float] | None:
+    def begins(self, part: Part[SphereKeys], build: Build) -> tuple[float, float] | None:
         n, scene, states = part.name, build.scene, build.scene.initial_states
         if not states and (scene.joined(n, "v") or scene.joined(n, "bottom")):
             return None
         begin = states.get(n, AT_REST)
         return begin.height, begin.velocity
 
-    def law(self, part: Part, build: Build) -> laws.Equations:
+    def law(self, part: Part[SphereKeys], build: Build) -> laws.Equations:
         n, result = part.name, super().law(part, build)
         height = laws.reading(f"{n}.bottom", constant=part.keys.radius)
         pins = tuple((pin, f"{n}.bottom") for pin in ("v", "bottom", "y"))
         results = {f"{n}.y": height, f"{n}.v": result.results[f"{n}.v"]}
         return replace(result, pins=pins, results=results)
 
-    def notes(self, part: Part, scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[SphereKeys], scene: Scene) -> Iterator[str | Neglected]:
         keys = part.keys
         yield f"{keys.mass * 1e6:.4g} mg, vertical motion, gravity {scene.gravity:g} m/s2"
-        linear = any(contact.keys.law == "linear" for contact in scene.of("contact"))
+        linear = any(c.keys.law == "linear" for c in scene.of_schema("contact", ContactKeys))
         if linear and part.keys.elastic is None:
             why = f"the part is rigid unless {part.name}.elastic"
             yield Neglected("elasticity of the sphere", why, _softer(part, scene))
@@ -303,32 +314,33 @@ class Sphere(Touching, DeclaredPart):
             yield Neglected("rotation and sideways motion of the sphere", why, "not estimated")
 
 
-def sphere_of(part: Part, scene: DeclaredScene) -> Part:
+def sphere_of(part: Part, scene: DeclaredScene) -> Part[SphereKeys]:
     """The sphere that another part throws, pushes or pulls."""
-    return scene.partner(part, "sphere", "of")
+    return scene.partner(part, "sphere", "of").with_schema(SphereKeys)
 
 
-def made_of(part: Part) -> Material:
+def made_of(part: Part[SphereKeys]) -> Material:
     """The sphere's material, steel if nothing is said, with the sphere's density."""
     return replace(_stuff(part.keys.material or "steel"), density=part.keys.density)
 
 
-def _carried(part: Part) -> str:
+def _carried(part: Part[SphereKeys]) -> str:
     """The part that is its elasticity, "" where it is rigid."""
     return "" if part.keys.elastic is None else f"{part.name}_elastic"
 
 
-def controlled(pid: Part, scene: DeclaredScene) -> Part | None:
+def controlled(pid: Part[Control], scene: DeclaredScene) -> Part[SphereKeys] | None:
     """The sphere whose height a controller controls."""
-    return scene.parts.get(pid.keys.of) if pid.keys.of else scene.only("sphere")
+    ball = scene.parts.get(pid.keys.of) if pid.keys.of else scene.only("sphere")
+    return None if ball is None else ball.with_schema(SphereKeys)
 
 
-def settling_band(pid: Part, ball: Part) -> float:
+def settling_band(pid: Part[Control], ball: Part[SphereKeys]) -> float:
     """Half the width [m] of the band around the set point in which it has settled."""
     return SETTLING_BAND * abs(float(pid.keys.setpoint - ball.keys.radius))
 
 
-def _moved(part: Part, scene: GovernedScene) -> bool:
+def _moved(part: Part[SphereKeys], scene: GovernedScene) -> bool:
     """Whether another part prescribes its motion, so that it has none of its own."""
     return scene.movers.get(part.name) is not None
 
@@ -347,13 +359,14 @@ def beginning(part: Part, pin: str, scene: WiredScene) -> float | None:
     return float(ball.keys.radius + states.get(ball.name, AT_REST).height)
 
 
-def _read(part: Part, pin: str, scene: WiredScene) -> Part | None:
+def _read(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | None:
     """The sphere whose height a pin reads."""
     heights = (scene.parts[n] for n, other in scene.joined(part.name, pin) if other == "y")
-    return next((item for item in heights if item.type.name == Sphere.name), None)
+    spheres = (item for item in heights if item.type.name == Sphere.name)
+    return next((item.with_schema(SphereKeys) for item in spheres), None)
 
 
-def _softer(part: Part, scene: GovernedScene) -> str:
+def _softer(part: Part[SphereKeys], scene: GovernedScene) -> str:
     """How much softer the contact with an elastic sphere would be, of steel if nothing is said."""
     sphere_modulus = made_of(part).indentation_modulus
     under = (pair_of(contact, scene).a.modulus for contact in scene.of("contact"))

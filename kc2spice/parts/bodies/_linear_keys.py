@@ -1,0 +1,42 @@
+"""Keys that linear bodies have in common, and type variables of parts that have such keys."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, StringConstraints
+from typing_extensions import TypeVar
+
+from kc2spice.core.quantities import Section, Time, Voltage
+from kc2spice.scene.settings import Rom
+
+MOST = 20  # instants that one run writes
+
+
+class LinearKeys(Section):
+    """Keys of every linear body."""
+
+    rom: Rom | None = None
+    number: Annotated[str, StringConstraints(min_length=1, max_length=40)] | None = Field(
+        None, description="Part number, the name of the exported library; SCENE_PART by default"
+    )
+    rated_voltage: Voltage | None = Field(
+        None,
+        gt=0,
+        description="Largest voltage between electrodes; by default that of the materials",
+    )
+
+
+class FieldKeys(LinearKeys):
+    """Whether a run recovers what happens inside the body; instants become VTU files."""
+
+    fields: bool | Annotated[tuple[Time, ...], Field(min_length=1, max_length=MOST)] | None = Field(
+        None,
+        description=(
+            "Whether fields are computed, or a list of instants for which VTU files are written"
+        ),
+    )
+
+
+LinearKeysT = TypeVar("LinearKeysT", bound=LinearKeys, default=LinearKeys, covariant=True)
+FieldKeysT = TypeVar("FieldKeysT", bound=FieldKeys, default=FieldKeys, covariant=True)

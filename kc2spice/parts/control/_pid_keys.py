@@ -1,0 +1,51 @@
+"""Keys of a PID controller, which the sphere that it controls reads as well."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from kc2spice.core.quantities import Current, Length, Section, Time, si
+
+
+class Control(Section):
+    """PID with clamped output: same current in both coils, the lower one negated (paper 2.4)."""
+
+    setpoint: Length = Field(2.5e-3, description="Height at which the sphere is to be held")
+    kp: Annotated[float, si("A/m")] = Field(
+        5e4, ge=0, description="Proportional gain of the controller"
+    )
+    ki: Annotated[float, si("A/(m s)")] = Field(
+        10.0, ge=0, description="Integral gain of the controller"
+    )
+    kd: Annotated[float, si("A s/m")] = Field(
+        20.0, ge=0, description="Differential gain of the controller"
+    )
+    rolloff: Time = Field(100e-9, gt=0, description="Time constant of the differentiator's pole")
+    current_limit: Current = Field(0.1, gt=0, description="Largest current of each coil")
+    form: Literal["opamps", "ideal"] | None = Field(
+        None, description="Form of the netlist: op-amps, or the ideal law, which is faster"
+    )
+    enable_at: Time | tuple[Time, ...] = Field(
+        0.5e-3, description="Instant at which the controller is enabled, or a list of instants"
+    )
+    disable_at: tuple[Time, ...] = Field(
+        (),
+        description=(
+            "Instants at which the controller is disabled, one after each enable_at except the last"
+        ),
+    )
+    of: str | None = Field(
+        None, description="Sphere whose height is controlled; by default the only one"
+    )
+    coils: str | None = Field(
+        None, description="Coils that the controller drives; by default the only ones"
+    )
+
+    @property
+    def switching(self) -> tuple[tuple[float, float], ...]:
+        """Times [s] and states, 1 enabled and 0 not, in order."""
+        on = self.enable_at if isinstance(self.enable_at, tuple) else (self.enable_at,)
+        both = [(t, 1.0) for t in on] + [(t, 0.0) for t in self.disable_at]
+        return tuple(sorted(both))

@@ -1,0 +1,105 @@
+"""Keys of a contact, which the parts on its two sides read as well."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from kc2spice.core.quantities import (
+    Length,
+    Notch,
+    Pressure,
+    Ratio,
+    Rings,
+    Section,
+    Stiffness,
+    Velocity,
+    si,
+)
+
+STIFFEST = 1e15  # N/m; a gram on it rings at 160 GHz, which no simulator ends to follow
+
+
+class ContactKeys(Section):
+    """Penalty contact, one spring per port of ``a`` (paper eq. 10)."""
+
+    penalty: Stiffness = Field(
+        1e8, gt=0, le=STIFFEST, description="Penalty stiffness of one ring in one symmetry sector"
+    )
+    rings: Rings = Field(
+        "needed",
+        description=("Rings that are modelled: needed, all, or a number counted from the centre"),
+    )
+    a: str | tuple[str, ...] | None = Field(
+        None,
+        description=(
+            "Lower side, whose rise closes the gap: a body, its ports, or gnd; by default the "
+            "only body"
+        ),
+    )
+    b: str | None = Field(
+        None,
+        description=(
+            "Upper side, whose rise opens the gap: a sphere, a port of a body, or gnd; by default "
+            "the only sphere"
+        ),
+    )
+    gap: Length = Field(0.0, description="Gap at rest, in addition to that of the geometry")
+    inertia: Literal["massless", "lumped"] = Field(
+        "massless",
+        description=(
+            "Inertia of the residual modes behind the ports: none (massless), or one mass for each "
+            "port (lumped)"
+        ),
+    )
+    shape: Literal["rings", "pressure"] = Field(
+        "rings",
+        description=(
+            "Contact ports of the chip: circles of the mesh, or pressure basis functions under a "
+            "sphere"
+        ),
+    )
+    spacing: Annotated[Length, Notch(0.5, model=True, when=(("shape", "pressure"),))] = Field(
+        10e-6, gt=0, description="Radial spacing of the pressure basis functions (P1)"
+    )
+    law: Literal["linear", "hertz"] = Field(
+        "linear",
+        description=(
+            "Force law: penalty times indentation, or Hertz's 4/3 E* sqrt(R) x^(3/2) for a sphere "
+            "at one port"
+        ),
+    )
+    modulus: Pressure | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Effective modulus E* of both sides for law = hertz; by default that of their materials"
+        ),
+    )
+    groove: Ratio | None = Field(
+        None,
+        gt=0,
+        le=180,
+        description="Opening angle in degrees of the groove in a in which b lies",
+    )
+    damping: Annotated[float, si("s/m")] = Field(
+        0.0,
+        ge=0,
+        description=(
+            "Damping of Hunt and Crossley: the force is multiplied by 1 + damping times the "
+            "closing speed"
+        ),
+    )
+    friction: Ratio = Field(
+        0.0,
+        ge=0,
+        description=(
+            "Coulomb's coefficient of friction of pin slide on pin rail, on both flanks of a groove"
+        ),
+    )
+    creep: Velocity = Field(
+        1e-4,
+        gt=0,
+        description=("Sliding speed below which friction is viscous, a substitute for sticking"),
+    )
