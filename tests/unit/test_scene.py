@@ -142,6 +142,12 @@ def test_errors_in_a_file_give_the_line(scene_file):
         ("[kick]\n[contact]\n", "key contact.b: contact needs to know what touches"),
         ("[kick]\n[sphere]\n", "key contact: nothing touches the sphere"),
         ("[harmonic]\n", "key harmonic.of: harmonic needs to know which piezo_stack it loads"),
+        (
+            '[disc]\npart = "disc"\nlayers = [{ material = "brass", diameter = "2 mm", '
+            'thickness = "1 mm" }]\n'
+            '[harmonic]\nof = "disc"\n',
+            "key harmonic.of: this part has no rings to load",
+        ),
         ("[imprint]\n[sphere]\n", "key contact: imprint needs this part"),
         ("[em_force]\n[sphere]\n", "key catch: em_force needs this part"),
         ("[impact]\n[kick]\n", "key sphere: impact needs this part"),
