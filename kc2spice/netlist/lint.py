@@ -139,7 +139,8 @@ def _references(part: Element, scope: Scope) -> Iterator[UsageError]:
                 "ngspice has no such parameter of an element, LTspice has",
                 f"{param}={part.settings[param]} of {part.name}",
                 f"{instead}, as an element of its own",
-                f"write the {instead} as a card of its own and leave {param} out",
+                f"write the {instead} as a card of its own and leave {param} out, or set "
+                'syntax = "ltspice" of the netlist part',
             )
     for value in part.values:
         if number := _INFIX.fullmatch(value):

@@ -213,8 +213,8 @@ def altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None:
     error = FailedRunError(message, where=where, got="; ".join(fatal[:MOST_ALTERATIONS]))
     error.expected = "a netlist that ngspice simulates as it is written"
     error.hint = (
-        "write it with parameters that ngspice has, or delete them; --trust (trust=True in Python) "
-        "runs it with a warning"
+        "write it with parameters that ngspice has, or delete them; a netlist part for LTspice "
+        'needs syntax = "ltspice"; --trust (trust=True in Python) runs it with a warning'
     )
     error.failure = Failure(fatal[0])
     return error

@@ -17,6 +17,7 @@ from kc2spice.core.errors import UsageError, candidates, did_you_mean
 from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Pin
+from kc2spice.netlist.importer import Syntax, imported
 from kc2spice.netlist.include_scan import included_netlist, read_untrusted
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.read import read
@@ -65,6 +66,10 @@ class NetlistKeys(Section):
     file: FileName = Field(description="Netlist file beside the scene")
     subckt: str = Field(
         pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$", description="Name of the subcircuit in the file"
+    )
+    syntax: Syntax = Field(
+        "ngspice",
+        description="Simulator that the file was written for: ngspice, ltspice or pspice",
     )
     units: dict[str, str] = Field(
         default_factory=dict,
@@ -149,8 +154,10 @@ class Netlist(PartType[NetlistKeys]):
         pins = tuple(Pin(t.name, t.unit, t.flow) for t in build.scene.pins(part.name))
         text, file = result.text, result.file
         title = text.partition("\n")[0].lstrip("* ")
-        tree = read(text, file)
-        return (Subcircuit(part.keys.subckt, pins, (), tree, title=title, file=file, source=text),)
+        tree = imported(read(text, file), part.keys.syntax)
+        source = text if part.keys.syntax == "ngspice" else ""
+        name = part.keys.subckt
+        return (Subcircuit(name, pins, (), tree, title=title, file=file, source=source),)
 
     def vectors(self, part: Part[NetlistKeys], build: Build) -> Mapping[str, Vector]:
         """Its rated pins, and what probes name: pins, ``i(ELEMENT)``, and nodes over ``ref``."""
@@ -277,7 +284,8 @@ def _inside(node: str, part: str = "") -> str:
 def _scope(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
     """Its subcircuit as elements with nodes."""
     flat = read_untrusted(part.keys.file, scene.home)
-    result = circuit(read(flat.text, flat.file)).find(part.keys.subckt)
+    tree = imported(read(flat.text, flat.file), part.keys.syntax)
+    result = circuit(tree).find(part.keys.subckt)
     if result is None:
         raise part.wrong("subckt", "no such subcircuit", part.keys.subckt)
     return result

@@ -1,0 +1,547 @@
+"""Subcircuits written for LTspice or PSpice, as ones with the same equations for ngspice.
+
+A tree of :mod:`kc2spice.netlist.read` goes in, and a tree comes out. Elements that ngspice lacks
+become several elements; functions and operators that it reads differently become others. Whatever
+has no equal is refused with its line and the reason. Sources: the help pages of LTspice on circuit
+elements, and for the ideal diode the comparison with LTspice in the documentation of
+SpiceSharpParser (article *LTspice-Style Ideal Diode*).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from typing import Literal
+
+from kc2spice.netlist.circuit import (
+    Card,
+    Circuit,
+    Element,
+    Function,
+    Item,
+    Model,
+    Parameters,
+    items_of,
+)
+from kc2spice.netlist.expression import (
+    Binary,
+    Call,
+    Choice,
+    CircuitVariable,
+    Name,
+    Number,
+    Tree,
+    Unary,
+    Writer,
+    literal,
+    parse,
+    rebuilt,
+)
+
+# Series resistance [Ohm] of an inductor that states none and is not coupled (LTspice help, L).
+INDUCTOR_RESISTANCE = "1m"
+GMIN = "1e-12"  # S, conductance that an ideal diode without Roff has
+IDEAL_DIODE = frozenset((
+    "ron", "roff", "vfwd", "vrev", "rrev", "ilimit", "revilimit", "epsilon", "revepsilon",
+))  # fmt: skip
+# Ratings, makers and the like, which LTspice displays and no equation contains.
+DISPLAYED = frozenset((
+    "iave", "icrating", "irms", "mfg", "qg", "ron", "type", "vceo", "vds", "vpk",
+))  # fmt: skip
+STEP_CONTROL = frozenset(("tripdv", "tripdt"))  # of a behavioural source: steps, not equations
+Syntax = Literal["ngspice", "ltspice", "pspice"]
+_ORDERED = ("<", ">", "<=", ">=", "==", "!=")
+_LOGICAL = ("&&", "||")
+_LARGEST_POWER = 9  # whole exponents up to here become products
+_SETTING = re.compile(r"\s(\w+)\s*=(?!=)")
+_INFIX = re.compile(r"(\d+)(meg|[a-z])(\d+)", re.IGNORECASE)
+_MICRO = str.maketrans({"\u00b5": "u", "\u03bc": "u"})
+_NO_EQUAL = {
+    "absdelay": "a delay of a voltage", "delay": "a delay of a voltage",
+    "ddt": "a derivative in time", "idt": "an integral over time",
+    "idtmod": "an integral over time", "sdt": "an integral over time",
+    "rand": "random numbers over time", "random": "random numbers over time",
+    "white": "random numbers over time", "smallsig": "a test of the analysis",
+}  # fmt: skip
+
+
+def imported(circuit: Circuit, syntax: Syntax) -> Circuit:
+    """Return the same circuit in the words of ngspice.
+
+    Parameters
+    ----------
+    circuit : Circuit
+        Tree of a file or of a subcircuit.
+    syntax : "ngspice", "ltspice" or "pspice"
+        Simulator that the circuit was written for.
+
+    Returns
+    -------
+    Circuit
+        Tree with the same pins, parameters and equations for ngspice.
+
+    Raises
+    ------
+    UsageError : something in it has no equal in ngspice; the error names file and line.
+
+    Examples
+    --------
+    >>> from kc2spice.netlist.read import read
+    >>> text = ".subckt p a b\\nC1 a b 10n Rser=0.1\\nB1 a b I=if(V(a,b)>1, 1m, 0)\\n.ends"
+    >>> for item in imported(read(text, "p.lib"), "ltspice").subcircuits[0].items:
+    ...     print(item.name, *item.nodes, *(item.values or [item.expression]))
+    C1 C1_inner b 10n
+    RC1_ser a C1_inner 0.1
+    B1 a b (V(a,b)>1 ? 0.001 : 0)
+    """
+    if syntax == "ngspice":
+        return circuit
+    return _Scope(circuit, {}, syntax).translated()
+
+
+class _Scope:
+    """One circuit of the tree, with the models that its elements can name."""
+
+    def __init__(self, circuit: Circuit, models: Mapping[str, Model], syntax: Syntax) -> None:
+        self.circuit, self.syntax = circuit, syntax
+        local = {model.name.lower(): model for model in items_of(circuit.items, Model)}
+        self.models = {**models, **local}
+        elements = items_of(circuit.items, Element)
+        coupled = (element.sources for element in elements if element.kind == "k")
+        self.coupled = {name.lower() for names in coupled for name in names}
+        self.elements = {element.key: element for element in elements}
+        self.metered: dict[str, str] = {}  # elements whose current a law reads, and their meters
+
+    def translated(self) -> Circuit:
+        """The circuit with its items for ngspice."""
+        items: list[Item] = []
+        for item in self.circuit.items:
+            items += self._item(item)
+        for key, meter in self.metered.items():
+            items = _with_meter(items, key, meter)
+        defaults = self._values(self.circuit.defaults, self.circuit)
+        return replace(self.circuit, items=tuple(items), defaults=defaults)
+
+    def _values(self, values: Mapping[str, str], card: Card) -> dict[str, str]:
+        return {name: self._value(text, card) for name, text in values.items()}
+
+    def _value(self, text: str, card: Card) -> str:
+        """A value of a card; one in braces or quotes is an expression of parameters."""
+        text = _plain_number(text)
+        if text[:1] + text[-1:] not in ("{}", "''"):
+            return text
+        return f"{{{self._law(text[1:-1], card)}}}"
+
+    def _law(self, text: str, card: Card) -> str:
+        return _Translator(card, self).law(text)
+
+    def _item(self, item: Item) -> Iterable[Item]:
+        match item:
+            case Circuit():
+                return (_Scope(item, self.models, self.syntax).translated(),)
+            case Model():
+                return self._model(item)
+            case Parameters():
+                return (replace(item, values=self._values(item.values, item)),)
+            case Function():
+                return (replace(item, expression=self._law(item.expression, item)),)
+            case Element():
+                return self._element(_plain_numbers(item))
+        return (item,)
+
+    # --- models -----------------------------------------------------------------------------
+
+    def _resolved(self, model: Model) -> Model:
+        """The model with the parameters of the one that it is a kind of (``ako:``)."""
+        if not model.type.lower().startswith("ako:"):
+            return model
+        base = self.models.get(model.type[4:].lower())
+        if base is None or base is model:
+            raise model.error("no model to begin with", model.type[4:], "a .model of this file")
+        base = self._resolved(base)
+        parameters = _settings(base) | _settings(model)
+        parameters.pop(base.type.lower(), None)  # the type, which stands behind ako: as well
+        return replace(model, type=base.type, parameters=parameters)
+
+    def _model(self, model: Model) -> Iterable[Model]:
+        model = self._resolved(model)
+        kind = model.type.lower()
+        if self._is_ideal(model):
+            return ()  # its diodes become sources
+        if kind in ("sw", "csw"):
+            _require_switch(model)
+        parameters = self._values(model.parameters, model)
+        if kind not in ("sw", "csw"):
+            for key in model.parameters:
+                if key.lower() in DISPLAYED:
+                    del parameters[key]
+        return (replace(model, parameters=parameters),)
+
+    # --- elements ---------------------------------------------------------------------------
+
+    def _is_ideal(self, model: Model) -> bool:
+        """Whether it is that of LTspice's diode of straight lines."""
+        ideal = model.type.lower() == "d" and bool(_settings(model).keys() & IDEAL_DIODE)
+        return ideal and self.syntax == "ltspice"
+
+    def _element(self, element: Element) -> Iterable[Item]:
+        if element.quantity:
+            return self._source(element)
+        model = self.models.get(element.model.lower()) if element.kind == "d" else None
+        if model is not None and self._is_ideal(resolved := self._resolved(model)):
+            return (_ideal_diode(element, self._values(_settings(resolved), resolved)),)
+        words = (*element.values, *element.parameters)
+        if element.kind in "eg" and any(word.lower().startswith("laplace") for word in words):
+            raise element.error("a Laplace transform has no equal in ngspice's time domain")
+        if element.kind == "r" and "r" in element.settings:
+            law = self._law(element.settings["r"].strip("{}'"), element)
+            plus, minus = element.nodes
+            current = f"V({plus},{minus})/({law})"
+            return (Element.behaviour(f"B{element.name}", plus, minus, "I", current),)
+        parasitic = {"c": _capacitor, "l": self._inductor, "v": _voltage}.get(element.kind)
+        element = replace(
+            element,
+            values=tuple(self._value(text, element) for text in element.values),
+            parameters=self._values(element.parameters, element),
+        )
+        return parasitic(element) if parasitic else (element,)
+
+    def _source(self, element: Element) -> Iterable[Item]:
+        """A behavioural source: its law, and the settings that LTspice writes behind the law."""
+        law, settings = _split_settings(element.expression)
+        result = [replace(element, expression=self._law(law, element))]
+        for name, value in settings.items():
+            if name in STEP_CONTROL:
+                continue
+            across = {"rpar": "r", "cpar": "c"}.get(name)
+            if across is None:
+                raise element.error(f"{name} of a behavioural source has no equal in ngspice")
+            card = f"{across.upper()}{element.name}_par"
+            result.append(_beside(element, card, *element.nodes, self._value(value, element)))
+        return result
+
+    def _inductor(self, element: Element) -> Iterable[Item]:
+        """``L`` in series with ``Rser``; ``Rpar`` and ``Cpar`` across both."""
+        if "flux" in element.settings:
+            raise element.error("a flux by an expression has no equal in ngspice")
+        ideal = element.key in self.coupled or self.syntax == "pspice"
+        default = "0" if ideal else INDUCTOR_RESISTANCE
+        settings = {"rser": default, **element.settings}
+        return _expanded(element, settings, ())
+
+
+def _with_meter(items: Iterable[Item], key: str, meter: str) -> list[Item]:
+    """The items with a source of 0 V in series with the element of this name."""
+    result: list[Item] = []
+    for item in items:
+        if isinstance(item, Element) and item.key == key:
+            inner = f"{item.name}_metered"
+            result.append(_beside(item, meter, item.nodes[0], inner, "0"))
+            item = replace(item, nodes=(inner, *item.nodes[1:]))
+        result.append(item)
+    return result
+
+
+def _beside(element: Element, name: str, *words: str) -> Element:
+    """An element that stands for a part of another one."""
+    return replace(Element.of(name, *words), where=element.where, written=element.written)
+
+
+def _capacitor(element: Element) -> Iterable[Item]:
+    """``C`` in series with ``Rser`` and with ``Lser``, which ``RLshunt`` bridges; the others across
+    all of them."""
+    settings = element.settings
+    if "q" in settings or any(word.lower().startswith("q=") for word in element.values):
+        raise element.error("a charge by an expression has no equal in ngspice")
+    return _expanded(element, settings, ("lser", "rlshunt"))
+
+
+def _voltage(element: Element) -> Iterable[Item]:
+    """A source in series with ``Rser``; ``Cpar`` across both."""
+    if any(word.lower().startswith("wavefile") for word in element.values):
+        raise element.error("a source out of a sound file has no equal in ngspice")
+    return _expanded(element, element.settings, ())
+
+
+def _expanded(
+    element: Element, settings: Mapping[str, str], more: tuple[str, ...]
+) -> Iterator[Element]:
+    """The element without its parasitic ``settings``, and an element for each of them."""
+    parasitic = ("rser", "rpar", "cpar", *more)
+    stated = {name: value for name in parasitic if not _is_zero(value := settings.get(name, "0"))}
+    left = {k: v for k, v in element.parameters.items() if k.lower() not in parasitic}
+    plus, minus = element.nodes
+    inner = plus
+    series: list[Element] = []
+    if "rser" in stated:
+        inner = f"{element.name}_inner"
+        series.append(_beside(element, f"R{element.name}_ser", plus, inner, stated["rser"]))
+    if "lser" in stated:
+        before, inner = inner, f"{element.name}_core"
+        series.append(_beside(element, f"L{element.name}_ser", before, inner, stated["lser"]))
+        if "rlshunt" in stated:
+            shunt = f"R{element.name}_shunt"
+            series.append(_beside(element, shunt, before, inner, stated["rlshunt"]))
+    yield replace(element, nodes=(inner, minus), parameters=left)
+    yield from series
+    for name in ("rpar", "cpar"):
+        if name in stated:
+            card = f"{name[0].upper()}{element.name}_par"
+            yield _beside(element, card, plus, minus, stated[name])
+
+
+def _is_zero(text: str) -> bool:
+    return literal(text) == 0
+
+
+def _ideal_diode(element: Element, model: Mapping[str, str]) -> Element:
+    """Three lines, each with a quadratic transition of its width ``e`` to the next, and limits.
+
+    With ``r(x, e) = x - e/2`` above ``e``, ``x^2 / (2 e)`` below and zero for negative ``x``:
+    ``i = goff v + (gon - goff) r(v - Vfwd, Epsilon) - (grev - goff) r(-v - Vrev, RevEpsilon)``;
+    then ``i = Ilimit tanh(i / Ilimit)`` for positive ``i``, with ``RevIlimit`` for negative ``i``.
+    ``m`` diodes are in parallel, ``n`` in series.
+    """
+    unknown = {*element.settings} - {"m", "n", "temp", "l", "w"}
+    if unknown:
+        raise element.error(f"an ideal diode has no parameter {', '.join(sorted(unknown))}")
+
+    def number(name: str, default: str = "0") -> str:
+        return f"({model.get(name, default).strip('{}')})"
+
+    off, count = number("roff", f"{{1/{GMIN}}}"), element.settings
+    volts = f"V({','.join(element.nodes)})"
+    if "n" in count:
+        volts = f"({volts}/({count['n'].strip('{}')}))"
+    forward = _ramp(f"{volts}-{number('vfwd')}", model, "epsilon")
+    current = f"{volts}/{off}+(1/{number('ron', '1')}-1/{off})*{forward}"
+    if "vrev" in model:
+        reverse = _ramp(f"-{volts}-abs({number('vrev')})", model, "revepsilon")
+        current += f"-(1/{number('rrev', model.get('ron', '1'))}-1/{off})*{reverse}"
+    ends = []
+    for name, sign in (("ilimit", "max"), ("revilimit", "min")):
+        part = f"{sign}({current}, 0)"
+        ends.append(f"{number(name)}*tanh({part}/{number(name)})" if name in model else part)
+    if "ilimit" in model or "revilimit" in model:
+        current = "+".join(ends)
+    if "m" in count:
+        current = f"({count['m'].strip('{}')})*({current})"
+    law = Writer().write(parse(current, where=element.where))
+    return replace(
+        element, kind="b", name=f"B{element.name}", model="", values=(), parameters={},
+        quantity="I", expression=law,
+    )  # fmt: skip
+
+
+def _ramp(excess: str, model: Mapping[str, str], width: str) -> str:
+    """Zero below zero, slope 1 above the width, a parabola in between."""
+    text = model.get(width, "0")
+    if _is_zero(text):
+        return f"max({excess}, 0)"
+    text = f"({text.strip('{}')})"
+    inside = f"min(max({excess}, 0), {text})"
+    return f"({inside}*{inside}/(2*{text})+max({excess}-{text}, 0))"
+
+
+def _settings(model: Model) -> dict[str, str]:
+    """Parameters of a model by names in lower case."""
+    return {key.lower(): text for key, text in model.parameters.items()}
+
+
+def _require_switch(model: Model) -> None:
+    """Refuse switches that conduct gradually, or have an inductance, a voltage or a limit."""
+    words = _settings(model)
+    name = "vh" if model.type.lower() == "sw" else "ih"
+    width = literal(words.get(name, "0"), where=model.where)
+    if width is not None and width < 0:
+        got = f"{name}={words[name]}"
+        raise model.error("a switch that opens gradually has no equal in ngspice", got)
+    extra = words.keys() & {"lser", "vser", "ilimit", "level", "epsilon", "oneway"}
+    if extra:
+        problem = f"{', '.join(sorted(extra))} of a switch has no equal in ngspice"
+        raise model.error(problem)
+
+
+# --- numbers and expressions -----------------------------------------------------------------
+
+
+def _split_settings(law: str) -> tuple[str, dict[str, str]]:
+    """A law and the settings ``name=value`` behind it, by names in lower case."""
+    starts = list(_SETTING.finditer(law))
+    if not starts:
+        return law, {}
+    ends = [*(match.start() for match in starts[1:]), len(law)]
+    settings = {
+        match[1].lower(): law[match.end() : end].strip()
+        for match, end in zip(starts, ends, strict=True)
+    }
+    return law[: starts[0].start()], settings
+
+
+def _plain_numbers(element: Element) -> Element:
+    """The element whose numbers have no micro sign and no unit in place of the decimal point."""
+    values = tuple(map(_plain_number, element.values))
+    parameters = {key: _plain_number(text) for key, text in element.parameters.items()}
+    law = element.expression.translate(_MICRO)
+    return replace(element, values=values, parameters=parameters, expression=law)
+
+
+def _plain_number(text: str) -> str:
+    text = text.translate(_MICRO)
+    infix = _INFIX.fullmatch(text)
+    if infix is None or infix[2].lower() == "e":
+        return text
+    unit = "" if infix[2].lower() == "r" else infix[2]
+    return f"{infix[1]}.{infix[3]}{unit}"
+
+
+class _Translator:
+    """Translates the expressions of one card."""
+
+    def __init__(self, card: Card, scope: _Scope) -> None:
+        self.card, self.scope = card, scope
+
+    def law(self, text: str) -> str:
+        """The expression for ngspice.
+
+        Raises
+        ------
+        UsageError : a function or an operator that has no equal.
+        """
+        if "^" in text and self.scope.syntax == "ltspice":
+            message = "LTspice reads ^ as exclusive or, PSpice and ngspice as a power"
+            raise self.card.error(message, text[:80], "** for a power")
+        text = re.sub(r"(?<!&)&(?!&)", "&&", re.sub(r"(?<!\|)\|(?!\|)", "||", text))
+        text = text.replace("~", "!").translate(_MICRO)
+        return Writer().write(self.tree(parse(text, where=self.card.where)))
+
+    def tree(self, tree: Tree) -> Tree:
+        """The tree for ngspice, whatever it contains first."""
+        tree = rebuilt(tree, self.tree)
+        match tree:
+            case Call(function, arguments):
+                return self._call(function, arguments)
+            case Choice(test, yes, no):
+                return Choice(_truth(test), yes, no)
+            case Unary("!", inner):
+                return Choice(_truth(inner), Number("0"), Number("1"))
+            case Binary(op, left, right) if op in _LOGICAL:
+                return Choice(Binary(op, _truth(left), _truth(right)), Number("1"), Number("0"))
+            case Binary("^", base, power):
+                return self._power(base, power)
+            case CircuitVariable("i", (name,)):
+                return CircuitVariable("i", (self._meter(name),))
+        return tree
+
+    def _meter(self, name: str) -> str:
+        """The source whose current is that of an element."""
+        element = self.scope.elements.get(name.lower())
+        if element is None or element.kind in "vleh" or (element.kind == "b" and element.quantity):
+            return name
+        if element.kind not in "rcdi" or self.scope.metered.get(element.key):
+            return self.scope.metered.get(element.key, name)
+        self.scope.metered[element.key] = f"V{element.name}_meter"
+        return self.scope.metered[element.key]
+
+    def _call(self, function: str, arguments: tuple[Tree, ...]) -> Tree:
+        if reason := _NO_EQUAL.get(function):
+            got = Writer().write(Call(function, arguments))
+            raise self.card.error(f"{reason} has no equal in ngspice", got[:80])
+        rule = _RULES.get((function, len(arguments))) or _RULES.get((function, -1))
+        return Call(function, arguments) if rule is None else rule(*arguments)
+
+    def _power(self, base: Tree, power: Tree) -> Tree:
+        """``base ** power``: ngspice takes powers of the absolute value."""
+        exponent = float(power.text) if isinstance(power, Number) else None
+        if exponent is not None and exponent == int(exponent) and 0 < exponent <= _LARGEST_POWER:
+            if exponent % 2 == 0:
+                return Binary("^", base, power)
+            even = Number(str(int(exponent) - 1))
+            return base if exponent == 1 else Binary("*", base, Binary("^", base, even))
+        if _is_positive(base):
+            return Binary("^", base, power)
+        problem = "a power of what may be negative is not the same in ngspice"
+        expected = "abs(…) around the base, or a whole number as exponent"
+        raise self.card.error(problem, Writer().write(Binary("^", base, power))[:80], expected)
+
+
+def _is_positive(tree: Tree) -> bool:
+    """Whether a value cannot be negative: numbers, parameters, and functions of such a range."""
+    return isinstance(tree, Number | Name) or (
+        isinstance(tree, Call) and tree.function in ("abs", "cosh", "exp", "hypot", "sqrt", "uramp")
+    )
+
+
+def _truth(tree: Tree) -> Tree:
+    """A condition: LTspice takes numbers above one half as true."""
+    compared = isinstance(tree, Binary) and tree.op in (*_ORDERED, *_LOGICAL)
+    return tree if compared else Binary(">", tree, Number("0.5"))
+
+
+def _limit(x: Tree, a: Tree, b: Tree) -> Tree:
+    """The one of three values that lies between the two others."""
+    low, high = Call("min", (a, b)), Call("max", (a, b))
+    return Call("min", (Call("max", (x, low)), high))
+
+
+def _table(x: Tree, *points: Tree) -> Tree:
+    """Straight lines between points, flat beyond their ends.
+
+    ``y1 + sum((y[k+1] - y[k]) share[k])``, where the share of an interval is its part below ``x``.
+    """
+    result = points[1]
+    ends = list(zip(points[::2], points[1::2], strict=False))
+    for (left, low), (right, high) in pairwise(ends):
+        rise, width = Binary("-", high, low), Binary("-", right, left)
+        inside = Call("min", (Call("max", (x, left)), right))
+        share = Binary("/", Binary("-", inside, left), width)
+        result = Binary("+", result, Binary("*", rise, share))
+    return result
+
+
+def _signed_power(x: Tree, power: Tree) -> Tree:
+    return Binary("*", Call("sgn", (x,)), Binary("^", Call("abs", (x,)), power))
+
+
+def _whole_part(x: Tree) -> Tree:
+    return Binary("*", Call("sgn", (x,)), Call("floor", (Call("abs", (x,)),)))
+
+
+def _length(x: Tree, y: Tree) -> Tree:
+    return Call("sqrt", (Binary("+", Binary("*", x, x), Binary("*", y, y)),))
+
+
+def _square(x: Tree) -> Tree:
+    return Binary("*", x, x)
+
+
+def _step_below(x: Tree) -> Tree:
+    return Choice(_truth(x), Number("0"), Number("1"))
+
+
+def _step_above(x: Tree) -> Tree:
+    return Choice(_truth(x), Number("1"), Number("0"))
+
+
+_RULES: dict[tuple[str, int], Callable[..., Tree]] = {
+    ("if", 3): lambda test, yes, no: Choice(_truth(test), yes, no),
+    ("limit", 3): _limit,
+    ("table", -1): _table,
+    ("pwr", 2): lambda x, power: Binary("^", Call("abs", (x,)), power),
+    ("pwrs", 2): _signed_power,
+    ("int", 1): _whole_part,
+    ("round", 1): lambda x: Call("nint", (x,)),
+    ("hypot", 2): _length,
+    ("sqr", 1): _square,
+    ("square", 1): _square,
+    ("buf", 1): _step_above,
+    ("inv", 1): _step_below,
+    ("log", 1): lambda x: Call("ln", (x,)),
+    ("sign", 1): lambda x: Call("sgn", (x,)),
+    ("stp", 1): lambda x: Call("u", (x,)),
+    ("arctan", 1): lambda x: Call("atan", (x,)),
+    ("arcsin", 1): lambda x: Call("asin", (x,)),
+    ("arccos", 1): lambda x: Call("acos", (x,)),
+}

@@ -1,0 +1,402 @@
+"""Circuits for LTspice and PSpice, imported and run in ngspice, against integration by scipy.
+
+The references share no code with the importer: they state what the help pages of LTspice say of
+each element and function, in numpy.
+"""
+
+import math
+import random
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import kc2spice as kc
+from kc2spice.core.errors import UsageError
+from kc2spice.netlist.importer import imported
+from kc2spice.netlist.read import read
+
+
+def run(folder, library, scene, syntax="ltspice"):
+    """The result of a scene with the part ``own`` of subcircuit ``own``."""
+    (folder / "own.lib").write_text(library, encoding="utf-8")
+    head = f'[own]\npart = "netlist"\nfile = "own.lib"\nsubckt = "own"\nsyntax = "{syntax}"\n'
+    (folder / "scene.toml").write_text(head + scene, encoding="utf-8")
+    return kc.run(folder / "scene.toml")
+
+
+# --- the ideal diode ----------------------------------------------------------------------------
+
+
+def diode_current(v, ron=1.0, roff=1e12, vfwd=0.0, vrev=math.inf, rrev=None, eps=0.0, reps=0.0,
+                  ilimit=math.inf, rlimit=math.inf):  # fmt: skip
+    """Slopes by region, integrated: off from -vrev to vfwd, ramps of widths eps and reps beyond."""
+    rrev = ron if rrev is None else rrev
+
+    def slope(x):
+        if x >= vfwd:
+            part = min(1.0, (x - vfwd) / eps) if eps else 1.0
+            return 1 / roff + part * (1 / ron - 1 / roff)
+        if x <= -vrev:
+            part = min(1.0, (-vrev - x) / reps) if reps else 1.0
+            return 1 / roff + part * (1 / rrev - 1 / roff)
+        return 1 / roff
+
+    corners = sorted({0.0, v, *(c for c in (vfwd, vfwd + eps, -vrev, -vrev - reps)
+                                if min(0, v) < c < max(0, v))})  # fmt: skip
+    middles = [(a + b) / 2 for a, b in pairwise(corners)]
+    widths = np.diff(corners)
+    total = sum(w * slope(m) for w, m in zip(widths, middles, strict=True)) * np.sign(v)
+    limit = ilimit if total > 0 else rlimit
+    return float(total if math.isinf(limit) else limit * math.tanh(total / limit))
+
+
+@pytest.mark.parametrize(
+    ("model", "settings"),
+    [
+        ("Ron=0.5 Roff=1k Vfwd=0.7", {"ron": 0.5, "roff": 1e3, "vfwd": 0.7}),
+        ("Ron=2 Vfwd=1 Vrev=2 Rrev=5 Roff=1Meg",
+         {"ron": 2, "vfwd": 1, "vrev": 2, "rrev": 5, "roff": 1e6}),
+        ("Ron=1 Vfwd=.5 Vrev=1 Roff=1Meg epsilon=1 revepsilon=.6",
+         {"vfwd": 0.5, "vrev": 1, "roff": 1e6, "eps": 1, "reps": 0.6}),
+        ("Ron=.1 Vfwd=.5 Vrev=1 Roff=1Meg Ilimit=1 RevIlimit=2",
+         {"ron": 0.1, "vfwd": 0.5, "vrev": 1, "roff": 1e6, "ilimit": 1, "rlimit": 2}),
+    ],
+)  # fmt: skip
+def test_an_ideal_diode_has_its_lines_transitions_and_limits(model, settings, tmp_path):
+    library = f".subckt own a\nD1 a 0 X\n.model X D({model})\n.ends\n"
+    result = run(tmp_path, library, """pins = { a = "v.out" }
+[v]
+part = "source"
+[analysis]
+type = "dc"
+sweep = "v.dc"
+from = -3
+to = 3
+points = 121
+""")  # fmt: skip
+    volts = np.linspace(-3, 3, 121)
+    expected = np.array([diode_current(v, **settings) for v in volts])
+    # gmin is 1e-12 S; Newton's method stops at a change of 1e-3 of a curved characteristic.
+    rel = 1e-3 if "Ilimit" in model or "epsilon" in model else 2e-6
+    assert result.waves["v.i"] == pytest.approx(expected, rel=rel, abs=1e-11)
+
+
+def test_a_bridge_of_ideal_diodes_charges_its_capacitor(tmp_path):
+    library = """* a bridge rectifier
+.subckt own p n plus minus
+D1 p plus IDEAL
+D2 n plus IDEAL
+D3 minus p IDEAL
+D4 minus n IDEAL
+C1 plus minus 47n
+.model IDEAL D(Ron=0.5 Roff=100Meg Vfwd=0.25 Vrev=60)
+.ends own
+"""
+    result = run(tmp_path, library, """
+pins = { p = "g.out", n = "g.ret", plus = "load.a", minus = "gnd" }
+[load]
+part = "resistor"
+resistance = "10 kOhm"
+[g]
+part = "source"
+sine = { amplitude = "3 V", frequency = "10 kHz" }
+[analysis]
+stop = "2 ms"
+[solver]
+max_step = "0.1 us"
+""")  # fmt: skip
+
+    def slope(t, y):
+        across = abs(3 * np.sin(2e4 * np.pi * t)) - y[0]
+        current = diode_current(across / 2, ron=0.5, roff=1e8, vfwd=0.25)
+        return [(current - y[0] / 1e4) / 47e-9]
+
+    exact = solve_ivp(slope, (0, 2e-3), [0], "LSODA", max_step=2e-7, rtol=1e-9, atol=1e-10)
+    time, volts = result.waves["time"], result.waves["load.v"]
+    off = np.abs(np.interp(exact.t, time, volts) - exact.y[0]).max()
+    assert off < 2e-3 * 2.5
+
+
+# --- parasitic elements -------------------------------------------------------------------------
+
+SWEEP = """pins = { a = "drive.out" }
+[drive]
+part = "source"
+ac = 1
+[analysis]
+type = "ac"
+start = 1e3
+stop = 1e8
+points = 51
+"""
+
+
+def beside(*impedances):
+    return 1 / sum(1 / z for z in impedances)
+
+
+@pytest.mark.parametrize(
+    ("card", "impedance"),
+    [
+        ("C1 a 0 10n Rser=20m Lser=3n Rpar=1Meg Cpar=2p RLshunt=5",
+         lambda s: beside(0.02 + beside(3e-9 * s, 5) + 1 / (1e-8 * s), 1e6, 1 / (2e-12 * s))),
+        ("L1 a 0 10µ Rser=0.1 Rpar=2k Cpar=15p",
+         lambda s: beside(0.1 + 1e-5 * s, 2e3, 1 / (15e-12 * s))),
+        ("L1 a 0 4u7", lambda s: 4.7e-6 * s + 1e-3),
+        ("L1 a 0 4u7 Rser=0", lambda s: 4.7e-6 * s),
+        ("R1 a 0 4k7", lambda s: 4700 + 0 * s),
+        ("V1 a b 0 Rser=50 Cpar=1n\nR1 b 0 10", lambda s: 10 + beside(50, 1 / (1e-9 * s))),
+        ("B1 a 0 I=V(a)/1k Cpar=1n Rpar=3k tripdv=1 tripdt=1n",
+         lambda s: beside(1e3, 3e3, 1 / (1e-9 * s))),
+        ("R1 a 0 R=2*(100+0*V(a))", lambda s: 200 + 0 * s),
+    ],
+)  # fmt: skip
+def test_parasitic_elements_have_the_impedance_of_their_circuit(card, impedance, tmp_path):
+    result = run(tmp_path, f".subckt own a\n{card}\n.ends\n", SWEEP)
+    s = 2j * np.pi * result.waves["frequency"].real
+    current = result.waves["drive.i"]
+    assert np.abs(current * impedance(s) - 1).max() < 1e-6
+
+
+# --- functions ----------------------------------------------------------------------------------
+
+
+def median(x, a, b):
+    return sorted((x, a, b))[1]
+
+
+def table(x, *points):
+    return float(np.interp(x, points[::2], points[1::2]))
+
+
+MEANINGS = {
+    "limit": median, "table": table, "if_": lambda c, a, b: a if c > 0.5 else b,
+    "pwr": lambda x, y: abs(x) ** y, "pwrs": lambda x, y: math.copysign(abs(x) ** y, x),
+    "int_": math.trunc, "hypot": math.hypot, "sgn": lambda x: (x > 0) - (x < 0),
+    "u": lambda x: float(x > 0), "uramp": lambda x: max(x, 0.0),
+    "buf": lambda x: float(x > 0.5), "inv": lambda x: float(x <= 0.5),
+    "abs": abs, "min": min, "max": max, "exp": math.exp, "tanh": math.tanh, "sqrt": math.sqrt,
+    "log": math.log, "arctan": math.atan,
+}  # fmt: skip
+
+
+def drawn(rng, depth):
+    """A random expression as LTspice writes it, and as Python reads it."""
+    if depth == 0:
+        value = round(rng.uniform(-2, 2), 2)
+        return rng.choice((("V(a)", "va"), ("V(b)", "vb"), (f"({value})", f"({value})")))
+    x, y, z = (drawn(rng, depth - 1) for _ in range(3))
+    name = rng.choice((
+        "+", "*", "limit", "if", "if_number", "table", "pwrs", "pwr", "power", "hypot", "int",
+        "and", "or", "not", "buf", "inv", "uramp", "abs", "min", "max", "tanh", "sqrt", "log",
+        "arctan",
+    ))  # fmt: skip
+    match name:
+        case "+" | "*":
+            return f"({x[0]}{name}{y[0]})", f"({x[1]}{name}{y[1]})"
+        case "if":
+            return (f"if({x[0]}<{y[0]},{z[0]},{x[0]})", f"if_({x[1]}<{y[1]},{z[1]},{x[1]})")
+        case "if_number":
+            return f"if({x[0]},{y[0]},{z[0]})", f"if_({x[1]},{y[1]},{z[1]})"
+        case "limit":
+            return tuple(f"limit({x[k]},{y[k]},{z[k]})" for k in (0, 1))
+        case "table":
+            points = "-1,0.5,0,-1,0.7,2"
+            return f"table({x[0]},{points})", f"table({x[1]},{points})"
+        case "pwrs" | "pwr":
+            return f"{name}({x[0]},1.5)", f"{name}({x[1]},1.5)"
+        case "power":
+            n = rng.choice((2, 3, 5))
+            return f"({x[0]})**{n}", f"(({x[1]})**{n})"
+        case "int":
+            return f"int({x[0]})", f"int_({x[1]})"
+        case "and" | "or":
+            sign = {"and": "&", "or": "|"}[name]
+            return (f"(({x[0]}>0) {sign} ({y[0]}))",
+                    f"float((({x[1]})>0) {name} (({y[1]})>0.5))")  # fmt: skip
+        case "not":
+            return f"(!({x[0]}))", f"float(not (({x[1]})>0.5))"
+        case "hypot" | "min" | "max":
+            return tuple(f"{name}({x[k]},{y[k]})" for k in (0, 1))
+        case "sqrt":
+            return tuple(f"sqrt(abs({x[k]}))" for k in (0, 1))
+        case "log":
+            return tuple(f"log(abs({x[k]})+0.1)" for k in (0, 1))
+    return f"{name}({x[0]})", f"{name}({x[1]})"
+
+
+def evaluated(text, va, vb):
+    return float(eval(text, {"__builtins__": {"float": float}}, MEANINGS | {"va": va, "vb": vb}))
+
+
+def is_smooth(text, va, vb):
+    """Whether a small change of the inputs changes little: no step of the expression lies there."""
+    values = [evaluated(text, va + da, vb + db) for da in (-1e-5, 1e-5) for db in (-1e-5, 1e-5)]
+    return max(values) - min(values) < 1e-3 * (1 + abs(values[0]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_expressions_have_the_values_that_ltspice_defines(seed, tmp_path):
+    rng = random.Random(seed)
+    va, vb = 0.37 + seed * 0.29, -1.13 + 0.41 * seed
+    pairs = []
+    while len(pairs) < 60:
+        pair = drawn(rng, rng.choice((1, 2, 3)))
+        if abs(evaluated(pair[1], va, vb)) < 1e4 and is_smooth(pair[1], va, vb):
+            pairs.append(pair)
+    cards = [f"B{k} n{k} 0 V={text}\nR{k} n{k} 0 1k" for k, (text, _) in enumerate(pairs)]
+    library = "\n".join((".subckt own a b", *cards, ".ends", ""))
+    probes = "\n".join(f'[probes.p{k}]\nof = "own.n{k}"\ntake = "final"' for k in range(60))
+    result = run(tmp_path, library, f"""pins = {{ a = "va.out", b = "vb.out" }}
+[va]
+part = "source"
+dc = {va}
+[vb]
+part = "source"
+dc = {vb}
+[analysis]
+type = "op"
+{probes}
+""")  # fmt: skip
+    for k, (text, python) in enumerate(pairs):
+        assert result.metrics[f"p{k}"] == pytest.approx(
+            evaluated(python, va, vb), rel=1e-6, abs=1e-6
+        ), text
+
+
+# --- PSpice: an operational amplifier by its equations ------------------------------------------
+
+
+def test_a_pspice_amplifier_slews_and_clips_as_its_equations_say(tmp_path):
+    """``c dv/dt = limit(gm (in - v), +-i) - v/r``, the output within its rails."""
+    library = """* PSpice
+.subckt own plus out params: rail=5 slew=2e6
+.func sat(x, m) {LIMIT(x, -m, m)}
+Gstage 0 c VALUE={sat(1e-3*(V(plus)-V(c)), slew*1e-9)}
+Cc c 0 1n
+Rc c 0 1meg
+Eout drive 0 VALUE={TABLE(V(c), -rail, -rail, rail, rail)}
+Rout drive out 10
+.ends own
+"""
+    result = run(tmp_path, library, """pins = { plus = "g.out", out = "load.a" }
+[load]
+part = "resistor"
+resistance = 90
+[g]
+part = "source"
+pwl = [[0, 0], ["1 us", 0], ["1.1 us", 8], ["10 us", 8], ["10.1 us", -3]]
+[analysis]
+stop = "20 us"
+[solver]
+max_step = "20 ns"
+""", "pspice")  # fmt: skip
+
+    def command(t):
+        return np.interp(t, [0, 1e-6, 1.1e-6, 1e-5, 1.01e-5], [0, 0, 8, 8, -3])
+
+    def slope(t, v):
+        return [(median(1e-3 * (command(t) - v[0]), -2e-3, 2e-3) - v[0] / 1e6) / 1e-9]
+
+    exact = solve_ivp(slope, (0, 2e-5), [0], "LSODA", max_step=1e-8, rtol=1e-9, atol=1e-9)
+    out = 0.9 * np.clip(exact.y[0], -5, 5)
+    off = np.interp(exact.t, result.waves["time"], result.waves["load.v"]) - out
+    assert np.abs(off).max() < 5e-3 * 5
+
+
+# --- VDMOS: a transistor that discharges a capacitor ---------------------------------------------
+
+
+def test_a_vdmos_discharges_a_capacitor_by_its_square_law(tmp_path):
+    """``kp ((vgs - vto) vds - vds^2 / 2)``, in saturation ``kp (vgs - vto)^2 / 2``, behind ``Rd``.
+    Ratings and maker of the model are of no equation."""
+    library = """.subckt own d g
+M1 d g 0 SW
+.model SW VDMOS(nchan Vto=2 Kp=4 Rd=0.05 Rs=0 Rg=3 Lambda=0 Cgdmax=.5n Cgdmin=.05n Cgs=1n A=1
++ Cjo=.3n Rds=1e9 Vds=60 Ron=10m Qg=20n mfg=Nobody)
+.ends own
+"""
+    result = run(tmp_path, library, """pins = { d = "push.out", g = "gate.out" }
+[store]
+part = "capacitor"
+capacitance = "10 uF"
+pins = { a = "push.out", b = "gnd" }
+[push]
+part = "source"
+kind = "current"
+pulse = { high = 10, width = "10 us", edge = "10 ns" }
+[gate]
+part = "source"
+pulse = { high = 4, width = "1 ms", edge = "10 ns", start = "15 us" }
+[analysis]
+stop = "40 us"
+[solver]
+max_step = "20 ns"
+""")  # fmt: skip
+
+    def current(v, gate):
+        on, r = max(gate - 2.0, 0.0), 0.05
+        if v - r * 2 * on**2 >= on:
+            return 2 * on**2
+        b = 4 * on + 1 / r  # of 2 vds^2 - b vds + v / r = 0
+        return (v - (b - math.sqrt(b**2 - 8 * v / r)) / 4) / r
+
+    def slope(t, v):
+        push = np.interp(t, [0, 1e-8, 1e-5, 1.001e-5], [0, 10, 10, 0])
+        gate = np.interp(t, [1.5e-5, 1.501e-5], [0, 4])
+        return [(push - current(v[0], gate)) / 1e-5]
+
+    exact = solve_ivp(slope, (0, 4e-5), [0], "LSODA", max_step=2e-8, rtol=1e-8, atol=1e-8)
+    off = np.interp(exact.t, result.waves["time"], result.waves["store.v"]) - exact.y[0]
+    assert np.abs(off).max() < 1e-2 * 10
+
+
+# --- what has no equal --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("card", "message"),
+    [
+        ("B1 a 0 V=delay(V(a), 1u)", "a delay of a voltage has no equal"),
+        ("B1 a 0 I=idt(V(a))", "an integral over time has no equal"),
+        ("B1 a 0 I=V(a)^3", r"reads \^ as exclusive or"),
+        ("B1 a 0 I=V(a)**1.5", "a power of what may be negative"),
+        ("C1 a 0 Q=1n*x", "a charge by an expression"),
+        ("L1 a 0 Flux=1n*x", "a flux by an expression"),
+        ("E1 a 0 a 0 Laplace=1/(1+s)", "Laplace transform"),
+        ("S1 a 0 a 0 X\n.model X SW(Ron=1 Roff=1Meg Vt=1 Vh=-.2)", "opens gradually"),
+        ("S1 a 0 a 0 X\n.model X SW(Ron=1 Roff=1Meg Ilimit=1)", "ilimit of a switch"),
+        ("B1 a 0 I=V(a) laplace=1/(1+s)", "laplace of a behavioural source"),
+        ("D1 a 0 X\n.model X ako:Y D()", "no model to begin with"),
+    ],
+)
+def test_what_has_no_equal_is_refused_with_its_line(card, message):
+    text = f".subckt own a\nR1 a 0 1\n{card}\n.ends\n"
+    with pytest.raises(UsageError, match=message) as caught:
+        imported(read(text, "own.lib"), "ltspice")
+    assert caught.value.where.startswith("own.lib:")
+
+
+def test_a_model_begins_with_another_one():
+    text = ".model base NPN(Bf=100 Is=1f)\n.model own ako:base NPN(Bf=200 mfg=X)\nQ1 c b e own\n"
+    models = imported(read(text, "m.lib"), "ltspice").items[:2]
+    assert models[1].type.lower() == "npn"
+    assert models[1].parameters == {"bf": "200", "is": "1f"}
+
+
+def test_a_current_of_any_element_can_be_read(tmp_path):
+    """``I(R1)`` of 3 V across 1 kOhm and 2 kOhm, a thousand times as a voltage."""
+    library = ".subckt own a o\nR1 a m 1k\nR2 m 0 2k\nB1 o 0 V=1000*I(R1)\n.ends\n"
+    result = run(tmp_path, library, """pins = { a = "v.out", o = "load.a" }
+[v]
+part = "source"
+dc = 3
+[load]
+part = "resistor"
+resistance = 1000
+[analysis]
+type = "op"
+""")  # fmt: skip
+    assert result.waves["load.v"][0] == pytest.approx(1.0, rel=1e-9)
