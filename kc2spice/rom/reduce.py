@@ -270,8 +270,8 @@ def basis_within(
 
 def _prescribed(task: Task, reductor: Reductor) -> ReducedBasis:
     """The basis of a prescribed method."""
-    basis, reason = None, reductor.obstacle(task) or "its suits() returns False"
-    if reductor.suits(task):
+    basis, reason = None, reductor.obstacle(task) or "its applies_to() returns False"
+    if reductor.applies_to(task):
         reason = reductor.no_basis
         with part_named(f"method {reductor.name!r}"):
             basis = require_basis(reductor, reductor.basis(task))

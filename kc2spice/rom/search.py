@@ -69,15 +69,15 @@ def fewest_states(
     congruences = [item for item in reductors if item.congruence]
     others = [] if keep_form else [item for item in reductors if not item.congruence]
     signals = default_norm(task.fom) == "peak" and not keep_form
-    form = _form(task)
+    form = _prove_form(task)
     share = FORM_SHARE if form and form.proof == FORM else 1.0
     other = None
     if signals and not (form and form.passive):
-        other = _fewest_of(task, others, tolerance, task.states + 1)
+        other = _select_fewest(task, others, tolerance, task.states + 1)
     if other and not form:  # a congruence would preserve nothing
         return _with_origin(other, f"{other[0].origin}; ")
     most = int(other[1] / share) if other else np.inf
-    reductor, basis, order = _congruence(task, congruences, tolerance, most + 1, bool(other))
+    reductor, basis, order = _select_congruence(task, congruences, tolerance, most + 1, bool(other))
     if order is None:
         assert other is not None
         text = f"{other[0].origin}, where a congruence needs more than {most} states; "
@@ -87,14 +87,14 @@ def fewest_states(
         order = least_order(basis, tolerance, basis.states(order)) or order
     states = basis.states(order)
     if other is None and (signals or basis.states(basis.size) <= CHEAP):
-        other = _fewest_of(task, others, tolerance, int(np.ceil(share * states)))
+        other = _select_fewest(task, others, tolerance, int(np.ceil(share * states)))
     if other and other[1] < states:
         text = f"{states} first-order states, {other[1]} without keeping the form; "
         basis = replace(basis, origin=text)
     return basis, order
 
 
-def _form(task: Task) -> StabilityProof | None:
+def _prove_form(task: Task) -> StabilityProof | None:
     """Stability and passivity of the intermediate model, None if a congruence preserves nothing:
     a model of first order that is not symmetric."""
     pencil = task.response.pencil
@@ -103,7 +103,7 @@ def _form(task: Task) -> StabilityProof | None:
     return None
 
 
-def _fewest_of(
+def _select_fewest(
     task: Task, reductors: Sequence[Reductor], tolerance: float, states: float
 ) -> tuple[ReducedBasis, int] | None:
     """Basis and order of fewer than so many states, None if no reductor has one.
@@ -113,7 +113,7 @@ def _fewest_of(
     """
     best = None
     for reductor in reductors:
-        basis = reductor.basis(task) if reductor.suits(task) else None
+        basis = reductor.basis(task) if reductor.applies_to(task) else None
         order = least_order(basis, tolerance, states) if basis else None
         if basis is None or order is None:
             continue
@@ -123,18 +123,18 @@ def _fewest_of(
     return best
 
 
-def _congruence(
+def _select_congruence(
     task: Task, reductors: Sequence[Reductor], tolerance: float, states: float, optional: bool
 ) -> tuple[Reductor, ReducedBasis, int | None]:
     """The reductor of the least order, its basis and the order; an order of None if none is
     acceptable and the result is ``optional``."""
-    bases = [(item, item.basis(task)) for item in reductors if item.suits(task)]
+    bases = [(item, item.basis(task)) for item in reductors if item.applies_to(task)]
     rows = [(item, basis) for item, basis in bases if basis is not None]
     orders = [least_order(basis, tolerance, states) for _, basis in rows]
     acceptable = [(order, k) for k, order in enumerate(orders) if order is not None]
     if not acceptable:
         if not optional:
-            raise out_of_reach([basis for _, basis in rows], tolerance)
+            raise tolerance_error([basis for _, basis in rows], tolerance)
         return *rows[0], None
     order, k = min(acceptable)
     return *rows[k], order
@@ -156,12 +156,12 @@ def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[Redu
     orders = [(least_order(basis, tolerance), basis) for basis in bases]
     acceptable = [(order, basis) for order, basis in orders if order is not None]
     if not acceptable:
-        raise out_of_reach(bases, tolerance)
+        raise tolerance_error(bases, tolerance)
     order, basis = min(acceptable, key=lambda pair: pair[1].states(pair[0]))
     return basis, order
 
 
-def out_of_reach(bases: Sequence[ReducedBasis], tolerance: float) -> Exception:
+def tolerance_error(bases: Sequence[ReducedBasis], tolerance: float) -> Exception:
     """Error of bases of which no order meets the tolerance."""
     error = min(basis.error(basis.size) for basis in bases)
     return inexact(

@@ -141,7 +141,7 @@ class ModalTruncation(kc.Reductor):
     name = "modal truncation"
     reference = "Craig and Kurdila, Fundamentals of Structural Dynamics (2006), chapter 11"
 
-    def suits(self, task):
+    def applies_to(self, task):
         return task.model.M is not None
 
     def basis(self, task):

@@ -235,9 +235,9 @@ def test_a_comparison_states_what_a_user_method_refuses(monkeypatch):
     method = kc.register_reductor(UserMethod(lambda task: None))
     rows = reasons(M=np.eye(3), K=np.diag([1.0, 4.0, 9.0]), B=np.ones((3, 1)))
     assert rows["user method"] == "its basis() returns None"
-    monkeypatch.setattr(method, "suits", lambda task: False)
+    monkeypatch.setattr(method, "applies_to", lambda task: False)
     rows = reasons(M=np.eye(3), K=np.diag([1.0, 4.0, 9.0]), B=np.ones((3, 1)))
-    assert rows["user method"] == "its suits() returns False"
+    assert rows["user method"] == "its applies_to() returns False"
 
 
 @pytest.mark.parametrize("key", ["rom.method", "disc.rom.method"])

@@ -49,7 +49,7 @@ class Reductor(ABC):
         """Return the reason why the method does not apply to this model, "" if it applies."""
         return ""
 
-    def suits(self, task: Task) -> bool:
+    def applies_to(self, task: Task) -> bool:
         """Return whether the method applies to this model: by default, if nothing prevents it."""
         return not self.obstacle(task)
 
