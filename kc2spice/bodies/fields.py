@@ -25,7 +25,7 @@ from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.fem.solid import strains, tensors
-from kc2spice.rom.modal import resonant
+from kc2spice.rom.modal import integrate_modes
 from kc2spice.rom.reductors.block_krylov import block_arnoldi
 
 ORDER = 40
@@ -85,7 +85,7 @@ def recover(
         u[:, names.index(name)] = wave
     t = np.asarray(time)
     basis, omega, damp = _modes(device, float(t[-1] - t[0]))
-    states, _ = resonant(omega, damp, t, u @ (basis.T @ device.model.B).T)
+    states, _ = integrate_modes(omega, damp, t, u @ (basis.T @ device.model.B).T)
     return NodalMotion(device, t, u, basis, states)
 
 

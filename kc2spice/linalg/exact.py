@@ -21,7 +21,7 @@ REFINEMENTS = 5
 ENOUGH, LOST = 1e-8, 1e-3  # relative corrections: the next is rounding, and none has a digit
 
 
-class Exact:
+class ExactMatrix:
     """A real matrix whose products have 18 digits of their largest terms, whatever cancels."""
 
     def __init__(self, matrix: np.ndarray) -> None:
@@ -61,7 +61,7 @@ class RefinedSolver:
 
     def __init__(self, A: np.ndarray, E: np.ndarray) -> None:
         self._plain = A, E
-        self._sides = (Exact(A), Exact(E)), (Exact(A.T), Exact(E.T))
+        self._sides = (ExactMatrix(A), ExactMatrix(E)), (ExactMatrix(A.T), ExactMatrix(E.T))
 
     def at(self, s: complex, B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``(A + s E)^-1 B`` and ``(A + s E)^-T C'``.

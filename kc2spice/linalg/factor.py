@@ -81,7 +81,7 @@ NARROW = 600
 # From so many unknowns on nested dissection repays its own time.
 LARGE = 5000
 _LINE = 1  # gmsh's number of the element type with two nodes
-_KEPT = 2  # orders: a reduction factorises matrices of one pattern, or of two
+_STORED_ORDERS = 2  # orders: a reduction factorises matrices of one pattern, or of two
 _orders: dict[bytes, np.ndarray | None] = {}
 
 
@@ -190,7 +190,7 @@ def factorise(
         if narrow:
             order, apply = None, _factor_banded(coo, bandwidth)
         else:
-            order = _order(matrix) if order is None else order
+            order = _find_order(matrix) if order is None else order
             apply = supernodal(matrix, order)
     except (np.linalg.LinAlgError, RuntimeError) as error:
         raise SimulationError(
@@ -219,7 +219,7 @@ def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> tuple[Facto
     reason: Exception | None = None
     for without_pivoting in (True, False) if symmetric else (False,):
         try:
-            apply, transposed = _inverses(matrix, without_pivoting)
+            apply, transposed = _factorise_lu(matrix, without_pivoting)
             forward = Factor(matrix, apply)
             forward.solve(trial)
             return forward, Factor(scipy.sparse.csc_array(matrix.T), transposed)
@@ -237,11 +237,11 @@ def _factor_banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
     return lambda rhs: scipy.linalg.cho_solve_banded((factor, True), rhs, check_finite=False)
 
 
-def _inverses(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inverse, Inverse]:
+def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inverse, Inverse]:
     """Solutions with the matrix and with its transpose; ``symmetric`` skips pivoting for size."""
     from scipy.sparse.linalg import splu
 
-    order = _order(matrix) if symmetric else None
+    order = _find_order(matrix) if symmetric else None
     lu = splu(
         matrix if order is None else scipy.sparse.csc_array(matrix[order][:, order]),
         permc_spec="MMD_AT_PLUS_A" if order is None else "NATURAL",
@@ -260,7 +260,7 @@ def _inverses(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inverse,
     return lambda rhs: solve(rhs, "N"), lambda rhs: solve(rhs, "T")
 
 
-def _order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
+def _find_order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     """Order ``p`` (n,) in which factors of ``matrix[p][:, p]`` stay sparse, by nested dissection of
     METIS in gmsh; None, which leaves the order to the solver, of small matrices and, with a
     warning, where gmsh is missing.
@@ -279,13 +279,13 @@ def _order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     key = pattern.digest()
     if key not in _orders:
         _orders[key] = _nested_dissection(matrix)
-        for old in list(_orders)[:-_KEPT]:
+        for old in list(_orders)[:-_STORED_ORDERS]:
             del _orders[old]
     return _orders[key]
 
 
 def _nested_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
-    group, first = _nodes(matrix)
+    group, first = _group_unknowns(matrix)
     columns = scipy.sparse.coo_array(matrix[:, first])
     pairs = np.sort(np.column_stack([group[columns.row], columns.col]), axis=1).astype(np.int64)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
@@ -294,7 +294,7 @@ def _nested_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     place = np.full(first.size, first.size)
     if key.size:
         try:
-            old, new = _graph_order(np.column_stack([key // first.size, key % first.size]))
+            old, new = _order_graph(np.column_stack([key // first.size, key % first.size]))
         except MissingToolError as error:
             warnings.warn(f"large matrices are factorised in a slower order: {error}", stacklevel=2)
             return None
@@ -302,7 +302,7 @@ def _nested_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     return np.argsort(place[group], kind="stable")
 
 
-def _nodes(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndarray]:
+def _group_unknowns(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndarray]:
     """Group of every unknown and the first unknown of each, by a hash of the columns' patterns."""
     words = np.random.default_rng(0).integers(0, 2**63, matrix.shape[0], dtype=np.uint64)
     total = np.r_[np.uint64(0), np.cumsum(words[matrix.indices], dtype=np.uint64)]
@@ -311,7 +311,7 @@ def _nodes(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndarray]:
     return group, first
 
 
-def _graph_order(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _order_graph(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Nodes of a graph of ``edges`` (m, 2) and their places, from a mesh of lines."""
     nodes = int(edges.max()) + 1
     with gmsh_session() as gmsh:

@@ -52,16 +52,16 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     ------
     UsageError : the model has no state-space form.
     """
-    if not dense and (result := _looped(model)):
+    if not dense and (result := _read_blocks(model)):
         return result
     A, B, C, D = model.state_space()
     if dense:
         return BlockModel((A,), B, C, D)
     certificate, best = model.certificate, None
     limit = max(KEPT, SHARE * certificate.error_estimate) if certificate else KEPT
-    s, exact = _between_poles(A), np.empty(0)
+    s, exact = _sample_between_poles(A), np.empty(0)
     for growth in (GROWTH, *MORE):
-        blocks, X, inverse = decoupled(A, growth)
+        blocks, X, inverse = decouple_states(A, growth)
         result = BlockModel(blocks, inverse @ B, C @ X, D)
         if best is not None and s.size:
             exact = exact if exact.size else explicit(A, B, C, D).transfer(s)
@@ -75,7 +75,7 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     return best
 
 
-def _between_poles(A: np.ndarray) -> np.ndarray:
+def _sample_between_poles(A: np.ndarray) -> np.ndarray:
     """Frequencies ``j w`` (n,) across the poles, none where all of these are zero."""
     size = np.abs(np.linalg.eigvals(A))
     size = size[size > SAME * size.max(initial=0.0)]
@@ -84,7 +84,7 @@ def _between_poles(A: np.ndarray) -> np.ndarray:
     return np.asarray(1j * np.geomspace(0.1 * size.min(), 3 * size.max(), POINTS))
 
 
-def _looped(model: LinearModel) -> BlockModel | None:
+def _read_blocks(model: LinearModel) -> BlockModel | None:
     """Return the blocks of a first-order model without a change of its states.
 
     The result is None for models of other forms. E must be diagonal, with ones before zeros, and
@@ -107,7 +107,7 @@ def _looped(model: LinearModel) -> BlockModel | None:
     return BlockModel(blocks, B[:n], C[:, :n], model.D, loops)
 
 
-def decoupled(
+def decouple_states(
     A: np.ndarray, growth: float = GROWTH
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
     """``A = X diag(blocks) X^-1``; the forms of energy coordinates are kept exactly."""
@@ -121,18 +121,18 @@ def decoupled(
     if largest(A + A.T) <= SAME * largest(A):  # lossless: the poles stay on the axis
         T = 0.5 * (T - T.T)
         T[np.abs(T) <= SAME * largest(T)] = 0.0
-        return tuple(T[i : i + k, i : i + k] for i, k in _blocks(T)), Z, Z.T
-    return _clustered(T, Z, growth)
+        return tuple(T[i : i + k, i : i + k] for i, k in _list_blocks(T)), Z, Z.T
+    return _split_schur_form(T, Z, growth)
 
 
-def _clustered(
+def _split_schur_form(
     T: np.ndarray, Z: np.ndarray, growth: float
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
     """Split the real Schur form from the top, taking in the nearest pole where splitting costs."""
     X, inverse, blocks, n = Z.copy(), Z.T.copy(), [], len(T)
     start = 0
     while start < n:
-        end = start + _first(T, start)
+        end = start + _block_size(T, start)
         while end < n:
             S, scale, info = lapack.dtrsyl(
                 T[start:end, start:end], T[end:, end:], -T[start:end, end:], isgn=-1
@@ -143,19 +143,19 @@ def _clustered(
                 break
             rest = T[end:, end:]
             apart = np.abs(_poles(rest)[:, None] - _poles(T[start:end, start:end])).min(axis=1)
-            nearest = list(_blocks(rest))[int(np.argmin(apart))][0]
+            nearest = list(_list_blocks(rest))[int(np.argmin(apart))][0]
             T22, Q, _ = lapack.dtrexc(rest, np.eye(len(rest)), nearest + 1, 1)  # to the top
             T[:, end:] = T[:, end:] @ Q
             T[end:, end:] = T22
             X[:, end:] = X[:, end:] @ Q
             inverse[end:] = Q.T @ inverse[end:]
-            end += _first(T, end)
+            end += _block_size(T, end)
         blocks.append(T[start:end, start:end])
         start = end
     return tuple(blocks), X, inverse
 
 
-def _blocks(T: np.ndarray, start: int = 0) -> Iterator[tuple[int, int]]:
+def _list_blocks(T: np.ndarray, start: int = 0) -> Iterator[tuple[int, int]]:
     """Where each diagonal block of a real Schur form begins from ``start`` on, and its size."""
     while start < len(T):
         size = 2 if start + 1 < len(T) and T[start + 1, start] != 0 else 1
@@ -163,14 +163,14 @@ def _blocks(T: np.ndarray, start: int = 0) -> Iterator[tuple[int, int]]:
         start += size
 
 
-def _first(T: np.ndarray, start: int) -> int:
-    return next(_blocks(T, start))[1]
+def _block_size(T: np.ndarray, start: int) -> int:
+    return next(_list_blocks(T, start))[1]
 
 
 def _poles(T: np.ndarray) -> np.ndarray:
     """Eigenvalues in the upper half plane of a real Schur form, in the order of its blocks."""
     result = []
-    for i, size in _blocks(T):
+    for i, size in _list_blocks(T):
         product = T[i, i + 1] * T[i + 1, i] if size == 2 else 0.0
         result.append(T[i, i] + 1j * np.sqrt(max(-product, 0.0)))
     return np.array(result)

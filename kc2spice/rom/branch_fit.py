@@ -118,14 +118,14 @@ def fit_branches(samples: Samples) -> Elements:
     best, least, useless = elements, np.inf, 0
     patience = POOR_PATIENCE
     while len(elements) < MAX_ELEMENTS and useless < patience:
-        ends = list(map(samples.polished, _starts(samples, elements)))
-        ends = [end for end in ends if _visible(samples, end)]
+        ends = list(map(samples.polished, _propose_starts(samples, elements)))
+        ends = [end for end in ends if _exceeds_noise(samples, end)]
         if not ends:
             break
-        elements = samples.polished(_first_of_best(samples, ends), CHOSEN)
-        elements = _simplified(samples, elements, _beyond_band(samples, elements))
+        elements = samples.polished(_select_best(samples, ends), CHOSEN)
+        elements = _simplify(samples, elements, _select_outside_band(samples, elements))
         value = samples.criterion(elements)
-        enough = _parameters(elements) <= _parameters(best)
+        enough = _count_parameters(elements) <= _count_parameters(best)
         enough |= not best or samples.rms(elements) < (1 - GAIN) * samples.rms(best)
         if value < least - AS_GOOD and enough:
             best, least, useless = elements, value, 0
@@ -134,24 +134,24 @@ def fit_branches(samples: Samples) -> Elements:
         patience = PATIENCE if samples.rms(best) < POOR else POOR_PATIENCE
         if samples.described(best):
             break
-    best = samples.polished(_simplified(samples, best, best), FINAL)
+    best = samples.polished(_simplify(samples, best, best), FINAL)
     slowest = np.log(SLOWEST / (2 * np.pi * samples.f[0]))
-    return best if samples.conductance else tuple(_bounded(e, slowest) for e in best)
+    return best if samples.conductance else tuple(_limit_element(e, slowest) for e in best)
 
 
-def _parameters(elements: Elements) -> int:
+def _count_parameters(elements: Elements) -> int:
     """Number of parameters of a sum."""
     return sum(len(e.logs) for e in elements)
 
 
-def _first_of_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
+def _select_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
     """The first of the sums whose criterion is as good as the least: rounding chooses none."""
     values = list(map(samples.criterion, ends))
     good = (end for end, value in zip(ends, values, strict=True) if value < min(values) + AS_GOOD)
     return next(good)
 
 
-def _bounded(element: FitElement, slowest: float) -> FitElement:
+def _limit_element(element: FitElement, slowest: float) -> FitElement:
     """The element with a time of at most ``slowest`` (logarithm of s) and a Q factor of at most
     :data:`LARGEST_Q`: what the samples do not determine, with the Y in the band that they do."""
     amplitude, *others = element.logs
@@ -166,7 +166,7 @@ def _bounded(element: FitElement, slowest: float) -> FitElement:
     return FitElement(element.form, (amplitude - excess, others[0] - excess))  # L or R stays
 
 
-def _beyond_band(samples: Samples, elements: Elements) -> Elements:
+def _select_outside_band(samples: Samples, elements: Elements) -> Elements:
     """Elements whose frequencies lie outside of the band, where simpler ones have their Y."""
     low = np.log(2 * np.pi * samples.f[0] / OUTSIDE)
     high = np.log(2 * np.pi * samples.f[-1] * OUTSIDE)
@@ -179,7 +179,7 @@ def _log_time(element: FitElement) -> float:
     return -element.logs[1] if element.form == "resonant" else element.logs[1]
 
 
-def _visible(samples: Samples, elements: Elements) -> bool:
+def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
     """Whether every element exceeds what is left at more samples than it has parameters: one that
     describes the noise of one sample does not."""
     left = -np.expm1(-samples.rms(elements))  # relative to Y
@@ -189,35 +189,37 @@ def _visible(samples: Samples, elements: Elements) -> bool:
     )
 
 
-def _simplified(samples: Samples, elements: Elements, doubtful: Elements) -> Elements:
+def _simplify(samples: Samples, elements: Elements, doubtful: Elements) -> Elements:
     """The elements, of which the ``doubtful`` are left out or replaced by simpler ones if the
     criterion falls."""
     value = samples.criterion(elements)
     for element in doubtful:
-        for fewer in _simpler(samples, elements, element):
+        for fewer in _propose_simpler(samples, elements, element):
             end = samples.polished(fewer)
             if end and samples.criterion(end) < value:
-                return _simplified(samples, end, end)
+                return _simplify(samples, end, end)
     return elements
 
 
-def _simpler(samples: Samples, elements: Elements, element: FitElement) -> Iterable[Elements]:
+def _propose_simpler(
+    samples: Samples, elements: Elements, element: FitElement
+) -> Iterable[Elements]:
     """Sums in which one element is absent, or has a simpler form with its Y in the band."""
     others = tuple(e for e in elements if e is not element)
     if any(e.in_parallel for e in others):
         yield others
     for form in SIMPLER[element.form]:
         if samples.conducting or form not in CONDUCTING:
-            replaced = samples.amplitudes((*others, _like(element, form)))[0]
+            replaced = samples.amplitudes((*others, _convert_form(element, form)))[0]
             if len(replaced) == len(elements):
                 yield replaced
     present = {e.form for e in others}
-    for elements in _as_leads(element, others):
+    for elements in _replace_by_leads(element, others):
         if elements[-1].form not in present:
             yield elements
 
 
-def _as_leads(element: FitElement, others: Elements) -> Iterable[Elements]:
+def _replace_by_leads(element: FitElement, others: Elements) -> Iterable[Elements]:
     """Sums in which leads of the whole capacitance C0 have the effect of a branch above the band::
 
     s C0 / (1 + s R C0 + s^2 L C0) = s C0 - s^2 R C0^2 - s^3 L C0^2 + ...
@@ -227,8 +229,8 @@ def _as_leads(element: FitElement, others: Elements) -> Iterable[Elements]:
     if element.form not in ("resonant", "relaxing"):
         return
     log_c, *times = element.logs
-    total = float(np.logaddexp.reduce([log_c, *(e.logs[0] for e in others if _clamped(e))]))
-    clamped = *(e for e in others if not _clamped(e)), FitElement("capacitance", (total,))
+    total = float(np.logaddexp.reduce([log_c, *(e.logs[0] for e in others if _is_capacitance(e))]))
+    clamped = *(e for e in others if not _is_capacitance(e)), FitElement("capacitance", (total,))
     scale = log_c - 2 * total
     if element.form == "relaxing":
         yield (*clamped, FitElement("lead resistance", (scale + times[0],)))
@@ -238,12 +240,12 @@ def _as_leads(element: FitElement, others: Elements) -> Iterable[Elements]:
         yield (*clamped, FitElement("lead resistance", (scale + log_d - 2 * log_w,)))
 
 
-def _clamped(element: FitElement) -> bool:
+def _is_capacitance(element: FitElement) -> bool:
     """Whether an element is the capacitance beside the branches."""
     return element.form == "capacitance"
 
 
-def _like(element: FitElement, form: str) -> FitElement:
+def _convert_form(element: FitElement, form: str) -> FitElement:
     """An element of a form with one or two parameters and the time constant of another element."""
     if form in ("conductance", "capacitance"):
         return FitElement(form, (0.0,))
@@ -251,17 +253,17 @@ def _like(element: FitElement, form: str) -> FitElement:
     return FitElement(form, (0.0, -element.logs[2] if form == "inductive" else log_t))
 
 
-def _starts(samples: Samples, elements: Elements) -> list[Elements]:
+def _propose_starts(samples: Samples, elements: Elements) -> list[Elements]:
     """Sums with one element more, to be polished: the best of every form."""
-    result = [_peak(samples, elements)]
-    for options in _options(samples, elements):
+    result = [_fit_peak(samples, elements)]
+    for options in _propose_elements(samples, elements):
         tried = [samples.amplitudes((*elements, option)) for option in options]
         result.append(min(tried, key=lambda item: item[1])[0])
-    result += [samples.amplitudes(item)[0] for item in _halves(samples, elements)]
+    result += [samples.amplitudes(item)[0] for item in _split_resonance(samples, elements)]
     return list(filter(None, result))
 
 
-def _peak(samples: Samples, elements: Elements) -> Elements:
+def _fit_peak(samples: Samples, elements: Elements) -> Elements:
     """The elements and the resonance of the largest conductance that they leave, of its height and
     its width at half of that; a capacitance beside them where there is none."""
     missing = samples.missing(elements)
@@ -281,7 +283,7 @@ def _peak(samples: Samples, elements: Elements) -> Elements:
     return (*elements, resonance, *more)
 
 
-def _options(samples: Samples, elements: Elements) -> Iterable[list[FitElement]]:
+def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[FitElement]]:
     """Yield candidates for the next branch, or for the leads, each with start values."""
     present = {element.form for element in elements}
     forms = [form for form in PARALLEL if samples.conducting or form not in CONDUCTING]
@@ -294,22 +296,22 @@ def _options(samples: Samples, elements: Elements) -> Iterable[list[FitElement]]
     for form in ("inductive", "relaxing"):
         if form in forms:
             yield [FitElement(form, (0.0, float(t))) for t in times]
-    for w in _peaks(samples, elements):
+    for w in _find_worst_fits(samples, elements):
         yield [FitElement("resonant", (0.0, np.log(w), np.log(w / Q))) for Q in QUALITIES]
     if elements:
         for form in LEADS:
             if form not in present:
-                yield from ([lead] for lead in _leads(samples, form))
+                yield from ([lead] for lead in _propose_leads(samples, form))
 
 
-def _leads(samples: Samples, form: str) -> list[FitElement]:
+def _propose_leads(samples: Samples, form: str) -> list[FitElement]:
     """Leads of one form that are shares of the largest that no sample contradicts."""
     per_unit = FitElement(form, (0.0,)).response(samples.s)[0]
     largest = float(np.min(np.abs(1 / (per_unit * samples.Y))))
     return [FitElement(form, (float(np.log(share * largest)),)) for share in LEAD_SHARES]
 
 
-def _peaks(samples: Samples, elements: Elements) -> list[float]:
+def _find_worst_fits(samples: Samples, elements: Elements) -> list[float]:
     """Return up to three angular frequencies [rad/s] where ``elements`` fit worst.
 
     There the missing conductance, its ratio to abs(Y), or the deviation is largest.
@@ -321,7 +323,7 @@ def _peaks(samples: Samples, elements: Elements) -> list[float]:
     return [float(2 * np.pi * samples.f[k]) for k in indices]
 
 
-def _halves(samples: Samples, elements: Elements) -> list[Elements]:
+def _split_resonance(samples: Samples, elements: Elements) -> list[Elements]:
     """The resonance nearest to the largest deviation as two, half a width apart."""
     resonant = [e for e in elements if e.form == "resonant"]
     if not resonant:

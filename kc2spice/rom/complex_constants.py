@@ -88,12 +88,12 @@ class ComplexConstants:
         answer = 1 / (s[:, None] ** 2 + chi[:, None] * omega**2)
         H = np.einsum("ni,ji,nj,jk,nk->nik", forces, gain, answer, gain, forces, optimize=True)
         return np.asarray(
-            H + D + (psi[:, None, None] - 1) * (_of(D, electrical) + motional)
+            H + D + (psi[:, None, None] - 1) * (_select_electrical(D, electrical) + motional)
             - (chi[:, None, None] - 1) * motional
         )  # fmt: skip
 
 
-def _of(D: np.ndarray, electrical: np.ndarray) -> np.ndarray:
+def _select_electrical(D: np.ndarray, electrical: np.ndarray) -> np.ndarray:
     """The entries of D among electrical ports, the others zero."""
     return np.where(np.outer(electrical, electrical), D, 0.0)
 
@@ -210,14 +210,14 @@ def _largest_error(
         return losses.transfer(modes.omega, modes.gain, modes.D, electrical, f)
 
     for _ in range(ZOOMS):
-        f = np.union1d(f, _around_minima(f, np.abs(exact_response(f))))
+        f = np.union1d(f, _sample_minima(f, np.abs(exact_response(f))))
     exact = exact_response(f)
     size = np.maximum(np.abs(exact), FLOOR * np.abs(exact).max(axis=0))
     off = np.abs(model.transfer(f) - exact)
     return float(np.divide(off, size, out=np.zeros_like(off), where=size > 0).max())
 
 
-def _around_minima(f: np.ndarray, size: np.ndarray) -> np.ndarray:
+def _sample_minima(f: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Frequencies about the local minima of every entry (n, ports, ports): antiresonances, where
     relative errors are largest."""
     curves = size.reshape(len(f), -1)

@@ -52,36 +52,36 @@ def unconstrained(pencil: Pencil) -> Pencil:
     rest, *others = pencil.coefficients
     if pencil.degree != 2 or isinstance(rest, Schur) or pencil.rayleigh is not None:
         return pencil
-    multipliers = _multipliers(rest, others)
+    multipliers = _find_multipliers(rest, others)
     if not multipliers.any():
         return pencil
     keep, row = np.flatnonzero(~multipliers), np.flatnonzero(multipliers)
-    K, E, M = (_block(P, keep, keep) for P in pencil.coefficients)
-    G, L = _block(rest, row, keep), _block(rest, keep, row)
+    K, E, M = (_submatrix(P, keep, keep) for P in pencil.coefficients)
+    G, L = _submatrix(rest, row, keep), _submatrix(rest, keep, row)
     if pencil.B[row].any() or G.shape[0] * G.shape[1] > LARGEST_BLOCK:
         return pencil
     Z, rank = null_basis(G)
-    if Z.shape[1] == 0 or _far(Z.T @ L, L):
+    if Z.shape[1] == 0 or _exceeds_rounding(Z.T @ L, L):
         return pencil  # the multipliers push against other unknowns than they hold
     observed = pencil.C[:, row].any()
     if observed and rank < len(row):
         return pencil
-    parts = [_symmetrised(Z.T @ P @ Z, pencil.symmetric) for P in (K, E, M)]
+    parts = [_symmetrise(Z.T @ P @ Z, pencil.symmetric) for P in (K, E, M)]
     if pencil.is_dense:
         parts = list(map(dense, parts))
     C = pencil.C[:, keep]
     B = Z.T @ pencil.B[keep]
     plain = Pencil(tuple(parts), B, B.T.copy() if pencil.collocated else C @ Z, pencil.D)
-    return _with_multipliers(plain, pencil, keep, row, (K, E, M), L, Z) if observed else plain
+    return _insert_multipliers(plain, pencil, keep, row, (K, E, M), L, Z) if observed else plain
 
 
-def _multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
+def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
     """Unknowns without inertia and damping whose own stiffness is zero, and that of all pairs."""
     used = sum(np.asarray(abs(P).sum(axis=axis)).ravel() for P in others for axis in (0, 1))
     result = (np.asarray(used) == 0) & (rest.diagonal() == 0)
     indices = np.flatnonzero(result)
     if indices.size:
-        among = abs(_block(rest, indices, indices))
+        among = abs(_submatrix(rest, indices, indices))
         result[indices[np.asarray(among.sum(axis=0) + among.sum(axis=1)).ravel() > 0]] = False
     return np.asarray(result)
 
@@ -114,7 +114,7 @@ def null_basis(G: Matrix) -> tuple[scipy.sparse.csc_array, int]:
     return scipy.sparse.csc_array((values, (rows, columns)), (G.shape[1], free.size)), rank
 
 
-def _with_multipliers(
+def _insert_multipliers(
     plain: Pencil,
     pencil: Pencil,
     keep: np.ndarray,
@@ -151,17 +151,17 @@ def deflated(pencil: Pencil) -> Pencil:
     full = pencil.dense()
     rest, inertia = full.coefficients
     rows, columns = balance(np.abs(rest) / largest(rest) + np.abs(inertia) / largest(inertia))
-    if not _deficient(inertia / np.outer(rows, columns)):
+    if not _is_singular(inertia / np.outer(rows, columns)):
         return pencil
     symmetric = pencil.symmetric
     if symmetric:
         rows = columns = np.sqrt(rows * columns)
     P, E = rest / np.outer(rows, columns), inertia / np.outer(rows, columns)
     B, C = full.B / rows[:, None], full.C / columns
-    U, V, rank = _split(E, symmetric or np.array_equal(inertia, inertia.T))
+    U, V, rank = _split_by_rank(E, symmetric or np.array_equal(inertia, inertia.T))
     P, E, B, C = U.T @ P @ V, (U.T @ E @ V)[:rank, :rank], U.T @ B, C @ V
     # algebraic equations: those that determine their unknowns, then constraints
-    U2, V2, regular = _split(P[rank:, rank:], symmetric, largest(P))
+    U2, V2, regular = _split_by_rank(P[rank:, rank:], symmetric, largest(P))
     left, right = (scipy.linalg.block_diag(np.eye(rank), T) for T in (U2, V2))
     P, B, C = left.T @ P @ right, left.T @ B, C @ right
     known = slice(rank, rank + regular)
@@ -173,11 +173,11 @@ def deflated(pencil: Pencil) -> Pencil:
     C = C[:, rest_of] - C[:, known] @ elimination[:, :keep]
     B = B[rest_of] - P[rest_of][:, known] @ elimination[:, keep:]
     P = P[np.ix_(rest_of, rest_of)] - P[rest_of][:, known] @ elimination[:, :keep]
-    result = _index_two(E, P, B, C, D, rank) if keep > rank else Pencil((P, E), B, C, D)
-    return pencil if result is None else _tidy(result, symmetric, pencil.collocated)
+    result = _eliminate_index_two(E, P, B, C, D, rank) if keep > rank else Pencil((P, E), B, C, D)
+    return pencil if result is None else _restore_symmetry(result, symmetric, pencil.collocated)
 
 
-def _index_two(
+def _eliminate_index_two(
     E: np.ndarray, P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, n: int
 ) -> Pencil | None:
     """Without the constraints behind the first n equations; None where the index is higher, or the
@@ -215,7 +215,7 @@ def _index_two(
     )
 
 
-def _deficient(matrix: np.ndarray) -> bool:
+def _is_singular(matrix: np.ndarray) -> bool:
     """Whether a matrix is singular but for rounding."""
     lu, _, singular = scipy.linalg.lapack.dgetrf(matrix)
     norm = float(np.abs(matrix).sum(axis=0).max(initial=0.0))
@@ -223,7 +223,7 @@ def _deficient(matrix: np.ndarray) -> bool:
     return bool(inverse <= ZERO * len(matrix) * np.finfo(float).eps)
 
 
-def _split(
+def _split_by_rank(
     matrix: np.ndarray, symmetric: bool, scale: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Orthogonal U and V and the rank: ``U'PV`` is regular in front, and zero elsewhere."""
@@ -239,26 +239,28 @@ def _split(
     return U, V, int((size > limit).sum())
 
 
-def _tidy(pencil: Pencil, symmetric: bool, collocated: bool) -> Pencil:
+def _restore_symmetry(pencil: Pencil, symmetric: bool, collocated: bool) -> Pencil:
     """With the symmetry that the given model has, which products round."""
     parts = pencil.coefficients
     if symmetric:
         parts = tuple(0.5 * (P + P.T) for P in parts)
-    near = pencil.B.shape == pencil.C.T.shape and not _far(pencil.C.T - pencil.B, pencil.B)
+    near = pencil.B.shape == pencil.C.T.shape and not _exceeds_rounding(
+        pencil.C.T - pencil.B, pencil.B
+    )
     C = pencil.B.T.copy() if symmetric and collocated and near else pencil.C
     return Pencil(parts, pencil.B, C, pencil.D)
 
 
-def _far(difference: Matrix, reference: Matrix) -> bool:
+def _exceeds_rounding(difference: Matrix, reference: Matrix) -> bool:
     """Whether a difference is more than rounding of the reference."""
     return largest(difference) > NEGLIGIBLE * largest(reference)
 
 
-def _block(P: Matrix, rows: np.ndarray, columns: np.ndarray) -> Matrix:
+def _submatrix(P: Matrix, rows: np.ndarray, columns: np.ndarray) -> Matrix:
     return P[np.ix_(rows, columns)] if isinstance(P, np.ndarray) else P[rows][:, columns]
 
 
-def _symmetrised(P: Matrix, symmetric: bool) -> Matrix:
+def _symmetrise(P: Matrix, symmetric: bool) -> Matrix:
     P = scipy.sparse.csc_array(P) if scipy.sparse.issparse(P) else P
     return 0.5 * (P + P.T) if symmetric else P
 

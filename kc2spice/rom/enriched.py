@@ -88,7 +88,7 @@ def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray 
     """
     modal, result = resonators(model), load @ model.D.T
     if modal is not None:
-        parts = (_some(modal, rows) for rows in _shares(modal.order, t.size))
+        parts = (_select_modes(modal, rows) for rows in _split_modes(modal.order, t.size))
         return np.asarray(result + sum(chip_response(part, t, load)[0] for part in parts))
     try:
         A, B, C, direct = model.state_space()
@@ -99,18 +99,18 @@ def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray 
         return None
     if np.linalg.cond(T) > DEFECTIVE or not poles.all():
         return None
-    for rows in _shares(poles.size, t.size):
+    for rows in _split_modes(poles.size, t.size):
         result += (march(poles[rows], t, load @ gains[rows].T) @ (C @ T[:, rows]).T).real
     return result if np.isfinite(result).all() else None
 
 
-def _shares(modes: int, points: int) -> Iterator[slice]:
+def _split_modes(modes: int, points: int) -> Iterator[slice]:
     """The modes in shares of which all points fit into memory at once."""
     count = max(1, AT_ONCE // points)
     return (slice(first, first + count) for first in range(0, modes, count))
 
 
-def _some(modal: Resonators, rows: slice) -> Resonators:
+def _select_modes(modal: Resonators, rows: slice) -> Resonators:
     """Some of the modes of ``modal``, without its direct term."""
     massless = int(np.count_nonzero(modal.inertia[rows] == 0))
     return replace(

@@ -64,7 +64,7 @@ class Entries:
             size = np.where(self.zero, _geometric_mean(size, self.rows, self.columns), size)
         return np.asarray(np.maximum(size, share * self.peak))
 
-    def faint(self, H: np.ndarray) -> np.ndarray:
+    def negligible(self, H: np.ndarray) -> np.ndarray:
         """Where the response H (..., outputs, inputs) is below ``ZERO`` of its row and column."""
         scale = self.rows[:, None] * self.columns
         mean = _geometric_mean(np.abs(H), self.rows, self.columns)

@@ -21,9 +21,9 @@ from kc2spice.rom.response import (
     GRID,
     SHARPEST,
     Response,
-    around,
-    clear_of_poles,
+    drop_points_near_poles,
     grid,
+    sample_resonances,
 )
 
 ABOVE = np.array([2.0, 4.0])  # times the band's end: where contact still excites a body
@@ -46,7 +46,7 @@ def adaptive_frequencies(
     *pointwise* every deep notch of any entry, found by zooming in."""
     near = 0.9 * band[0], 1.1 * band[1]
     at, ratio = response.within(near)
-    frequency = np.union1d(grid(band, GRID, static), around(at, ratio))
+    frequency = np.union1d(grid(band, GRID, static), sample_resonances(at, ratio))
     if norm == "pointwise":
         # Distances from a pole, each three times the last one: two of them enclose the zero beside
         # a weak, narrow resonance, which then shows as a minimum.
@@ -55,7 +55,7 @@ def adaptive_frequencies(
         both = [(at[:, None] + k * away)[away < band[1] / GRID] for k in (-1, 1)]
         frequency = np.unique(np.concatenate([frequency, *both]))
     frequency = frequency[(frequency >= band[0]) & (frequency <= band[1])]
-    frequency = clear_of_poles(frequency, at, ratio)
+    frequency = drop_points_near_poles(frequency, at, ratio)
     if norm == "peak":
         return frequency
     H = response.transfer(2j * np.pi * frequency)
@@ -65,7 +65,7 @@ def adaptive_frequencies(
         deepest = np.argsort(lowest)[: min(NOTCHES, int(np.isfinite(lowest).sum()))]
         if not deepest.size:
             break
-        new = clear_of_poles(_zoomed(frequency, deepest, deepest + 2), at, ratio)
+        new = drop_points_near_poles(_zoomed(frequency, deepest, deepest + 2), at, ratio)
         if not new.size:
             break
         H = np.concatenate([H, response.transfer(2j * np.pi * new)])
@@ -166,7 +166,7 @@ class ErrorEstimator:
             inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
             top = np.argsort(np.where(inner, error, -1.0))[-PEAKS:]
             low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(error) - 1)
-            new = clear_of_poles(_zoomed(points, low, high), at, ratio)
+            new = drop_points_near_poles(_zoomed(points, low, high), at, ratio)
             if not new.size:
                 break
             H = self.exact.transfer(2j * np.pi * new)
@@ -190,7 +190,7 @@ def above_band(
     moved = [port for port in ports if port.moving]
     if not moved:
         return ()
-    points = clear_of_poles(ABOVE * band[1], *exact.resonances)
+    points = drop_points_near_poles(ABOVE * band[1], *exact.resonances)
     diagonal = list(map(rows.index, moved)), list(map(columns.index, moved))
     H, ours = (item.transfer(2j * np.pi * points)[:, *diagonal] for item in (exact, reduced))
     size = np.abs(ours - H) / (np.abs(H) + np.finfo(float).tiny)

@@ -22,8 +22,8 @@ from kc2spice.rom.pencil import Pencil, symmetric
 from kc2spice.rom.reductors.definite_krylov import definite_krylov_model
 from kc2spice.rom.reductors.exact_samples import sampled_model
 from kc2spice.rom.reductors.rational_krylov import MANY_POINTS, MOST_POINTS, rational_krylov_model
-from kc2spice.rom.response import FLANK, SHARPEST, Response, clear_of_poles, grid
-from kc2spice.rom.rigid_body import apart, congruent, hidden_support
+from kc2spice.rom.response import FLANK, SHARPEST, Response, drop_points_near_poles, grid
+from kc2spice.rom.rigid_body import hidden_support, project_with_rigid_body, split_rigid_body
 from kc2spice.rom.rounding import (
     RESONANCES,
     SPREAD,
@@ -113,12 +113,12 @@ def _unreduced(
     SimulationError : two solutions are further apart than ``limit``.
     """
     original = full
-    full, V, static, projected = apart(original, 2 * np.pi * band[1])
+    full, V, static, projected = split_rigid_body(original, 2 * np.pi * band[1])
     hidden = hidden_support(original, V[:, : full.free], band[0]) if static else 0.0
     T = _undamped_modes(full.restrained) if static else None
     if T is not None:
         V = V @ scipy.linalg.block_diag(np.eye(full.free), T)
-        full, projected = congruent(original, V, full.free)
+        full, projected = project_with_rigid_body(original, V, full.free)
     response = Response(full)
     response.zero = zero_entries(original, V, response, band)
     if not response.decoupled and (
@@ -187,7 +187,7 @@ def _solution_error(response: Response, band: tuple[float, float]) -> float:
     sharpest = at[np.argsort(ratio)[:1]] * (1 + FLANK * (ratio.min(initial=1.0) < FLANK))
     points = np.r_[band[1], 0.31 * band[0] + 0.69 * band[1], sharpest]
     s = 2j * np.pi * points
-    coarse = clear_of_poles(grid(band, 50, False), *response.within(band))
+    coarse = drop_points_near_poles(grid(band, 50, False), *response.within(band))
     everywhere = 2j * np.pi * coarse
     entries = response.entries(coarse)
     flipped = Pencil(

@@ -34,7 +34,7 @@ GROWTH = 1e-4  # least real part of a growing pole, of its size
 BACKWARD = 1e-6  # residual of a pole, relative to the terms of its equation
 
 
-def shown_unstable(pencil: Pencil, band: tuple[float, float] | None) -> str | None:
+def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str | None:
     """Proof that a model is unstable, for an error message; None if no proof is found.
 
     Parameters
@@ -53,7 +53,7 @@ def shown_unstable(pencil: Pencil, band: tuple[float, float] | None) -> str | No
     >>> K = scipy.sparse.diags_array([3.0, 2.0, -1.0, 4.0]).tocsc()
     >>> one, zero = scipy.sparse.eye_array(4, format="csc"), scipy.sparse.csc_array((4, 4))
     >>> B = np.ones((4, 1))
-    >>> shown_unstable(Pencil((K, zero, one), B, B.T, np.zeros((1, 1))), (0.0, 1.0))
+    >>> explain_instability(Pencil((K, zero, one), B, B.T, np.zeros((1, 1))), (0.0, 1.0))
     'a motion whose stiffness is negative'
     """
     if any(isinstance(P, Schur) for P in pencil.coefficients):
@@ -61,7 +61,7 @@ def shown_unstable(pencil: Pencil, band: tuple[float, float] | None) -> str | No
     if pencil.degree == 2 and pencil.symmetric:
         if (pencil.coefficients[2].diagonal() <= 0).any():
             return None  # potentials or multipliers: definite only without them
-        if _falls(pencil):
+        if _has_negative_stiffness(pencil):
             return "a motion whose stiffness is negative"
         if pencil.undamped or (pencil.rayleigh is not None and min(pencil.rayleigh) >= 0):
             return None  # with definite K no other pole grows
@@ -71,7 +71,7 @@ def shown_unstable(pencil: Pencil, band: tuple[float, float] | None) -> str | No
     rates = [2 * np.pi * band[1]] if band else []
     for rate in [*rates, _typical_rate(pencil)]:
         try:
-            poles = _growing(pencil, rate)
+            poles = _find_growing_poles(pencil, rate)
         except (SimulationError, ArpackError):
             continue
         if poles.size:
@@ -80,17 +80,17 @@ def shown_unstable(pencil: Pencil, band: tuple[float, float] | None) -> str | No
     return None
 
 
-def _falls(pencil: Pencil) -> bool:
+def _has_negative_stiffness(pencil: Pencil) -> bool:
     """Whether a symmetric model of definite mass has a motion of negative elastic energy."""
     K, _, M = pencil.coefficients
-    x = _most(-K)
+    x = _find_highest_energy(-K)
     if x is None:
         return False
     noise = ROUNDING * np.finfo(float).eps * float(np.abs(x) @ (magnitudes(K) @ np.abs(x)))
     return bool(x @ (K @ x) < -noise) and semidefinite(M)
 
 
-def _most(P: Matrix) -> np.ndarray | None:
+def _find_highest_energy(P: Matrix) -> np.ndarray | None:
     """The direction of the largest energy of a symmetric P, rows scaled alike; None
     where it is not found."""
     size = np.asarray(abs(P).sum(axis=1)).ravel()
@@ -114,7 +114,7 @@ def _typical_rate(pencil: Pencil) -> float:
     return float(np.median(rest[moving] / inertia[moving]) ** (1 / pencil.degree))
 
 
-def _growing(pencil: Pencil, rate: float) -> np.ndarray:
+def _find_growing_poles(pencil: Pencil, rate: float) -> np.ndarray:
     """Growing poles [1/s], proven by their residuals, by the Cayley transform with c = ``rate``."""
     solve = pencil.solver(rate)[0].solve
     n, degree = pencil.size, pencil.degree

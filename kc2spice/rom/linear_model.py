@@ -198,7 +198,7 @@ class LinearModel:
         put = object.__setattr__  # frozen: this is the constructor
         _set_structural(self)
         if self.M is self.A is None and self.E is not None and self.K is not None:
-            put(self, "A", negated(_checked(self.K, "K", self.name))), put(self, "K", None)
+            put(self, "A", negated(_require_matrix(self.K, "K", self.name))), put(self, "K", None)
         first = self.A is not None
         if first in (self.K is not None, self.M is not None) or self.B is None:
             got = "matrices " + ", ".join(k for k in "MEKA" if getattr(self, k) is not None)
@@ -210,10 +210,10 @@ class LinearModel:
                 "and as needed C, D, E",
             )
         for letter in "MEKA":
-            put(self, letter, _checked(getattr(self, letter), letter, self.name))
-        put(self, "rayleigh", _rayleigh(self.rayleigh, self.name))
+            put(self, letter, _require_matrix(getattr(self, letter), letter, self.name))
+        put(self, "rayleigh", _require_rayleigh(self.rayleigh, self.name))
         n = (self.A if first else self.K).shape[0]
-        B, C, D = (_checked(getattr(self, k), k, self.name, sparse=False) for k in "BCD")
+        B, C, D = (_require_matrix(getattr(self, k), k, self.name, sparse=False) for k in "BCD")
         if self.M is not None and self.E is None and self.rayleigh is None:
             _require_outputs(C, B, n, self.name)
         C = B.T.copy() if C is None else C
@@ -244,7 +244,7 @@ class LinearModel:
                     if letter == "D" and matrix.shape == (n, n)
                     else None,
                 )
-        put(self, "ports", _ports(tuple(self.ports), m, p, self.name))
+        put(self, "ports", _complete_ports(tuple(self.ports), m, p, self.name))
         _require_heat(self)
 
     @property
@@ -532,44 +532,46 @@ def _set_structural(model: LinearModel) -> None:
         if model.structural:
             expected = "a complex K, or loss_factor"
             raise UsageError("structural damping is given twice", where=where, expected=expected)
-        put(model, "K", _checked(K.real, "K", where))
+        put(model, "K", _require_matrix(K.real, "K", where))
         put(model, "loss", K.imag)
     try:
         eta = float(model.loss_factor)
     except (TypeError, ValueError):
-        raise _unfit(where, repr(model.loss_factor), "the loss factor") from None
+        raise _structural_loss_error(where, repr(model.loss_factor), "the loss factor") from None
     if not 0 <= eta < np.inf:
-        raise _unfit(where, f"{eta:g}", "the loss factor")
+        raise _structural_loss_error(where, f"{eta:g}", "the loss factor")
     if model.loss is not None:
-        loss, eta = _loss_of(model.K, _checked(model.loss, "loss", where), where)
+        loss, eta = _extract_loss(model.K, _require_matrix(model.loss, "loss", where), where)
         put(model, "loss", loss)
     put(model, "loss_factor", eta)
     if model.structural and model.M is None:
         raise UsageError("structural damping is of second-order models", where=where)
 
 
-def _loss_of(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
+def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
     """The imaginary part of a stiffness stored as K is, None where it is a multiple of K; and that
     multiple, its loss factor."""
     if isinstance(K, Schur) or K is None or K.shape != loss.shape:
-        raise _unfit(where, "a loss that does not belong to K")
+        raise _structural_loss_error(where, "a loss that does not belong to K")
     if isinstance(K, np.ndarray):
         loss = dense(loss)
     else:
         K, loss = map(scipy.sparse.csc_array, (K, loss))
     scale = largest(K)
     if not scale:
-        raise _unfit(where, "an imaginary part without a real one")
+        raise _structural_loss_error(where, "an imaginary part without a real one")
     square, product = (float((P * (K / scale)).sum()) for P in (K, loss))
     eta = product / square
     if eta >= 0 and largest(loss - eta * K) <= LOSS_FACTOR * scale:
         return None, eta
     if not symmetric(loss) or not semidefinite(loss):
-        raise _unfit(where, "an imaginary part that is not symmetric and positive semi-definite")
+        raise _structural_loss_error(
+            where, "an imaginary part that is not symmetric and positive semi-definite"
+        )
     return loss, 0.0
 
 
-def _unfit(where: str, got: str, what: str = "matrix K") -> UsageError:
+def _structural_loss_error(where: str, got: str, what: str = "matrix K") -> UsageError:
     """Error for invalid structural damping."""
     return UsageError(
         f"{what} cannot be used",
@@ -605,7 +607,7 @@ def half_stored(matrix: Matrix) -> bool:
     return bool(upper != lower)
 
 
-def _rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
+def _require_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
     """The pair as numbers, None as it is."""
     if pair is None:
         return None
@@ -622,7 +624,7 @@ def _rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
     return alpha, beta
 
 
-def _ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, ...]:
+def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, ...]:
     strange = next((port for port in ports if not isinstance(port, Port)), None)
     if strange is not None:
         raise UsageError(
@@ -662,13 +664,13 @@ def _require_heat(model: LinearModel) -> None:
         )
 
 
-def _checked(matrix: Matrix, letter: str, where: str, *, sparse: bool = True) -> Matrix:
+def _require_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = True) -> Matrix:
     """The matrix in numbers, as an array unless it is ``sparse`` and may be; None as it is."""
     if matrix is None:
         return None
     if isinstance(matrix, Schur):
         for part in (matrix.uu, matrix.up, matrix.pu, matrix.pp):
-            _checked(part, letter, where)
+            _require_matrix(part, letter, where)
         return matrix
     if not isinstance(matrix, np.ndarray):  # asks scipy last
         sparse_input = scipy.sparse.issparse(matrix)

@@ -148,7 +148,7 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
     without stiffness are none of them. None for a model in first order, or without conservative
     ports alone.
     """
-    result = _resonant(model)
+    result = _modal_data(model)
     if result is None:
         return None
     omega, damp, share, rest = result
@@ -174,18 +174,18 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
     return {"units": units, "modes": modes} if modes else None
 
 
-def _resonant(model: LinearModel) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+def _modal_data(model: LinearModel) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
     """``omega`` and ``damp`` (modes,), shares (modes, ports) and what the ports answer besides."""
     result = resonators(model)
     if result is None:
-        return _by_poles(model)
+        return _modal_data_by_poles(model)
     count = result.order - result.massless
     share = result.gain**2 / result.omega[:, None] ** 2
     rest = np.diag(result.D) + share[count:].sum(axis=0)
     return result.omega[:count], result.damp[:count], share[:count], rest
 
 
-def _by_poles(
+def _modal_data_by_poles(
     model: LinearModel,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
     """The same by the poles of ``M x'' + E x' + K x``; ``-2 Re(residue / pole)`` of a port's own
@@ -238,8 +238,8 @@ def without_inertia(model: Resonators, tolerance: float | None = None) -> Resona
     band = certificate.band_hz
     exact = Response(model.linear().pencil)
     estimator = ErrorEstimator(exact, band, static=True)
-    for count in range(_beyond(model, band[1]), 0, -1):
-        result = _without_inertia(model, count)
+    for count in range(_count_quasi_static(model, band[1]), 0, -1):
+        result = _remove_inertia(model, count)
         error = certificate.error_estimate
         light = Response(result.linear().pencil)
         error += estimator.error(light)
@@ -255,7 +255,7 @@ def without_inertia(model: Resonators, tolerance: float | None = None) -> Resona
     return model
 
 
-def _beyond(model: Resonators, top: float) -> int:
+def _count_quasi_static(model: Resonators, top: float) -> int:
     """Number of the highest modes whose inertia decides nothing up to ``top`` [Hz]."""
     moved = [port.moving for port in model.ports]
     down = np.argsort(model.omega)[::-1]
@@ -268,7 +268,7 @@ def _beyond(model: Resonators, top: float) -> int:
     return int(beyond[-1]) + 1 if beyond.size else 0
 
 
-def _without_inertia(model: Resonators, count: int) -> Resonators:
+def _remove_inertia(model: Resonators, count: int) -> Resonators:
     """``model`` without the inertia of its ``count`` highest modes."""
     for port, capacitance in zip(model.ports, np.diag(model.D), strict=True):
         if port.charged and capacitance <= 0:
@@ -323,7 +323,9 @@ def chip_response(
     """
     drive, heavy = load @ model.gain.T, model.order - model.massless
     z = np.empty_like(drive)
-    z[:, :heavy], rate = resonant(model.omega[:heavy], model.damp[:heavy], t, drive[:, :heavy])
+    z[:, :heavy], rate = integrate_modes(
+        model.omega[:heavy], model.damp[:heavy], t, drive[:, :heavy]
+    )
     z[:, heavy:] = drive[:, heavy:] / model.omega[heavy:] ** 2
     slow = heavy + np.flatnonzero(
         model.damp[heavy:]
@@ -335,12 +337,12 @@ def chip_response(
     return z @ model.gain + load @ model.D, stored
 
 
-def resonant(
+def integrate_modes(
     omega: np.ndarray, damp: np.ndarray, t: np.ndarray, drive: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacements and rates (n, modes) of ``z'' + damp z' + omega^2 z = drive``, from
     equilibrium; ``drive`` is linear between the times."""
-    a, b = _roots(omega, damp)
+    a, b = _oscillator_roots(omega, damp)
     if (b == a.conj()).all():  # then x_b is the conjugate of x_a
         x_a = march(a, t, drive)
         x_b = x_a.conj()
@@ -362,7 +364,9 @@ def march(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
         count = part.stop - part.start - 1
         side = math.isqrt(count - 1) + 1
         shape = (side, side, roots.size)
-        grow, push = (np.resize(item, shape) for item in _steps(roots, t[part], drive[part]))
+        grow, push = (
+            np.resize(item, shape) for item in _step_propagators(roots, t[part], drive[part])
+        )
         for k in range(1, side):
             push[:, k] += grow[:, k] * push[:, k - 1]
             grow[:, k] *= grow[:, k - 1]
@@ -374,7 +378,7 @@ def march(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
     return states
 
 
-def _roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Roots of ``s^2 + damp s + omega^2``; equal ones are moved apart by 1e-4 of omega."""
     half = np.sqrt(damp.astype(complex) ** 2 / 4 - omega**2)
     half = np.where(np.abs(half) < 1e-4 * omega, 1e-4 * omega, half)
@@ -383,7 +387,9 @@ def _roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.where(fast.imag == 0, omega**2 / fast, fast.conj()), fast
 
 
-def _steps(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _step_propagators(
+    roots: np.ndarray, t: np.ndarray, drive: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """``e^(ah)`` and what the load adds in each step, both (steps, roots)."""
     h = np.diff(t)[:, None]
     s = h * roots

@@ -88,7 +88,7 @@ class Loss:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class OverBox:
+class ParameterPolynomials:
     """Matrices of a model over the parameter range of ``axes`` and ``losses``.
 
     They are sums of products of Chebyshev polynomials of the axes' coordinates with ``exponents``
@@ -133,7 +133,7 @@ class OverBox:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Parametric(OverBox):
+class Parametric(ParameterPolynomials):
     """Reduced models over a box: ``terms`` has for each of M, K, B, D and E (or ``rayleigh``) the
     coefficients (terms, …) of the polynomials."""
 
@@ -182,8 +182,10 @@ def parametric(
         return cached_model(tuple(sorted(values.items())))
 
     middle = {axis.name: axis.middle for axis in axes}
-    frame = _required(model_at(middle), None)
-    losses = tuple(result for axis in axes if (result := _loss(model_at, axis, middle, frame)))
+    frame = _require_symmetric(model_at(middle), None)
+    losses = tuple(
+        result for axis in axes if (result := _identify_loss(model_at, axis, middle, frame))
+    )
     stiffness_axes = tuple(axis for axis in axes if axis not in [loss.axis for loss in losses])
     degree = DEGREES.get(len(stiffness_axes), 2) if degree is None else degree
     exponents = exponents_to(len(stiffness_axes), degree)
@@ -196,8 +198,8 @@ def parametric(
     for number, x in enumerate(points):
         progress(number + 1, len(points))
         values = {axis.name: axis.value(v) for axis, v in zip(stiffness_axes, x, strict=True)}
-        models.append(_required(model_at(middle | values), frame))
-    V = _independent([_answers(model.pencil, band) for model in models], frame.M)
+        models.append(_require_symmetric(model_at(middle | values), frame))
+    V = _orthonormalise([_modes_and_statics(model.pencil, band) for model in models], frame.M)
     pencils = [model.pencil.project(V) for model in models]
     rows = {
         "M": [p.coefficients[2] for p in pencils],
@@ -241,7 +243,9 @@ def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
 def modal_projection(model: LinearModel, top: float) -> Pencil:
     """The small pencil of a full model's modes to twice the frequency ``top`` [Hz] and of what
     they leave of the answers to the ports at rest."""
-    return model.pencil.project(_independent([_answers(model.pencil, (0.0, top))], model.M))
+    return model.pencil.project(
+        _orthonormalise([_modes_and_statics(model.pencil, (0.0, top))], model.M)
+    )
 
 
 def natural_modes(
@@ -267,7 +271,7 @@ def natural_modes(
         count *= 2
 
 
-def _required(model: LinearModel, frame: LinearModel | None) -> LinearModel:
+def _require_symmetric(model: LinearModel, frame: LinearModel | None) -> LinearModel:
     if model.first_order or not model.symmetric:
         expected = "a symmetric model of second order with collocated ports"
         raise UsageError("has no parametric model", where=model.name, expected=expected)
@@ -281,7 +285,7 @@ def _required(model: LinearModel, frame: LinearModel | None) -> LinearModel:
     return model
 
 
-def _answers(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
+def _modes_and_statics(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
     """Modes to above the band, and what they leave of the answers to the ports at rest, nearly."""
     top, M = 2 * np.pi * band[1], pencil.coefficients[2]
     square = 0.0 if pencil.factorised else -((top / 3) ** 2)  # with a support, K itself
@@ -294,7 +298,7 @@ def _answers(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
     return np.column_stack([V, still])
 
 
-def _independent(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
+def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
     """M-orthonormal columns that span all of ``columns`` but for rounding."""
     V = np.hstack(columns)
     size = np.sqrt(np.einsum("ij,ij->j", V, M @ V))
@@ -306,7 +310,9 @@ def _independent(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
     return np.asarray(V)
 
 
-def _loss(full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel) -> Loss | None:
+def _identify_loss(
+    full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
+) -> Loss | None:
     """The parameter as one of damping alone; None of any other."""
     if frame.rayleigh is None:
         return None
@@ -314,7 +320,7 @@ def _loss(full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel) -
     models = []
     for x in places:  # the first place identifies a parameter of the matrices
         model = full({**middle, axis.name: axis.value(x)})
-        if model.rayleigh is None or not _same(model, frame):
+        if model.rayleigh is None or not _differs_in_damping_only(model, frame):
             return None
         models.append(model)
     share = np.log([axis.value(x) / axis.middle for x in places])
@@ -333,7 +339,7 @@ def _loss(full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel) -
     return Loss(axis, *powers) if any(powers) else None
 
 
-def _same(one: LinearModel, other: LinearModel) -> bool:
+def _differs_in_damping_only(one: LinearModel, other: LinearModel) -> bool:
     """Equal but for their damping."""
     if one.order != other.order:
         return False

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.linalg.exact import Exact
+from kc2spice.linalg.exact import ExactMatrix
 from kc2spice.linalg.factor import Factor, factorise, two_sided
 
 Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array or Schur; scipy brings no types
@@ -92,15 +92,15 @@ class Schur:
 
     def scaled(self, t: np.ndarray) -> Schur:
         """``diag(t) S diag(t)``."""
-        return self._same_potentials(
+        return self._with_blocks(
             scaled(self.uu, t, t), scaled(self.up, t), scaled(self.pu, None, t)
         )
 
     def damping(self, alpha: float, beta: float, M: scipy.sparse.csc_array) -> Schur:
         """``alpha M + beta S``."""
-        return self._same_potentials(alpha * M + beta * self.uu, beta * self.up, self.pu)
+        return self._with_blocks(alpha * M + beta * self.uu, beta * self.up, self.pu)
 
-    def _same_potentials(self, uu: Matrix, up: Matrix, pu: Matrix) -> Schur:
+    def _with_blocks(self, uu: Matrix, up: Matrix, pu: Matrix) -> Schur:
         """A matrix with the same ``pp`` and its factor."""
         return Schur(uu, up, pu, self.pp, self.factor)
 
@@ -343,16 +343,16 @@ class Pencil:
     def project_exactly(self, V: np.ndarray) -> Pencil:
         """:meth:`project` of a dense pencil with 19 digits in between: soft motions of stiff
         matrices are small differences of large numbers, which 16 digits lose."""
-        left, reduced = Exact(V.T), []
+        left, reduced = ExactMatrix(V.T), []
         for P in self.coefficients:
-            R = np.asarray(left @ (Exact(P) @ V), dtype=float)
+            R = np.asarray(left @ (ExactMatrix(P) @ V), dtype=float)
             if self.symmetric:
                 R = 0.5 * (R + R.T)
             elif np.array_equal(P, -P.T):
                 R = 0.5 * (R - R.T)
             reduced.append(R)
         B = np.asarray(left @ self.B, dtype=float)
-        C = B.T.copy() if self.collocated else np.asarray(Exact(self.C) @ V, dtype=float)
+        C = B.T.copy() if self.collocated else np.asarray(ExactMatrix(self.C) @ V, dtype=float)
         return Pencil(tuple(reduced), B, C, self.D)
 
     def leading(self, order: int) -> Pencil:

@@ -135,7 +135,7 @@ class Task:
                 "not a number of vectors", where="fixed", got=repr(fixed), expected=expected
             )
         if free := self.core.free:  # rigid-body modes that damping couples to other motions
-            others = _independent(V, free)
+            others = _select_independent(V, free)
             fixed = int(others[:fixed].sum())
             V = scipy.linalg.block_diag(np.eye(free), V[free:, others])
             W = None if W is None else scipy.linalg.block_diag(np.eye(free), W[free:, others])
@@ -146,7 +146,7 @@ class Task:
             W = unit_scale(W)
             parts = tuple(W.T @ P @ V for P in self.core.coefficients)
             pencil = Pencil(parts, W.T @ self.core.B, self.core.C @ V, self.core.D, free=free)
-        pencil, vectors = self.with_rigid_body(pencil), self.beside_rigid_body(V)
+        pencil, vectors = self.with_rigid_body(pencil), self.add_rigid_body_vectors(V)
         fixed += pencil.free
         return ReducedBasis(self, pencil, fixed, congruence=W is None, vectors=vectors)
 
@@ -156,7 +156,7 @@ class Task:
             return pencil
         return pencil.joined(self.response.pencil.leading(self.response.pencil.free))
 
-    def beside_rigid_body(self, V: np.ndarray) -> np.ndarray:
+    def add_rigid_body_vectors(self, V: np.ndarray) -> np.ndarray:
         """Return vectors V of :attr:`core` as those of the intermediate model, rigid-body modes in
         front."""
         free = self.response.pencil.size - self.core.size
@@ -186,7 +186,7 @@ class Task:
         return in_hertz(pencil, self.band[1])
 
 
-def _independent(V: np.ndarray, free: int) -> np.ndarray:
+def _select_independent(V: np.ndarray, free: int) -> np.ndarray:
     """Which columns of V depend on no column before them, without the first ``free`` rows."""
     distance = np.abs(np.diag(np.linalg.qr(V[free:], mode="r")))
     result = np.zeros(V.shape[1], dtype=bool)

@@ -50,22 +50,22 @@ class Response:
         self.pencil, self.zero = pencil, zero
         self.core = pencil.restrained if pencil.detached else pencil
         self._free = pencil.leading(pencil.free) if pencil.detached else None
-        self._given = modes
+        self._prescribed_modes = modes
 
     @cached_property
     def decoupled(self) -> bool:
         """See above."""
-        return self._given is None and self._known is not None
+        return self._prescribed_modes is None and self._decoupling is not None
 
     @cached_property
-    def _known(self) -> Modes | None:
-        return self._given or _decoupled(self.core)
+    def _decoupling(self) -> Modes | None:
+        return self._prescribed_modes or _decouple(self.core)
 
     @cached_property
     def modes(self) -> Modes | None:
         """See above; eigenvectors are computed when they are asked for."""
         pays = FEW < self.core.size <= MANY / self.core.degree
-        return self._known or (_eigenvectors(self.core) if pays else None)
+        return self._decoupling or (_compute_eigenvectors(self.core) if pays else None)
 
     @cached_property
     def dual(self) -> Response:
@@ -148,7 +148,7 @@ class Response:
             result = np.empty(0) if self.decoupled else self._poles
             mode = np.full(len(result), -1)
             if self.modes is not None and not self.decoupled:
-                mode = np.flatnonzero(_finite(self.modes[2][0]))
+                mode = np.flatnonzero(_has_finite_pole(self.modes[2][0]))
             mode, result = mode[result.imag > 0], result[result.imag > 0]
             return result.imag / (2 * np.pi), np.abs(result.real) / np.abs(result), mode
         assert self.modes is not None
@@ -167,7 +167,7 @@ class Response:
     def within(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """The resonances inside the band."""
         frequency, ratio = self.resonances
-        inside = _inside(frequency, band)
+        inside = _is_inside(frequency, band)
         return frequency[inside], ratio[inside]
 
     def visible(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -175,7 +175,7 @@ class Response:
         every entry: modes that no input excites or no output sees, and rigid-body modes that
         rounding gives a stiffness."""
         frequency, ratio, mode = self._resonant
-        inside = _inside(frequency, band)
+        inside = _is_inside(frequency, band)
         frequency, ratio, mode = frequency[inside], ratio[inside], mode[inside]
         if not mode.size or mode.min() < 0:
             return frequency, ratio
@@ -193,7 +193,7 @@ class Response:
         return frequency[visible], ratio[visible]
 
 
-def _eigenvectors(pencil: Pencil) -> Modes | None:
+def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
     """Eigenvectors of ``(P(shift))^-1`` times the inertia, both in first order, which unknowns
     without inertia have too, if they reproduce direct solutions to rounding."""
     sizes = largest(pencil.coefficients[0]), largest(pencil.coefficients[-1])
@@ -226,22 +226,22 @@ def _eigenvectors(pencil: Pencil) -> Modes | None:
 
 
 def _finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-    """Finite poles of the diagonals of :func:`_eigenvectors`."""
-    finite = _finite(rest)
+    """Finite poles of the diagonals of :func:`_compute_eigenvectors`."""
+    finite = _has_finite_pole(rest)
     return np.asarray(-rest[finite] / inertia[finite])
 
 
-def _finite(rest: np.ndarray) -> np.ndarray:
-    """Which of the diagonals of :func:`_eigenvectors` have a finite pole."""
+def _has_finite_pole(rest: np.ndarray) -> np.ndarray:
+    """Which of the diagonals of :func:`_compute_eigenvectors` have a finite pole."""
     return np.asarray(np.abs(1 - rest) * INFINITE > 1)
 
 
-def _inside(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
+def _is_inside(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
     """Which frequencies [Hz] are inside the band, and not zero but for rounding."""
     return np.asarray((frequency > max(band[0], 1e-6 * band[1])) & (frequency < band[1]))
 
 
-def _decoupled(pencil: Pencil) -> Modes | None:
+def _decouple(pencil: Pencil) -> Modes | None:
     """Solved as ``M phi = mu K phi`` where K is definite: the better conditioned of the two."""
     if not pencil.symmetric or not pencil.size:
         return None
@@ -282,7 +282,9 @@ def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
     return np.unique(frequency)
 
 
-def around(frequency: np.ndarray, ratio: np.ndarray, widths: np.ndarray = CLUSTER) -> np.ndarray:
+def sample_resonances(
+    frequency: np.ndarray, ratio: np.ndarray, widths: np.ndarray = CLUSTER
+) -> np.ndarray:
     """Frequencies [Hz] on and beside resonances, at multiples of their half width."""
     sharp = ratio < SHARPEST
     width = np.where(sharp, FLANK, ratio)[:, None] * frequency[:, None]
@@ -296,7 +298,9 @@ def around(frequency: np.ndarray, ratio: np.ndarray, widths: np.ndarray = CLUSTE
     return np.unique(points)
 
 
-def clear_of_poles(points: np.ndarray, frequency: np.ndarray, ratio: np.ndarray) -> np.ndarray:
+def drop_points_near_poles(
+    points: np.ndarray, frequency: np.ndarray, ratio: np.ndarray
+) -> np.ndarray:
     """``points`` without those that come closer than ``FLANK`` to an all but undamped resonance."""
     sharp = frequency[ratio < SHARPEST]
     if not sharp.size:
@@ -306,7 +310,7 @@ def clear_of_poles(points: np.ndarray, frequency: np.ndarray, ratio: np.ndarray)
     return np.asarray(points[nearest >= 0.98 * gap])
 
 
-def samples(
+def sample_band(
     response: Response,
     band: tuple[float, float],
     count: int,
@@ -316,6 +320,6 @@ def samples(
     """Frequencies [Hz] of a grid and on every resonance, at multiples of its half width, inside the
     band and clear of poles without damping."""
     at, ratio = response.within(band)
-    points = np.union1d(grid(band, count, static), around(at, ratio, np.asarray(widths)))
+    points = np.union1d(grid(band, count, static), sample_resonances(at, ratio, np.asarray(widths)))
     points = points[(points >= band[0]) & (points <= band[1])]
-    return clear_of_poles(points, at, ratio)
+    return drop_points_near_poles(points, at, ratio)

@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import scipy
 
-from kc2spice.linalg.exact import Exact
+from kc2spice.linalg.exact import ExactMatrix
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, first_order, largest, magnitudes, symmetric
 
 ROUNDING = 8.0  # times n eps of the largest: a stiffness, a damping or a coupling that is zero
@@ -29,7 +29,7 @@ DEPENDENT = 1e-9  # rates per band's end: a chain of integrators in first order
 Rounding: TypeAlias = tuple[np.ndarray, ...]  # bounds on that of each coefficient's entries
 
 
-class Apart(NamedTuple):
+class RigidBodySplit(NamedTuple):
     """A ``pencil`` whose first ``free`` coordinates are its free motion, the columns of all of them
     in the original, whether all but those have a static answer, and the ``projected`` pencil before
     the rounding of what is zero was taken out of it, where the form was kept.
@@ -41,7 +41,9 @@ class Apart(NamedTuple):
     projected: Pencil | None = None
 
 
-def apart(pencil: Pencil, omega: float, rounding: Rounding | None = None) -> Apart:
+def split_rigid_body(
+    pencil: Pencil, omega: float, rounding: Rounding | None = None
+) -> RigidBodySplit:
     """A dense pencil in coordinates of which the first ones are its free motion; the pencil itself
     where none is free.
 
@@ -51,37 +53,41 @@ def apart(pencil: Pencil, omega: float, rounding: Rounding | None = None) -> Apa
     invariant subspaces. ``rounding`` is known of projections.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
-    X = _null_space(rest, (rounding or _rounding(pencil))[0])
-    X = _without_energy(rest, X, None if rounding is None else rounding[0])
-    rounding = rounding or _rounding(pencil)
+    X = _compute_null_space(rest, (rounding or _bound_rounding(pencil))[0])
+    X = _select_energy_free(rest, X, None if rounding is None else rounding[0])
+    rounding = rounding or _bound_rounding(pencil)
     free = X.shape[1]
     if not free:
-        return Apart(pencil, np.eye(pencil.size), True)
-    if symmetric(inertia) and _without_force(rest.T, X, rounding[0].T):
+        return RigidBodySplit(pencil, np.eye(pencil.size), True)
+    if symmetric(inertia) and _is_force_free(rest.T, X, rounding[0].T):
         others = scipy.linalg.null_space((inertia @ X).T)
         if others.shape[1] + free == pencil.size:
-            X = _driven(pencil, X, rounding)
+            X = _select_driven(pencil, X, rounding)
             V = np.hstack([X, others])
-            result, projected = congruent(pencil, V, X.shape[1], rounding)
-            return Apart(result, V, True, projected)
-    result, V = _oblique(first_order(pencil, omega), omega)
-    return Apart(result, V, True) if result.free else Apart(pencil, np.eye(pencil.size), False)
+            result, projected = project_with_rigid_body(pencil, V, X.shape[1], rounding)
+            return RigidBodySplit(result, V, True, projected)
+    result, V = _project_obliquely(first_order(pencil, omega), omega)
+    return (
+        RigidBodySplit(result, V, True)
+        if result.free
+        else RigidBodySplit(pencil, np.eye(pencil.size), False)
+    )
 
 
 def free_part(pencil: Pencil, omega: float) -> Pencil | None:
     """The free motion alone, whose response is the part without bound; None if there is none."""
     if pencil.free and not pencil.detached:
-        pencil = _oblique(first_order(pencil, omega), omega)[0]
+        pencil = _project_obliquely(first_order(pencil, omega), omega)[0]
     return pencil.leading(pencil.free) if pencil.free else None
 
 
-def _rounding(pencil: Pencil) -> Rounding:
+def _bound_rounding(pencil: Pencil) -> Rounding:
     """Bounds of the rounding errors of the entries of a given pencil."""
     limit = ROUNDING * np.finfo(float).eps * pencil.size
     return tuple(limit * np.abs(P) for P in pencil.coefficients)
 
 
-def _null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
+def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     """Orthonormal columns that K takes to zero but for ``rounding`` of each of its entries, however
     stiff others are."""
     rows = rounding.max(axis=1)
@@ -98,7 +104,7 @@ def _null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     return np.linalg.qr(columns[:, None] * Vt[size <= limit].T)[0]
 
 
-def _without_energy(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | None) -> np.ndarray:
+def _select_energy_free(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | None) -> np.ndarray:
     """Motions of X (n, motions) whose energy is a rounding error of the entries of K.
 
     A known ``rounding`` is used instead, because a known support may be softer than the bound
@@ -106,7 +112,7 @@ def _without_energy(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | None) -
     """
     if not X.size or not symmetric(K):
         return X
-    energy = np.asarray(Exact(X.T) @ (Exact(K) @ X), dtype=float)
+    energy = np.asarray(ExactMatrix(X.T) @ (ExactMatrix(K) @ X), dtype=float)
     turn, size, _ = np.linalg.svd(energy)
     X = X @ turn
     noise = RANDOM * energy_rounding(K, X) if rounding is None else abs(X).T @ rounding @ abs(X)
@@ -158,18 +164,18 @@ def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
     return float(np.sqrt((RANDOM * random / mass).max()) / (2 * np.pi))
 
 
-def _without_force(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:
+def _is_force_free(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:
     """Whether ``P X`` is zero but for the ``rounding`` of P's entries, and X's own."""
     return bool((np.abs(P @ X) <= rounding.sum(axis=1)[:, None] * np.abs(X).max(axis=0)).all())
 
 
-def _driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
+def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
     """Free motions of X that an input moves.
 
     All are returned if inputs and outputs are not collocated, or if damping couples the motions.
     """
     *between, inertia = pencil.coefficients
-    slowed = not all(_without_force(P, X, R) for P, R in zip(between, rounding, strict=False))
+    slowed = not all(_is_force_free(P, X, R) for P, R in zip(between, rounding, strict=False))
     if slowed or not pencil.collocated:
         return X
     X = X @ np.linalg.inv(np.linalg.cholesky(X.T @ inertia @ X)).T
@@ -184,13 +190,13 @@ def _driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
     return np.asarray(X @ U[:, :moved])
 
 
-def congruent(
+def project_with_rigid_body(
     pencil: Pencil, V: np.ndarray, free: int, rounding: Rounding | None = None
 ) -> tuple[Pencil, Pencil]:
     """``V'PV`` of a dense pencil, the first columns of V being ``free`` motions, without the
     rounding of what is zero, and with it."""
     result, parts = pencil.project_exactly(V), []
-    for P, noise in zip(result.coefficients, rounding or _rounding(pencil), strict=True):
+    for P, noise in zip(result.coefficients, rounding or _bound_rounding(pencil), strict=True):
         zero = np.abs(P) <= np.abs(V).T @ (noise @ np.abs(V))
         zero[free:, free:] = False
         parts.append(np.where(zero, 0.0, P))
@@ -199,19 +205,22 @@ def congruent(
     return replace(result, coefficients=tuple(parts), free=free), result
 
 
-def _oblique(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray]:
+def _project_obliquely(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray]:
     """``W'PV`` with the right and left invariant subspaces of the poles near zero in front, there
     in coordinates that show the chains of integrators."""
     rest, inertia = pencil.coefficients
     try:
-        X, Y = _slow(rest, inertia, omega), _slow(rest.T, inertia.T, omega)
+        X, Y = (
+            _find_slow_subspace(rest, inertia, omega),
+            _find_slow_subspace(rest.T, inertia.T, omega),
+        )
         inner = Y.T @ inertia @ X
         if X.shape != Y.shape or not X.size:
             return pencil, np.eye(pencil.size)
         Y = np.linalg.solve(inner, Y.T).T
     except np.linalg.LinAlgError:
         return pencil, np.eye(pencil.size)
-    A, Q = _chains(-(Y.T @ rest @ X) / omega)
+    A, Q = _order_chains(-(Y.T @ rest @ X) / omega)
     X, Y = X @ Q, Y @ Q
     V, W = (
         np.hstack([X, scipy.linalg.null_space(Y.T @ inertia)]),
@@ -225,7 +234,7 @@ def _oblique(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray]:
     return Pencil(tuple(parts), W.T @ pencil.B, pencil.C @ V, pencil.D, free=free), V
 
 
-def _slow(rest: np.ndarray, inertia: np.ndarray, omega: float) -> np.ndarray:
+def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> np.ndarray:
     """Orthonormal basis of the invariant subspace of poles that are zero, or real and slow."""
     shifted = np.linalg.solve(rest + omega * inertia, omega * inertia)
 
@@ -237,7 +246,7 @@ def _slow(rest: np.ndarray, inertia: np.ndarray, omega: float) -> np.ndarray:
     return np.asarray(Z[:, :count])
 
 
-def _chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _order_chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """``Q'AQ`` with Q orthogonal, block triangular with exact zeros: first what does not move, then
     what moves that at a constant rate, and so on."""
     A, Q, start = A.copy(), np.eye(len(A)), 0

@@ -11,7 +11,14 @@ from kc2spice.rom.entries import Entries
 from kc2spice.rom.error_estimate import relative_size
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil, magnitudes
-from kc2spice.rom.response import FLANK, SHARPEST, Response, around, clear_of_poles, grid
+from kc2spice.rom.response import (
+    FLANK,
+    SHARPEST,
+    Response,
+    drop_points_near_poles,
+    grid,
+    sample_resonances,
+)
 
 UNCERTAIN = 1e-9  # relative change of a response by rounding that the certificate mentions
 FREE = 100.0  # motions with less energy than this times rounding have none
@@ -69,12 +76,14 @@ def zero_entries(
     at, ratio = response.visible(band)
     chosen = np.union1d(np.argsort(at)[:RESONANCES], np.argsort(ratio)[:RESONANCES])
     peaks = at[chosen] * (1 + FLANK * (ratio[chosen] < SHARPEST))
-    f = np.r_[clear_of_poles(grid(band, ZERO_FREQUENCIES, False), *response.within(band)), peaks]
+    f = np.r_[
+        drop_points_near_poles(grid(band, ZERO_FREQUENCIES, False), *response.within(band)), peaks
+    ]
     if pencil.D.size == 1 or not f.size:
         return False
     x = response.states(2j * np.pi * f)
     H = response.pencil.C @ x + response.pencil.D
-    faint = response.entries(f, H).faint(H)
+    faint = response.entries(f, H).negligible(H)
     suspect = (faint[: len(f) - len(peaks)].mean(axis=0) > ZERO_SHARE) & ~faint.all(axis=0)
     if suspect.any():
         rows = np.flatnonzero((~faint & suspect).any(axis=(1, 2)))
@@ -130,7 +139,9 @@ def with_rounding(
     """
     exact = model.response
     at, ratio = exact.visible(band)
-    points = clear_of_poles(around(at, ratio, np.array([0.0, 1.0])), *exact.within(band))
+    points = drop_points_near_poles(
+        sample_resonances(at, ratio, np.array([0.0, 1.0])), *exact.within(band)
+    )
     if not points.size:
         return model
     H = exact.transfer(2j * np.pi * points)

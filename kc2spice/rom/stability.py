@@ -15,7 +15,7 @@ import scipy
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import factorise
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, largest, symmetric
-from kc2spice.rom.rigid_body import apart
+from kc2spice.rom.rigid_body import split_rigid_body
 
 # Rounding of a congruence: a semi-definite matrix may show eigenvalues this far below zero.
 ASYMMETRY = 1e-12
@@ -84,7 +84,7 @@ def prove_stability(
 def _poles(pencil: Pencil, omega: float) -> np.ndarray:
     """All poles, those of a free motion from that alone: rounding moves the pair of a rigid body by
     half of the digits."""
-    result = pencil if pencil.free else apart(pencil.scaled(omega).dense(), omega).pencil
+    result = pencil if pencil.free else split_rigid_body(pencil.scaled(omega).dense(), omega).pencil
     if not result.detached:
         return pencil.poles(omega)
     return np.asarray(

@@ -83,16 +83,16 @@ def causal(
     assert known is not None
     answer = prove_stability(result.pencil, band)
     inner = sum(mode.rates.size for mode in modes)
-    apart = search.apart(modes)
+    apart = search.deviation(modes)
     added = f" and {inner} relaxations" if inner else ""
     method = (
-        f"{known.method}; structural damping{_loss(model)} by viscous damping of each mode{added}, "
-        f"which differs by {apart:.1e}"
+        f"{known.method}; structural damping{_loss_text(model)} by viscous damping of each mode"
+        f"{added}, which differs by {apart:.1e}"
     )
-    estimate = max(error, SAFETY * search.checked(result))
+    estimate = max(error, SAFETY * search.verified_error(result))
     if estimate > tolerance:
         warnings.warn(
-            f"no causal model has a structural damping{_loss(model)} at all frequencies: the "
+            f"no causal model has a structural damping{_loss_text(model)} at all frequencies: the "
             f"passive one differs by {apart:.2g}, more than the tolerance of {tolerance:g}",
             stacklevel=4,
         )
@@ -106,7 +106,7 @@ def causal(
     return replace(result, certificate=certificate)
 
 
-def _loss(model: LinearModel) -> str:
+def _loss_text(model: LinearModel) -> str:
     return f" of {model.loss_factor:g}" if model.loss_factor else ""
 
 
@@ -154,7 +154,7 @@ class _Search:
             self.C = self.B.T.copy()
         for former in ("viscous", "_decoupled"):
             self.__dict__.pop(former, None)
-        self.raised = self._raised()
+        self.raised = self._peak_amplification()
 
     @property
     def lossy(self) -> Pencil:
@@ -197,7 +197,7 @@ class _Search:
 
     def relaxing(self, relative_rates: Sequence[float], tolerance: float) -> list[Oscillator]:
         """Modes with relaxations, where these come much nearer and it matters."""
-        frequency, exact = self._compared(self.viscous)
+        frequency, exact = self._comparison_response(self.viscous)
         s = 2j * np.pi * frequency
         base = Entries.of(exact).base(exact, share_of(self.norm)) + np.finfo(float).tiny
         losses = np.diag(self.H)
@@ -222,9 +222,9 @@ class _Search:
         both = zip(trials, self.viscous, better, strict=True)
         return [trial if use else mode for trial, mode, use in both]
 
-    def apart(self, modes: Sequence[Oscillator]) -> float:
+    def deviation(self, modes: Sequence[Oscillator]) -> float:
         """Largest difference of the model of such modes to structural damping."""
-        frequency, exact = self._compared(modes)
+        frequency, exact = self._comparison_response(modes)
         ours = self.model(modes).transfer(frequency)
         return float(Entries.of(exact).relative(ours - exact, exact, share_of(self.norm)).max())
 
@@ -232,19 +232,19 @@ class _Search:
         """Its error estimate in the full model."""
         known = self.small.certificate
         assert known is not None
-        return max(self.raised, 1.0) * known.error_estimate + SAFETY * self.apart(modes)
+        return max(self.raised, 1.0) * known.error_estimate + SAFETY * self.deviation(modes)
 
-    def checked(self, result: LinearModel) -> float:
+    def verified_error(self, result: LinearModel) -> float:
         """Largest relative difference between ``result`` and direct solutions of the full model."""
         low, high = self.band
         sharp = np.sort(Response(result.pencil.dense()).within(self.band)[0])[:DIRECT]
         frequencies = np.r_[low + (high - low) * (np.arange(DIRECT) + 0.4) / DIRECT, sharp]
         full = self.full.transfer(frequencies)
-        entries = Entries.of(self._compared(self.viscous)[1])
+        entries = Entries.of(self._comparison_response(self.viscous)[1])
         off = entries.relative(result.transfer(frequencies) - full, full, share_of(self.norm))
         return float(off.max())
 
-    def _compared(self, modes: Sequence[Oscillator]) -> tuple[np.ndarray, np.ndarray]:
+    def _comparison_response(self, modes: Sequence[Oscillator]) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies [Hz] at which errors of a model show, and there the response with structural
         damping."""
         response = Response(self.model(modes).pencil.dense())
@@ -254,12 +254,12 @@ class _Search:
             frequency = np.r_[self.band[1] * NEAR_REST, frequency]
         return frequency, self.lossy.transfer(2j * np.pi * frequency)
 
-    def _raised(self) -> float:
+    def _peak_amplification(self) -> float:
         """How many times larger the peaks that the reduction saw are, where errors count against
         peaks."""
         if self.norm == "pointwise":
             return 1.0
-        frequency, exact = self._compared(self.viscous)
+        frequency, exact = self._comparison_response(self.viscous)
         small = Response(self.small.pencil.dense())
         sharper = np.r_[frequency, small.within(self.band)[0]]
         peaks = np.abs(self.small.transfer(sharper)).max(axis=0)

@@ -27,8 +27,8 @@ from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
 from kc2spice.rom.parametric import (
     Full,
-    OverBox,
     ParameterAxis,
+    ParameterPolynomials,
     Parametric,
     Values,
     exponents_to,
@@ -62,7 +62,7 @@ NOTCH = 1e-2  # factor of FINE with transfers between ports: large terms cancel 
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Varying(OverBox):
+class Varying(ParameterPolynomials):
     """``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` with ``E = alpha + beta L L'``.
 
     With ``T`` (terms,) the products of polynomials, ``exp(T diagonal)`` (q,) is the diagonal of L
@@ -125,7 +125,7 @@ class Varying(OverBox):
         )
 
 
-def over_box(
+def reduce_over_ranges(
     full: Full,
     axes: Sequence[ParameterAxis],
     band: tuple[float, float],

@@ -21,7 +21,7 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.nodal import NodalCircuit
 from kc2spice.rom.entries import Entries, share_of
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
-from kc2spice.rom.response import Response, clear_of_poles, samples
+from kc2spice.rom.response import Response, drop_points_near_poles, sample_band
 
 MICRO = TRANSLATION.across.factor  # m on 1 V of a displacement pin; a charge node has as many C
 LOWEST = 1e-6  # lowest frequency of a band that begins at zero, relative to its end
@@ -73,7 +73,7 @@ def circuit_error(
         top = np.argsort(error)[-WORST:]
         low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(frequency) - 1)
         near = np.unique(np.linspace(frequency[low], frequency[high], ZOOM))
-        near = clear_of_poles(near, *exact.resonances)
+        near = drop_points_near_poles(near, *exact.resonances)
         frequency, error = np.r_[frequency, near], np.r_[error, relative(near)]
     worst = int(np.nan_to_num(error, nan=np.inf).argmax())
     return CircuitError(float(error[worst]), float(frequency[worst]))
@@ -202,8 +202,8 @@ def _select_frequencies(exact: Response, band: tuple[float, float], unknowns: in
     low, high = band[0] or LOWEST * band[1], band[1]
     start = max(low, 1e-4 * high)
     below = np.geomspace(low, start, max(2, round(DECADE * np.log10(start / low)) + 1))
-    result = np.r_[below, samples(exact, (start, high), GRID, False, FLANKS), high]
-    result = np.unique(clear_of_poles(result, *exact.resonances))
+    result = np.r_[below, sample_band(exact, (start, high), GRID, False, FLANKS), high]
+    result = np.unique(drop_points_near_poles(result, *exact.resonances))
     most = max(FEWEST, int(WORK / unknowns**2))
     if len(result) > most:
         result = result[np.unique(np.linspace(0, len(result) - 1, most).astype(int))]

@@ -36,7 +36,7 @@ from kc2spice.rom.band import SMALL, natural_band
 from kc2spice.rom.branch_fit import one_port
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.error_estimate import default_norm
-from kc2spice.rom.instability import shown_unstable
+from kc2spice.rom.instability import explain_instability
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear_model import PORT_KINDS, LinearModel
 from kc2spice.rom.reduce import reduce_model
@@ -198,7 +198,7 @@ def _require_stable_full(model: LinearModel, band: tuple[float, float] | None) -
     if states <= SMALL:
         return
     if states > DENSE:
-        got = shown_unstable(model.pencil, band or model.band)
+        got = explain_instability(model.pencil, band or model.band)
     else:
         pencil = reduced_form(model.pencil)
         band = band or model.band or natural_band(pencil)

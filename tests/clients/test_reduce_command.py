@@ -9,7 +9,7 @@ from scipy import sparse
 from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
-from kc2spice.rom.instability import shown_unstable
+from kc2spice.rom.instability import explain_instability
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.workflow import reduce_files as workflow
 
@@ -126,7 +126,7 @@ def test_a_large_unstable_model_ends_before_its_reduction(tmp_path, monkeypatch,
 def test_a_large_stable_model_is_not_taken_for_unstable():
     parts = large("none")
     assert rightmost(large("none", 21)) < 0
-    assert shown_unstable(LinearModel(**parts).pencil, (0.0, 300.0)) is None
+    assert explain_instability(LinearModel(**parts).pencil, (0.0, 300.0)) is None
 
 
 def test_an_unstable_sparse_descriptor_ends_at_once(tmp_path, monkeypatch):

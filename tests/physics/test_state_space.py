@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.blocks import block_model, decoupled
+from kc2spice.rom.blocks import block_model, decouple_states
 from kc2spice.rom.linear_model import LinearModel
 
 N = 6
@@ -85,7 +85,7 @@ def test_blocks_stay_small_while_the_response_keeps_its_digits():
     Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
     model = LinearModel(A=Q @ A @ Q.T, B=rng.standard_normal((n, 2)), C=rng.standard_normal((2, n)))
     assert np.linalg.cond(np.linalg.eig(A)[1]) > 1e5
-    assert len(decoupled(model.A)[0]) == 1
+    assert len(decouple_states(model.A)[0]) == 1
     found = block_model(model)
     assert max(map(len, found.blocks)) == 1
     s = 1j * np.geomspace(0.1, 100, 30)[:, None, None]

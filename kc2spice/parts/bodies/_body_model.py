@@ -155,7 +155,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
 
         def build() -> Varying:
-            from kc2spice.rom.varying import over_box
+            from kc2spice.rom.varying import reduce_over_ranges
 
             def full(values: Mapping[str, float]) -> LinearModel:
                 other = with_values(part, values)
@@ -164,7 +164,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             band = _reaching(target.band, key, lambda: full(middle_values(keys)))
             text = f"model of {part.name} over {len(keys)} parameters"
             with clock.stage("reduce", text) as share:
-                return over_box(
+                return reduce_over_ranges(
                     full,
                     [item.axis for item in keys],
                     band,

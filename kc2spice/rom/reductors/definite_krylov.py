@@ -15,7 +15,7 @@ from kc2spice.rom.intermediate import IntermediateModel, not_converged
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reductors.block_krylov import extend
 from kc2spice.rom.reductors.rational_krylov import CONFIRMATIONS, MOST_VECTORS
-from kc2spice.rom.response import GRID, Response, samples
+from kc2spice.rom.response import GRID, Response, sample_band
 from kc2spice.rom.rounding import with_rounding, zero_entries
 
 # Blocks before a new point is considered. The factor at zero is a Cholesky factor, and that of a
@@ -51,7 +51,7 @@ def definite_krylov_model(
         stiff, heavy = np.hstack([stiff, K @ columns]), np.hstack([heavy, inertia])
         response = Response(pencil.project(V, (stiff, None, heavy)))
         response.zero = zero_entries(pencil, V, response, band)
-        frequency = samples(response, band, GRID, True, (0.0, 1.0, 4.0))  # notches come last
+        frequency = sample_band(response, band, GRID, True, (0.0, 1.0, 4.0))  # notches come last
         s = 2j * np.pi * frequency
         H = response.transfer(s)
         size = np.ones((len(s), 1, 1))

@@ -21,7 +21,7 @@ from kc2spice.rom.entries import Entries
 from kc2spice.rom.error_estimate import inexact, relative_size
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.response import FLANK, SHARPEST, Response, grid, samples
+from kc2spice.rom.response import FLANK, SHARPEST, Response, grid, sample_band
 from kc2spice.rom.rounding import uncertainty, uncertainty_note
 
 # Numbers of frequencies. Chosen by trial.
@@ -111,7 +111,7 @@ def sampled_model(
     recent = [np.inf]
     while len(known.frequency) < MOST_POINTS:
         before = Response(model)
-        points = samples(before, band, CANDIDATES, True)
+        points = sample_band(before, band, CANDIDATES, True)
         points = points[~np.isclose(points[:, None], known.frequency, rtol=1e-7).any(axis=1)]
         if not points.size:
             break
@@ -144,9 +144,9 @@ def sampled_model(
 
 def _decaying(small: Pencil) -> Pencil:
     """In real blocks of its poles, without those that grow: of a stable model they are noise."""
-    from kc2spice.rom.blocks import decoupled
+    from kc2spice.rom.blocks import decouple_states
 
-    blocks, X, inverse = decoupled(-small.coefficients[0])
+    blocks, X, inverse = decouple_states(-small.coefficients[0])
     A = np.zeros_like(X)
     keep, start = [], 0
     for block in blocks:

@@ -18,8 +18,8 @@ from kc2spice.rom.error_estimate import relative_size
 from kc2spice.rom.pencil import Pencil, Schur, magnitudes
 from kc2spice.rom.reductors.block_krylov import DEFLATION
 from kc2spice.rom.reductors.exact_samples import real_parts
-from kc2spice.rom.response import Response, samples
-from kc2spice.rom.rigid_body import RANDOM, apart, energy_rounding
+from kc2spice.rom.response import Response, sample_band
+from kc2spice.rom.rigid_body import RANDOM, energy_rounding, split_rigid_body
 from kc2spice.rom.rounding import FREE, zero_entries
 
 # K x = B solved to less than this of B: the model is free to move at zero frequency.
@@ -90,7 +90,7 @@ class GreedyBasis:
         return complex(s[np.argmax(np.where(fresh, measure, -1.0))])
 
     def _candidates(self) -> np.ndarray:
-        return samples(self.response, self.band, CANDIDATES, self.static)
+        return sample_band(self.response, self.band, CANDIDATES, self.static)
 
     def _add_static(self) -> bool:
         """Add the static answers if there are any; False for a model that is free to move."""
@@ -130,14 +130,14 @@ class GreedyBasis:
             side.extend(fresh)
         self.turn = _modes(self.pencil.project(self.basis))
         small = self.projected = self.pencil.project(self.modal)
-        small, turn = self._apart(small)
+        small, turn = self._split_rigid_body(small)
         self.turn = self.turn @ turn
         self._previous, self.response = self.response, Response(small)
         self.response.zero = zero_entries(
             self.pencil, self.basis @ self.turn, self.response, self.band
         )
 
-    def _apart(self, small: Pencil) -> tuple[Pencil, np.ndarray]:
+    def _split_rigid_body(self, small: Pencil) -> tuple[Pencil, np.ndarray]:
         """The rigid-body motion of the projected model, within rounding of the full one's entries;
         where the model has a static answer, no input moves it, and it is left out."""
         V, coefficients = self.modal, self.pencil.coefficients
@@ -149,7 +149,7 @@ class GreedyBasis:
         if not isinstance(coefficients[0], Schur):
             bound = np.minimum(bound, RANDOM * energy_rounding(coefficients[0], V))
         others = [FREE * eps * (np.abs(V).T @ (P @ np.abs(V))) for P in sizes[1:]]
-        result = apart(small, 2 * np.pi * self.band[1], (bound, *others))
+        result = split_rigid_body(small, 2 * np.pi * self.band[1], (bound, *others))
         if result.pencil.degree != small.degree or (self.static and result.pencil.free):
             return small, np.eye(small.size)
         return result.pencil, result.columns

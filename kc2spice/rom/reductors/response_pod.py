@@ -64,8 +64,10 @@ class ResponsePod(Reductor):
         vectors = _orthonormal(np.hstack(states)[free:], static)
         pencil = response.pencil.project(scipy.linalg.block_diag(np.eye(free), vectors))
         pencil = task.with_rigid_body(replace(pencil, free=free))
-        fixed = pencil.free + (static.shape[1] if _keeps_static(task) else 0)
-        columns = task.beside_rigid_body(scipy.linalg.block_diag(np.eye(free), energy @ vectors))
+        fixed = pencil.free + (static.shape[1] if _has_loaded_port(task) else 0)
+        columns = task.add_rigid_body_vectors(
+            scipy.linalg.block_diag(np.eye(free), energy @ vectors)
+        )
         return ReducedBasis(task, pencil, fixed, vectors=columns)
 
     def tighten(
@@ -106,7 +108,7 @@ class ResponsePod(Reductor):
         return best, order
 
 
-def _keeps_static(task: Task) -> bool:
+def _has_loaded_port(task: Task) -> bool:
     """Whether loads act on a port, such as forces or heat, so its static response stays exact."""
     return any(port.loaded for port in task.fom.ports)
 
@@ -123,7 +125,7 @@ def _static_responses(task: Task, response: Response) -> np.ndarray:
         loads = [pencil.B[free:], E[free:, :free], E[:free, free:].T]
         return _range(np.linalg.solve(K[free:, free:], np.hstack(loads)))
     from_rest = task.estimator.static and task.band[0] == 0
-    if task.intermediate.static and (from_rest or _keeps_static(task)):
+    if task.intermediate.static and (from_rest or _has_loaded_port(task)):
         return _range(response.states(np.zeros(1))[0].real)
     return np.empty((pencil.size, 0))
 

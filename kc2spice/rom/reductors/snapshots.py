@@ -12,7 +12,7 @@ import numpy as np
 
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.linear_model import LinearModel, Norm
-from kc2spice.rom.response import Response, around, grid
+from kc2spice.rom.response import Response, grid, sample_resonances
 
 # Points of each grid, linear and logarithmic. Every resonance adds snapshots of its own, so the
 # grid follows the response between resonances.
@@ -61,7 +61,7 @@ def snapshots(
     low, high = estimator.band
     at, ratio = response.within(estimator.band)
     frequency = grid((low, high), GRID_POINTS, estimator.static)
-    frequency = np.union1d(frequency, around(at, ratio, np.array([0.0, 1.0])))
+    frequency = np.union1d(frequency, sample_resonances(at, ratio, np.array([0.0, 1.0])))
     if tail is None:
         return Snapshots(frequency, np.empty(0), np.empty(0))
     above = np.linspace(high, TAIL_REACH * high, TAIL_POINTS)
