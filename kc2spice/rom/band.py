@@ -37,7 +37,11 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
         if pencil.degree == 2 and pencil.symmetric:
             rates = elastic_modes(pencil, MODES)
         else:
-            rates = _small(pencil) if pencil.size <= SMALL else _lowest(pencil)
+            rates = (
+                _compute_all_rates(pencil)
+                if pencil.size <= SMALL
+                else _compute_lowest_rates(pencil)
+            )
     except (SimulationError, ArpackError, LinAlgError):
         rates = np.empty(0)
     rates = np.sort(rates[rates > 0])[:MODES] ** (1 / pencil.degree)
@@ -66,7 +70,7 @@ def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
         else:  # modes of unknowns without inertia are infinitely fast
             inverse, T = eigh(M, K + SHIFT * largest(K) / mass[-1] * M)
             X = T[:, inverse > MASSLESS * inverse[-1]][:, ::-1]
-        return _energies(K, M, X)[:count]
+        return _rayleigh_quotients(K, M, X)[:count]
     require_factors(pencil.bordered(1.0, 1.0, 1.0))
     stiffness, inertia = (magnitudes(P).diagonal() for P in (K, M))
     top = float((stiffness[inertia > 0] / inertia[inertia > 0]).max(initial=0.0))
@@ -81,13 +85,13 @@ def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
             LinearOperator((pencil.size,) * 2, matvec=lambda x: K @ x, dtype=float),
             mode_count, M, sigma=-shift, OPinv=inverse, v0=start, tol=CLOSE,
         )  # fmt: skip
-        rates = _energies(K, M, result[1])
+        rates = _rayleigh_quotients(K, M, result[1])
         if rates.size >= count or mode_count == pencil.size - 2:
             return rates[:count]
         mode_count *= 2
 
 
-def _energies(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
+def _rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
     """Rayleigh quotients ``x'Kx / x'Mx`` of modes, in ascending order, those of rigid bodies left
     out."""
     energy = np.einsum("ij,ij->j", X, K @ X)
@@ -113,7 +117,7 @@ def band_end(pencil: Pencil, count: int, high: float) -> float:
     return min(high, float(np.sqrt(rates[-1]) / (2 * np.pi)))
 
 
-def _small(pencil: Pencil) -> np.ndarray:
+def _compute_all_rates(pencil: Pencil) -> np.ndarray:
     rest, inertia = map(dense, (pencil.coefficients[0], pencil.coefficients[-1]))
     if largest(rest) == 0 or largest(inertia) == 0:
         return np.empty(0)
@@ -121,7 +125,7 @@ def _small(pencil: Pencil) -> np.ndarray:
     return np.asarray(rates[rates > 1e-12 * rates.max(initial=0.0)])
 
 
-def _lowest(pencil: Pencil) -> np.ndarray:
+def _compute_lowest_rates(pencil: Pencil) -> np.ndarray:
     """Reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia."""
     require_factors(pencil.bordered(1.0, 1.0, 1.0))
     solve, inertia = pencil.solver(0.0)[0].solve, pencil.coefficients[-1]

@@ -8,7 +8,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.entries import Entries
-from kc2spice.rom.error_estimate import above_band
+from kc2spice.rom.error_estimate import errors_above_band
 from kc2spice.rom.linear_model import Certificate, LinearModel, model_of
 from kc2spice.rom.reduced_basis import LEAST_ERROR, ReducedBasis
 from kc2spice.rom.response import FLANK, SHARPEST
@@ -20,7 +20,7 @@ ROUNDING_AT_RESONANCE = 4.0
 LISTED_ZEROS = 6  # entries of zero by symmetry that a certificate lists; others are counted
 
 
-def certified(basis: ReducedBasis, order: int) -> LinearModel:
+def certify(basis: ReducedBasis, order: int) -> LinearModel:
     """Return the reduced-order model of an order with its certificate.
 
     Raises
@@ -43,10 +43,10 @@ def certified(basis: ReducedBasis, order: int) -> LinearModel:
     certificate = Certificate(
         task.band,
         max(error, LEAST_ERROR, rounding),
-        _evidence(basis, proof),
+        _evidence_text(basis, proof),
         proof.stable,
         proof.passive,
-        above_band(task.fom.ports, estimator.exact, response, task.band),
+        errors_above_band(task.fom.ports, estimator.exact, response, task.band),
         task.norm,
     )
     labels = {key: getattr(task.fom, key) for key in ("ports", "facts", "name")}
@@ -70,7 +70,7 @@ def with_full_order(rom: LinearModel, full: StabilityProof) -> LinearModel:
     return replace(rom, certificate=certificate)
 
 
-def _evidence(basis: ReducedBasis, proof: StabilityProof) -> str:
+def _evidence_text(basis: ReducedBasis, proof: StabilityProof) -> str:
     """Text on what the error estimate and the proof of stability rest on."""
     task = basis.task
     exact, estimator = task.intermediate, task.estimator
@@ -78,7 +78,7 @@ def _evidence(basis: ReducedBasis, proof: StabilityProof) -> str:
     method = f"{basis.origin}difference to {count} states at resonances, flanks and notches"
     if exact.proof:
         method += f"; those {exact.proof}; stability from {proof.proof}"
-    method += _zeros(estimator.reference[1], task.fom)
+    method += _zeros_text(estimator.reference[1], task.fom)
     if not exact.static or exact.pencil.free:
         method += "; free to move at zero frequency"
         if hidden := exact.hidden:
@@ -88,7 +88,7 @@ def _evidence(basis: ReducedBasis, proof: StabilityProof) -> str:
     return method
 
 
-def _zeros(entries: Entries, model: LinearModel) -> str:
+def _zeros_text(entries: Entries, model: LinearModel) -> str:
     """Text on the entries that count as zero."""
     places = zip(*np.nonzero(entries.zero), strict=True)
     names = [f"{model.outputs[i]}/{model.inputs[j]}" for i, j in places]

@@ -27,7 +27,7 @@ import numpy as np
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.entries import FLOOR
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal import Resonators, foster, permittivity
+from kc2spice.rom.modal import Resonators, fit_foster_network, permittivity
 from kc2spice.rom.structural_damping import (
     constant_loss,
     relaxing_stiffness,
@@ -148,7 +148,7 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
     amplitude, rates = np.ones(1), np.empty(0)
     if ports.size and losses.tangent:
         share = DIELECTRIC_SHARE * min(losses.tangent, 0.02)
-        amplitude, rates, _ = foster(losses.tangent, known.band_hz, share)
+        amplitude, rates, _ = fit_foster_network(losses.tangent, known.band_hz, share)
     D = model.D.copy()
     sudden = amplitude[0] * (clamped + motional) - chi.instantaneous * motional
     if ports.size and np.linalg.eigvalsh(sudden)[0] < 0:

@@ -46,7 +46,7 @@ LARGEST_BLOCK = 5e7  # entries of the constraints as a full matrix
 NEGLIGIBLE = 1e-10  # relative size of a term that is zero but for rounding
 
 
-def unconstrained(pencil: Pencil) -> Pencil:
+def eliminate_constraints(pencil: Pencil) -> Pencil:
     """The model without constraints that Lagrange multipliers enforce; the same pencil if there are
     none, or if its response contains derivatives of its input."""
     rest, *others = pencil.coefficients
@@ -143,7 +143,7 @@ def _insert_multipliers(
     return replace(result, C=np.hstack([C, omega * speed]))
 
 
-def deflated(pencil: Pencil) -> Pencil:
+def deflate_infinite_poles(pencil: Pencil) -> Pencil:
     """A descriptor model of first order without infinite poles; the same pencil if E is regular, if
     the model is too large, or if its response contains derivatives of its input."""
     if pencil.degree != 1 or pencil.size > DENSE or pencil.free:
@@ -269,7 +269,7 @@ def reduced_form(pencil: Pencil) -> Pencil:
     """The equivalent model that a reduction starts from: without constraints, unknowns without
     inertia and damping, and infinite poles."""
     try:
-        pencil = deflated(eliminated(unconstrained(pencil)))
+        pencil = deflate_infinite_poles(eliminated(eliminate_constraints(pencil)))
     except (SimulationError, np.linalg.LinAlgError):
         pencil = eliminated(pencil)
     return proportional(pencil)

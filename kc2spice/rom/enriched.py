@@ -21,7 +21,7 @@ from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.definite import is_definite
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm, model_of
-from kc2spice.rom.modal import Resonators, chip_response, march, resonators
+from kc2spice.rom.modal import Resonators, chip_response, integrate_roots, resonators
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import Target, reduce_to
 from kc2spice.rom.reductors.block_krylov import BlockArnoldi, krylov_space
@@ -100,7 +100,7 @@ def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray 
     if np.linalg.cond(T) > DEFECTIVE or not poles.all():
         return None
     for rows in _split_modes(poles.size, t.size):
-        result += (march(poles[rows], t, load @ gains[rows].T) @ (C @ T[:, rows]).T).real
+        result += (integrate_roots(poles[rows], t, load @ gains[rows].T) @ (C @ T[:, rows]).T).real
     return result if np.isfinite(result).all() else None
 
 

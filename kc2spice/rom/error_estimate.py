@@ -61,11 +61,11 @@ def adaptive_frequencies(
     H = response.transfer(2j * np.pi * frequency)
     for _ in range(ROUNDS):
         peak = response.entries(frequency, H).peak + np.finfo(float).tiny
-        lowest = _leading(H / peak).reshape(len(H) - 2, -1).min(axis=1)
+        lowest = _minima_near_zeros(H / peak).reshape(len(H) - 2, -1).min(axis=1)
         deepest = np.argsort(lowest)[: min(NOTCHES, int(np.isfinite(lowest).sum()))]
         if not deepest.size:
             break
-        new = drop_points_near_poles(_zoomed(frequency, deepest, deepest + 2), at, ratio)
+        new = drop_points_near_poles(_refine_intervals(frequency, deepest, deepest + 2), at, ratio)
         if not new.size:
             break
         H = np.concatenate([H, response.transfer(2j * np.pi * new)])
@@ -75,7 +75,7 @@ def adaptive_frequencies(
     return frequency
 
 
-def _leading(H: np.ndarray) -> np.ndarray:
+def _minima_near_zeros(H: np.ndarray) -> np.ndarray:
     """Sizes of the inner minima of responses ``H`` with a peak of 1 that may lead to a deeper one,
     infinite elsewhere: a neighbour is much larger, or the straight line to it passes much nearer
     to zero. Errors count against the floor where a notch is deeper: those are found."""
@@ -89,7 +89,7 @@ def _leading(H: np.ndarray) -> np.ndarray:
     return np.where(inner, size[1:-1], np.inf)
 
 
-def _zoomed(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """``ZOOM`` frequencies from each ``known[low]`` to ``known[high]`` that are not ``known``, each
     once: of two that rounding sets apart, one would hide a maximum that lies beside the other."""
     points = np.unique(np.linspace(known[low], known[high], ZOOM))
@@ -166,7 +166,7 @@ class ErrorEstimator:
             inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
             top = np.argsort(np.where(inner, error, -1.0))[-PEAKS:]
             low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(error) - 1)
-            new = drop_points_near_poles(_zoomed(points, low, high), at, ratio)
+            new = drop_points_near_poles(_refine_intervals(points, low, high), at, ratio)
             if not new.size:
                 break
             H = self.exact.transfer(2j * np.pi * new)
@@ -180,7 +180,7 @@ class ErrorEstimator:
         return worst
 
 
-def above_band(
+def errors_above_band(
     ports: Sequence[Port], exact: Response, reduced: Response, band: tuple[float, float]
 ) -> tuple[tuple[float, float], ...]:
     """``above`` of a :class:`Certificate`: the largest relative difference of any mechanical port's
@@ -221,7 +221,7 @@ def relative_size(
     return entries.relative(difference, reference)
 
 
-def inexact(message: str, got: str, limit: float, hint: str) -> SimulationError:
+def inaccuracy_error(message: str, got: str, limit: float, hint: str) -> SimulationError:
     """Error of a reduction whose error estimate stays above the limit."""
     expected = f"at most {limit:.1e}"
     return SimulationError(message, where="reduction", got=got, expected=expected, hint=hint)

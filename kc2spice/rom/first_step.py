@@ -16,7 +16,7 @@ import scipy
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.definite import expects_cholesky, is_definite
-from kc2spice.rom.error_estimate import inexact, relative_size
+from kc2spice.rom.error_estimate import inaccuracy_error, relative_size
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil, symmetric
 from kc2spice.rom.reductors.definite_krylov import definite_krylov_model
@@ -59,7 +59,7 @@ def intermediate_model(
         full = pencil.scaled(2 * np.pi * band[1]).dense()
         complete, inaccurate = None, None
         try:
-            complete = _unreduced(full, band, limit)
+            complete = _keep_full_order(full, band, limit)
         except SimulationError as error:
             inaccurate = error
         sound = complete is not None and complete.response.diagonal
@@ -72,7 +72,7 @@ def intermediate_model(
         if inaccurate is not None:
             raise inaccurate
         if complete is not None:
-            return _in_units_of(pencil, band, complete)
+            return _restore_units(pencil, band, complete)
     if is_definite(pencil, undamped_too=True):
         return definite_krylov_model(pencil, band, target, limit)
     if expects_cholesky(pencil):  # its memory was checked for a Cholesky factor only
@@ -84,16 +84,16 @@ def intermediate_model(
     if not (moderate and pencil.is_dense and pencil.degree == 1):
         try:
             result = rational_krylov_model(scaled, band, target, limit, points)
-            return _in_units_of(pencil, band, result)
+            return _restore_units(pencil, band, result)
         except SimulationError:
             if not moderate:
                 raise
-    complete = _unreduced(scaled.dense(), band, limit, DENSE)
+    complete = _keep_full_order(scaled.dense(), band, limit, DENSE)
     result = complete or rational_krylov_model(scaled, band, target, limit, MOST_POINTS)
-    return _in_units_of(pencil, band, result)
+    return _restore_units(pencil, band, result)
 
 
-def _in_units_of(
+def _restore_units(
     pencil: Pencil, band: tuple[float, float], result: IntermediateModel
 ) -> IntermediateModel:
     """An intermediate model of ``pencil.scaled(...)`` with a basis in the units of the pencil."""
@@ -103,7 +103,7 @@ def _in_units_of(
     return replace(result, basis=units[:, None] * result.basis)
 
 
-def _unreduced(
+def _keep_full_order(
     full: Pencil, band: tuple[float, float], limit: float, most: int = WHOLE
 ) -> IntermediateModel | None:
     """All of a small model; None where its response would take too long to evaluate.
@@ -144,7 +144,7 @@ def _unreduced(
         if T is None or full.free or full.size < original.size:
             floor = rounded
     if error > max(limit, rounded):
-        raise inexact(
+        raise inaccuracy_error(
             "the full model itself is not that accurate",
             f"two direct solutions differ by {error:.1e}",
             limit,

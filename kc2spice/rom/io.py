@@ -53,29 +53,29 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
         raise ValueError(f"'{form} {symmetry}' is not read")
     if field not in _FIELDS:
         raise ValueError(f"it is a {field} matrix")
-    sizes, start = _sizes(data, end + 1)
+    sizes, start = _read_sizes(data, end + 1)
     if len(sizes) != (3 if form == "coordinate" else 2) or min(sizes) < 0:
         raise ValueError("the line of sizes is damaged")
     rows, columns = sizes[:2]
     if symmetry != "general" and rows != columns:
         raise ValueError(f"{symmetry}, but {rows} x {columns}")
-    entries = sizes[2] if form == "coordinate" else _stored(rows, columns, symmetry)
+    entries = sizes[2] if form == "coordinate" else _read_symmetry(rows, columns, symmetry)
     allowed((rows, columns), entries)
     width = _FIELDS[field] + (2 if form == "coordinate" else 0)
     count = width * entries
     if 2 * count > len(data) - start + 2:
         raise ValueError(f"{len(data)} bytes cannot hold {entries} entries: it is cut off")
-    values = numbers(data[start:])
+    values = parse_numbers(data[start:])
     if values.size != count:
         raise ValueError(f"{values.size} numbers instead of {count}: is it cut off?")
     table = values.reshape(-1, width)
     value = table[:, -1] if field != "complex" else table[:, -2] + 1j * table[:, -1]
     if form == "array":
-        return _array(rows, columns, symmetry, value)
-    return _coordinate(rows, columns, symmetry, table, value)
+        return _read_array(rows, columns, symmetry, value)
+    return _read_coordinates(rows, columns, symmetry, table, value)
 
 
-def _sizes(data: bytes, start: int) -> tuple[list[int], int]:
+def _read_sizes(data: bytes, start: int) -> tuple[list[int], int]:
     """The line of sizes behind the comments, and where the numbers begin."""
     while start < len(data):
         end = data.find(b"\n", start)
@@ -87,26 +87,26 @@ def _sizes(data: bytes, start: int) -> tuple[list[int], int]:
     raise ValueError("the line of sizes is missing")
 
 
-def _stored(rows: int, columns: int, symmetry: str) -> int:
+def _read_symmetry(rows: int, columns: int, symmetry: str) -> int:
     if symmetry == "general":
         return rows * columns
     return rows * (rows + 1) // 2 if symmetry == "symmetric" else rows * (rows - 1) // 2
 
 
-def _coordinate(
+def _read_coordinates(
     rows: int, columns: int, symmetry: str, table: np.ndarray, value: np.ndarray
 ) -> Matrix:
-    row, column = indices(table[:, 0], rows), indices(table[:, 1], columns)
+    row, column = parse_indices(table[:, 0], rows), parse_indices(table[:, 1], columns)
     matrix = sparse.csc_array((value, (row, column)), shape=(rows, columns))
     if symmetry == "general":
         return matrix
     skew = symmetry != "symmetric"
     if (row < column).any() or (skew and (row == column).any()):
         raise ValueError(f"{symmetry}, but an entry is not in the lower triangle")
-    return mirrored(matrix, -1 if skew else 1)
+    return complete_triangle(matrix, -1 if skew else 1)
 
 
-def _array(rows: int, columns: int, symmetry: str, values: np.ndarray) -> Matrix:
+def _read_array(rows: int, columns: int, symmetry: str, values: np.ndarray) -> Matrix:
     if symmetry == "general":
         return values.reshape(columns, rows).T.copy()
     skew = symmetry != "symmetric"
@@ -118,7 +118,7 @@ def _array(rows: int, columns: int, symmetry: str, values: np.ndarray) -> Matrix
 # --- what readers of other text formats use as well -----------------------------------------------
 
 
-def numbers(text: bytes) -> np.ndarray:
+def parse_numbers(text: bytes) -> np.ndarray:
     """All numbers of ``text``, separated by blanks or commas, in time linear in its length.
 
     Fortran's ``1.5D+3`` is a number.
@@ -137,7 +137,7 @@ def numbers(text: bytes) -> np.ndarray:
             raise ValueError("an entry of it is not a number") from None
 
 
-def indices(values: np.ndarray, size: int) -> np.ndarray:
+def parse_indices(values: np.ndarray, size: int) -> np.ndarray:
     """``values`` counted from 1 as integers counted from 0.
 
     Raises
@@ -150,7 +150,7 @@ def indices(values: np.ndarray, size: int) -> np.ndarray:
     return values.astype(np.int64) - 1
 
 
-def mirrored(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
+def complete_triangle(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
     """The symmetric (or, ``sign`` -1, skew) matrix of which one triangle is stored."""
     diagonal = sparse.diags_array(matrix.diagonal(), format="csc")
     return sparse.csc_array(matrix + sign * matrix.T - sign * diagonal)
@@ -214,7 +214,7 @@ def read_rom(path: Path | str) -> LinearModel:
         )
     try:
         matrices, record = _read_npz(path) if path.suffix == ".npz" else _read_family(path)
-        return _model(matrices, json.loads(record))
+        return _build_model(matrices, json.loads(record))
     except Exception as error:  # damaged bytes make the parsers raise nearly anything
         raise UsageError(
             "is not a reduced model",
@@ -238,11 +238,11 @@ def _read_family(path: Path) -> tuple[dict[str, np.ndarray], str]:
     for letter in "MEKABCD":
         file = Path(f"{base}.{letter}")
         if file.is_file():
-            matrices[letter] = read_market(read_bounded(file, MAX_BYTES), _bounded)
+            matrices[letter] = read_market(read_bounded(file, MAX_BYTES), _require_limits)
     return matrices, text_of(read_bounded(record, MAX_BYTES))
 
 
-def _bounded(shape: tuple[int, int], entries: int) -> None:
+def _require_limits(shape: tuple[int, int], entries: int) -> None:
     if max(shape[0] * shape[1], entries) > MAX_ENTRIES:
         raise ValueError(
             f"a matrix of {shape[0]} x {shape[1]} with {entries} entries exceeds the limit of "
@@ -250,23 +250,23 @@ def _bounded(shape: tuple[int, int], entries: int) -> None:
         )
 
 
-def _plain(text: str, longest: int) -> str:
+def _single_line(text: str, longest: int) -> str:
     """Text that can stand in a netlist's header, where a line break begins a card."""
     if not text.isprintable() or len(text) > longest:
         raise ValueError(f"not plain text: {text[:40]!r}")
     return text
 
 
-def _model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
+def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
     from pydantic import TypeAdapter  # late: a run reads no such file
 
     ports = TypeAdapter(tuple[Port, ...]).validate_python(record["ports"])
     words = ((p["name"], p["across"], p["flow"], *p.get("pins", ())) for p in record["ports"])
     for text in chain.from_iterable(words):
-        if len(_plain(text, MAX_TEXT).split()) != 1:
+        if len(_single_line(text, MAX_TEXT).split()) != 1:
             raise ValueError(f"not one word: {text!r}")
     certificate = TypeAdapter(Certificate).validate_python(record["certificate"])
-    _plain(certificate.method, 1000)
+    _single_line(certificate.method, 1000)
     low, high = certificate.band_hz
     if not 0 <= low <= high < np.inf:
         raise ValueError(f"band {low} … {high} Hz")

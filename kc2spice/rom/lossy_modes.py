@@ -106,7 +106,7 @@ def relaxing_oscillator(
     return Oscillator(best[0], best[1], best[2], amplitudes[used], rates[used])
 
 
-def joined(
+def assemble_oscillators(
     modes: Sequence[Oscillator], damping: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Symmetric K, E, M of oscillators with the viscous ``damping`` (modes, modes) among them.

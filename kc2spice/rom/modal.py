@@ -41,7 +41,7 @@ import scipy
 from kc2spice.core.domains import ACCELERATION, PORTS
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.error_estimate import ErrorEstimator, above_band
+from kc2spice.rom.error_estimate import ErrorEstimator, errors_above_band
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.response import Response
 
@@ -246,7 +246,7 @@ def without_inertia(model: Resonators, tolerance: float | None = None) -> Resona
         if tolerance is None or error <= tolerance:
             cut = result.omega[result.order - result.massless] / (2 * np.pi)
             method = f"{certificate.method}; no inertia from {cut:.3g} Hz on, measured"
-            more = dict(above_band(model.ports, exact, light, band))
+            more = dict(errors_above_band(model.ports, exact, light, band))
             above = tuple((f, before + more.get(f, 0.0)) for f, before in certificate.above)
             return replace(
                 result,
@@ -331,7 +331,7 @@ def chip_response(
         model.damp[heavy:]
     )  # undamped massless states follow without delay
     damp = model.damp[slow]
-    z[:, slow] = march(-(model.omega[slow] ** 2) / damp, t, drive[:, slow] / damp).real
+    z[:, slow] = integrate_roots(-(model.omega[slow] ** 2) / damp, t, drive[:, slow] / damp).real
     stored = (rate**2).sum(axis=1) / 2 + ((model.omega * z) ** 2).sum(axis=1) / 2
     stored += np.einsum("nk,kl,nl->n", load, model.D, load) / 2
     return z @ model.gain + load @ model.D, stored
@@ -344,15 +344,15 @@ def integrate_modes(
     equilibrium; ``drive`` is linear between the times."""
     a, b = _oscillator_roots(omega, damp)
     if (b == a.conj()).all():  # then x_b is the conjugate of x_a
-        x_a = march(a, t, drive)
+        x_a = integrate_roots(a, t, drive)
         x_b = x_a.conj()
     else:
-        both = march(np.concatenate([a, b]), t, np.tile(drive, 2))
+        both = integrate_roots(np.concatenate([a, b]), t, np.tile(drive, 2))
         x_a, x_b = both[:, : a.size], both[:, a.size :]
     return ((x_a - x_b) / (a - b)).real, ((a * x_a - b * x_b) / (a - b)).real
 
 
-def march(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
+def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
     """(n, roots) of ``x' = a x + r`` from equilibrium.
 
     Rows of steps are followed side by side from zero, then each from where the one before ends.
@@ -444,7 +444,7 @@ def clamped_tangent(tangent: float, ratio: float) -> float:
     return math.tan(delta + math.asin(ratio * math.sin(delta)))
 
 
-def foster(
+def fit_foster_network(
     tangent: float, band: tuple[float, float], error: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Amplitudes ``a`` (k + 1,) and rates ``1/t`` (k,) [1/s] of the sum, and its largest relative
@@ -470,7 +470,7 @@ def foster(
     return *result, best
 
 
-def lossy(model: Resonators, tangent: float) -> Resonators:
+def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
     """``model`` whose free body has that loss tangent at 1 kHz, constant in the band of its
     certificate, which the error of the sum widens. Of several electrodes the motional and the
     clamped capacitance are the sums over all of them, each with the others shorted.
@@ -486,7 +486,9 @@ def lossy(model: Resonators, tangent: float) -> Resonators:
     D = model.D[np.ix_(electrical, electrical)]
     motional = np.sum((model.gain[:, electrical] / model.omega[:, None]) ** 2)
     clamped_loss = clamped_tangent(tangent, float(motional / np.trace(D)))
-    amplitude, rates, off = foster(clamped_loss, known.band_hz, LOSS_SHARE * min(tangent, 0.01))
+    amplitude, rates, off = fit_foster_network(
+        clamped_loss, known.band_hz, LOSS_SHARE * min(tangent, 0.01)
+    )
     w, V = np.linalg.eigh(D)
     root = (V * np.sqrt(np.maximum(w, 0.0)))[:, w > 0]
     used = amplitude[1:] > 0

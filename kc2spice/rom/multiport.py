@@ -70,7 +70,7 @@ def multi_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Linear
     R = float(1 / np.median(diagonal[diagonal > 0]))
     one = np.eye(ports)
     S = np.linalg.solve(one + R * Y, one - R * Y)
-    model = _admittance(*_best(f, S, noise, where), R)
+    model = _admittance(*_select_fit(f, S, noise, where), R)
     answer = 2j * np.pi * f[:, None, None] * model.transfer(f)
     peak = np.abs(Y).max(axis=0)
     # an uncoupled entry has no size
@@ -89,18 +89,18 @@ def multi_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Linear
     return replace(model, certificate=certificate)
 
 
-def _best(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
+def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
     """Best passive fit of those with few to many poles.
 
     It is the one with the least deviation, or the first whose deviation equals that of the fits
     before passivity was enforced.
     """
-    fits = _fits(f, S, noise, where)
+    fits = _generate_fits(f, S, noise, where)
     result, least = None, np.inf
     for left, fit in fits:
         if left > least:
             break
-        model = _passive(fit, f, S)
+        model = _fit_passive(fit, f, S)
         if model is None:
             continue
         error = _deviation(_transfer(model, f), S)
@@ -121,7 +121,9 @@ def _best(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
     return result
 
 
-def _fits(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> list[tuple[float, ABCD]]:
+def _generate_fits(
+    f: np.ndarray, S: np.ndarray, noise: float, where: str
+) -> list[tuple[float, ABCD]]:
     """Fits with more and more poles, with their deviations, the least first."""
     skrf = import_optional("skrf", where)
     network = skrf.Network(frequency=skrf.Frequency.from_f(f, unit="hz"), s=S, z0=1.0)
@@ -156,7 +158,7 @@ def _fits(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> list[tuple[
     return sorted(result, key=lambda item: item[0])
 
 
-def _nearest(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
+def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
     """The passive state space of the same poles nearest to the samples; None where there is none.
 
     Least squares over C and D under the bounded real lemma, a linear matrix inequality in them and
@@ -218,18 +220,22 @@ def _nearest(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
     return model[0], B, C, D
 
 
-def _passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
+def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
     """As near to the samples as a passive state space of the poles of a fit can be."""
     if (np.linalg.eigvals(fit[0]).real >= 0).any():
         return None
     if passive(*fit):
         return fit
-    tried = [_shrunk(model) for model in (fit, _nearest(fit, f, S)) if model is not None]
+    tried = [
+        _scale_to_passive(model)
+        for model in (fit, _enforce_passivity(fit, f, S))
+        if model is not None
+    ]
     models = [model for model in tried if model is not None]
     return min(models, key=lambda model: _deviation(_transfer(model, f), S), default=None)
 
 
-def _shrunk(model: ABCD) -> ABCD | None:
+def _scale_to_passive(model: ABCD) -> ABCD | None:
     """The model with C and D divided by the least of the factors ``1 + ROUNDING 2^k`` that makes it
     passive, None where that is more than :data:`MOST_SHRUNK`."""
     A, B, C, D = model
@@ -290,7 +296,7 @@ def refine_poles(
     def slopes(x: np.ndarray) -> np.ndarray:
         Q, coefficients, _ = projected(x)
         result = []
-        for change in _changes(s, unpacked(x), real, coefficients):
+        for change in _pole_derivatives(s, unpacked(x), real, coefficients):
             rows = np.concatenate([change.real, change.imag])
             result.append((Q @ (Q.T @ rows) - rows).ravel())
         return np.column_stack(result)
@@ -331,7 +337,7 @@ def _residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
     return result
 
 
-def _changes(
+def _pole_derivatives(
     s: np.ndarray, p: np.ndarray, real: np.ndarray, coefficients: np.ndarray
 ) -> Iterator[np.ndarray]:
     """Derivatives (frequencies, entries) of the sum by the logarithms of the poles' parts."""

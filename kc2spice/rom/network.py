@@ -90,7 +90,7 @@ def parallel_branches(model: LinearModel) -> ParallelBranches | None:
     if model.first_order or not one_port or not (model.B == 1).all() or not (model.C == 1).all():
         return None
     matrices = model.pencil.dense().coefficients
-    elastance, resistance, inductance = map(_shared, matrices)
+    elastance, resistance, inductance = map(_common_value, matrices)
     if elastance != 0 or resistance is None or inductance is None:
         return None
     capacitance, lead = float(model.D[0, 0]), CircuitBranch(resistance, inductance)
@@ -107,7 +107,7 @@ def parallel_branches(model: LinearModel) -> ParallelBranches | None:
     return ParallelBranches(capacitance, branches, lead)
 
 
-def _shared(matrix: np.ndarray) -> float | None:
+def _common_value(matrix: np.ndarray) -> float | None:
     """The value that all entries beside the diagonal have, at most that of each on it; None
     where there is none that is positive or zero."""
     beside = matrix[~np.eye(len(matrix), dtype=bool)]

@@ -22,7 +22,7 @@ import numpy as np
 from kc2spice.core.errors import UsageError, part_named, unknown
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.band import natural_band
-from kc2spice.rom.certification import certified, with_full_order
+from kc2spice.rom.certification import certify, with_full_order
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.definite import expects_cholesky, is_definite
 from kc2spice.rom.first_step import intermediate_model
@@ -36,7 +36,7 @@ from kc2spice.rom.reductors.registry import BLOCK_KRYLOV, reductor_named, suited
 from kc2spice.rom.refinement import lower_order
 from kc2spice.rom.search import fewest_states, of_order, require_order
 from kc2spice.rom.stability import StabilityProof, prove_stability
-from kc2spice.rom.structural import causal, first_order_model
+from kc2spice.rom.structural import approximate_causally, first_order_model
 
 HIGHEST = 1e30  # Hz; the square of an angular frequency is still a finite number
 # Least tolerance: ten times LEAST_ERROR, as solutions of the full-order model are hardly better.
@@ -169,7 +169,7 @@ def _reduce(fom: LinearModel, target: Target) -> LinearModel:
         basis, order = basis_of_order(task, reductors, target)
     else:
         basis, order = basis_within(task, reductors, target)
-    rom = certified(basis, order)
+    rom = certify(basis, order)
     warn_of_rounding(rom, intermediate.floor, target.tolerance)
     return with_full_order(rom, full_order_proof)
 
@@ -334,7 +334,7 @@ def _with_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
         raise UsageError(problem, where="method", got=target.method)
     undamped = replace(fom, loss_factor=0.0, loss=None)
     band = target.band or fom.band or natural_band(reduced_form(undamped.pencil))
-    return causal(fom, _congruence(target), target.tolerance, band, target.norm)
+    return approximate_causally(fom, _congruence(target), target.tolerance, band, target.norm)
 
 
 def require_valid(target: Target) -> None:

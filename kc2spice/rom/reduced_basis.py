@@ -22,7 +22,7 @@ from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reductors.vectors import require_vectors, unit_scale
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import StabilityProof, prove_stability
-from kc2spice.rom.state_space import in_hertz, standard
+from kc2spice.rom.state_space import to_hertz, to_schur_form
 
 # No estimate is smaller: direct solutions of the response are hardly more accurate.
 LEAST_ERROR = 1e-11
@@ -104,7 +104,7 @@ class Task:
     @cached_property
     def first_order(self) -> Response:
         """The :attr:`core` as ``x' = A x + B u`` in units of the highest frequency of the band."""
-        return Response(standard(self.core, self.band[1]))
+        return Response(to_schur_form(self.core, self.band[1]))
 
     def project(
         self, V: np.ndarray, W: np.ndarray | None = None, *, fixed: int = 0
@@ -172,7 +172,7 @@ class Task:
         for part in parts:
             size = part.size
             observed = replace(part, C=np.eye(size), D=np.zeros((size, part.B.shape[1])))
-            observed = standard(observed, self.band[1])
+            observed = to_schur_form(observed, self.band[1])
             if observed.D.any():
                 return None
             rows.append(observed.C)
@@ -181,9 +181,9 @@ class Task:
     def from_first_order(self, pencil: Pencil) -> Pencil:
         """Return a projection of :attr:`first_order` with rigid-body modes, in SI units."""
         if free := self.response.pencil.free:
-            rigid = standard(self.response.pencil.leading(free), self.band[1])
+            rigid = to_schur_form(self.response.pencil.leading(free), self.band[1])
             pencil = pencil.joined(rigid)
-        return in_hertz(pencil, self.band[1])
+        return to_hertz(pencil, self.band[1])
 
 
 def _select_independent(V: np.ndarray, free: int) -> np.ndarray:

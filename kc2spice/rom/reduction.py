@@ -9,7 +9,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.band import frequency_band
-from kc2spice.rom.certification import certified, with_full_order
+from kc2spice.rom.certification import certify, with_full_order
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.linear_model import LinearModel, Norm
@@ -193,7 +193,7 @@ class Reduction:
                 self._prepare(target)
             task = replace(self._task, tolerance=tolerance)
             basis, order = basis_within(task, methods_of(task, target), target)
-        rom = certified(basis, order)
+        rom = certify(basis, order)
         warn_of_rounding(rom, self._intermediate.floor, tolerance)
         return with_full_order(rom, self._proof)
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.error_estimate import default_norm, inexact
+from kc2spice.rom.error_estimate import default_norm, inaccuracy_error
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.stability import FORM, StabilityProof, prove_stability
@@ -164,7 +164,7 @@ def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[Redu
 def tolerance_error(bases: Sequence[ReducedBasis], tolerance: float) -> Exception:
     """Error of bases of which no order meets the tolerance."""
     error = min(basis.error(basis.size) for basis in bases)
-    return inexact(
+    return inaccuracy_error(
         "the tolerance is out of reach",
         f"estimate {error:.1e} with {bases[0].size} states",
         tolerance,

@@ -118,7 +118,7 @@ def semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
         blocks = [[matrix.uu, matrix.up], [matrix.pu, matrix.pp]]
         return semidefinite(scipy.sparse.csc_array(scipy.sparse.block_array(blocks)))
     if not isinstance(matrix, np.ndarray):
-        return _factorises(scipy.sparse.csc_array(matrix), order)
+        return _is_factorisable(scipy.sparse.csc_array(matrix), order)
     if matrix.size == 0:
         return True
     if largest(matrix - matrix.T) > ASYMMETRY * largest(matrix):
@@ -163,7 +163,7 @@ def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bo
     return False
 
 
-def _factorises(matrix: Matrix, order: np.ndarray | None = None) -> bool:
+def _is_factorisable(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     """Whether a sparse matrix is semidefinite.
 
     Its diagonal is scaled to one first. Either Lanczos steps show that all eigenvalues are above

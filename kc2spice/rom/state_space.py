@@ -106,7 +106,7 @@ def _without_static(pencil: Pencil) -> Pencil:
     still = np.abs(size) <= MASSLESS * max(largest(E), np.finfo(float).tiny)
     light, static = V[:, none] @ U[:, ~still], V[:, none] @ U[:, still]
     if max(largest(E @ static), largest(E.T @ static)) > COUPLING * largest(E):
-        raise _improper("massless coordinates are coupled by damping alone")
+        raise _improper_error("massless coordinates are coupled by damping alone")
     T, r = np.hstack([V[:, ~none], light, static]), len(M) - static.shape[1]
     why = "massless, undamped coordinates without stiffness"
     K, B, C, D = _condensed(T.T @ K @ T, T.T @ pencil.B, pencil.C @ T, pencil.D, r, why)
@@ -122,7 +122,7 @@ def _condensed(
     if r == len(P):
         return P, B, C, D
     if _singular(P[r:, r:], P):
-        raise _improper(why)
+        raise _improper_error(why)
     elimination = scipy.linalg.solve(P[r:, r:], np.hstack([P[r:, :r], B[r:]]))
     B, D = B[:r] - P[:r, r:] @ elimination[:, r:], D + C[:, r:] @ elimination[:, r:]
     return (
@@ -155,7 +155,7 @@ def _singular(matrix: np.ndarray, reference: np.ndarray) -> bool:
     return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * largest(reference))
 
 
-def _improper(why: str) -> UsageError:
+def _improper_error(why: str) -> UsageError:
     return UsageError(
         f"has no state-space form: {why}",
         where="state space",
@@ -164,7 +164,7 @@ def _improper(why: str) -> UsageError:
     )
 
 
-def standard(pencil: Pencil, top: float) -> Pencil:
+def to_schur_form(pencil: Pencil, top: float) -> Pencil:
     """``x' = A x + B u`` with rates per rad at ``top`` [Hz] and A in real Schur form, with which
     Gramians and eigenvectors begin."""
     omega = 2 * np.pi * top
@@ -173,8 +173,8 @@ def standard(pencil: Pencil, top: float) -> Pencil:
     return explicit(T, Z.T @ B / omega, C @ Z, D)
 
 
-def in_hertz(pencil: Pencil, top: float) -> Pencil:
-    """The inverse of what :func:`standard` does to time."""
+def to_hertz(pencil: Pencil, top: float) -> Pencil:
+    """The inverse of what :func:`to_schur_form` does to time."""
     omega = 2 * np.pi * top
     rest, one = pencil.coefficients
     return Pencil((omega * rest, one), omega * pencil.B, pencil.C, pencil.D, free=pencil.free)

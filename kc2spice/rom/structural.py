@@ -29,7 +29,12 @@ from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.entries import Entries, share_of
 from kc2spice.rom.error_estimate import adaptive_frequencies
 from kc2spice.rom.linear_model import LinearModel, Norm
-from kc2spice.rom.lossy_modes import Oscillator, joined, relaxing_oscillator, viscous_oscillator
+from kc2spice.rom.lossy_modes import (
+    Oscillator,
+    assemble_oscillators,
+    relaxing_oscillator,
+    viscous_oscillator,
+)
 from kc2spice.rom.pencil import Pencil, Schur, largest
 from kc2spice.rom.response import Response, grid
 from kc2spice.rom.stability import prove_stability, semidefinite
@@ -52,7 +57,7 @@ MASSLESS = 1e-12  # zero eigenvalue of a damping matrix, relative to the largest
 MASS_SHARE = 0.5  # share of the tolerance for the inertia that is left out
 
 
-def causal(
+def approximate_causally(
     model: LinearModel,
     reduced: Reductor,
     tolerance: float,
@@ -187,7 +192,9 @@ class _Search:
         rest = self.H - self._decoupled * np.diag(np.diag(self.H))
         pace = np.sqrt(np.where(self.squares > 0, self.squares, 1.0))
         rest = np.where(np.outer(self.squares, self.squares) > 0, rest, 0.0)
-        K, E, M = joined(modes, self.other_damping + rest / np.sqrt(np.outer(pace, pace)))
+        K, E, M = assemble_oscillators(
+            modes, self.other_damping + rest / np.sqrt(np.outer(pace, pace))
+        )
         more = len(K) - len(self.B)
         return replace(
             self.small,

@@ -159,8 +159,10 @@ def reduce_over_ranges(
             )
         return model
 
-    result, error = _certified(compute_full, axes, band, tolerance, progress, norm)
-    form = prove_stability(result.at(_values(result.box, np.zeros(len(axes)))).pencil.dense(), band)
+    result, error = _certify(compute_full, axes, band, tolerance, progress, norm)
+    form = prove_stability(
+        result.at(_values_at(result.box, np.zeros(len(axes)))).pencil.dense(), band
+    )
     certificate = Certificate(
         band_hz=band,
         error_estimate=error,
@@ -169,10 +171,10 @@ def reduce_over_ranges(
         passive=form.passive,
         norm=norm,
     )
-    return replace(result, certificate=certificate, facts=_facts(result, facts))
+    return replace(result, certificate=certificate, facts=_interpolate_facts(result, facts))
 
 
-def _certified(
+def _certify(
     full: Full,
     axes: Sequence[ParameterAxis],
     band: tuple[float, float],
@@ -191,7 +193,7 @@ def _certified(
     while True:
         dense_model = parametric(full, axes, band, degree=degree, progress=progress)
         draws = sobol.random(CHECKS) * 2 - 1
-        points = [_values(dense_model.box, x) for x in (*draws, np.sign(draws[0]))]
+        points = [_values_at(dense_model.box, x) for x in (*draws, np.sign(draws[0]))]
         checks = []
         for k, values in enumerate(points):
             progress(k, len(points))
@@ -208,7 +210,7 @@ def _certified(
         if degree is None:
             problem = "the error cannot be certified over the box of the parameters"
             got = f"{error:.2g} at a point that nothing was made from"
-            raise _too_wide(problem, dense_model, got, tolerance)
+            raise _range_error(problem, dense_model, got, tolerance)
 
 
 def _difference(
@@ -221,7 +223,7 @@ def _difference(
     )
 
 
-def _facts(
+def _interpolate_facts(
     model: Varying, known: Sequence[tuple[dict[str, float], Mapping[str, float]]]
 ) -> dict[str, np.ndarray]:
     """Polynomials of what all full models state, of as high a degree as their number allows."""
@@ -248,11 +250,11 @@ def varying(
     UsageError : a motion without stiffness that a port moves.
     SimulationError : no frame is smooth enough over the box for the tolerance.
     """
-    modes = _Modes(dense_model, band)
+    modes = _ModesOverRanges(dense_model, band)
     points = list(_check_points(dense_model, band, norm))
     best = np.inf
     for moments in range(1, MOMENTS + 1):
-        space = _Space(modes, moments)
+        space = _ReducedSpace(modes, moments)
         exact = max(estimator.error(Response(space.at(x).pencil)) for x, estimator in points[:3])
         if exact > SHARE * tolerance and moments < MOMENTS:
             continue
@@ -263,7 +265,7 @@ def varying(
                     break
                 error = 0.0
                 for x, estimator in points:
-                    model = result.at(_values(result.box, x))
+                    model = result.at(_values_at(result.box, x))
                     error = max(error, estimator.error(Response(model.pencil)))
                     if error > tolerance:
                         break
@@ -271,10 +273,12 @@ def varying(
                 if error <= tolerance:
                     return result, error
     problem = "the box of the parameters is too wide for polynomials of its modes"
-    raise _too_wide(problem, dense_model, f"an error of {best:.2g}", tolerance)
+    raise _range_error(problem, dense_model, f"an error of {best:.2g}", tolerance)
 
 
-def _too_wide(problem: str, dense_model: Parametric, got: str, tolerance: float) -> SimulationError:
+def _range_error(
+    problem: str, dense_model: Parametric, got: str, tolerance: float
+) -> SimulationError:
     return SimulationError(
         problem,
         where=dense_model.frame.name,
@@ -284,7 +288,7 @@ def _too_wide(problem: str, dense_model: Parametric, got: str, tolerance: float)
     )
 
 
-def _values(box: Mapping[str, ParameterAxis], x: np.ndarray) -> dict[str, float]:
+def _values_at(box: Mapping[str, ParameterAxis], x: np.ndarray) -> dict[str, float]:
     """Those at coordinates of the first axes, the middle of the others."""
     known = {axis.name: axis.value(float(v)) for axis, v in zip(box.values(), x, strict=False)}
     return {name: known.get(name, axis.middle) for name, axis in box.items()}
@@ -299,12 +303,12 @@ def _check_points(
     draws = scipy.stats.qmc.Sobol(count, seed=3).random(DRAWS) * 2 - 1
     corners = sorted(product((1.0, -1.0), repeat=count), key=lambda x: abs(sum(x)), reverse=True)
     for x in (np.zeros(count), *map(np.array, corners), *draws):
-        response = Response(dense_model.at(_values(dense_model.box, x)).pencil)
+        response = Response(dense_model.at(_values_at(dense_model.box, x)).pencil)
         yield x, ErrorEstimator(response, band, False, norm)
 
 
 @dataclass(frozen=True, eq=False)
-class _Point:
+class _DenseModes:
     """A dense model: squared frequencies (n,) and M-orthonormal shapes (n, n)."""
 
     model: LinearModel
@@ -312,7 +316,7 @@ class _Point:
     V: np.ndarray
 
 
-class _Modes:
+class _ModesOverRanges:
     """Modes of a dense model over its box; ``count`` of them, all in the band, are modes of what is
     made from it."""
 
@@ -349,20 +353,20 @@ class _Modes:
         gaps = np.log(above[:, counts] / w2[:, counts - 1]).min(axis=0)
         self.count = int(counts[np.argmax(gaps - WORTH * np.arange(len(counts)))])
 
-    def at(self, x: np.ndarray) -> _Point:
+    def at(self, x: np.ndarray) -> _DenseModes:
         """Modes at coordinates of the axes, without motions that have no stiffness."""
-        model = self.dense_model.at(_values(self.dense_model.box, x))
-        return self._elastic(_Point(model, *scipy.linalg.eigh(model.K, model.M)))
+        model = self.dense_model.at(_values_at(self.dense_model.box, x))
+        return self._elastic(_DenseModes(model, *scipy.linalg.eigh(model.K, model.M)))
 
-    def _elastic(self, p: _Point) -> _Point:
-        return _Point(p.model, p.w2[self.free :], p.V[:, self.free :])
+    def _elastic(self, p: _DenseModes) -> _DenseModes:
+        return _DenseModes(p.model, p.w2[self.free :], p.V[:, self.free :])
 
 
-class _Space:
+class _ReducedSpace:
     """The modes that are kept and Ritz vectors of what loads do besides: ``sum_i phi_i phi_i' B /
     (w_i^2 - s)^j`` over the others, j to ``moments``, s half of the squared end of the band."""
 
-    def __init__(self, modes: _Modes, moments: int) -> None:
+    def __init__(self, modes: _ModesOverRanges, moments: int) -> None:
         self.modes, self.moments = modes, moments
         self.shift = 0.5 * (2 * np.pi * modes.band[1]) ** 2
         rest = modes.points[0].w2[modes.count :]
@@ -374,18 +378,18 @@ class _Space:
         large = w > max(DEPENDENT * w[-1], 0.0)
         large[: max(0, len(w) - rest.size)] = False  # no more than there are dimensions
         self.T = T[:, large] / size[:, None]
-        pairs = list(map(self._ritz, modes.points))
+        pairs = list(map(self._solve_ritz, modes.points))
         self.w2 = np.array([w2 for w2, _ in pairs])
         self.Z = [Z for _, Z in pairs]
         self._known: dict[tuple[int, int], tuple[np.ndarray, np.ndarray] | None] = {}
 
-    def _answers(self, p: _Point) -> np.ndarray:
+    def _answers(self, p: _DenseModes) -> np.ndarray:
         """In coordinates of the modes that are not kept."""
         k = self.modes.count
         load, share = p.V[:, k:].T @ p.model.B, self.unit / (p.w2[k:, None] - self.shift)
         return np.hstack([share**j * load for j in range(1, self.moments + 1)])
 
-    def _ritz(self, p: _Point) -> tuple[np.ndarray, np.ndarray]:
+    def _solve_ritz(self, p: _DenseModes) -> tuple[np.ndarray, np.ndarray]:
         """Squared frequencies (q,) and shapes (n, q), the rest nearest to its vectors."""
         k = self.modes.count
         U, _, R = np.linalg.svd(self._answers(p) @ self.T, full_matrices=False)
@@ -396,7 +400,7 @@ class _Space:
     def at(self, x: np.ndarray) -> LinearModel:
         """The model in this space at coordinates of the axes."""
         p = self.modes.at(x)
-        w2, Z = self._ritz(p)
+        w2, Z = self._solve_ritz(p)
         B = Z.T @ p.model.B
         return replace(p.model, M=np.eye(len(w2)), K=np.diag(w2), B=B, C=B.T)
 
@@ -429,7 +433,7 @@ class _Space:
         blocks = [(K, g) for K, g in filter(None, result) if (np.abs(g) / port).max() > SILENT]
         exponents = exponents_to(modes.axes, degree)
         fit = np.linalg.pinv(polynomials(modes.grid, exponents))
-        ratio = min(_ratio(p, modes.band) for p in modes.points)
+        ratio = min(_least_damping_ratio(p, modes.band) for p in modes.points)
         fine = FINE * tolerance * (NOTCH if len(dense_model.frame.ports) > 1 else 1.0)
 
         def smooth(values: np.ndarray, grain: float | np.ndarray) -> np.ndarray:
@@ -474,7 +478,7 @@ class _Space:
         )
 
 
-def _ratio(p: _Point, band: tuple[float, float]) -> float:
+def _least_damping_ratio(p: _DenseModes, band: tuple[float, float]) -> float:
     """Least damping ratio of the modes in the band."""
     alpha, beta = p.model.rayleigh or (0.0, 0.0)
     w = np.sqrt(p.w2[p.w2 < (ABOVE * 2 * np.pi * band[1]) ** 2])

@@ -11,7 +11,7 @@ from scipy import sparse
 
 from bench.beam import hermite_beam
 from kc2spice.parts.bodies import disc
-from kc2spice.rom.certification import certified
+from kc2spice.rom.certification import certify
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce_model
@@ -92,7 +92,7 @@ def test_error_and_rounding_of_the_intermediate_model_are_in_the_certificate():
     intermediate = intermediate_model(full.pencil, band, 1e-8, np.inf)
     worse = replace(intermediate, error=2e-3, floor=1e-3)
     basis = ResponsePod(two_sided=True).basis(Task.of(full, full.pencil, worse, band, "pointwise"))
-    estimate = certified(basis, basis.size).certificate.error_estimate
+    estimate = certify(basis, basis.size).certificate.error_estimate
     assert 3e-3 <= estimate < 3.1e-3
 
 

@@ -14,7 +14,7 @@ from kc2spice.bodies.readers.measured import Measured
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.netlist.deck import ac
-from kc2spice.rom.modal import foster
+from kc2spice.rom.modal import fit_foster_network
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.reduce_files import first_deck
 
@@ -40,7 +40,7 @@ def clamped(tangent, facts):
 @pytest.mark.parametrize("tangent", [0.001, 0.02, 0.3])
 @pytest.mark.parametrize("band", [(0.0, 500e3), (50.0, 90.0), (1e3, 1e6)])
 def test_relaxations_lose_the_same_share_at_all_frequencies(tangent, band):
-    a, rates, off = foster(tangent, band, 1e-3 * tangent)
+    a, rates, off = fit_foster_network(tangent, band, 1e-3 * tangent)
     f = np.geomspace(max(band[0], band[1] / 1e4), band[1], 997)
     eps = a[0] + (a[1:] / (1 + 2j * np.pi * f[:, None] / rates)).sum(axis=1)
     assert (a >= 0).all()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kc2spice.rom.constraints import deflated, null_basis, reduced_form
+from kc2spice.rom.constraints import deflate_infinite_poles, null_basis, reduced_form
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce_model
 
@@ -52,7 +52,7 @@ def test_infinite_poles_make_no_model_unstable(rank):
     drive = np.vstack([B, rng.standard_normal((m, 1))])
     see = np.hstack([C, rng.standard_normal((1, m))])
     model = LinearModel(A=left @ big @ right, E=left @ mass @ right, B=left @ drive, C=see @ right)
-    small = deflated(model.pencil)
+    small = deflate_infinite_poles(model.pencil)
     assert small.size == n
     rom = reduce_model(model, tolerance=1e-4, band=(0.0, 1e5 / (2 * np.pi)), norm="peak")
     assert rom.certificate.stable

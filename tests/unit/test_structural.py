@@ -8,7 +8,7 @@ import scipy
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.rom.lossy_modes import joined, relaxing_oscillator, viscous_oscillator
+from kc2spice.rom.lossy_modes import assemble_oscillators, relaxing_oscillator, viscous_oscillator
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.synthesis.realize import subcircuit
 
@@ -144,7 +144,7 @@ def test_an_oscillator_with_one_relaxation_is_exact_in_value_and_slope():
     assert mode.spring == pytest.approx(k * (1 - eta / 2), rel=1e-3)
     assert mode.mass == pytest.approx(1 + eta / 2, rel=1e-3)
     assert mode.amplitudes == pytest.approx([2 * eta * k], rel=0.05)
-    K, E, M = joined([mode], np.zeros((1, 1)))
+    K, E, M = assemble_oscillators([mode], np.zeros((1, 1)))
     at = s[::40]
     condensed = [1 / np.linalg.inv(K + x * E + x**2 * M)[0, 0] for x in at]
     assert mode(at) == pytest.approx(np.array(condensed), rel=1e-9)

@@ -16,7 +16,7 @@ from kc2spice.bodies.readers.assemble import Rows, assemble_model
 from kc2spice.bodies.readers.mesh import read_nodes
 from kc2spice.bodies.readers.sidecar import Sidecar, read_sidecar
 from kc2spice.core.errors import UsageError, wrong
-from kc2spice.rom.io import BANNER, numbers, read_market
+from kc2spice.rom.io import BANNER, parse_numbers, read_market
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Matrix
 
@@ -268,7 +268,7 @@ def _head(path: Path) -> bytes:
 
 def _rows(data: bytes) -> raw.Dofs:
     """``node,dof`` of each row in order, dofs by number."""
-    values = numbers(data)
+    values = parse_numbers(data)
     if values.size == 0 or values.size % 2:
         raise ValueError(f"expected an even number of values (node, dof), got {values.size}")
     return raw.Dofs(*values.reshape(-1, 2).T)

@@ -14,7 +14,7 @@ from kc2spice.bodies.readers.raw import DOFS, MAX_WIDE, ROTATIONS, TRANSLATIONS,
 from kc2spice.bodies.readers.sidecar import FORCES, LENGTHS, NodeSelection, PortEntry, Sidecar
 from kc2spice.core.domains import ACCELERATION, ELECTRICAL
 from kc2spice.core.errors import UsageError, wrong
-from kc2spice.rom.io import mirrored
+from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.linear_model import LinearModel, Port, half_stored, with_potentials
 from kc2spice.rom.pencil import Matrix
 
@@ -94,7 +94,7 @@ def _complete(rows: Rows) -> Mapping[str, Matrix]:
         hint = f"in {rows.name}.toml: symmetric = true for halves, false if it is triangular"
         problem = "only one triangle is stored, but the file says 'general'"
         raise wrong(rows.where, problem, f"matrix {', '.join(halves)}", "the whole matrix", hint)
-    square |= {k: mirrored(square[k]) for k in halves if symmetric}
+    square |= {k: complete_triangle(square[k]) for k in halves if symmetric}
     for letter, matrix in square.items():
         if symmetric and abs(matrix - matrix.T).max() > 1e-9 * abs(matrix).max():
             expected = f"what symmetric = true in {rows.sidecar.where} says"

@@ -37,7 +37,7 @@ from scipy import sparse
 
 from kc2spice.bodies.readers import raw
 from kc2spice.core.extras import import_optional
-from kc2spice.rom.io import indices, mirrored, numbers
+from kc2spice.rom.io import complete_triangle, parse_indices, parse_numbers
 
 LOSS = "H"  # the letter of structural damping, in K + j H
 NAME = re.compile(r"(.*)_(STIF|MASS|DMPV|DMPS)(\d*)\.mtx", re.IGNORECASE)
@@ -108,7 +108,7 @@ def _entries(data: bytes) -> tuple[bool, raw.Triple]:
         lines = data.split(b"\n")
         data = b"\n".join(line for line in lines if not line.startswith(b"*"))
     width = len(data.lstrip().split(b"\n", 1)[0].replace(b",", b" ").split())
-    values = numbers(data)
+    values = parse_numbers(data)
     if width not in (3, 5) or values.size == 0 or values.size % width:
         raise ValueError(
             f"{values.size} numbers do not fill rows of {width}; the file may be truncated"
@@ -119,8 +119,8 @@ def _entries(data: bytes) -> tuple[bool, raw.Triple]:
     if width == 5:
         return True, raw.row_keys(table)
     return False, (
-        indices(table[:, 0], raw.MAX_SIZE),
-        indices(table[:, 1], raw.MAX_SIZE),
+        parse_indices(table[:, 0], raw.MAX_SIZE),
+        parse_indices(table[:, 1], raw.MAX_SIZE),
         table[:, 2],
     )
 
@@ -161,10 +161,10 @@ def _dofs(data: bytes) -> raw.Dofs:
 
 
 def _triangle(data: bytes, n: int) -> sparse.csc_array:
-    values = numbers(data)
+    values = parse_numbers(data)
     if values.size == 0 or values.size % 3:
         raise ValueError(f"{values.size} numbers in 3 columns: is it cut off?")
-    row, column = indices(values[0::3], n), indices(values[1::3], n)
+    row, column = parse_indices(values[0::3], n), parse_indices(values[1::3], n)
     bare = np.bincount(row[row == column], minlength=n) == 0
     if bare.any():  # CalculiX writes every diagonal entry, zeros too
         raise ValueError(f"row {bare.argmax() + 1} has no diagonal entry: is it cut off?")
@@ -200,7 +200,7 @@ def unpack_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
     fixed = np.flatnonzero(np.isin(keys, constrained))
     result = {"nodes": place[:, 0], "dofs": kind, "fixed": fixed}
     for letter, matrix in (("K", stiffness), ("M", mass)):  # the upper triangle is stored
-        result |= raw.pack_matrix(letter, mirrored(sparse.csc_array(matrix)))
+        result |= raw.pack_matrix(letter, complete_triangle(sparse.csc_array(matrix)))
     return result
 
 
@@ -245,7 +245,7 @@ def read_harwell_boeing(
         section = lines[start : start + length]
         parts.append(_cut_out(section, int(repeat or 1), int(width), number))
         start += length
-    pointer, row = parts[0], indices(parts[1], rows)
+    pointer, row = parts[0], parse_indices(parts[1], rows)
     sound = pointer[0] == 1 and pointer[-1] == entries + 1 and (np.diff(pointer) >= 0).all()
     if not sound:
         raise ValueError("column pointers do not rise from 1 to the number of entries")
@@ -257,7 +257,7 @@ def read_harwell_boeing(
     triangle = sparse.coo_array(matrix)
     if (triangle.row < triangle.col).any() and (triangle.row > triangle.col).any():
         raise ValueError(f"type {kind} with entries on both sides, not one triangle")
-    return mirrored(matrix, 1 if kind[1] == "S" else -1)
+    return complete_triangle(matrix, 1 if kind[1] == "S" else -1)
 
 
 def _cut_out(lines: list[bytes], repeat: int, width: int, number: int) -> np.ndarray:
@@ -290,7 +290,7 @@ def mapping(data: bytes, size: int) -> raw.Dofs:
     unknown = sorted(set(names) - set(raw.CODES))
     if unknown:
         raise ValueError(f"degree of freedom {unknown[0]}")
-    place = indices(np.array([float(row[0]) for row in rows]), size)
+    place = parse_indices(np.array([float(row[0]) for row in rows]), size)
     if len(np.unique(place)) < size:
         raise ValueError("an equation occurs twice")
     node, kind = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)

@@ -29,7 +29,7 @@ from scipy import io, sparse
 from kc2spice.core import untrusted_files
 from kc2spice.core.errors import Kc2spiceError, UsageError
 from kc2spice.core.untrusted_files import in_child
-from kc2spice.rom.io import mirrored
+from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.pencil import Matrix
 
 LETTERS = ("M", "E", "K", "A", "B", "C", "D")
@@ -255,7 +255,7 @@ def both_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
     """
     below = abs(sparse.tril(matrix, -1, format="csc")) > 0
     above = abs(sparse.triu(matrix, 1, format="csc")) > 0
-    return matrix if below.multiply(above.T).nnz else mirrored(matrix)
+    return matrix if below.multiply(above.T).nnz else complete_triangle(matrix)
 
 
 _NAMES = ("nodes", "dofs")

@@ -206,7 +206,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         def build() -> LinearModel:
             from kc2spice.rom.complex_constants import complex_constants
             from kc2spice.rom.error_estimate import default_norm
-            from kc2spice.rom.modal import lossy, without_inertia
+            from kc2spice.rom.modal import add_dielectric_loss, without_inertia
             from kc2spice.rom.reduce import reduce_model
 
             orders = self.orders(part, scene, clock)
@@ -240,7 +240,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 losses = losses_of(part, selected)
                 return replace(complex_constants(modal, losses), **labels)
             if tangent:
-                modal = lossy(modal, tangent)
+                modal = add_dielectric_loss(modal, tangent)
             return replace(modal.linear(), **labels)
 
         kinds = (LinearModel, Certificate, Port)

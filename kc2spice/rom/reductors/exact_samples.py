@@ -18,7 +18,7 @@ import numpy as np
 
 from kc2spice.linalg.exact import RefinedSolver
 from kc2spice.rom.entries import Entries
-from kc2spice.rom.error_estimate import inexact, relative_size
+from kc2spice.rom.error_estimate import inaccuracy_error, relative_size
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import FLANK, SHARPEST, Response, grid, sample_band
@@ -80,7 +80,7 @@ class ExactSamples:
             root = np.sqrt(size[:order])
             left, right = U[:, :order] / root, Vt[:order].T / root
             small = Pencil((-(left.T @ inner @ right), np.eye(order)), left.T @ B, C @ right, P.D)
-            small = _decaying(small)
+            small = _remove_growing_poles(small)
             response = Response(small).transfer(2j * np.pi * self.frequency)
             error = self.relative(response - self.H, self.H).max(initial=0.0)
             models.append((error, order, small))
@@ -128,7 +128,7 @@ def sampled_model(
         ):
             break
     if not max(recent) <= limit:
-        raise inexact(
+        raise inaccuracy_error(
             "the model cannot be distinguished from rounding errors",
             f"relative error {max(recent):.1e} with {model.size} states",
             limit,
@@ -142,7 +142,7 @@ def sampled_model(
     return IntermediateModel(response, max(recent), True, proof)
 
 
-def _decaying(small: Pencil) -> Pencil:
+def _remove_growing_poles(small: Pencil) -> Pencil:
     """In real blocks of its poles, without those that grow: of a stable model they are noise."""
     from kc2spice.rom.blocks import decouple_states
 

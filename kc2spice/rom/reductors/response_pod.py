@@ -60,8 +60,8 @@ class ResponsePod(Reductor):
         response = Response(core.project(scipy.linalg.block_diag(np.eye(free), energy)))
         static = _static_responses(task, response)
         points = snapshots(task.estimator, response, tail_weight(task.fom, task.tolerance))
-        states = _states(task, response, points.s, points.weights(), self.two_sided)
-        vectors = _orthonormal(np.hstack(states)[free:], static)
+        states = _weighted_states(task, response, points.s, points.weights(), self.two_sided)
+        vectors = _orthonormalise(np.hstack(states)[free:], static)
         pencil = response.pencil.project(scipy.linalg.block_diag(np.eye(free), vectors))
         pencil = task.with_rigid_body(replace(pencil, free=free))
         fixed = pencil.free + (static.shape[1] if _has_loaded_port(task) else 0)
@@ -87,12 +87,12 @@ class ResponsePod(Reductor):
         s, inside = points.s, slice(points.inside.size)
         H = task.response.transfer(s[inside])
         base = task.estimator.reference[1].base(H, task.estimator.share) + np.finfo(float).tiny
-        states = _states(task, response, s, np.ones(len(s)), not task.collocated)
+        states = _weighted_states(task, response, s, np.ones(len(s)), not task.collocated)
         weight, tail, best = np.ones(points.inside.size), 1.0, basis
         for _ in range(TRIALS):
             factors = points.weights(weight, tail)
-            columns = np.hstack([_scaled(side, factors) for side in states])[basis.fixed :]
-            V = scipy.linalg.block_diag(np.eye(basis.fixed), _principal(columns)[0])
+            columns = np.hstack([_scale_states(side, factors) for side in states])[basis.fixed :]
+            V = scipy.linalg.block_diag(np.eye(basis.fixed), _principal_directions(columns)[0])
             turned = None if basis.vectors is None else basis.vectors[:, :size] @ V
             projected = replace(pencil.project(V), free=pencil.free)
             trial = replace(basis, pencil=projected, vectors=turned)
@@ -123,14 +123,14 @@ def _static_responses(task: Task, response: Response) -> np.ndarray:
     if free:
         K, E, _ = pencil.coefficients
         loads = [pencil.B[free:], E[free:, :free], E[:free, free:].T]
-        return _range(np.linalg.solve(K[free:, free:], np.hstack(loads)))
+        return _significant_range(np.linalg.solve(K[free:, free:], np.hstack(loads)))
     from_rest = task.estimator.static and task.band[0] == 0
     if task.intermediate.static and (from_rest or _has_loaded_port(task)):
-        return _range(response.states(np.zeros(1))[0].real)
+        return _significant_range(response.states(np.zeros(1))[0].real)
     return np.empty((pencil.size, 0))
 
 
-def _states(
+def _weighted_states(
     task: Task, response: Response, s: np.ndarray, weight: np.ndarray, two_sided: bool
 ) -> list[np.ndarray]:
     """Weighted states of the model, and of its dual if ``two_sided``."""
@@ -142,7 +142,7 @@ def _states(
     return result
 
 
-def _scaled(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
+def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
     """Real and imaginary parts of states (n, 2 frequencies inputs), times a factor of each
     frequency."""
     inputs = states.shape[1] // (2 * len(factors))
@@ -171,20 +171,20 @@ def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
     return np.eye(pencil.size)
 
 
-def _orthonormal(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
+def _orthonormalise(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Orthonormal vectors: ``first``, then the principal directions of the other columns."""
     for _ in range(2):  # once leaves rounding of the projection
         columns = columns - first @ (first.T @ columns)
-    return np.asarray(np.linalg.qr(np.hstack([first, _principal(columns)[0]]))[0])
+    return np.asarray(np.linalg.qr(np.hstack([first, _principal_directions(columns)[0]]))[0])
 
 
-def _range(columns: np.ndarray) -> np.ndarray:
+def _significant_range(columns: np.ndarray) -> np.ndarray:
     """Principal directions of the columns whose singular values are not rounding."""
-    U, size = _principal(columns)
+    U, size = _principal_directions(columns)
     return np.asarray(U[:, size > RANK * max(size.max(initial=0.0), np.finfo(float).tiny)])
 
 
-def _principal(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _principal_directions(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Left singular vectors and values."""
     if columns.shape[1] > 2 * columns.shape[0]:  # a thinner matrix of the same directions
         columns = np.asarray(np.linalg.qr(columns.T, mode="r")).T
