@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, pairwise
+from operator import attrgetter, itemgetter
 from typing import TypeAlias
 
 import numpy as np
@@ -96,6 +97,11 @@ class Setup:
     sectors: int = 1
     damping: Damping = field(default_factory=Damping)
 
+    @property
+    def driven(self) -> dict[str, np.ndarray]:
+        """Nodes of each electrode with a voltage of its own, by its pin."""
+        return {pin: n for pin, n in self.electrodes.items() if pin != self.reference}
+
 
 def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     """Constrain, attach ports, eliminate the potentials and state the facts; see the module.
@@ -112,14 +118,14 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     answers = undamped_answers(bare.model, bare.shift)
     facts |= answers.facts | estimate_mesh_errors(bare, answers, setup.sectors)
     model = replace(bare.model, facts=facts)
-    return replace(bare, model=_damp(model, solid, bare.displacement, setup))
+    return replace(bare, model=_add_damping(model, solid, bare.displacement, setup))
 
 
 def constrain_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     """The device before its damping and facts."""
     full = assemble_solid(solid)
-    P, motions = _moving(solid, setup)
-    Q, R, pins = _potentials(full.K_pp, setup)
+    P, motions = _constrain_displacements(solid, setup)
+    Q, R, pins = _constrain_potentials(full.K_pp, setup)
     mass, K_uu = full.M, full.K_uu
     if setup.lumped is not None:
         mass = mass + sparse.diags_array(np.repeat(setup.lumped, solid.components), format="csc")
@@ -138,8 +144,8 @@ def constrain_device(solid: Solid, setup: Setup) -> FiniteElementModel:
         k_uV=(P.T @ K_up @ R).toarray(),
         k_pV=(Q.T @ K_pp @ R).toarray(),
         c_VV=(R.T @ K_pp @ R).toarray(),
-        B=np.array([c for _, c in columns]).reshape(len(columns), P.shape[1]).T,
-        ports=[*(port for port, _ in columns), *pins],
+        B=np.array([*map(itemgetter(1), columns)]).reshape(len(columns), P.shape[1]).T,
+        ports=[*map(itemgetter(0), columns), *pins],
     )
     return FiniteElementModel(
         model,
@@ -148,39 +154,42 @@ def constrain_device(solid: Solid, setup: Setup) -> FiniteElementModel:
         sparse.csc_array(Q),
         sparse.csc_array(R),
         -(Q.T @ K_pp @ R).toarray(),
-        _shift(solid, setup),
+        _choose_shift(solid, setup),
         float(mass.sum()) / solid.components,
     )
 
 
 def _depoling_voltage(solid: Solid, setup: Setup) -> float | None:
-    """Voltage [V] beyond which the mean field along the shortest line from an electrode to the
-    reference exceeds a depoling field: more is certainly too much, edges may stand less."""
+    """Compute the voltage [V] that certainly depolarises a ceramic, None if it is unknown.
+
+    At this voltage the mean field along the shortest line from an electrode to the reference is a
+    depoling field. A lower voltage may depolarise the ceramic at the edge of an electrode.
+    """
     limits = [m.depoling_field for m in solid.materials if m.piezoelectric]
-    known = [limit for limit in limits if limit is not None]
-    pins = [nodes for name, nodes in setup.electrodes.items() if name != setup.reference]
-    if not pins or not known or len(known) < len(limits):
+    if not setup.driven or not limits or None in limits:
         return None
     places = solid.places.T
     from scipy.spatial import cKDTree  # late: few bodies need it
 
     near = cKDTree(places[setup.electrodes[setup.reference]])
-    return float(min(known) * min(near.query(places[nodes])[0].min() for nodes in pins))
+    distances, _ = near.query(places[np.concatenate([*setup.driven.values()])])
+    return float(np.array(limits, dtype=float).min() * distances.min())
 
 
-def by_rayleigh(model: LinearModel, damping: Damping) -> LinearModel:
-    """The model with Rayleigh damping, of all its materials alike.
+def add_rayleigh_damping(model: LinearModel, damping: Damping) -> LinearModel:
+    """Add Rayleigh damping with the same factors for all materials.
 
     Raises
     ------
-    UsageError : there is no resonance that says at which frequency.
+    UsageError : the damping is stated at a resonance that the model lacks.
     """
-    first = _damped_at(model, damping)
+    first = _damping_frequency(model, damping)
     rayleigh = damping.rayleigh(first) if first else (damping.alpha, 0.0)
     return replace(model, E=None, rayleigh=rayleigh)
 
 
-def _damped_at(model: LinearModel, damping: Damping) -> float | None:
+def _damping_frequency(model: LinearModel, damping: Damping) -> float | None:
+    """Determine the frequency [Hz] at which a ratio or a Q factor of damping holds."""
     facts = model.facts
     first = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if first is None and (damping.zeta or damping.per_material):
@@ -193,12 +202,14 @@ def _damped_at(model: LinearModel, damping: Damping) -> float | None:
     return first
 
 
-def _damp(model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup) -> LinearModel:
-    """Rayleigh damping, or of each material's elastic stiffness by its quality."""
+def _add_damping(
+    model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup
+) -> LinearModel:
+    """Add Rayleigh damping, or damp the elastic stiffness of each material by its Q factor."""
     damping = setup.damping
     if not damping.per_material:
-        return by_rayleigh(model, damping)
-    first = _damped_at(model, damping)
+        return add_rayleigh_damping(model, damping)
+    first = _damping_frequency(model, damping)
     assert first is not None
     loss = []
     for material in solid.materials:
@@ -207,12 +218,18 @@ def _damp(model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup) -
             problem, expected = "this material has no Q factor", "a Q factor of every material"
             raise wrong("damping.per_material", problem, material.name, expected, hint)
         loss.append(1 / (material.quality * 2 * np.pi * first))
-    # The least loss is that of the whole, whose first mode holds rounding alike in K and E: summed
-    # by materials it would be that of the stiffest motion in the damping of the softest.
-    E = damping.alpha * model.M
-    more = [(k, beta - min(loss)) for k, beta in enumerate(loss) if beta > min(loss)]
-    for only, beta in [(None, min(loss)), *more]:
-        E = E + beta * (P.T @ (setup.sectors * assemble_solid(solid, only=only).K_uu) @ P)
+
+    def damp(beta: float, material: int | None = None) -> sparse.csc_array:
+        K_uu = assemble_solid(solid, only=material).K_uu
+        return beta * (P.T @ (setup.sectors * K_uu) @ P)
+
+    # One term damps the whole body with the least loss, and other terms add to it for each
+    # material. E and K then contain the same rounding errors in the first mode.
+    least = min(loss)
+    E = damping.alpha * model.M + damp(least)
+    for number, beta in enumerate(loss):
+        if beta > least:
+            E = E + damp(beta - least, number)
     return replace(model, E=sparse.csc_array(E), rayleigh=None)
 
 
@@ -227,18 +244,20 @@ def node_shares(
 
 
 def spread(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
-    """Nodal shares (nodes,) times a unit direction: weights (d nodes,)."""
+    """Spread a unit vector over nodes by their shares (nodes,): weights (d nodes,)."""
     axis = axis if solid.components == 3 else axis[[0, 2]]
     return np.outer(shares, axis).ravel()
 
 
 def translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
+    """Displacements (d nodes,) of a rigid translation by the vector ``axis`` (3,)."""
     return spread(np.ones(solid.places.shape[1]), np.asarray(axis, float), solid)
 
 
 def rigid_motions(solid: Solid, centre: np.ndarray) -> np.ndarray:
-    """Columns (d nodes, 6): three translations and three rotations about ``centre`` (3-D), or the
-    one translation along the axis (axisymmetric, (d nodes, 1)).
+    """Displacements (d nodes, 6) of three translations and of rotations about ``centre``.
+
+    A body of revolution has one column, the translation along its axis.
     """
     if solid.axisymmetric:
         return translation(solid, UP)[:, None]
@@ -248,8 +267,10 @@ def rigid_motions(solid: Solid, centre: np.ndarray) -> np.ndarray:
     return np.concatenate([moves, turns]).reshape(6, -1).T
 
 
-def _moving(solid: Solid, setup: Setup) -> tuple[sparse.csc_array, list[tuple[Port, np.ndarray]]]:
-    """``P`` of ``u = P z``, and the columns of the rigid faces' ports."""
+def _constrain_displacements(
+    solid: Solid, setup: Setup
+) -> tuple[sparse.csc_array, list[tuple[Port, np.ndarray]]]:
+    """Compute ``P`` of ``u = P z``, and the load column of each port of a rigid face."""
     d, free = solid.components, ~setup.fixed
     where = solid.places.T
     blocks = []
@@ -274,10 +295,10 @@ def _moving(solid: Solid, setup: Setup) -> tuple[sparse.csc_array, list[tuple[Po
     return P, columns
 
 
-def _potentials(
+def _constrain_potentials(
     K_pp: sparse.csc_array, setup: Setup
 ) -> tuple[sparse.csc_array, sparse.csc_array, list[Port]]:
-    """``Q`` and ``R`` of ``phi = Q p + R V``, and the electrical ports."""
+    """Compute ``Q`` and ``R`` of ``phi = Q p + R V``, and the electrical ports."""
     live = K_pp.diagonal() > 0
     times_driven = np.zeros(len(live), int)
     for nodes in (*setup.electrodes.values(), *setup.floating):
@@ -298,42 +319,38 @@ def _potentials(
         problem = "a ceramic touches no electrode: its potential is undetermined"
         hint = "every piezoelectric piece needs an electrode on one face at least"
         raise wrong("electrodes", problem, hint=hint)
+
+    def indicate(nodes: np.ndarray, values: float | np.ndarray = 1.0) -> sparse.csc_array:
+        column = np.zeros(len(live))
+        column[nodes] = values
+        return sparse.csc_array((column * live)[:, None])
+
     free = np.flatnonzero(live & (times_driven == 0))
     identity = sparse.eye_array(len(live), format="csc")
-    Q = sparse.hstack([identity[:, free], *(_indicator(n, live) for n in setup.floating)], "csc")
-    driven = {pin: n for pin, n in setup.electrodes.items() if pin != setup.reference}
+    Q = sparse.hstack([identity[:, free], *map(indicate, setup.floating)], "csc")
     none = sparse.csc_array((len(live), 0))
-    columns = [_indicator(n, live) for n in driven.values()]
+    columns = [*map(indicate, setup.driven.values())]
     if setup.graded is not None:
-        columns[0] = columns[0] + _indicator(setup.graded[0], live, setup.graded[1])
+        columns[0] = columns[0] + indicate(*setup.graded)
     R = sparse.hstack([none, *columns], "csc")
-    ports = [Port(p, ELECTRICAL.port, pins=(p, setup.reference)) for p in driven]
+    ports = [Port(p, ELECTRICAL.port, pins=(p, setup.reference)) for p in setup.driven]
     return Q, R, ports
 
 
-def _indicator(
-    nodes: np.ndarray, live: np.ndarray, values: float | np.ndarray = 1.0
-) -> sparse.csc_array:
-    column = np.zeros(len(live))
-    column[nodes] = values
-    return sparse.csc_array((column * live)[:, None])
-
-
-def _shift(solid: Solid, setup: Setup) -> float:
-    """0 [rad^2/s^2] of a body without rigid-body motion, else a small shift that makes
-    ``K + shift M`` regular."""
+def _choose_shift(solid: Solid, setup: Setup) -> float:
+    """Choose a shift [rad^2/s^2] with which ``K + shift M`` is regular: 0 of a supported body."""
     constrained = (
         setup.fixed if setup.springs is None else setup.fixed | (setup.springs.diagonal() > 0)
     )
-    if _is_supported(solid, constrained, _pieces(solid, setup)):
+    if _is_supported(solid, constrained, _find_pieces(solid, setup)):
         return 0.0
     slowest = min(np.sqrt(np.linalg.eigvalsh(m.C)[0] / m.density) for m in solid.materials)
     size = np.linalg.norm(np.ptp(solid.mesh.p, axis=1))
     return float((FREE_SHIFT * slowest / size) ** 2)
 
 
-def _pieces(solid: Solid, setup: Setup) -> list[np.ndarray]:
-    """Return the nodes of each piece of the body that moves as a whole.
+def _find_pieces(solid: Solid, setup: Setup) -> list[np.ndarray]:
+    """Find the nodes of each piece of the body that moves as a whole.
 
     A piece is a rigid face, or a set of elements that are joined through common faces. Elements
     that share only an edge can turn about it and belong to different pieces.
@@ -344,12 +361,14 @@ def _pieces(solid: Solid, setup: Setup) -> list[np.ndarray]:
     count, label = connected_components(links, directed=False)
     nodes = solid.basis(1).element_dofs
     pieces = [np.unique(nodes[:, label == piece]) for piece in range(count)]
-    return [*pieces, *(face.nodes for face in setup.faces)]
+    return [*pieces, *map(attrgetter("nodes"), setup.faces)]
 
 
 def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
-    """Whether displacements that are ``fixed`` (d nodes,) leave no piece a rigid-body motion; what
-    a piece without such motion shares with another one supports that one."""
+    """Whether the ``fixed`` displacements (d nodes,) prevent all rigid-body motions.
+
+    A supported piece supports other pieces at the nodes that it shares with them.
+    """
     constrained, waiting = fixed.copy(), list(pieces)
     while waiting:
         free = []
@@ -387,7 +406,9 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class Bonded:
-    """Blocks, of which a later one wins where two overlap, and what is done to them.
+    """Blocks of material that are bonded where they touch, with electrodes and supports.
+
+    Where two blocks overlap, the later one counts.
 
     Attributes
     ----------
@@ -420,23 +441,30 @@ class Bonded:
     @property
     def every_port(self) -> tuple[Port, ...]:
         """All ports of the model, electrical ports first."""
-        pins = [pin for pin in self.electrodes if pin != "cathode"]
-        return (
-            *(Port(pin, ELECTRICAL.port, pins=(pin, "cathode")) for pin in pins),
-            *(Port(name, TRANSLATION.port) for name in self.ports),
-            *([Port(BASE, ACCELERATION.port)] if self.moved else []),
-        )
+        ports = []
+        for pin in self.electrodes:
+            if pin != "cathode":
+                ports.append(Port(pin, ELECTRICAL.port, pins=(pin, "cathode")))
+        for name in self.ports:
+            ports.append(Port(name, TRANSLATION.port))
+        if self.moved:
+            ports.append(Port(BASE, ACCELERATION.port))
+        return tuple(ports)
 
     @property
     def rated(self) -> float | None:
-        """Voltage [V] at which one of the ceramics reaches its depoling field, the same field in
-        all of them where electrodes between them float; None where no limit is known."""
-        active = [block for block in self.blocks if block.material.piezoelectric]
-        thick = np.array([block.thickness for block in active])
-        limits = [block.material.depoling_field for block in active]
-        if not active or None in limits:
+        """Voltage [V] at which a ceramic reaches its depoling field, None if it is unknown.
+
+        All ceramics have the same field if the electrodes between them float.
+        """
+        limits, thicknesses = [], []
+        for block in self.blocks:
+            if block.material.piezoelectric:
+                limits.append(block.material.depoling_field)
+                thicknesses.append(block.thickness)
+        if not limits or None in limits:
             return None
-        fields = np.array(limits, dtype=float)
+        fields, thick = np.array(limits, dtype=float), np.array(thicknesses)
         return float(fields.min() * thick.sum() if self.floating else (fields * thick).min())
 
     def device(self) -> FiniteElementModel:
@@ -447,18 +475,19 @@ class Bonded:
         UsageError : electrodes that touch each other; in a body of revolution a material that is
             not isotropic about its axis; edges in another order than those of :attr:`like`.
         """
-        grid = self.grid or self._lines()
-        near = 1e-3 * min(float(np.diff(lines).min()) for lines in grid)
+        grid = self.grid or self._divide_axes()
+        near = 1e-3 * float(np.concatenate([*map(np.diff, grid)]).min())
         with part_named(self.where):
-            solid = self._solid(grid, near)
-            return make_device(solid, self._setup(solid, near))
+            solid = self._mesh_blocks(grid, near)
+            return make_device(solid, self._make_setup(solid, near))
 
-    def _lines(self) -> list[np.ndarray]:
-        """Along each axis all edges and equal cells between them."""
+    def _divide_axes(self) -> list[np.ndarray]:
+        """Divide each axis at all edges, and into equal cells between them."""
         model = self if self.like is None else self.like
         result = []
         for edges, model_edges in zip(self._edges(), model._edges(), strict=True):
-            (points, place), (counted, alike) = _distinct(edges), _distinct(model_edges)
+            points, place = _merge_edges(edges)
+            counted, alike = _merge_edges(model_edges)
             if not np.array_equal(place, alike):
                 problem = "the body's edges change their order, which no mesh that moves can follow"
                 expected = "sizes that keep which edge lies beyond which: narrower ranges"
@@ -471,15 +500,15 @@ class Bonded:
             result.append(np.concatenate([*cut, points[-1:]]))
         return result
 
-    def _edges(self) -> list[np.ndarray]:
-        """Along each axis where blocks, electrodes, supports and ports begin and end, always in
-        the same order of them."""
-        faces = [*self.ports.values(), *(box for _, box in self.fixed)]
-        faces += chain(*self.electrodes.values(), *self.floating)
-        boxes = [*(block.box for block in self.blocks), *faces]
-        return [np.array([*chain(*spans)]) for spans in zip(*boxes, strict=True)]
+    def _edges(self) -> np.ndarray:
+        """Ends (axes, edges) of blocks, electrodes, supports and ports, always in this order."""
+        boxes = [*map(attrgetter("box"), self.blocks), *self.ports.values()]
+        boxes += map(itemgetter(1), self.fixed)
+        boxes += chain(*self.electrodes.values(), *self.floating)
+        spans = np.array(boxes, dtype=float).swapaxes(0, 1)
+        return spans.reshape(len(spans), -1)
 
-    def _solid(self, grid: Sequence[np.ndarray], near: float) -> Solid:
+    def _mesh_blocks(self, grid: Sequence[np.ndarray], near: float) -> Solid:
         mesh = (MeshQuad if len(grid) == 2 else MeshHex).init_tensor(*grid)
         middle = mesh.p[:, mesh.t].mean(axis=1)
         materials = {block.material.name: block.material for block in self.blocks}
@@ -490,23 +519,25 @@ class Bonded:
         result = tuple(materials.values())
         return Solid(mesh.restrict(occupied), result, owner[occupied], axisymmetric=len(grid) == 2)
 
-    def _setup(self, solid: Solid, near: float) -> Setup:
+    def _make_setup(self, solid: Solid, near: float) -> Setup:
         places, letters = solid.places, "xz" if solid.axisymmetric else "xyz"
+
+        def inside(box: Box) -> np.ndarray:
+            return _inside_box(box, places, near)
+
         fixed = np.zeros((places.shape[1], len(letters)), bool)
         if solid.axisymmetric:
             fixed[places[0] < near, 0] = True
         for axes, box in self.fixed:
             for axis in axes:
-                fixed[_inside_box(box, places, near), letters.index(axis)] = True
+                fixed[inside(box), letters.index(axis)] = True
 
-        def touched(faces: Sequence[Box]) -> np.ndarray:
-            return np.flatnonzero(
-                np.any([_inside_box(face, places, near) for face in faces], axis=0)
-            )
+        def nodes_on(faces: Sequence[Box]) -> np.ndarray:
+            return np.flatnonzero(np.any([*map(inside, faces)], axis=0))
 
         def shares(box: Box) -> np.ndarray:
-            if all(low == high for low, high in box):
-                result = _inside_box(box, places, near)
+            if np.equal(*np.transpose(box)).all():  # a point
+                result = inside(box)
                 return np.asarray(result / result.sum())
             face = solid.mesh.facets_satisfying(lambda x: _inside_box(box, x, near))
             return node_shares(solid, facets=face)
@@ -514,9 +545,9 @@ class Bonded:
         lumped = [mass * shares(box) for mass, box in self.masses]
         return Setup(
             fixed=fixed.ravel(),
-            electrodes={pin: touched(faces) for pin, faces in self.electrodes.items()},
+            electrodes={pin: nodes_on(faces) for pin, faces in self.electrodes.items()},
             reference="cathode",
-            floating=list(map(touched, self.floating)),
+            floating=list(map(nodes_on, self.floating)),
             shapes=[
                 ForceShape(Port(name, TRANSLATION.port), spread(shares(box), UP, solid))
                 for name, box in self.ports.items()
@@ -527,8 +558,8 @@ class Bonded:
         )
 
 
-def _distinct(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Increasing edges, each once but for rounding, and which of them each one is."""
+def _merge_edges(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sort edges, merge those that only rounding separates, and number each edge."""
     points = np.unique(edges)
     points = points[np.r_[True, np.diff(points) > 1e-9 * np.ptp(points)]]
     return points, np.searchsorted(points, edges + 1e-9 * np.ptp(points), side="right") - 1
@@ -536,7 +567,5 @@ def _distinct(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _inside_box(box: Box, places: np.ndarray, near: float) -> np.ndarray:
     """Mask of the places (d, …) in a box, its edges included."""
-    inside = [
-        (x > low - near) & (x < high + near) for x, (low, high) in zip(places, box, strict=True)
-    ]
-    return np.all(inside, axis=0)
+    low, high = np.array(box, dtype=float).T.reshape(2, -1, *[1] * (places.ndim - 1))
+    return np.asarray(((places > low - near) & (places < high + near)).all(axis=0))

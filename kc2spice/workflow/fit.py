@@ -17,7 +17,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.signal import find_peaks
 from scipy.stats import qmc
 
-from kc2spice.bodies.device import by_rayleigh
+from kc2spice.bodies.device import add_rayleigh_damping
 from kc2spice.bodies.readers.measured import Measured, read_measured, shunt_resistance
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import staged
@@ -300,7 +300,7 @@ class _Body:
         rest = {k: v for k, v in values.items() if not k.startswith("damping.")}
         key, damping = (id(self.like) if moved else 0, *rest.items()), damping_of(part)
         if key in self.last and not damping.per_material:
-            return by_rayleigh(self.last[key], damping)
+            return add_rayleigh_damping(self.last[key], damping)
         self.counted[0] += 1
         self.progress("fit", None, f"finite element model {self.counted[0]}")
         if moved:
