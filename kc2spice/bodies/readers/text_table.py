@@ -11,7 +11,9 @@ import csv
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, groupby
+from functools import partial
+from itertools import chain, compress, groupby, repeat
+from operator import attrgetter, itemgetter
 
 import numpy as np
 
@@ -24,7 +26,8 @@ _REAL = r"(\d+\.?\d*|\.\d+)([eEdD][-+]?\d{1,3})?"
 _NUMBER = re.compile(rf"[-+]?{_REAL}")
 _COMPLEX = re.compile(rf"\(?([-+]?{_REAL})?[-+]?{_REAL}[ij]\)?")
 _GROUPED = re.compile(r"[-+]?\d{1,3}([,' \u00a0\u202f])\d{3}(\1\d{3})*(\.\d*)?([eE][-+]?\d{1,3})?")
-SEPARATORS = (";", "\t", ",", None)
+SEPARATORS = (";", "\t", ",")  # between fields, unless blanks separate them
+_WITH_COMMA = re.compile(".*,.*")  # a line of text with a comma
 FEWEST_COLUMNS, FEWEST_ROWS = 2, 2
 MOST_LINES = 100_000  # lines of a file: five times as many as frequencies are accepted
 MOST_COLUMNS = 200  # fields of a line
@@ -63,7 +66,7 @@ class TextTable(EqualByContent):
 
 
 def read_tables(text: str) -> list[TextTable]:
-    """Tables of a text, the longest first; blocks with the same frequencies are one table.
+    """Read the tables of a text, the longest first; blocks of the same frequencies are one table.
 
     Raises
     ------
@@ -74,23 +77,27 @@ def read_tables(text: str) -> list[TextTable]:
     if count > MOST_LINES:
         raise ValueError(f"{count} lines, more than {MOST_LINES}")
     lines = lines_of(text)
-    runs = {separator: list(_runs(lines, separator)) for separator in SEPARATORS}
-    separator = max(SEPARATORS, key=lambda s: max((run.rows for run in runs[s]), default=0))
-    if not runs[separator]:
-        first = next((line.strip() for line in lines if line.strip()), "")
+    runs, separator, most = list[_Run](), None, 0
+    for candidate in (*SEPARATORS, None):
+        trial = list(_find_runs(lines, candidate))
+        rows = max(map(attrgetter("rows"), trial), default=0)
+        if rows > most:
+            runs, separator, most = trial, candidate, rows
+    if not runs:
+        first = next(filter(None, map(str.strip, lines)), "")
         below = f", below the first line {first[:40]!r}" if first else ""
         fewest = f"fewer than {FEWEST_ROWS} rows of {FEWEST_COLUMNS} numbers or more"
         raise ValueError(f"{fewest}{below}")
     tables, end = list[TextTable](), 0
-    for run in runs[separator]:
-        table = _table(lines, run, end, separator)
+    for run in runs:
+        table = _build_table(lines, run, end, separator)
         end = run.last
         before = tables[-1] if tables else None
         if table.titles is None and before and len(before.numbers) == len(table.numbers):
-            tables[-1] = _continued(before, table)
+            tables[-1] = _append_block(before, table)
         else:
             tables.append(table)
-    return sorted(_merged(tables), key=lambda table: -table.rows)
+    return sorted(_merge_blocks(tables), key=lambda table: -table.rows)
 
 
 # --- rows of numbers ------------------------------------------------------------------------------
@@ -106,11 +113,11 @@ class _Run:
     width: int
 
 
-def _fields(line: str, separator: str | None) -> list[str]:
-    """The words of a line, quotes and empty ones at its end removed."""
+def _split_fields(line: str, separator: str | None) -> list[str]:
+    """Split a line into words without quotes, and remove empty words at its end."""
     if separator is None:
         return line.split()
-    fields = [w.strip() for w in next(csv.reader([line.strip()], delimiter=separator), [])]
+    fields = list(map(str.strip, next(csv.reader([line.strip()], delimiter=separator), [])))
     while fields and not fields[-1]:
         fields.pop()
     return fields
@@ -121,14 +128,16 @@ def _is_number(word: str) -> bool:
     return bool(_NUMBER.fullmatch(plain) or _GROUPED.fullmatch(word) or _COMPLEX.fullmatch(plain))
 
 
-def _width(line: str, separator: str | None) -> tuple[int, bool]:
-    """Fields of a line that begins with a number, 0 of any other, -1 of a blank one; whether all
-    fields are numbers."""
+def _measure_line(line: str, separator: str | None) -> tuple[int, bool]:
+    """Count the fields of a line, and check whether all of them are numbers.
+
+    The count is 0 if the line does not begin with a number, and -1 if the line is blank.
+    """
     if not line.strip():
         return -1, False
     if len(line) > LONGEST_LINE or (separator is not None and separator not in line):
         return 0, False
-    fields = _fields(line, separator)
+    fields = _split_fields(line, separator)
     if not FEWEST_COLUMNS <= len(fields) <= MOST_COLUMNS:
         return 0, False
     index = 1 if fields[0] == "" else 0  # the index column of a table may be empty
@@ -137,54 +146,56 @@ def _width(line: str, separator: str | None) -> tuple[int, bool]:
     return len(fields), all(map(_is_number, fields))
 
 
-def _runs(lines: list[str], separator: str | None) -> Iterator[_Run]:
-    """Every run of rows of the same width, some of which may contain a word."""
-    kinds = [_width(line, separator) for line in lines]
+def _find_runs(lines: list[str], separator: str | None) -> Iterator[_Run]:
+    """Find every run of rows of the same width, some of which may contain a word."""
+    kinds = [_measure_line(line, separator) for line in lines]
     filled = [k for k, (width, _) in enumerate(kinds) if width >= 0]  # blank lines divide nothing
     for width, group in groupby(filled, key=lambda k: kinds[k][0]):
         run = list(group)
-        numeric = [k for k in run if kinds[k][1]]
-        if width > 0 and len(numeric) >= FEWEST_ROWS:
-            yield _Run(run[0], run[-1] + 1, len(numeric), width)
+        numeric_rows = sum(kinds[k][1] for k in run)
+        if width > 0 and numeric_rows >= FEWEST_ROWS:
+            yield _Run(run[0], run[-1] + 1, numeric_rows, width)
 
 
-def _table(lines: list[str], run: _Run, end: int, separator: str | None) -> TextTable:
-    """The table of a run of rows, whose titles are below line ``end``."""
+def _build_table(lines: list[str], run: _Run, end: int, separator: str | None) -> TextTable:
+    """Make the table of a run of rows, whose titles are below line ``end``."""
     short = (line[:LONGEST_LINE] for line in lines[max(end, run.first - COMMENT_LINES) : run.first])
     above = [line for line in short if line.strip().strip(COMMENT)]
     filled = [k for k in range(run.first, run.last) if lines[k].strip()]
-    rows = [_fields(lines[k], separator) for k in filled]
-    index = all(row[0] == str(k) for k, row in enumerate(rows))
-    titles = _titles(above, separator, run.width, index)
-    names = titles or tuple(f"column {k + 1}" for k in range(run.width))
+    rows = [_split_fields(lines[k], separator) for k in filled]
+    index = list(map(itemgetter(0), rows)) == list(map(str, range(len(rows))))
+    titles = _find_titles(above, separator, run.width, index)
+    names = titles or tuple(map("column {}".format, range(1, run.width + 1)))
     complete = [all(map(_is_number, row)) for row in rows]
-    notes = _left_out(rows, complete, names, [k + 1 for k in filled])
-    rows = [row for row, numeric in zip(rows, complete, strict=True) if numeric]
-    numbers = [_column_numbers([row[k] for row in rows], rows, names[k]) for k in range(run.width)]
-    stated = _last_format(above)
+    notes = _note_left_out_rows(rows, complete, names, filled)
+    rows = list(compress(rows, complete))
+    columns = zip(*rows, strict=True)
+    numbers = list(map(_parse_column, columns, repeat(rows), names))
+    stated = _find_format(above)
     if titles and stated:
-        titles, numbers, more = _with_format(titles, numbers, stated)
+        titles, numbers, more = _apply_format(titles, numbers, stated)
         notes += more
     header = above[-1].strip().lstrip(COMMENT) if above else ""
     place = filled[0] + 1, filled[-1] + 1
     return TextTable(titles, tuple(numbers), place, header, tuple(above), tuple(notes))
 
 
-def _left_out(
+def _note_left_out_rows(
     rows: list[list[str]], complete: list[bool], names: Sequence[str], lines: list[int]
 ) -> list[str]:
-    """A note about rows that contain a word.
+    """Describe the rows that contain a word; ``lines`` of the rows count from 0.
 
     Raises
     ------
-    ValueError : they are too many.
+    ValueError : too many rows contain a word.
     """
     if all(complete):
         return []
     first = complete.index(False)
-    column = next(k for k, word in enumerate(rows[first]) if not _is_number(word))
+    column = list(map(_is_number, rows[first])).index(False)
     count, word = complete.count(False), rows[first][column]
-    text = f"line {lines[first]}: {word[:20]!r} in column {names[column].strip()!r} is no number"
+    name = names[column].strip()
+    text = f"line {lines[first] + 1}: {word[:20]!r} in column {name!r} is no number"
     if count > max(1, LEFT_OUT * len(rows)):
         raise ValueError(f"{text}; {count} of {len(rows)} rows are like this")
     return [f"{text}: {count} of {len(rows)} rows left out"]
@@ -193,10 +204,10 @@ def _left_out(
 # --- titles ---------------------------------------------------------------------------------------
 
 
-def _titles(
+def _find_titles(
     above: list[str], separator: str | None, columns: int, index: bool
 ) -> tuple[str, ...] | None:
-    """Titles of so many columns in the nearest line that names a frequency, or in the last line.
+    """Find so many titles in the nearest line that names a frequency, or in the last line.
 
     A line of units may follow them. With ``index`` the first column may have no title.
     """
@@ -222,29 +233,31 @@ def _is_unit(word: str) -> bool:
 
 
 def _split_titles(line: str, separator: str | None, columns: int, index: bool) -> list[str] | None:
-    """A line as so many titles, None where no separator does."""
-    splits = [_fields(line, separator)]
+    """Split a line into so many titles; None if no separator does."""
+    splits = [_split_fields(line, separator)]
     if separator is None:  # blanks also divide the words of one title
-        splits += [_fields(line, other) for other in SEPARATORS if other is not None]
+        splits += map(partial(_split_fields, line), SEPARATORS)
         splits.append(re.split(r"\s{2,}", line.strip()))
         splits.append(re.findall(r"[^\s()\[\]][^()\[\]]*[(\[][^()\[\]]*[)\]]", line))
-    fitting = next((fields for fields in splits if len(fields) == columns), None)
-    if fitting is None and index:
-        short = next((fields for fields in splits if len(fields) == columns - 1), None)
+    by_length = {len(fields): fields for fields in reversed(splits)}
+    if columns not in by_length and index:
+        short = by_length.get(columns - 1)
         return short and ["", *short]
-    return fitting
+    return by_length.get(columns)
 
 
-def _last_format(above: list[str]) -> str:
-    """The quantity in the last line ``FORMAT: |Z|`` above a table, empty without one."""
-    matches = [TRACE_FORMAT.fullmatch(line.strip().strip('"')) for line in above]
-    return next((match[1] for match in reversed(matches) if match), "")
+def _find_format(above: list[str]) -> str:
+    """Find the quantity in the last line ``FORMAT: |Z|`` above a table; empty without one."""
+    for line in reversed(above):
+        if match := TRACE_FORMAT.fullmatch(line.strip().strip('"')):
+            return match[1]
+    return ""
 
 
-def _with_format(
+def _apply_format(
     titles: tuple[str, ...], numbers: list[np.ndarray], stated: str
 ) -> tuple[tuple[str, ...], list[np.ndarray], list[str]]:
-    """Titles of the two numbers of a trace by the ``FORMAT`` that the file states, and a note.
+    """Give the numbers of a trace the titles of the ``FORMAT`` that the file states, and a note.
 
     The second number of one real quantity is zero. Beside |Z| or |Y| it may be the phase.
 
@@ -277,8 +290,8 @@ def _with_format(
 # --- blocks that belong together ------------------------------------------------------------------
 
 
-def _continued(before: TextTable, table: TextTable) -> TextTable:
-    """A table with the rows of a further block that has no titles."""
+def _append_block(before: TextTable, table: TextTable) -> TextTable:
+    """Append the rows of a further block, which has no titles, to a table."""
     pairs = zip(before.numbers, table.numbers, strict=True)
     numbers = tuple(map(np.concatenate, pairs))
     note = f"{table.place} have no titles: taken as further rows of the table above"
@@ -287,30 +300,33 @@ def _continued(before: TextTable, table: TextTable) -> TextTable:
     return replace(before, numbers=numbers, lines=lines, notes=notes)
 
 
-def _merged(tables: list[TextTable]) -> list[TextTable]:
-    """Tables of which blocks with the same frequencies and other titles are one."""
+def _merge_blocks(tables: list[TextTable]) -> list[TextTable]:
+    """Merge tables with the same frequencies and other titles."""
     result = list[TextTable]()
     for table in tables:
-        place = next((k for k, first in enumerate(result) if _is_beside(first, table)), None)
+        place = next(
+            (k for k, first in enumerate(result) if _has_frequencies_of(first, table)), None
+        )
         if place is None:
             result.append(table)
             continue
         first = result[place]
         assert first.titles is not None
-        assert table.titles is not None
-        skipped = _frequency_column(table)
-        more = [k for k in range(len(table.numbers)) if k != skipped]
+        titles, numbers = list(table.titles or ()), list(table.numbers)
+        frequency = _frequency_column(table)
+        assert frequency is not None
+        del titles[frequency], numbers[frequency]
         result[place] = replace(
             first,
-            titles=(*first.titles, *(table.titles[k] for k in more)),
-            numbers=(*first.numbers, *(table.numbers[k] for k in more)),
+            titles=(*first.titles, *titles),
+            numbers=(*first.numbers, *numbers),
             lines=(first.lines[0], table.lines[1]),
             notes=(*first.notes, *table.notes),
         )
     return result
 
 
-def _is_beside(first: TextTable, table: TextTable) -> bool:
+def _has_frequencies_of(first: TextTable, table: TextTable) -> bool:
     """Whether two tables have the same frequencies under the same title."""
     if first.titles is None or table.titles is None or first.rows != table.rows:
         return False
@@ -321,38 +337,41 @@ def _is_beside(first: TextTable, table: TextTable) -> bool:
 
 
 def _frequency_column(table: TextTable) -> int | None:
+    """Number of the first column with frequencies, None without one."""
     return next((k for k, title in enumerate(table.titles or ()) if is_frequency(title)), None)
 
 
 # --- numbers --------------------------------------------------------------------------------------
 
 
-def _column_numbers(words: list[str], rows: list[list[str]], title: str) -> np.ndarray:
-    """The numbers of one column: commas are decimal, or separate thousands in a file with points.
+def _parse_column(words: Sequence[str], rows: list[list[str]], title: str) -> np.ndarray:
+    """Parse the numbers of one column of a table with these ``rows``.
+
+    Commas are decimal, or separate thousands in a file with points.
 
     Raises
     ------
     ValueError : neither is certain.
     """
-    words = [word.replace("\u2212", "-") for word in words]
-    plain = [re.sub("(?<=\\d)[' \u00a0\u202f](?=\\d)", "", w) for w in words]
-    if any("," in w for w in plain):
-        points = any("." in w for row in rows for w in row)
-        if points or any(w.count(",") > 1 for w in plain):
-            if not all("," not in w or _GROUPED.fullmatch(w) for w in plain):
+    text = "\n".join(words).replace("\u2212", "-")
+    text = re.sub("(?<=\\d)[' \u00a0\u202f](?=\\d)", "", text)
+    with_comma = _WITH_COMMA.findall(text)
+    if with_comma:
+        table = "\n".join(chain.from_iterable(rows))
+        if "." in table or re.search(",.*,", text):
+            if not all(map(_GROUPED.fullmatch, with_comma)):
                 raise ValueError(f"column {title!r}: commas and points in one table")
-            plain = [w.replace(",", "") for w in plain]
+            text = text.replace(",", "")
         else:
-            marked = [w for w in chain.from_iterable(rows) if "," in w]
-            if all(re.fullmatch(r"[-+]?[1-9]\d{0,2},\d{3}", w) for w in marked):
-                example = next(w for w in plain if "," in w)
+            thousands = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
+            if all(map(thousands.fullmatch, _WITH_COMMA.findall(table))):
                 raise ValueError(
-                    f"column {title!r}: {example!r} may have thousands or decimals behind "
+                    f"column {title!r}: {with_comma[0]!r} may have thousands or decimals behind "
                     "its comma: write a decimal point"
                 )
-            plain = [w.replace(",", ".") for w in plain]
-    plain = [w.replace("d", "e").replace("D", "e") for w in plain]
-    if any(w.strip("()")[-1:] in "ij" for w in plain):
-        values = np.array([complex(w.strip("()").replace("i", "j")) for w in plain])
+            text = text.replace(",", ".")
+    text = text.translate(str.maketrans("dD", "ee", "()"))
+    if "i" in text or "j" in text:
+        values = np.array(list(map(complex, text.replace("i", "j").split("\n"))))
         return values if values.imag.any() else values.real
-    return np.array(list(map(float, plain)))
+    return np.array(list(map(float, text.split("\n"))))
