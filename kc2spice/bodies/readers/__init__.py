@@ -6,6 +6,8 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import product
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +73,7 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     """
     path, sidecar = Path(path), None if sidecar is None else Path(sidecar)
     if "\0" in str(path):
-        raw.existing(path)  # says that there is none
+        raw.require_file(path)  # says that there is none
     if not path.name:
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError("is a folder, not a model", where=str(path), expected=expected)
@@ -79,16 +81,16 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     path = files.pop(_WHOLE, path)  # NAME stands for NAME.npz
     result = _read_files(path, {**files, **settings.files}, settings.matrices)
     sound = {
-        k: raw.checked_matrix(m, k, result.files.get(k, path)) for k, m in result.matrices.items()
+        k: raw.require_matrix(m, k, result.files.get(k, path)) for k, m in result.matrices.items()
     }
     if settings.dofs is not None:
-        dofs = raw.parse_file(settings.dofs, "lines 'node,dof', one for each row", _rows)
+        dofs = raw.parse_file(settings.dofs, "lines 'node,dof', one for each row", _parse_rows)
         result = replace(result, dofs=dofs)
     return assemble_model(Rows(base.name, str(path), settings, result, sound))
 
 
 def mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
-    """Size (3,) [m] of the mesh that the TOML file names; None where it names none.
+    """Measure the size (3,) [m] of the mesh that the TOML file names; None without a mesh.
 
     Raises
     ------
@@ -116,9 +118,9 @@ _JOB = f"{', '.join(codes.SUFFIXES)} of one job"
 # names of the matrices in the sidecar.
 READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] = {
     ".npz": (_ARRAYS, raw.read_matrix_archive),
-    ".mat": (_MATLAB, raw.unpacker(raw.unpack_matlab)),
-    ".full": ("a symmetric .full file of Ansys", raw.unpacker(codes.unpack_full)),
-    ".op4": ("a Nastran OUTPUT4 file", raw.unpacker(codes.unpack_op4)),
+    ".mat": (_MATLAB, raw.make_unpacker(raw.unpack_matlab)),
+    ".full": ("a symmetric .full file of Ansys", raw.make_unpacker(codes.unpack_full)),
+    ".op4": ("a Nastran OUTPUT4 file", raw.make_unpacker(codes.unpack_op4)),
     **dict.fromkeys(codes.SUFFIXES, (_JOB, codes.read_calculix)),
     **dict.fromkeys(
         (".pch", ".pch1", ".bdf", ".dat", ".nas", ".dmig"),
@@ -128,7 +130,7 @@ READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] 
 
 
 def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
-    """Existing files of the model at ``path``: all of its name, and those that its sidecar names.
+    """List the files of the model at ``path``: all of its name, and those of its sidecar.
 
     Raises
     ------
@@ -144,7 +146,7 @@ def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
         settings.dofs,
     ]
     paths += [*base.parent.glob(f"{base.name}.*"), *base.parent.glob(f"{base.name}_*")]
-    return tuple(sorted({item for item in paths if item is not None and item.is_file()}))
+    return tuple(sorted(set(filter(Path.is_file, filter(None, paths)))))
 
 
 def locate_model(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path], Path, Sidecar]:
@@ -156,19 +158,19 @@ def locate_model(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path
     ------
     UsageError : a sidecar that is wrong.
     """
-    base, files = _family(path)
+    base, files = _find_files(path)
     default = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
     selected, required = sidecar or default, sidecar is not None or path.suffix == ".toml"
     settings = read_sidecar(selected) if required or raw.present(default) else Sidecar()
     return base, files, selected, settings
 
 
-def _family(path: Path) -> tuple[Path, dict[str, Path]]:
-    """The model's name with its directory, and the files that hold one matrix each."""
-    job = codes.siblings(path)
+def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
+    """Find the path of a model without suffixes, and the files that contain one matrix each."""
+    job = codes.find_siblings(path)
     if job:
         match = codes.NAME.fullmatch(path.name)
-        assert match is not None  # siblings() matched it
+        assert match is not None  # find_siblings() matched it
         return path.with_name(match[1]), job
     if path.suffix == ".toml":
         return path.with_suffix(""), {}
@@ -181,14 +183,13 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
     separators = (match[2],) if match else (".", "_")
     result: dict[str, Path] = {}
     for letter in raw.LETTERS:
-        stems = [f"{base.name}{separator}{letter}" for separator in separators]
-        candidates = [f"{stem}{tail}" for stem in stems for tail in _TAILS]
+        candidates = list(map("".join, product((base.name,), separators, letter, _TAILS)))
         if "_" in separators:  # a matrix file NAME_K has a suffix
             candidates.remove(f"{base.name}_{letter}")
         fits = list(filter(raw.present, map(base.with_name, candidates)))
         if len(fits) > 1:
             problem = f"two files for matrix {letter}"
-            names = ", ".join(other.name for other in fits)
+            names = ", ".join(map(attrgetter("name"), fits))
             hint = f"delete or rename one of these files: {names}"
             raise wrong(str(base), problem, names, "one file for each matrix", hint)
         if fits:
@@ -198,7 +199,7 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
     archives = [path.with_name(f"{path.name}{suffix}") for suffix in READERS]
     archives = [] if raw.present(path) else list(filter(raw.present, archives))
     if len(archives) > 1:
-        got = ", ".join(other.name for other in archives)
+        got = ", ".join(map(attrgetter("name"), archives))
         hint = f"give the full name, such as {archives[0].name}"
         raise wrong(str(path), "several files have this name", got, "one file", hint)
     archive = dict.fromkeys([_WHOLE], archives[0]) if archives else {}
@@ -208,10 +209,10 @@ def _family(path: Path) -> tuple[Path, dict[str, Path]]:
 def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]) -> raw.Raw:
     suffix = path.suffix.lower()
     if files:
-        return _matrices(files)
+        return _read_matrices(files)
     if not raw.present(path) or suffix == ".toml":
         if not raw.present(path) and suffix:
-            raise raw.absent(path, "a model: kc2spice reduce --help lists the kinds of files")
+            raise raw.missing_file(path, "a model: kc2spice reduce --help lists the kinds of files")
         expected = f"{path.name}.M and {path.name}.K, or {path.name}.npz or .mat"
         hint = "kc2spice reduce --help lists the kinds of files"
         raise wrong(str(path), "no such model", expected=expected, hint=hint)
@@ -225,13 +226,13 @@ def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]
     return raw.call_reader(path, expected, lambda: read(path, requested))
 
 
-def _matrices(files: dict[str, Path]) -> raw.Raw:
-    """One file a matrix; Matrix Market and Harwell-Boeing may stand side by side."""
+def _read_matrices(files: dict[str, Path]) -> raw.Raw:
+    """Read one matrix from each file, in Matrix Market, Harwell-Boeing or Abaqus' format."""
     result: dict[str, Matrix] = {}
     tables: dict[str, Path] = {}
     mapped: list[Path] = []
     for letter, path in files.items():
-        head = _head(path)
+        head = _read_head(path)
         allowed = partial(raw.require_size, path, letter)
         if head[: len(BANNER)].lower() == BANNER:
             expected = "a Matrix Market file, 'coordinate' or 'array', not 'pattern' or 'hermitian'"
@@ -257,17 +258,17 @@ def _matrices(files: dict[str, Path]) -> raw.Raw:
     if names and dofs is None:
         size = next(m.shape[0] for k, m in result.items() if k in "MEKA")
         expected = f"lines of equation, node and degree of freedom for {size} equations"
-        dofs = raw.parse_file(names[0], expected, partial(codes.mapping, size=size))
+        dofs = raw.parse_file(names[0], expected, partial(codes.read_mapping, size=size))
     return raw.Raw(result, dofs, abaqus.fixed, files)
 
 
-def _head(path: Path) -> bytes:
-    with raw.existing(path).open("rb") as stream:
+def _read_head(path: Path) -> bytes:
+    with raw.require_file(path).open("rb") as stream:
         return stream.read(2000).removeprefix(b"\xef\xbb\xbf")
 
 
-def _rows(data: bytes) -> raw.Dofs:
-    """``node,dof`` of each row in order, dofs by number."""
+def _parse_rows(data: bytes) -> raw.Dofs:
+    """Parse lines of node and number of its degree of freedom, one line for each row."""
     values = parse_numbers(data)
     if values.size == 0 or values.size % 2:
         raise ValueError(f"expected an even number of values (node, dof), got {values.size}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from kc2spice.rom.pencil import Matrix
 
 
 def assemble_model(rows: Rows) -> LinearModel:
-    """The model of ``rows`` in SI with the ports of its sidecar.
+    """Assemble the model of ``rows`` in SI with the ports of its sidecar.
 
     Raises
     ------
@@ -28,16 +29,18 @@ def assemble_model(rows: Rows) -> LinearModel:
         half stored, freedoms or nodes that do not exist; the message names file and key.
     """
     rows = replace(rows, matrices=_match_letters(rows))
-    rows = replace(rows, matrices=_complete(rows))
+    rows = replace(rows, matrices=_complete_matrices(rows))
     rows = replace(rows, matrices=rows.in_si())
     if any(entry.kind == ELECTRICAL.port and entry.placed for entry in rows.sidecar.ports):
-        return _with_electrodes(rows)
-    return _plain(rows)
+        return _assemble_piezoelectric(rows)
+    return _assemble_mechanical(rows)
 
 
 def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
-    """All matrices under our letters: many tools call the damping C, which is E here, and C the
-    outputs. Which of these a square C beside M and K is, is never guessed."""
+    """Rename the damping matrix to E: many tools call it C, which is the matrix of outputs here.
+
+    A square C beside M and K may be either, and is an error unless the sidecar tells which.
+    """
     matrices, settings = rows.matrices, rows.sidecar
     C, K = matrices.get("C"), matrices.get("K")
     if settings.damping_matrix == "C":
@@ -45,7 +48,9 @@ def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
         if C is None or not {"M", "K"} <= set(matrices) or "E" in matrices:
             got = f"matrices {', '.join(sorted(matrices))}"
             raise wrong(where, "no damping matrix of this name", got, "M, C, K and B, without E")
-        return {"E" if letter == "C" else letter: matrix for letter, matrix in matrices.items()}
+        renamed = dict(matrices)
+        renamed["E"] = renamed.pop("C")
+        return renamed
     square = C is not None and K is not None and C.shape == K.shape
     if square and "M" in matrices and "E" not in matrices and settings.outputs is None:
         raise wrong(
@@ -64,7 +69,7 @@ def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
     return matrices
 
 
-def _complete(rows: Rows) -> Mapping[str, Matrix]:
+def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
     """Return all matrices of the model by letter, and check that their shapes fit.
 
     Without M the model is of first order, such as heat conduction ``E x' + K x = B u``. A matrix of
@@ -81,20 +86,22 @@ def _complete(rows: Rows) -> Mapping[str, Matrix]:
         got = "matrices " + ", ".join(sorted(matrices))
         hint = f"add the matrix B, or [[ports]] to {rows.name}.toml"
         raise wrong(rows.where, "the model has no inputs", got, expected, hint)
-    size = max((matrix.shape[0] for k, matrix in matrices.items() if k in "MEKA"), default=1)
+    size = max((matrix.shape[0] for matrix in _square_matrices(matrices).values()), default=1)
     model = LinearModel(**{"B": np.ones((size, 1)), **matrices}, name=rows.where)
     letters = (set(matrices) - {"K"}) | {"A"} if model.first_order else set(matrices)
     letters |= set("CD") if "B" in matrices else set()
     result = {letter: getattr(model, letter) for letter in letters}
     if structural and "K" in result:
         result["K"] = stiffness
-    symmetric, square = rows.sidecar.symmetric, {k: result[k] for k in "MEKA" if k in result}
+    symmetric, square = rows.sidecar.symmetric, _square_matrices(result)
     halves = [k for k, matrix in square.items() if half_stored(matrix)]
     if symmetric is None and halves:
         hint = f"in {rows.name}.toml: symmetric = true for halves, false if it is triangular"
         problem = "only one triangle is stored, but the file says 'general'"
         raise wrong(rows.where, problem, f"matrix {', '.join(halves)}", "the whole matrix", hint)
-    square |= {k: complete_triangle(square[k]) for k in halves if symmetric}
+    if symmetric:
+        for letter in halves:
+            square[letter] = complete_triangle(square[letter])
     for letter, matrix in square.items():
         if symmetric and abs(matrix - matrix.T).max() > 1e-9 * abs(matrix).max():
             expected = f"what symmetric = true in {rows.sidecar.where} says"
@@ -106,15 +113,21 @@ def _complete(rows: Rows) -> Mapping[str, Matrix]:
     return result | square
 
 
+def _square_matrices(matrices: Mapping[str, Matrix]) -> dict[str, Matrix]:
+    """Select the matrices that have a row and a column for each unknown."""
+    return {letter: matrices[letter] for letter in "MEKA" if letter in matrices}
+
+
 def _restrict(matrix: Matrix, keep: np.ndarray) -> Matrix:
+    """Select rows and columns of a sparse matrix."""
     return matrix if len(keep) == matrix.shape[0] else sparse.csc_array(matrix[keep][:, keep])
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """A model as its files contain it, ``raw``, with the degrees of freedom of its rows and the
-    places of its nodes from its ``sidecar``.
+    """Rows of the matrices of a model, with their nodes and degrees of freedom.
 
+    ``raw`` is the content of the model's files. The ``sidecar`` contains the places of the nodes.
     Errors quote the path ``where``. ``matrices`` are the matrices by letter.
     """
 
@@ -132,7 +145,7 @@ class Rows:
         return int(self.matrices["K" if "K" in self.matrices else "A"].shape[0])
 
     def dofs(self, where: str) -> Dofs:
-        """The names of the rows, which ``where`` asks for."""
+        """Return nodes and degrees of freedom of the rows; ``where`` is the key that needs them."""
         dofs = self.raw.dofs
         if dofs is None:
             raise UsageError(
@@ -147,8 +160,10 @@ class Rows:
         return dofs
 
     def find(self, place: NodeSelection, kinds: tuple[int, ...]) -> list[np.ndarray]:
-        """Rows of the freedoms ``kinds`` at the nodes of ``place``, one array per kind; of all
-        freedoms there, each its own, without any kind. None of a set's nodes need be missing."""
+        """Find the rows of the freedoms ``kinds`` at the nodes of ``place``, an array per kind.
+
+        Without ``kinds`` the only array contains the rows of all freedoms at these nodes.
+        """
         where = self.sidecar.of(place)
         dofs, mesh = self.dofs(where), self.sidecar.mesh
         if place.numbers:
@@ -173,7 +188,8 @@ class Rows:
         rows = [np.flatnonzero(here & (dofs.kind == kind)) for kind in kinds]
         for kind, result in zip(kinds, rows, strict=True):
             if not len(result):
-                expected = ", ".join(DOFS[int(k)] for k in np.unique(dofs.kind[here]))
+                kinds_here = np.unique(dofs.kind[here]).tolist()
+                expected = ", ".join(map(DOFS.__getitem__, kinds_here))
                 hint = "the tool may have removed it because it is constrained"
                 raise wrong(
                     where, "no such degree of freedom at these nodes", DOFS[kind], expected, hint
@@ -181,7 +197,7 @@ class Rows:
         return rows if kinds else [np.flatnonzero(here)]
 
     def in_si(self) -> Mapping[str, Matrix]:
-        """Matrices in metres and newtons: virtual work is what both unit systems agree on."""
+        """Convert the matrices to metres and newtons, with the same virtual work."""
         settings = self.sidecar
         length, force = LENGTHS[settings.length], FORCES[settings.force]
         if length == force == 1:
@@ -197,7 +213,7 @@ class Rows:
         return {k: sparse.csc_array(force * length * (t @ m @ t)) for k, m in self.matrices.items()}
 
     def fixed(self) -> np.ndarray:
-        """Mask (rows,) of those that the tool or the sidecar holds at zero."""
+        """Mask (rows,) of the degrees of freedom that the tool or the sidecar fixes at zero."""
         fixed_rows = np.zeros(self.size, dtype=bool)
         fixed_rows[self.raw.fixed] = True
         for fixed in self.sidecar.fixed:
@@ -207,9 +223,9 @@ class Rows:
     # --- ports ------------------------------------------------------------------------------------
 
     def load(self, entry: PortEntry) -> np.ndarray:
-        """Column of a unit input of a port; for an output, its row."""
+        """Compute the column of B of a port, or the row of C of an output."""
         if entry.column is not None or entry.row is not None:
-            return self._listed(entry)
+            return self._select_load(entry)
         where, load = self.sidecar.of(entry), np.zeros(self.size)
         if entry.kind == ACCELERATION.port:  # acceleration of the frame: -M r
             if "M" not in self.matrices:
@@ -231,8 +247,8 @@ class Rows:
             )
         return load
 
-    def _listed(self, entry: PortEntry) -> np.ndarray:
-        """A column of B or row of C; conservative ports see what they drive, so a C must agree."""
+    def _select_load(self, entry: PortEntry) -> np.ndarray:
+        """Select a column of B or row of C, which must be equal for conservative ports."""
         B = self.matrices.get("B", np.zeros((self.size, 0)))
         C = self.matrices.get("C", B.T)  # the file's, or what goes with nodes alone
         where, place = self.sidecar.of(entry), entry.column or entry.row or 0
@@ -251,7 +267,7 @@ class Rows:
         return load
 
     def ports(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[Port, ...]]:
-        """B, C, D over all rows and the ports, in the order of the sidecar."""
+        """Compute B, C, D over all rows, and the ports in the order of the sidecar."""
         settings = self.sidecar
         if not settings.ports:
             return self.matrices["B"], self.matrices["C"], self.matrices["D"], ()
@@ -259,36 +275,37 @@ class Rows:
             got = f"{len(settings.ports)} ports of {self.size} rows"
             expected = f"at most {MAX_WIDE // self.size} ports of this model"
             raise UsageError("too many ports", where=settings.where, got=got, expected=expected)
-        loads = {entry.name: self.load(entry) for entry in settings.ports}
-        inputs = [entry for entry in settings.ports if entry.kind != "output"]
-        outputs = [entry for entry in settings.ports if entry.kind != "input"]
-        if not inputs or not outputs:
+        loads = np.array([*map(self.load, settings.ports)])
+        kinds = np.array([entry.kind for entry in settings.ports])
+        inputs, outputs = np.flatnonzero(kinds != "output"), np.flatnonzero(kinds != "input")
+        if not inputs.size or not outputs.size:
             expected = "ports of the kinds input and output, or a port of another kind"
-            lacking = "output" if inputs else "input"
+            lacking = "output" if inputs.size else "input"
             hint = f'add a port with  kind = "{lacking}"'
             raise wrong(settings.where, f"no port is an {lacking}", None, expected, hint)
-        into = np.array([entry.scale for entry in inputs])  # 1 of conservative ones
-        out = 1 / np.array([[entry.scale] for entry in outputs])
+        scales = np.array([entry.scale for entry in settings.ports])  # 1 of conservative ports
+        into, out = scales[inputs], 1 / scales[outputs][:, None]
         D = np.zeros((len(outputs), len(inputs)))
-        if "D" in self.matrices:  # where both the column and the row are the file's
-            rows, columns = ([e.row or e.column or 0 for e in side] for side in (outputs, inputs))
-            D = np.pad(self.matrices["D"], ((1, 0), (1, 0)))[np.ix_(rows, columns)]
+        if "D" in self.matrices:  # for ports whose column and row are numbers in the sidecar
+            numbers = np.array([entry.row or entry.column or 0 for entry in settings.ports])
+            D = np.pad(self.matrices["D"], 1)[np.ix_(numbers[outputs], numbers[inputs])]
         return (
-            np.column_stack([loads[e.name] for e in inputs]) * into,
-            np.array([loads[e.name] for e in outputs]) * out,
+            loads[inputs].T * into,
+            loads[outputs] * out,
             D * into * out,
-            tuple(entry.port for entry in settings.ports),
+            tuple(map(attrgetter("port"), settings.ports)),
         )
 
 
-def _plain(rows: Rows) -> LinearModel:
-    """Rows that nothing holds, with the damping of the sidecar on top."""
+def _assemble_mechanical(rows: Rows) -> LinearModel:
+    """Assemble a model without electrodes, with the damping of its matrices and of the sidecar."""
     settings = rows.sidecar
     keep = np.flatnonzero(~rows.fixed())
     if not keep.size:
         cure = "delete one of the [[fixed]] entries"
         raise UsageError("every degree of freedom is fixed", where=settings.where, hint=cure)
-    operators = {k: _restrict(m, keep) for k, m in rows.matrices.items() if k in "MEKA"}
+    square = _square_matrices(rows.matrices)
+    operators = {letter: _restrict(matrix, keep) for letter, matrix in square.items()}
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
     if empty.size:  # an unknown that nothing determines: a gap in the numbering
@@ -326,10 +343,11 @@ def _plain(rows: Rows) -> LinearModel:
     )
 
 
-def _with_electrodes(rows: Rows) -> LinearModel:
-    """Electrodes at nodes: their potentials are driven, all other free ones eliminated exactly.
+def _assemble_piezoelectric(rows: Rows) -> LinearModel:
+    """Assemble a model with electrodes at nodes and without other free potentials.
 
-    The tool's matrix is ``[[K_uu, K_up], [K_up', -K_pp]]``, as Ansys and Abaqus write it.
+    The free potentials are eliminated exactly. The tool's matrix is
+    ``[[K_uu, K_up], [K_up', -K_pp]]``, as Ansys and Abaqus write it.
     """
     settings = rows.sidecar
     if "A" in rows.matrices or any(e.kind in ("input", "output") for e in settings.ports):
@@ -374,7 +392,7 @@ def _with_electrodes(rows: Rows) -> LinearModel:
         k_pV=-KT[p],
         c_VV=c,
         B=np.reshape(loads, (len(loads), len(u))).T,
-        ports=[entry.port for entry in settings.ports],
+        ports=[*map(attrgetter("port"), settings.ports)],
         facts={"unknowns": len(u) + len(p)},
         name=rows.name,
         band=settings.band,

@@ -43,13 +43,13 @@ LOSS = "H"  # the letter of structural damping, in K + j H
 NAME = re.compile(r"(.*)_(STIF|MASS|DMPV|DMPS)(\d*)\.mtx", re.IGNORECASE)
 _LETTER = {"STIF": "K", "MASS": "M", "DMPV": "E", "DMPS": LOSS}
 _FIXED_STIFFNESS = 1e35
+_COMMENT_LINE = re.compile(rb"^\*.*\n?", re.MULTILINE)
 _EXPECTED = "an .mtx file of *MATRIX OUTPUT, FORMAT=MATRIX INPUT or COORDINATE"
 SUFFIXES = (".sti", ".mas", ".dof")
 
 
-def siblings(path: Path) -> dict[str, Path]:
-    """Stiffness, mass, viscous and structural damping of the job and step that ``path`` belongs
-    to."""
+def find_siblings(path: Path) -> dict[str, Path]:
+    """Find the matrices of the same job and step as ``path``, by letter."""
     match = NAME.fullmatch(path.name)
     if match is None:
         return {}
@@ -63,22 +63,24 @@ def siblings(path: Path) -> dict[str, Path]:
 
 
 def read_abaqus(files: dict[str, Path]) -> raw.Raw:
-    """Matrices by letter from the files of one job.
+    """Read matrices by letter from the files of one job.
 
     Raises
     ------
     UsageError : damaged, formats mixed, too large, or entries that are not those of one matrix.
     """
-    read = {letter: raw.parse_file(path, _EXPECTED, _entries) for letter, path in files.items()}
-    tables, dofs = {letter: table for letter, (_, table) in read.items()}, None
-    if len({labelled for labelled, _ in read.values()}) > 1:
+    tables, formats, dofs = dict[str, raw.Triple](), set[bool](), None
+    for letter, path in files.items():
+        labelled, tables[letter] = raw.parse_file(path, _EXPECTED, _parse_entries)
+        formats.add(labelled)
+    if len(formats) > 1:
         one = next(iter(files.values()))
         raise raw.unusable_file(one, "MATRIX INPUT and COORDINATE", "one format for all matrices")
-    if all(labelled for labelled, _ in read.values()):
+    if True in formats:
         result, dofs = raw.matrices_by_letter(tables)
         result = {letter: raw.both_triangles(matrix) for letter, matrix in result.items()}
     else:
-        n = 1 + max(int(side.max()) for row, column, _ in tables.values() for side in (row, column))
+        n = 1 + max(int(np.max(table[:2])) for table in tables.values())
         result = {k: sparse.csc_array((v, (i, j)), (n, n)) for k, (i, j, v) in tables.items()}
     fixed = result["K"].diagonal() >= _FIXED_STIFFNESS if "K" in result else np.empty(0, dtype=bool)
     result = with_loss(result)
@@ -86,11 +88,11 @@ def read_abaqus(files: dict[str, Path]) -> raw.Raw:
 
 
 def with_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
-    """Matrices by letter with ``K + j H`` in place of K where there is a structural damping H.
+    """Replace K by ``K + j H`` if there is a matrix H of structural damping.
 
     Raises
     ------
-    ValueError : it stands without K, has another size, or K is complex itself.
+    ValueError : there is no K, K has another size, or K is complex itself.
     """
     result = dict(matrices)
     loss = result.pop(LOSS, None)
@@ -102,11 +104,13 @@ def with_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
     return result | {"K": sparse.csc_array(K + 1j * loss)}
 
 
-def _entries(data: bytes) -> tuple[bool, raw.Triple]:
-    """Whether lines name nodes and freedoms; rows and columns, by key or from 0, and values."""
+def _parse_entries(data: bytes) -> tuple[bool, raw.Triple]:
+    """Parse rows, columns and values, and whether the lines name nodes and freedoms.
+
+    Rows and columns are keys of nodes and freedoms, or count from 0.
+    """
     if data.startswith(b"*") or b"\n*" in data:
-        lines = data.split(b"\n")
-        data = b"\n".join(line for line in lines if not line.startswith(b"*"))
+        data = _COMMENT_LINE.sub(b"", data)
     width = len(data.lstrip().split(b"\n", 1)[0].replace(b",", b" ").split())
     values = parse_numbers(data)
     if width not in (3, 5) or values.size == 0 or values.size % width:
@@ -126,7 +130,7 @@ def _entries(data: bytes) -> tuple[bool, raw.Triple]:
 
 
 def read_calculix(path: Path, _: object) -> raw.Raw:
-    """Stiffness and mass of the job of which ``path`` is a ``.sti``, ``.mas`` or ``.dof`` file.
+    """Read stiffness and mass of a job by the path of its ``.sti``, ``.mas`` or ``.dof`` file.
 
     Raises
     ------
@@ -139,28 +143,28 @@ def read_calculix(path: Path, _: object) -> raw.Raw:
             raise raw.unusable_file(
                 path, f"no {file.name}", f"{', '.join(SUFFIXES)} side by side", hint
             )
-    dofs = raw.parse_file(rows, "lines node.direction", _dofs)
+    dofs = raw.parse_file(rows, "lines node.direction", _parse_dofs)
     expected = f"lines 'row column value' for {len(dofs)} rows"
     files = {"K": stiffness, "M": mass}
     result = {
-        letter: raw.parse_file(file, expected, lambda data: _triangle(data, len(dofs)))
+        letter: raw.parse_file(file, expected, lambda data: _parse_triangle(data, len(dofs)))
         for letter, file in files.items()
     }
     return raw.Raw(result, dofs, files=files)
 
 
-def _dofs(data: bytes) -> raw.Dofs:
+def _parse_dofs(data: bytes) -> raw.Dofs:
     words = data.split()
     if not 0 < len(words) <= raw.MAX_SIZE:
         raise ValueError(f"{len(words)} rows")
     pairs = [word.partition(b".")[::2] for word in words]  # 12.3 is node 12, never a number
-    node, kind = np.array([[int(a), int(b)] for a, b in pairs], dtype=np.int64).T
+    node, kind = np.array(pairs).astype(np.int64).T
     if not ((kind >= 0) & (kind <= 6)).all():
         raise ValueError(f"direction {kind[(kind < 0) | (kind > 6)][0]}")
     return raw.Dofs(node, np.where(kind == 0, raw.CODES["temp"], kind))
 
 
-def _triangle(data: bytes, n: int) -> sparse.csc_array:
+def _parse_triangle(data: bytes, n: int) -> sparse.csc_array:
     values = parse_numbers(data)
     if values.size == 0 or values.size % 3:
         raise ValueError(f"{values.size} numbers in 3 columns: is it cut off?")
@@ -184,8 +188,9 @@ _ANSYS = {"ROTX": "rx", "ROTY": "ry", "ROTZ": "rz"}
 
 
 def unpack_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
-    """Stiffness and mass of a ``.full`` file as arrays of an archive, with the freedoms that Ansys
-    constrains as ``fixed``; ``requested`` is ignored.
+    """Read stiffness and mass of a ``.full`` file as arrays of an archive.
+
+    ``fixed`` are the degrees of freedom that Ansys constrains. ``requested`` is ignored.
 
     Raises
     ------
@@ -196,8 +201,8 @@ def unpack_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
     place = np.asarray(place, dtype=np.int64)
     kind = np.array([raw.CODES[_KINDS[int(k)]] for k in place[:, 1]])
     const = np.asarray(file.const, dtype=np.int64).reshape(-1, 2)  # whose rows are left empty
-    keys, constrained = (item[:, 0] * 64 + item[:, 1] for item in (place, const))
-    fixed = np.flatnonzero(np.isin(keys, constrained))
+    key = np.array([64, 1])
+    fixed = np.flatnonzero(np.isin(place[:, :2] @ key, const @ key))
     result = {"nodes": place[:, 0], "dofs": kind, "fixed": fixed}
     for letter, matrix in (("K", stiffness), ("M", mass)):  # the upper triangle is stored
         result |= raw.pack_matrix(letter, complete_triangle(sparse.csc_array(matrix)))
@@ -213,7 +218,7 @@ def is_harwell_boeing(head: bytes) -> bool:
 def read_harwell_boeing(
     data: bytes, allowed: Callable[[tuple[int, int], int], None]
 ) -> sparse.csc_array:
-    """The matrix of a file's content, whole: the stored triangle of RSA is mirrored.
+    """Read the matrix of a file's content with both triangles.
 
     ``allowed(shape, entries)`` raises where the declared size is too large, before memory is taken.
 
@@ -243,7 +248,7 @@ def read_harwell_boeing(
     numbers_of = (columns + 1, entries, 2 * entries if kind[0] == "C" else entries)
     for (repeat, width), length, number in zip(formats, counts[1:], numbers_of, strict=False):
         section = lines[start : start + length]
-        parts.append(_cut_out(section, int(repeat or 1), int(width), number))
+        parts.append(_parse_fixed_width(section, int(repeat or 1), int(width), number))
         start += length
     pointer, row = parts[0], parse_indices(parts[1], rows)
     sound = pointer[0] == 1 and pointer[-1] == entries + 1 and (np.diff(pointer) >= 0).all()
@@ -260,8 +265,8 @@ def read_harwell_boeing(
     return complete_triangle(matrix, 1 if kind[1] == "S" else -1)
 
 
-def _cut_out(lines: list[bytes], repeat: int, width: int, number: int) -> np.ndarray:
-    """``number`` values of ``width`` characters, ``repeat`` of them on each line."""
+def _parse_fixed_width(lines: list[bytes], repeat: int, width: int, number: int) -> np.ndarray:
+    """Parse ``number`` values of ``width`` characters, ``repeat`` of them on each line."""
     if len(lines) * repeat < number:
         raise ValueError(
             f"the file ends after {len(lines)} of {math.ceil(number / repeat)} lines with "
@@ -275,41 +280,43 @@ def _cut_out(lines: list[bytes], repeat: int, width: int, number: int) -> np.nda
     return np.char.strip(values).astype(float)
 
 
-def mapping(data: bytes, size: int) -> raw.Dofs:
-    """Node and freedom of each of ``size`` equations from Ansys' ``NAME.mapping``.
+def read_mapping(data: bytes, size: int) -> raw.Dofs:
+    """Read node and freedom of each of ``size`` equations from Ansys' ``NAME.mapping``.
 
     Raises
     ------
     ValueError : damaged, an equation missing or twice, a freedom that is not known.
     """
-    rows = [line.split() for line in data.decode("ascii", "replace").splitlines()]
-    rows = [row for row in rows if row and row[0].isdigit()]
-    if len(rows) != size or any(len(row) != 3 for row in rows):
+    lines = map(str.split, data.decode("ascii", "replace").splitlines())
+    rows = [words for words in lines if words and words[0].isdigit()]
+    if len(rows) != size or set(map(len, rows)) != {3}:
         raise ValueError(f"{len(rows)} equations")
-    names = [_ANSYS.get(row[2].upper(), row[2].lower()) for row in rows]
+    equations, nodes, freedoms = zip(*rows, strict=True)
+    names = [_ANSYS.get(name.upper(), name.lower()) for name in freedoms]
     unknown = sorted(set(names) - set(raw.CODES))
     if unknown:
         raise ValueError(f"degree of freedom {unknown[0]}")
-    place = parse_indices(np.array([float(row[0]) for row in rows]), size)
+    place = parse_indices(np.array(list(map(float, equations))), size)
     if len(np.unique(place)) < size:
         raise ValueError("an equation occurs twice")
     node, kind = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
-    node[place] = [int(row[1]) for row in rows]
-    kind[place] = [raw.CODES[name] for name in names]
+    node[place] = list(map(int, nodes))
+    kind[place] = list(map(raw.CODES.__getitem__, names))
     return raw.Dofs(node, kind)
 
 
-_FIRST = {"K": "K", "K4": LOSS, "M": "M", "B": "E"}
+# Letters of Nastran's matrices by the first letters of their names.
+_PREFIXES = {"K": "K", "K4": LOSS, "M": "M", "B": "E"}
 _SHORT_EXPONENT = re.compile(r"(?<=[0-9.])([+-]\d+)$")  # 1.5+7 is 1.5e+7
 _SQUARE, _SYMMETRIC = 1, 6
 
 
-def choose(names: list[str], requested: Mapping[str, str], path: Path) -> dict[str, str]:
+def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) -> dict[str, str]:
     """Assign matrices of the file to the letters M, E, K, A, B, C, D.
 
     Raises
     ------
-    UsageError : a name that is not there, or two that may stand for one letter.
+    UsageError : the file lacks a requested matrix, or two matrices fit one letter.
     """
     known = {name.upper(): name for name in names}
     selected = {}
@@ -317,9 +324,8 @@ def choose(names: list[str], requested: Mapping[str, str], path: Path) -> dict[s
         if name.upper() not in known:
             raise raw.unusable_file(path, f"no matrix {name}", f"one of {', '.join(names)}")
         selected[letter] = known[name.upper()]
-    for first, letter in _FIRST.items():
-        fits = [n for u, n in known.items() if u.startswith(first)]
-        fits = [n for n in fits if first != "K" or not n.upper().startswith("K4")]
+    for letter in _PREFIXES.values():
+        fits = [name for name in known.values() if _usual_letter(name) == letter]
         if letter in selected or not fits or requested:
             continue
         if len(fits) > 1:
@@ -335,26 +341,33 @@ def choose(names: list[str], requested: Mapping[str, str], path: Path) -> dict[s
     return selected
 
 
+def _usual_letter(name: str) -> str | None:
+    """Letter of a matrix with this name, None if its first letters have no meaning."""
+    return _PREFIXES.get(name[:2].upper()) or _PREFIXES.get(name[:1].upper())
+
+
 def read_dmig(path: Path, requested: Mapping[str, str]) -> raw.Raw:
-    """Matrices of the DMIG cards in ``path``, rows named by grid and component.
+    """Read the matrices of the DMIG cards in ``path``, rows named by grid and component.
 
     Raises
     ------
     UsageError : no such cards, rectangular ones, or damage.
     """
     expected = "square DMIG cards"
-    forms, entries = raw.parse_file(path, expected, _dmig)
-    selected = choose([n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], requested, path)
-    matrices, dofs = raw.matrices_by_letter(
-        {letter: entries[name] for letter, name in selected.items()}
+    forms, entries = raw.parse_file(path, expected, _parse_dmig)
+    selected = choose_matrices(
+        [n for n, f in forms.items() if f in (_SQUARE, _SYMMETRIC)], requested, path
     )
-    symmetric = {k for k, name in selected.items() if forms[name] == _SYMMETRIC}
-    mirrored_too = {k: raw.both_triangles(m) if k in symmetric else m for k, m in matrices.items()}
-    return raw.Raw(with_loss(mirrored_too), dofs)
+    triples = {letter: entries[name] for letter, name in selected.items()}
+    matrices, dofs = raw.matrices_by_letter(triples)
+    for letter, name in selected.items():
+        if forms[name] == _SYMMETRIC:
+            matrices[letter] = raw.both_triangles(matrices[letter])
+    return raw.Raw(with_loss(matrices), dofs)
 
 
-def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
-    """Form of each matrix by name, and its keys of rows and columns and values."""
+def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
+    """Parse the form of each matrix by name, and its keys of rows and columns and values."""
     forms: dict[str, int] = {}
     values: dict[str, Callable[[str, str], complex]] = {}
     entries: dict[str, list[tuple[complex, ...]]] = {}
@@ -365,22 +378,22 @@ def _dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
         if cells[1].strip() == "0":
             forms[name], entries[name] = int(cells[2]), []
             polar = len(cells) > 5 and cells[5].strip() not in ("", "0")
-            values[name] = _value(int(cells[3]), polar, name)
+            values[name] = _value_converter(int(cells[3]), polar, name)
             continue
         if name not in forms:
             raise ValueError(f"matrix {name} has no header card")
-        column = (int(cells[1]), _component(cells[2]))
+        column = (int(cells[1]), _parse_component(cells[2]))
         for at in range(4, len(cells), 4):
             grid, component, first, second = [*cells[at : at + 4], "", "", ""][:4]
             if grid.strip():
-                place = (int(grid), _component(component), *column)
+                place = (int(grid), _parse_component(component), *column)
                 entries[name].append((*place, values[name](first, second)))
     if not forms:
         raise ValueError("no DMIG card")
     return forms, {name: raw.row_keys(np.array(e).reshape(-1, 5)) for name, e in entries.items()}
 
 
-def _value(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
+def _value_converter(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
     """Conversion of the two fields of an entry to its value.
 
     A real matrix uses the first field. A complex matrix uses both, as real and imaginary part or as
@@ -389,19 +402,21 @@ def _value(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
     if kind not in (1, 2, 3, 4):
         raise ValueError(f"matrix {name} is of type {kind}")
     if kind < 3:
-        return lambda first, _: fortran_number(first)
+        return lambda first, _: parse_fortran_number(first)
     if polar:
         return lambda size, angle: cmath.rect(
-            fortran_number(size), math.radians(fortran_number(angle or "0"))
+            parse_fortran_number(size), math.radians(parse_fortran_number(angle or "0"))
         )
     return lambda first, second: complex(
-        fortran_number(first), fortran_number(second.strip() or "0")
+        parse_fortran_number(first), parse_fortran_number(second.strip() or "0")
     )
 
 
 def bulk_data_cards(data: bytes, name: str) -> Iterator[list[str]]:
-    """The fields of each card of this name behind it, continuation lines joined; bulk data in
-    small, large and free fields."""
+    """Yield the fields of each card of this name, with those of its continuation lines.
+
+    Fields of bulk data may be small, large or free.
+    """
     cells: list[str] = []
     for line in data.decode("ascii", "replace").splitlines():
         line = line.split("$", 1)[0].rstrip()
@@ -411,12 +426,12 @@ def bulk_data_cards(data: bytes, name: str) -> Iterator[list[str]]:
             yield cells
             cells = []
         if begins or (cells and continues):
-            cells += _fields(line)
+            cells += _split_fields(line)
     if cells:
         yield cells
 
 
-def _fields(line: str) -> list[str]:
+def _split_fields(line: str) -> list[str]:
     if "," in line:
         cells = line.split(",")[1:9]
         return cells + [""] * (8 - len(cells))
@@ -424,21 +439,20 @@ def _fields(line: str) -> list[str]:
     return [line[8 + k * width : 8 + (k + 1) * width] for k in range(count)]
 
 
-def _component(text: str) -> int:
+def _parse_component(text: str) -> int:
     value = int(text.strip() or 0)
     if not 0 <= value <= 6:
         raise ValueError(f"component {value}")
     return value
 
 
-def fortran_number(text: str) -> float:
-    """A number as Fortran writes it: 1.5D+7, or 1.5+7."""
+def parse_fortran_number(text: str) -> float:
+    """Parse a number as Fortran writes it: 1.5D+7, or 1.5+7."""
     return float(_SHORT_EXPONENT.sub(r"E\1", text.strip().upper().replace("D", "E")))
 
 
 def unpack_op4(path: str, requested: Mapping[str, str]) -> dict[str, np.ndarray]:
-    """The matrices of an OUTPUT4 file, text or binary, of either byte order, as arrays of an
-    archive.
+    """Read the matrices of an OUTPUT4 file, text or binary, as arrays of an archive.
 
     Raises
     ------
@@ -447,7 +461,7 @@ def unpack_op4(path: str, requested: Mapping[str, str]) -> dict[str, np.ndarray]
     """
     op4 = import_optional("pyyeti.nastran.op4", path)
     names, sizes, _, _ = op4.dir(path, verbose=False)
-    selected = choose(list(names), requested, Path(path))
+    selected = choose_matrices(list(names), requested, Path(path))
     for letter, name in selected.items():
         raw.require_size(Path(path), letter, sizes[names.index(name)], None)
     loaded = op4.load(path, list(selected.values()), sparse=True)

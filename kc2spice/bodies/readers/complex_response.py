@@ -14,8 +14,9 @@ of a passive part is at most 1; the inverse ratio is at least 1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -52,9 +53,11 @@ ONE_PART = "delete the columns or lines of the other one"
 
 @dataclass(frozen=True, eq=False)
 class MeasuredResponse(EqualByContent):
-    """``samples`` (n, ports, ports) of a ``quantity`` at ``f`` (n,) [Hz], the admittances ``Y``
-    that they are, the ``reference`` resistances (ports,) [Ohm] of S, what the reader assumed and
-    what the columns mean."""
+    """Measured ``samples`` (n, ports, ports) of a ``quantity`` at ``f`` (n,) [Hz].
+
+    ``Y`` are their admittances, ``reference`` the reference resistances (ports,) [Ohm] of S,
+    ``notes`` the assumptions of the reader, and ``columns`` the meaning of the columns.
+    """
 
     f: np.ndarray
     quantity: Quantity
@@ -66,7 +69,7 @@ class MeasuredResponse(EqualByContent):
 
 
 def admittance_of(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarray:
-    """Y (n, ports, ports) of S with the reference resistances ``z0`` (ports,), of Z or of Y."""
+    """Convert S with the reference resistances ``z0`` (ports,), Z or Y to Y (n, ports, ports)."""
     one = np.eye(P.shape[1])
     try:
         if quantity == "S":
@@ -78,17 +81,17 @@ def admittance_of(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarr
         raise ValueError(text) from None
 
 
-def two_readings(got: str, readings: Sequence[str], hint: str) -> UsageError:
+def ambiguous_file(got: str, readings: Sequence[str], hint: str) -> UsageError:
     """The error of a file that allows more than one reading."""
     listed = " or ".join(f"({k}) {text}" for k, text in enumerate(readings, 1))
     expected = f"one reading; this file allows {listed}"
     return UsageError("is ambiguous", got=got, expected=expected, hint=hint)
 
 
-def tables_response(
+def find_response(
     tables: Sequence[TextTable], shunt: float | None, suffix: str
 ) -> MeasuredResponse:
-    """The response of the tables of a file with this ``suffix``.
+    """Find the response in the tables of a file with this ``suffix``.
 
     Raises
     ------
@@ -99,7 +102,7 @@ def tables_response(
     notes = list[str]()
     for table in large:
         try:
-            responses.append((table, _table_response(table, shunt, suffix)))
+            responses.append((table, _find_response(table, shunt, suffix)))
         except (ValueError, UsageError) as error:
             reasons.append(error)
             notes.append(f"{table.place} are not used: {error}".splitlines()[0])
@@ -107,19 +110,19 @@ def tables_response(
         raise reasons[0]
     if len(responses) > 1:
         readings = [f"{table.place}: {response.columns}" for table, response in responses]
-        raise two_readings(f"{len(responses)} sweeps", readings, ONE_PART)
+        raise ambiguous_file(f"{len(responses)} sweeps", readings, ONE_PART)
     response = responses[0][1]
     return replace(response, notes=(*response.notes, *notes))
 
 
-def _table_response(table: TextTable, shunt: float | None, suffix: str) -> MeasuredResponse:
-    """The response of one table."""
+def _find_response(table: TextTable, shunt: float | None, suffix: str) -> MeasuredResponse:
+    """Find the response in one table."""
     if table.titles is not None and any(map(is_frequency, table.titles)):
         return response_of(table.titles, table.numbers, shunt, table.notes)
     suffix_titles = SUFFIX_TITLES.get(suffix)
     width = len(table.numbers)
     if suffix_titles and width == len(suffix_titles):
-        titles = _with_comments(suffix_titles, table.comments)
+        titles = _replace_titles(suffix_titles, table.comments)
         notes = (*table.notes, f"no titles of columns, taken as {', '.join(titles)}")
         return response_of(titles, table.numbers, shunt, notes)
     if table.titles is not None:
@@ -131,11 +134,11 @@ def _table_response(table: TextTable, shunt: float | None, suffix: str) -> Measu
         )
     first = " ".join(f"{column[0]:g}" for column in table.numbers[:6])
     got = f"{width} columns without titles, first row {first}"
-    raise two_readings(got, UNTITLED, NAME_COLUMNS)
+    raise ambiguous_file(got, UNTITLED, NAME_COLUMNS)
 
 
-def _with_comments(titles: Sequence[str], comments: Sequence[str]) -> tuple[str, ...]:
-    """Titles that a suffix implies, replaced by titles of the same quantity in the comments.
+def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str, ...]:
+    """Replace titles that a suffix implies by titles of the same quantity in the comments.
 
     Raises
     ------
@@ -157,7 +160,7 @@ def _with_comments(titles: Sequence[str], comments: Sequence[str]) -> tuple[str,
 
 
 @dataclass(frozen=True, eq=False)
-class _Reading(EqualByContent):
+class _ColumnPair(EqualByContent):
     """The ``samples`` (n,) of a combination of columns, and what their titles are."""
 
     combination: Combination
@@ -170,8 +173,7 @@ class _Reading(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class _Columns(EqualByContent):
-    """Columns of a table by quantity, complex ones, titles without a meaning, and problems of
-    titles."""
+    """Columns of a table by quantity, complex columns, unknown titles, and problems of titles."""
 
     by_quantity: dict[str, list[Column]]
     complex_columns: list[tuple[str, Quantity, np.ndarray]]
@@ -185,7 +187,7 @@ def response_of(
     shunt: float | None = None,
     notes: Sequence[str] = (),
 ) -> MeasuredResponse:
-    """The response of columns, ``numbers`` (n,) under ``titles``.
+    """Combine columns, ``numbers`` (n,) under ``titles``, to a response.
 
     ``shunt`` is the resistance [Ohm] through which a gain was measured.
 
@@ -196,36 +198,37 @@ def response_of(
     """
     if len(titles) != len(numbers):
         raise ValueError(f"{len(titles)} titles above {len(numbers)} columns of numbers")
-    columns = _understood(titles, numbers)
+    columns = _classify_columns(titles, numbers)
     _require_complete(titles, columns, shunt)
-    frequency = _one("f", columns.by_quantity["f"])
+    frequency = _require_agreement("f", columns.by_quantity["f"])
     f = frequency.values
     steps = np.diff(f)
     if not ((steps >= 0).all() or (steps <= 0).all()):
         raise ValueError("the frequency column goes up and down: is it another one?")
-    notes = [*notes, *(f"not used: {problem}" for problem in columns.problems)]
+    notes = [*notes, *map("not used: {}".format, columns.problems)]
     if columns.complex_columns:
         return _complex_response(frequency, columns, titles, notes)
-    readings = _readings(columns, f, shunt)
+    readings = _combine_columns(columns, f, shunt)
     reading = readings[0]
     used = (frequency, *reading.columns)
-    remarks = [*notes, *(column.note for column in used if column.note)]
+    remarks = [*notes, *filter(None, map(attrgetter("note"), used))]
     reference = REFERENCE
     samples = reading.samples
     if reading.combination.shunt:
         assert shunt is not None
-        samples, reference, remark = _reflection(samples, shunt)
+        samples, reference, remark = _convert_gain(samples, shunt)
         remarks.append(remark)
     elif reading.combination.quantity == "S":
         remarks.append(f"no reference resistance of S, taken as {REFERENCE:g} Ohm")
     if "c" in reading.combination.columns:
         remarks.append(f"{reading.columns[0].title.text}: neither Cp nor Cs, taken as Cp")
-    summary = _summary(used, titles)
-    return _response(f, reading.combination.quantity, samples, reference, remarks, summary)
+    texts = map(attrgetter("title.text"), used)
+    summary = ", ".join(map(str, used)) + _describe_unused(titles, texts)
+    return _make_response(f, reading.combination.quantity, samples, reference, remarks, summary)
 
 
-def _understood(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> _Columns:
-    """Columns by the meaning of their titles."""
+def _classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> _Columns:
+    """Classify columns by the meaning of their titles."""
     result = _Columns({}, [], [], [])
     for text, values in zip(titles, numbers, strict=True):
         try:
@@ -252,7 +255,7 @@ def _require_complete(titles: Sequence[str], columns: _Columns, shunt: float | N
     """Check that a frequency and columns of one combination exist."""
     names = set(columns.by_quantity)
     complete = [c for c in COMBINATIONS if set(c.columns) <= names]
-    gains = [c for c in complete if c.shunt]
+    gains = list(filter(attrgetter("shunt"), complete))
     if shunt is not None and not gains:
         raise UsageError(
             "applies to a table of gain and phase",
@@ -272,10 +275,10 @@ def _require_complete(titles: Sequence[str], columns: _Columns, shunt: float | N
             expected="the resistance in series with the part, or columns of an impedance",
             hint="add for example  --shunt '100 Ohm'",
         )
-    raise _incomplete(titles, columns)
+    raise _incomplete_table(titles, columns)
 
 
-def _incomplete(titles: Sequence[str], columns: _Columns) -> Exception:
+def _incomplete_table(titles: Sequence[str], columns: _Columns) -> Exception:
     """The error of columns that determine no impedance."""
     if columns.problems:
         return ValueError(columns.problems[0])
@@ -283,7 +286,7 @@ def _incomplete(titles: Sequence[str], columns: _Columns) -> Exception:
         meaning = UNSTATED.get("".join(text.lower().split()))
         if meaning is not None:
             got = f"the column {text!r} states neither quantity nor unit"
-            return two_readings(got, meaning.split("; or "), NAME_COLUMNS)
+            return ambiguous_file(got, meaning.split("; or "), NAME_COLUMNS)
     if SOUND in columns.by_quantity:
         title = columns.by_quantity[SOUND][0].title.text
         return ValueError(f"column {title!r} is a sound pressure")
@@ -295,8 +298,8 @@ def _incomplete(titles: Sequence[str], columns: _Columns) -> Exception:
     return ValueError(f"the columns {names} contain {missing}{strange}")
 
 
-def _one(quantity: str, candidates: Sequence[Column]) -> Column:
-    """The column of a quantity, which may be there more than once with the same values.
+def _require_agreement(quantity: str, candidates: Sequence[Column]) -> Column:
+    """Return the first column of a quantity, and check that other columns have the same values.
 
     Raises
     ------
@@ -304,26 +307,28 @@ def _one(quantity: str, candidates: Sequence[Column]) -> Column:
     """
     first, *others = candidates
     for other in others:
-        if _difference(other.values, first.values) > AGREE:
+        if _relative_difference(other.values, first.values) > AGREE:
             label = f"two columns of {LABELS.get(quantity, quantity)}"
-            raise two_readings(label, (str(first), str(other)), ONE_PART)
+            raise ambiguous_file(label, (str(first), str(other)), ONE_PART)
     return first
 
 
-def _pair(combination: Combination, columns: _Columns) -> tuple[Column, Column]:
-    """The columns of a combination; of several first ones that of the channel of the second.
+def _select_pair(combination: Combination, columns: _Columns) -> tuple[Column, Column]:
+    """Select the columns of a combination.
+
+    Of several first columns the one with the channel of the second column is selected.
 
     Raises
     ------
     UsageError : columns of one quantity differ, and no channel tells which belong together.
     """
-    sizes, others = (columns.by_quantity[quantity] for quantity in combination.columns)
+    first, second = combination.columns
+    sizes, others = columns.by_quantity[first], columns.by_quantity[second]
     channel = _channel(others[0])
     if len(sizes) > 1 and len(others) == 1 and channel:
         same = [column for column in sizes if _channel(column) == channel]
         sizes = same if len(same) == 1 else sizes
-    first, second = combination.columns
-    return _one(first, sizes), _one(second, others)
+    return _require_agreement(first, sizes), _require_agreement(second, others)
 
 
 def _channel(column: Column) -> str:
@@ -332,7 +337,7 @@ def _channel(column: Column) -> str:
     return match[0].lower() if match else ""
 
 
-def _difference(a: np.ndarray, b: np.ndarray) -> float:
+def _relative_difference(a: np.ndarray, b: np.ndarray) -> float:
     """Median difference relative to ``b`` (n,) where both are finite and not zero."""
     with np.errstate(all="ignore"):
         ratio = np.abs(a / b - 1)
@@ -340,35 +345,35 @@ def _difference(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.median(ratio)) if ratio.size else 0.0
 
 
-def _readings(columns: _Columns, f: np.ndarray, shunt: float | None) -> list[_Reading]:
-    """All combinations of columns, which agree.
+def _combine_columns(columns: _Columns, f: np.ndarray, shunt: float | None) -> list[_ColumnPair]:
+    """Form all combinations of columns, and check that they agree.
 
     Raises
     ------
     UsageError : two of them give different responses.
     """
-    names, readings = set(columns.by_quantity), list[_Reading]()
+    names, readings = set(columns.by_quantity), list[_ColumnPair]()
     phases = {"z": "phase_z", "y": "phase_y"} if shunt is None else {"gain": "gain_phase"}
-    size = next((name for name in phases if name in names), None)  # that the phase belongs to
+    size = next(filter(names.__contains__, phases), None)  # that the phase belongs to
     for combination in COMBINATIONS:
         first, second = combination.columns
         if combination.shunt != (shunt is not None) or not {first, second} <= names:
             continue
         if second == "phase" and (first != size or phases[first] in names):
             continue
-        pair = _pair(combination, columns)
+        pair = _select_pair(combination, columns)
         samples = combination.value(pair[0].values, pair[1].values, 2 * np.pi * f)
-        readings.append(_Reading(combination, pair, samples))
+        readings.append(_ColumnPair(combination, pair, samples))
     best = readings[0]
     for other in readings[1:]:
-        if _difference(_admittance(other), _admittance(best)) > AGREE:
+        if _relative_difference(_admittance(other), _admittance(best)) > AGREE:
             got = f"columns that differ, first at {f[0]:g} Hz"
             hint = "check the units of these columns, or delete those that are wrong"
-            raise two_readings(got, (str(best), str(other)), hint)
+            raise ambiguous_file(got, (str(best), str(other)), hint)
     return readings
 
 
-def _admittance(reading: _Reading) -> np.ndarray:
+def _admittance(reading: _ColumnPair) -> np.ndarray:
     """Admittance (n,) of a reading, by a reference of S that is the same for all."""
     x = reading.samples
     if reading.combination.quantity == "Y":
@@ -376,8 +381,8 @@ def _admittance(reading: _Reading) -> np.ndarray:
     return 1 / x if reading.combination.quantity == "Z" else (1 - x) / (1 + x) / REFERENCE
 
 
-def _reflection(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, str]:
-    """Reflection, reference resistance [Ohm] and a note of a gain through a shunt [Ohm]."""
+def _convert_gain(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, str]:
+    """Convert a gain through a shunt [Ohm] to a reflection, its reference [Ohm] and a note."""
     inverse = bool(np.median(np.abs(gain)) > 1)
     ratio = "source over shunt" if inverse else "shunt over source"
     gain = 1 / gain if inverse else gain
@@ -392,7 +397,7 @@ def _complex_response(
     text, quantity, samples = columns.complex_columns[0]
     if len(columns.complex_columns) > 1:
         readings = [f"{kind} from {name!r}" for name, kind, _ in columns.complex_columns]
-        raise two_readings("two columns of complex numbers", readings, ONE_PART)
+        raise ambiguous_file("two columns of complex numbers", readings, ONE_PART)
     remarks = [*notes, frequency.note] if frequency.note else list(notes)
     if quantity == "S":
         remarks.append(f"no reference resistance of S, taken as {REFERENCE:g} Ohm")
@@ -400,20 +405,19 @@ def _complex_response(
         unit = DEFAULT_UNITS["impedance" if quantity == "Z" else "admittance"]
         remarks.append(f"{text}: complex numbers, taken as {quantity} in the unit of its title")
         remarks[-1] = remarks[-1] if "(" in text or "_" in text else f"{text}: taken as {unit}"
-    left = [t.strip() for t in titles if t.strip() not in (text, frequency.title.text.strip())]
     summary = f"{frequency}, {quantity} from {text!r}"
-    summary += f"; not used: {', '.join(left)}" if any(left) else ""
-    return _response(frequency.values, quantity, samples, REFERENCE, remarks, summary)
+    summary += _describe_unused(titles, (text, frequency.title.text))
+    return _make_response(frequency.values, quantity, samples, REFERENCE, remarks, summary)
 
 
-def _summary(used: Sequence[Column], titles: Sequence[str]) -> str:
-    """What the columns are, and which are not used."""
-    texts = [column.title.text for column in used]
-    left = [text.strip() for text in titles if text not in texts and text.strip()]
-    return ", ".join(map(str, used)) + (f"; not used: {', '.join(left)}" if left else "")
+def _describe_unused(titles: Sequence[str], used: Iterable[str]) -> str:
+    """Text on the titles that are not among those ``used``; empty if all are used."""
+    names = set(map(str.strip, used))
+    unused = [title for title in map(str.strip, titles) if title and title not in names]
+    return f"; not used: {', '.join(unused)}" if unused else ""
 
 
-def _response(
+def _make_response(
     f: np.ndarray,
     quantity: Quantity,
     samples: np.ndarray,
@@ -421,7 +425,7 @@ def _response(
     notes: Sequence[str],
     summary: str,
 ) -> MeasuredResponse:
-    """The response of samples (n,) of one port."""
+    """Make the response of samples (n,) of one port."""
     matrix, z0 = samples[:, None, None], np.array([reference])
     Y = admittance_of(quantity, matrix, z0)
     return MeasuredResponse(f, quantity, matrix, Y, z0, tuple(notes), summary)

@@ -2,7 +2,7 @@
 
 Data only; a new kind of column is one row here.
 
-- :mod:`kc2spice.bodies.readers.titles` reads titles by :data:`MEANINGS` and :data:`UNITS`.
+- :mod:`kc2spice.bodies.readers.titles` reads titles by :data:`COLUMN_KINDS` and :data:`UNITS`.
 - :mod:`kc2spice.bodies.readers.text_table` reads files without titles by :data:`SUFFIX_TITLES`.
 - :mod:`kc2spice.bodies.readers.complex_response` combines columns by :data:`COMBINATIONS`.
 """
@@ -47,7 +47,7 @@ RADIANS = 0.51 * np.pi, 0.5
 
 
 @dataclass(frozen=True)
-class Meaning:
+class ColumnKind:
     """A kind of column: its ``quantity``, what it may be measured in, the first by default, and the
     pattern of its title in small letters, without sign, unit, blanks and words of instruments.
     With ``needs_unit`` the title alone does not tell it from others."""
@@ -63,49 +63,53 @@ _SIZE = r"(mag|magnitude|abs|mod|modulus)"
 _REAL, _IMAG = r"(re|real|realpart)", r"(im|imag|imaginary|imagpart)"
 
 
-def _part(of: str, word: str) -> str:
+def _pattern(of: str, word: str) -> str:
     """The word before or behind the letter ``of``, as in ``magz`` and ``zmag``."""
     return rf"{of}{word}|{word}{of}|{word}\|{of}\|"
 
 
 SOUND = "sound pressure"  # a quantity that gives no impedance
-MEANINGS = (
-    Meaning("f", ("frequency",), r"f|freq|frequency|frequenz|frq|omega|ω"),
-    Meaning("z", ("impedance", "decibel"), rf"z|z?\|z\||{_part('z', _SIZE)}"),
-    Meaning("y", ("admittance", "decibel"), rf"y|y?\|y\||{_part('y', _SIZE)}"),
-    Meaning("z", ("impedance",), _SIZE, needs_unit=True),
-    Meaning("y", ("admittance",), _SIZE, needs_unit=True),
-    Meaning("phase", ("angle",), _PHASE),
-    Meaning("phase_z", ("angle",), _part("z", _PHASE)),
-    Meaning("phase_y", ("angle",), _part("y", _PHASE)),
-    Meaning("r", ("impedance",), rf"r|z?rs|esr|resistance|{_part('z', _REAL)}"),
-    Meaning("x", ("impedance",), rf"x|z?xs|reactance|{_part('z', _IMAG)}"),
-    Meaning("rp", ("impedance",), r"z?rp"),
-    Meaning("g", ("admittance",), rf"g|y?gp|conductance|{_part('y', _REAL)}"),
-    Meaning("b", ("admittance",), rf"b|y?bp|susceptance|{_part('y', _IMAG)}"),
-    Meaning("r", ("impedance",), _REAL, needs_unit=True),
-    Meaning("x", ("impedance",), _IMAG, needs_unit=True),
-    Meaning("g", ("admittance",), _REAL, needs_unit=True),
-    Meaning("b", ("admittance",), _IMAG, needs_unit=True),
-    Meaning("c", ("capacitance",), r"c|capacitance"),
-    Meaning("cp", ("capacitance",), r"[zy]?cp"),
-    Meaning("cs", ("capacitance",), r"[zy]?cs"),
-    Meaning("lp", ("inductance",), r"[zy]?lp"),
-    Meaning("ls", ("inductance",), r"[zy]?ls"),
-    Meaning("d", ("number",), r"d|df|tan(d|δ|delta)|dissipation(factor)?|loss(factor|tangent)"),
-    Meaning("q", ("number",), r"q|quality(factor)?|qfactor"),
-    Meaning("s_size", ("decibel",), r"s|s11|γ|gamma", needs_unit=True),
-    Meaning("s_phase", ("angle",), r"s|s11|γ|gamma", needs_unit=True),
-    Meaning("s_size", ("number", "decibel"), rf"{_part('s', _SIZE)}|{_part('s11', _SIZE)}"),
-    Meaning("s_phase", ("angle",), rf"{_part('s', _PHASE)}|{_part('s11', _PHASE)}"),
-    Meaning("s_real", ("number",), rf"{_part('s', _REAL)}|{_part('s11', _REAL)}"),
-    Meaning("s_imag", ("number",), rf"{_part('s', _IMAG)}|{_part('s11', _IMAG)}"),
-    Meaning("gain", ("decibel", "number"), rf"gain|{_part('gain', _SIZE)}", needs_unit=True),
-    Meaning("gain", ("decibel",), _SIZE, needs_unit=True),
-    Meaning("gain_phase", ("angle",), _part("gain", _PHASE)),
-    Meaning("gain_real", ("number",), _part("gain", _REAL)),
-    Meaning("gain_imag", ("number",), _part("gain", _IMAG)),
-    Meaning(SOUND, ("decibel",), r"spl|dbspl|soundpressure(level)?"),
+COLUMN_KINDS = (
+    ColumnKind("f", ("frequency",), r"f|freq|frequency|frequenz|frq|omega|ω"),
+    ColumnKind("z", ("impedance", "decibel"), rf"z|z?\|z\||{_pattern('z', _SIZE)}"),
+    ColumnKind("y", ("admittance", "decibel"), rf"y|y?\|y\||{_pattern('y', _SIZE)}"),
+    ColumnKind("z", ("impedance",), _SIZE, needs_unit=True),
+    ColumnKind("y", ("admittance",), _SIZE, needs_unit=True),
+    ColumnKind("phase", ("angle",), _PHASE),
+    ColumnKind("phase_z", ("angle",), _pattern("z", _PHASE)),
+    ColumnKind("phase_y", ("angle",), _pattern("y", _PHASE)),
+    ColumnKind("r", ("impedance",), rf"r|z?rs|esr|resistance|{_pattern('z', _REAL)}"),
+    ColumnKind("x", ("impedance",), rf"x|z?xs|reactance|{_pattern('z', _IMAG)}"),
+    ColumnKind("rp", ("impedance",), r"z?rp"),
+    ColumnKind("g", ("admittance",), rf"g|y?gp|conductance|{_pattern('y', _REAL)}"),
+    ColumnKind("b", ("admittance",), rf"b|y?bp|susceptance|{_pattern('y', _IMAG)}"),
+    ColumnKind("r", ("impedance",), _REAL, needs_unit=True),
+    ColumnKind("x", ("impedance",), _IMAG, needs_unit=True),
+    ColumnKind("g", ("admittance",), _REAL, needs_unit=True),
+    ColumnKind("b", ("admittance",), _IMAG, needs_unit=True),
+    ColumnKind("c", ("capacitance",), r"c|capacitance"),
+    ColumnKind("cp", ("capacitance",), r"[zy]?cp"),
+    ColumnKind("cs", ("capacitance",), r"[zy]?cs"),
+    ColumnKind("lp", ("inductance",), r"[zy]?lp"),
+    ColumnKind("ls", ("inductance",), r"[zy]?ls"),
+    ColumnKind("d", ("number",), r"d|df|tan(d|δ|delta)|dissipation(factor)?|loss(factor|tangent)"),
+    ColumnKind("q", ("number",), r"q|quality(factor)?|qfactor"),
+    ColumnKind("s_size", ("decibel",), r"s|s11|γ|gamma", needs_unit=True),
+    ColumnKind("s_phase", ("angle",), r"s|s11|γ|gamma", needs_unit=True),
+    ColumnKind(
+        "s_size",
+        ("number", "decibel"),
+        rf"{_pattern('s', _SIZE)}|{_pattern('s11', _SIZE)}",
+    ),
+    ColumnKind("s_phase", ("angle",), rf"{_pattern('s', _PHASE)}|{_pattern('s11', _PHASE)}"),
+    ColumnKind("s_real", ("number",), rf"{_pattern('s', _REAL)}|{_pattern('s11', _REAL)}"),
+    ColumnKind("s_imag", ("number",), rf"{_pattern('s', _IMAG)}|{_pattern('s11', _IMAG)}"),
+    ColumnKind("gain", ("decibel", "number"), rf"gain|{_pattern('gain', _SIZE)}", needs_unit=True),
+    ColumnKind("gain", ("decibel",), _SIZE, needs_unit=True),
+    ColumnKind("gain_phase", ("angle",), _pattern("gain", _PHASE)),
+    ColumnKind("gain_real", ("number",), _pattern("gain", _REAL)),
+    ColumnKind("gain_imag", ("number",), _pattern("gain", _IMAG)),
+    ColumnKind(SOUND, ("decibel",), r"spl|dbspl|soundpressure(level)?"),
 )
 # Names of quantities in messages, where they are not those of the columns.
 LABELS = {

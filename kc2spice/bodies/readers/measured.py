@@ -25,17 +25,17 @@ from kc2spice.bodies.readers.complex_response import (
     REFERENCE,
     MeasuredResponse,
     admittance_of,
+    find_response,
     response_of,
-    tables_response,
 )
 from kc2spice.bodies.readers.meanings import COMPLEX_NAMES, Quantity
 from kc2spice.bodies.readers.raw import (
-    absent,
     call_reader,
     in_own_process,
+    missing_file,
     present,
+    read_vectors,
     unusable_file,
-    vectors,
 )
 from kc2spice.bodies.readers.text_table import read_tables
 from kc2spice.bodies.readers.titles import column_of, complex_quantity, is_frequency, read_title
@@ -109,7 +109,7 @@ class Measured(EqualByContent):
             return np.asarray(noise * np.sqrt(variance))
         root = np.sqrt(self.reference)
         wave = 0.5 * (one + root[:, None] * self.Y * root)
-        rows, columns = (np.linalg.norm(wave, axis=k) for k in (2, 1))
+        rows, columns = np.linalg.norm(wave, axis=2), np.linalg.norm(wave, axis=1)
         return np.asarray(2 * noise * rows[:, :, None] * columns[:, None] / np.outer(root, root))
 
     @property
@@ -134,7 +134,7 @@ def is_measured(path: Path) -> bool:
     )
     if path.suffix.lower() == ".mat" and present(path):
         try:
-            return any(map(is_frequency, _variables(path, path.stat().st_mtime)))
+            return any(map(is_frequency, _load_variables(path, path.stat().st_mtime)))
         except (ValueError, NotImplementedError):  # which the reader of matrices tells
             return False
     return bool(by_suffix) and present(path)
@@ -158,16 +158,16 @@ def read_measured(path: Path, shunt: float | None = None) -> Measured:
         advice = "export the file again as Touchstone"
 
     if not present(path):
-        raise absent(path, expected)
+        raise missing_file(path, expected)
 
     def read() -> MeasuredResponse:
         if path.suffix.lower() == ".mat":
-            return _matlab(_variables(path, path.stat().st_mtime), shunt)
-        text = _decoded(read_bounded(path, MAX_BYTES))
+            return _read_matlab(_load_variables(path, path.stat().st_mtime), shunt)
+        text = _decode_text(read_bounded(path, MAX_BYTES))
         if match:
             _require_no_shunt(shunt, "a Touchstone file")
             return touchstone_response(text, int(match[2] or 0))
-        return tables_response(read_tables(text), shunt, path.suffix.lower())
+        return find_response(read_tables(text), shunt, path.suffix.lower())
 
     try:
         with np.errstate(all="ignore"):  # values that are not finite are refused
@@ -220,7 +220,7 @@ def shunt_resistance(shunt: str | float | None) -> float | None:
     return resistance
 
 
-def _decoded(data: bytes) -> str:
+def _decode_text(data: bytes) -> str:
     """The text of a file in UTF-8, in UTF-16 with a byte order mark, or in Latin-1."""
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         return data.decode("utf-16")
@@ -273,12 +273,12 @@ def _require_passive(data: Measured) -> None:
 
 
 @lru_cache(maxsize=1)
-def _variables(path: Path, changed: float) -> dict[str, np.ndarray]:
+def _load_variables(path: Path, changed: float) -> dict[str, np.ndarray]:
     """Numeric arrays of a MATLAB file by name, none of one that has matrices of a model."""
-    return in_own_process(vectors, path)
+    return in_own_process(read_vectors, path)
 
 
-def _matlab(variables: dict[str, np.ndarray], shunt: float | None) -> MeasuredResponse:
+def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> MeasuredResponse:
     """Real vectors are columns; a complex array says all itself, its parts are those of one."""
     first = next(filter(is_frequency, variables), None)
     if first is None:
@@ -305,7 +305,7 @@ def _matlab(variables: dict[str, np.ndarray], shunt: float | None) -> MeasuredRe
     assert title is not None  # title of the frequency
     frequency = column_of(title, variables[first].ravel())
     notes = [frequency.note] if frequency.note else []
-    P, R = P * _scale(name), REFERENCE
+    P, R = P * _unit_factor(name), REFERENCE
     if quantity == "S":
         resistance = next((variables[k] for k in variables if k.lower() in _RESISTANCE), None)
         R = R if resistance is None else float(resistance.ravel()[0].real)
@@ -324,7 +324,7 @@ def _has_quantity(name: str, quantity: Quantity) -> bool:
     return kind is not None and kind[0] == quantity
 
 
-def _scale(name: str) -> float:
+def _unit_factor(name: str) -> float:
     """SI value of the unit in the name of an array, 1 without."""
     kind = complex_quantity(name)
     return kind[1] if kind else 1.0

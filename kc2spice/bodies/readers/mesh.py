@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers.codes import bulk_data_cards, fortran_number
+from kc2spice.bodies.readers.codes import bulk_data_cards, parse_fortran_number
 from kc2spice.bodies.readers.raw import MAX_SIZE, parse_file
 from kc2spice.core.errors import UsageError, unknown, wrong
 
@@ -23,8 +23,9 @@ _EXPECTED = "an .inp, .cdb, .bdf, .dat, .nas, .pch or .csv file with the nodes"
 
 @dataclass(frozen=True, eq=False)
 class NodeMesh:
-    """Numbers (n,) and coordinates (n, 3) of the nodes in the file's own unit, node sets by name
-    (upper case).
+    """Numbers (n,) of nodes, their coordinates (n, 3) in the file's unit, and node sets by name.
+
+    Names of node sets are in capital letters.
     """
 
     where: str
@@ -45,7 +46,7 @@ class NodeMesh:
         return result
 
     def nearest(self, place: tuple[float, ...], within: float | None, where: str) -> int:
-        """Number of the node at ``place``, at most ``within`` away (1e-6 of the size by default).
+        """Find the node at ``place``, at most ``within`` away (1e-6 of the size by default).
 
         Raises
         ------
@@ -63,7 +64,7 @@ class NodeMesh:
 
 
 def read_nodes(path: Path) -> NodeMesh:
-    """Nodes and node sets of ``path``, by its suffix.
+    """Read the nodes and node sets of a file, whose suffix tells the format.
 
     Raises
     ------
@@ -73,7 +74,7 @@ def read_nodes(path: Path) -> NodeMesh:
     if read is None:
         raise UsageError("is no mesh", where=str(path), got=path.suffix, expected=_EXPECTED)
 
-    def mesh(data: bytes) -> NodeMesh:
+    def parse(data: bytes) -> NodeMesh:
         nodes, sets = read(data)
         if not nodes:
             raise ValueError("no node in it")
@@ -84,81 +85,90 @@ def read_nodes(path: Path) -> NodeMesh:
         node_sets = {name: np.unique(np.array(item, np.int64)) for name, item in sets.items()}
         return NodeMesh(str(path), node, at, node_sets)
 
-    return parse_file(path, _EXPECTED, mesh)
+    return parse_file(path, _EXPECTED, parse)
 
 
 Nodes = dict[int, tuple[float, float, float]]
-Found = tuple[Nodes, dict[str, list[int]]]
+Content = tuple[Nodes, dict[str, list[int]]]
 
 
 def _lines(data: bytes) -> list[str]:
     return data.decode("utf-8", "replace").splitlines()
 
 
-def _point(words: Iterable[str]) -> tuple[float, float, float]:
-    values = [fortran_number(word) if word.strip() else 0.0 for word in words][:3]
+def _split_cells(line: str) -> list[str]:
+    """Split a line at its commas into words without blanks around them."""
+    return list(map(str.strip, line.split(",")))
+
+
+def _parse_point(words: Iterable[str]) -> tuple[float, float, float]:
+    """Parse up to three coordinates; those that are missing are 0."""
+    values = [parse_fortran_number(word) if word.strip() else 0.0 for word in words][:3]
     x, y, z = values + [0.0] * (3 - len(values))
     return x, y, z
 
 
 class _Sets(dict[str, list[int]]):
-    """Node sets by name, of bounded length together: ranges and sets of sets are short to write."""
+    """Node sets by name, with a limit of their size: a short text may state a large range."""
 
     def add(self, name: str, members: Sequence[int]) -> None:
+        """Add nodes to a set."""
         if len(members) + sum(map(len, self.values())) > MAX_SIZE:
             raise ValueError(f"node sets of more than {MAX_SIZE} nodes")
         self.setdefault(name, []).extend(members)
 
 
-def _keywords(data: bytes) -> Found:
-    """Abaqus and CalculiX."""
+def _parse_keywords(data: bytes) -> Content:
+    """Parse an input file of Abaqus or CalculiX."""
     nodes: Nodes = {}
     sets = _Sets()
-    keyword, options, instances = "", {}, 0
+    keyword, options, instances = "", dict[str, str](), 0
     for line in _lines(data):
         if line.startswith("**") or not line.strip():
             continue
         if line.startswith("*"):
-            keyword, *rest = (word.strip() for word in line[1:].upper().split(","))
-            pairs = (word.partition("=") for word in rest)
-            options = {key.strip(): value.strip().strip('"') for key, _, value in pairs}
+            keyword, *words = _split_cells(line[1:].upper())
+            options = {}
+            for word in words:
+                key, _, value = word.partition("=")
+                options[key.strip()] = value.strip().strip('"')
             instances += keyword == "INSTANCE"
             if instances > 1:
                 raise ValueError(
                     "more than one *INSTANCE: its node numbers are not those of the mtx"
                 )
             continue
-        cells = line.split(",")
-        name = options.get("NSET", "")
-        if keyword == "INSTANCE" and any(float(c) for c in cells if c.strip()):
+        cells = _split_cells(line)
+        filled, name = list(filter(None, cells)), options.get("NSET", "")
+        if keyword == "INSTANCE" and any(map(float, filled)):
             raise ValueError("an *INSTANCE that is moved")
         if keyword == "NODE":
-            nodes[int(cells[0])] = _point(cells[1:4])
+            nodes[int(cells[0])] = _parse_point(cells[1:4])
             if name:
                 sets.setdefault(name, []).append(int(cells[0]))
         elif keyword == "NSET" and "GENERATE" in options:
-            first, last, *step = (int(cell) for cell in cells if cell.strip())
+            first, last, *step = map(int, filled)
             sets.add(name, range(first, last + 1, step[0] if step else 1))
         elif keyword == "NSET":
-            for word in filter(None, (cell.strip().upper() for cell in cells)):
+            for word in map(str.upper, filled):
                 number = word.lstrip("-").isdigit()
                 sets.add(name, [int(word)] if number else sets.get(word, ()))
     return nodes, sets
 
 
-def _bulk(data: bytes) -> Found:
-    """Nastran."""
+def _parse_bulk_data(data: bytes) -> Content:
+    """Parse bulk data of Nastran."""
     nodes: Nodes = {}
     for cells in bulk_data_cards(data, "GRID"):
-        number, system, *place = (cell.strip() for cell in cells[:5])
+        number, system, *place = map(str.strip, cells[:5])
         if system not in ("", "0"):
             raise ValueError(f"grid {number} is in coordinate system {system}")
-        nodes[int(number)] = _point(place)
+        nodes[int(number)] = _parse_point(place)
     return nodes, {}
 
 
-def _blocks(data: bytes) -> Found:
-    """Ansys: NBLOCK (``i,i,i,x,y,z`` in fixed fields) and CMBLOCK of nodes."""
+def _parse_blocks(data: bytes) -> Content:
+    """Parse NBLOCK (``i,i,i,x,y,z`` in fixed fields) and CMBLOCK of nodes, as Ansys writes them."""
     nodes: Nodes = {}
     sets = _Sets()
     lines = iter(_lines(data))
@@ -169,13 +179,13 @@ def _blocks(data: bytes) -> Found:
             integers, floats = next(lines).strip().strip("()").lower().split(",")[:2]
             fields, wide = map(int, integers.split("i"))
             item = int(floats.split("e")[1].split(".")[0])
-            ends = [fields * wide + k * item for k in range(4)]
+            ends = range(fields * wide, fields * wide + 4 * item, item)
             for row in lines:
                 if row[:1] in ("N", "n", "-") or row.strip() == "-1":
                     break
-                nodes[int(row[:wide])] = _point(row[a:b] for a, b in pairwise(ends))
+                nodes[int(row[:wide])] = _parse_point(row[a:b] for a, b in pairwise(ends))
         elif head.startswith("CMBLOCK"):
-            _, name, kind, count, *_ = (word.strip() for word in head.split(","))
+            _, name, kind, count, *_ = _split_cells(head)
             next(lines)
             members: list[int] = []
             while len(members) < int(count.split("!")[0]):
@@ -186,16 +196,17 @@ def _blocks(data: bytes) -> Found:
     return nodes, sets
 
 
-def _table(data: bytes) -> Found:
+def _parse_table(data: bytes) -> Content:
+    """Parse lines of a node and its coordinates; other lines may only precede them."""
     nodes: Nodes = {}
     for line in _lines(data):
         cells = line.split(",")
         if len(cells) >= 4 and cells[0].strip().isdigit():
-            nodes[int(cells[0])] = _point(cells[1:4])
+            nodes[int(cells[0])] = _parse_point(cells[1:4])
         elif nodes and line.strip():
             raise ValueError(f"line {line[:40]!r}")
     return nodes, {}
 
 
-_READERS = {".inp": _keywords, ".cdb": _blocks, ".csv": _table}
-_READERS |= dict.fromkeys((".bdf", ".dat", ".nas", ".pch", ".blk"), _bulk)
+_READERS = {".inp": _parse_keywords, ".cdb": _parse_blocks, ".csv": _parse_table}
+_READERS |= dict.fromkeys((".bdf", ".dat", ".nas", ".pch", ".blk"), _parse_bulk_data)

@@ -18,6 +18,7 @@ its ``L`` our ``B``; the eliminated ``Ec``, ``Dc``, ``Kc``, ``Lc`` are taken whe
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -76,7 +77,7 @@ def present(path: Path) -> bool:
         return False
 
 
-def absent(path: Path, what: str) -> UsageError:
+def missing_file(path: Path, what: str) -> UsageError:
     """The error of a file that does not exist; ``what`` is the kind of file."""
     where = str(path).replace("\0", "\\0")
     return UsageError(
@@ -84,15 +85,15 @@ def absent(path: Path, what: str) -> UsageError:
     )
 
 
-def existing(path: Path, what: str = "a model in this file") -> Path:
-    """``path``, which is a file of a size that can be read.
+def require_file(path: Path, what: str = "a model in this file") -> Path:
+    """Check that a path is a file of a size that can be read, and return the path.
 
     Raises
     ------
     UsageError : no such file, or one above ``MAX_BYTES``.
     """
     if not present(path):
-        raise absent(path, what)
+        raise missing_file(path, what)
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise unusable_file(path, f"{size} bytes", f"at most {MAX_BYTES:.3g}")
@@ -100,21 +101,21 @@ def existing(path: Path, what: str = "a model in this file") -> Path:
 
 
 def unpacked_limit(path: Path) -> int:
-    """Bytes that a packed file may come to: a small one is never much."""
+    """Limit of the unpacked size [bytes] of a packed file."""
     least, times = UNPACKED
-    return min(MAX_BYTES, max(least, times * existing(path).stat().st_size))
+    return min(MAX_BYTES, max(least, times * require_file(path).stat().st_size))
 
 
 def parse_file(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
     """Parse the bytes of a text file without its UTF-8 byte order mark by ``parse``."""
-    data = existing(path).read_bytes().removeprefix(_BOM)
+    data = require_file(path).read_bytes().removeprefix(_BOM)
     return call_reader(path, expected, lambda: parse(data))
 
 
 def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = NEXT) -> T:
-    """``read()``; whatever a damaged file makes a parser raise becomes one clear error.
+    """Call ``read()``, and turn every exception of a parser into an error about the file.
 
-    ``advice`` is what to do with a damaged file.
+    ``advice`` is the hint for a damaged file.
     """
     try:
         return read()
@@ -149,13 +150,14 @@ def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int |
         raise unusable_file(path, f"{entries} entries in matrix {letter}", f"at most {limit}")
 
 
-def checked_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
-    """``matrix`` in double precision, two-dimensional and finite; csc unless few columns. Real,
-    but for a stiffness of structural damping.
+def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
+    """Check that a matrix is finite, and return it in double precision.
+
+    Matrices with few columns are dense, all others csc. Only a stiffness may be complex.
 
     Raises
     ------
-    UsageError : it is anything else; the message says what.
+    UsageError : the matrix cannot be used; the message states why.
     """
     if sparse.issparse(matrix) and matrix.format in ("csc", "csr"):  # coo judges its indices itself
         call_reader(path, f"a sound matrix {letter}", lambda: matrix.check_format(True))
@@ -229,18 +231,19 @@ class Raw:
 
 
 def row_keys(table: np.ndarray) -> Triple:
-    """Keys of rows and columns, and values, of lines (node, freedom, node, freedom, value)."""
+    """Compute keys of rows and columns of lines (node, freedom, node, freedom, value)."""
     place = table[:, :4].real
     row, column = Dofs(*place[:, :2].T), Dofs(*place[:, 2:].T)
     return row.keys(), column.keys(), table[:, 4]
 
 
 def matrices_by_letter(triples: Mapping[str, Triple]) -> tuple[dict[str, sparse.csc_array], Dofs]:
-    """Matrices by letter, on one common set of rows, from what :func:`row_keys` gives.
+    """Make matrices with common rows from the results of :func:`row_keys` by letter.
 
-    Rows are sorted by node, then by freedom; gaps in the numbering leave no empty rows.
+    Rows are sorted by node, then by freedom. Gaps in the numbering leave no empty rows.
     """
-    keys = np.unique(np.concatenate([side for t in triples.values() for side in t[:2]]))
+    rows, columns, _ = zip(*triples.values(), strict=True)
+    keys = np.unique(np.concatenate([*rows, *columns]))
     shape = (len(keys), len(keys))
     result = {}
     for letter, (row, column, value) in triples.items():
@@ -250,8 +253,9 @@ def matrices_by_letter(triples: Mapping[str, Triple]) -> tuple[dict[str, sparse.
 
 
 def both_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
-    """A matrix whose pairs off the diagonal were stored once, on either side of it; as it is where
-    any pair is stored twice.
+    """Complete a matrix whose pairs of entries off the diagonal are stored once, on either side.
+
+    A matrix that contains any pair twice is returned unchanged.
     """
     below = abs(sparse.tril(matrix, -1, format="csc")) > 0
     above = abs(sparse.triu(matrix, 1, format="csc")) > 0
@@ -268,7 +272,7 @@ _SECOND = {"M": ("Ec", "E"), "E": ("Dc", "D"), "K": ("Kc", "K"), "B": ("Lc", "L"
 
 
 def read_matrix_archive(path: Path, _: object) -> Raw:
-    """Matrices of the archive at ``path``.
+    """Read the matrices of the archive at ``path``.
 
     Raises
     ------
@@ -283,14 +287,17 @@ def read_matrix_archive(path: Path, _: object) -> Raw:
         return MAX_DENSE if name in LETTERS else MAX_ENTRIES
 
     total = unpacked_limit(path)
-    return _raw(untrusted_files.read_archive(path, is_known, entries=largest, total=total), path)
+    return _unpack_raw(
+        untrusted_files.read_archive(path, is_known, entries=largest, total=total), path
+    )
 
 
 def in_own_process(
     function: Callable[..., object], path: Path, **options: object
 ) -> dict[str, np.ndarray]:
-    """The arrays that ``function(path, **options)`` returns in a process of its own, whose memory
-    and time are bounded by the size of the file.
+    """Call ``function(path, **options)`` in a process of its own, and return its arrays.
+
+    The size of the file limits the memory and the time of this process.
 
     Raises
     ------
@@ -304,15 +311,15 @@ def in_own_process(
     return in_child(name, request, memory=memory, seconds=seconds)
 
 
-def unpacker(function: Callable[..., object]) -> Callable[[Path, Mapping[str, str]], Raw]:
-    """A reader of what ``function(path, requested)`` packs, by :func:`in_own_process`."""
-    return lambda path, requested: _raw(
+def make_unpacker(function: Callable[..., object]) -> Callable[[Path, Mapping[str, str]], Raw]:
+    """Make a reader that calls ``function(path, requested)`` in a process of its own."""
+    return lambda path, requested: _unpack_raw(
         in_own_process(function, path, requested=dict(requested)), path
     )
 
 
 def pack_matrix(name: str, matrix: Any) -> dict[str, np.ndarray]:
-    """A matrix, or the numbers of rows, as the arrays of an archive."""
+    """Pack a matrix, or the numbers of rows, as arrays of an archive."""
     if not sparse.issparse(matrix):
         return {name: np.asarray(matrix)}
     csc = matrix.tocsc()
@@ -320,16 +327,22 @@ def pack_matrix(name: str, matrix: Any) -> dict[str, np.ndarray]:
     return {**parts, f"{name}.shape": np.array(csc.shape), f"{name}.format": np.array("csc")}
 
 
-def _raw(arrays: Mapping[str, np.ndarray], path: Path) -> Raw:
+def _unpack_raw(arrays: Mapping[str, np.ndarray], path: Path) -> Raw:
+    """Unpack the matrices of an archive's arrays."""
+    parts: dict[str, dict[str, np.ndarray]] = defaultdict(dict)
+    for key, array in arrays.items():
+        name, _, part = key.partition(".")
+        parts[name][part] = array
     result = {}
     for letter in LETTERS:
-        parts = {k.partition(".")[2]: a for k, a in arrays.items() if k.split(".")[0] == letter}
-        if parts:
-            result[letter] = parts[""] if "" in parts else _sparse(path, letter, parts)
-    return Raw(result, _dofs(arrays), arrays.get("fixed", np.empty(0, dtype=np.int64)))
+        if "" in parts[letter]:
+            result[letter] = parts[letter][""]
+        elif parts[letter]:
+            result[letter] = _unpack_sparse(path, letter, parts[letter])
+    return Raw(result, _unpack_dofs(arrays), arrays.get("fixed", np.empty(0, dtype=np.int64)))
 
 
-def _sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.sparray:
+def _unpack_sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.sparray:
     kind = str(parts["format"].item()) if "format" in parts else "coo"
     kind = kind.removeprefix("b'").removesuffix("'")
     rows, columns = map(int, parts["shape"])
@@ -341,7 +354,7 @@ def _sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> sparse.spa
     return maker((parts["data"], parts["indices"], parts["indptr"]), shape=(rows, columns))
 
 
-def _dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
+def _unpack_dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
     present_arrays = [np.asarray(arrays[name]).ravel() for name in _NAMES if name in arrays]
     if not present_arrays:
         return None
@@ -354,19 +367,18 @@ def _dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
 
 
 def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
-    """The matrices of a MATLAB file as arrays of an archive; other variables are not looked at, and
-    ``requested`` is ignored.
+    """Read the matrices of a MATLAB file as arrays of an archive; ``requested`` is ignored.
 
     Raises
     ------
-    ValueError, NotImplementedError : nearly anything that is wrong with it.
+    ValueError, NotImplementedError : the file is damaged, or does not contain matrices.
     """
     names = (*LETTERS, *_NAMES)
-    kinds = {name: (shape, kind) for name, shape, kind in io.whosmat(path, appendmat=False)}
-    plain = [name for name in names if name in kinds]
+    kinds = _list_variables(path)
+    plain = list(filter(kinds.__contains__, names))
     structs = [name for name, (_, kind) in kinds.items() if kind == "struct"]
     if not set(plain) & set(LETTERS) and len(structs) == 1:
-        result = _struct(
+        result = _select_fields(
             io.loadmat(path, appendmat=False, variable_names=structs)[structs[0]], structs[0]
         )
     else:
@@ -378,19 +390,20 @@ def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]
     parts: dict[str, np.ndarray] = {}
     for name in names:
         if name in result:
-            parts |= pack_matrix(name, _plain(name, result[name]))
+            parts |= pack_matrix(name, _to_plain_array(name, result[name]))
     return parts
 
 
-def vectors(path: str) -> dict[str, np.ndarray]:
-    """Numeric arrays of a MATLAB file with a measured response, all that is not sparse; none of a
-    file that has the matrices of a model.
+def read_vectors(path: str) -> dict[str, np.ndarray]:
+    """Read the numeric full arrays of a MATLAB file with a measured response.
+
+    The result is empty if the file contains the matrices of a model.
 
     Raises
     ------
-    ValueError, NotImplementedError : nearly anything that is wrong with it.
+    ValueError, NotImplementedError : the file is damaged.
     """
-    kinds = {name: (shape, kind) for name, shape, kind in io.whosmat(path, appendmat=False)}
+    kinds = _list_variables(path)
     numbers = ("double", "single", "int8", "int16", "int32", "uint8", "uint16", "uint32")
     plain = [name for name, (_, kind) in kinds.items() if kind in numbers]
     if {"M", "K", "A"} & set(kinds):
@@ -399,15 +412,20 @@ def vectors(path: str) -> dict[str, np.ndarray]:
     return {name: np.asarray(result[name]) for name in plain if result[name].size}
 
 
+def _list_variables(path: str) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Shape and class of each variable of a MATLAB file, by its name."""
+    return {name: (shape, kind) for name, shape, kind in io.whosmat(path, appendmat=False)}
+
+
 def _load_variables(path: str, names: list[str], full: list[tuple[int, ...]]) -> dict[str, Any]:
-    """The variables of these names, of which full arrays have these shapes."""
+    """Load the variables of these names, whose full arrays have the shapes ``full``."""
     size = sum(8 * np.prod(shape, dtype=float) for shape in full)
     if size > unpacked_limit(Path(path)):
         raise ValueError(f"its variables of {size:g} bytes are too large")
     return io.loadmat(path, appendmat=False, variable_names=names) if names else {}
 
 
-def _plain(name: str, matrix: Any) -> Any:
+def _to_plain_array(name: str, matrix: Any) -> Any:
     if sparse.issparse(matrix):
         return matrix.tocsc()
     matrix = real_if_possible(np.asarray(matrix))
@@ -419,37 +437,42 @@ def _plain(name: str, matrix: Any) -> Any:
 
 
 def real_if_possible(matrix: Any) -> Any:
-    """The real part of a complex matrix whose imaginary part is zero; COMSOL writes such matrices
-    after a complex solution."""
+    """Drop an imaginary part of zero, which COMSOL writes after a complex solution."""
     data = matrix.data if sparse.issparse(matrix) else matrix
     return matrix.real if np.iscomplexobj(data) and not data.imag.any() else matrix
 
 
-def _struct(value: Any, name: str) -> dict[str, Any]:
+def _select_fields(value: Any, name: str) -> dict[str, Any]:
     if value.shape != (1, 1) or value.dtype.names is None:
         raise ValueError(f"struct {name} is an array of structs")
     fields = {key: value[0, 0][key] for key in value.dtype.names}
 
     def pick(table: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
-        there = {letter: [k for k in keys if k in fields] for letter, keys in table.items()}
-        return {letter: fields[keys[0]] for letter, keys in there.items() if keys}
+        matrices = {}
+        for letter, names in table.items():
+            for first in filter(fields.__contains__, names):
+                matrices[letter] = fields[first]
+                break
+        return matrices
 
     if "MA" in fields or ("A" in fields and "K" not in fields):
         return pick(_STATE)
     if not {"K", "Kc"} & set(fields):
         raise ValueError(f"struct {name} has fields {', '.join(fields)}; K or Kc is needed")
     result = pick(_SECOND)
-    if "Kc" not in fields and "N" in fields and _entries(fields["N"]):
+    if "Kc" not in fields and "N" in fields and _count_entries(fields["N"]):
         raise ValueError(f"struct {name} has constraints N that are not eliminated: ask for Kc, Ec")
     if "Kc" in fields and "uscale" in fields and (np.asarray(fields["uscale"]) != 1).any():
         raise ValueError(f"struct {name} is in unknowns over uscale: scale by None in the solver")
     # Without a mass the problem is of first order and keeps its E; without a load the ports come
     # from the TOML file.
-    absent = {letter for letter in "MEB" if letter in result and not _entries(result[letter])}
-    if "M" not in result or "M" in absent:
-        absent -= {"E"}
-    return {letter: matrix for letter, matrix in result.items() if letter not in absent}
+    empty = {letter for letter in {*"MEB"} & set(result) if not _count_entries(result[letter])}
+    if "M" not in result or "M" in empty:
+        empty -= {"E"}
+    for letter in empty:
+        del result[letter]
+    return result
 
 
-def _entries(matrix: Any) -> int:
+def _count_entries(matrix: Any) -> int:
     return int(matrix.count_nonzero() if sparse.issparse(matrix) else np.count_nonzero(matrix))

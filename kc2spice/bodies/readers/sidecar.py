@@ -66,7 +66,14 @@ from pydantic import (
     model_validator,
 )
 
-from kc2spice.bodies.readers.raw import CODES, DOFS, ROTATIONS, TRANSLATIONS, call_reader, existing
+from kc2spice.bodies.readers.raw import (
+    CODES,
+    DOFS,
+    ROTATIONS,
+    TRANSLATIONS,
+    call_reader,
+    require_file,
+)
 from kc2spice.core.domains import (
     ACCELERATION,
     ELECTRICAL,
@@ -89,23 +96,23 @@ LISTED = tuple(PORTS.keys() - {*SCALARS, *DIRECTED, ACCELERATION.port})  # colum
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
-def _printable(value: str) -> str:
+def _require_printable(value: str) -> str:
     """Names end up in netlists, where a line is a command."""
     if not value.isprintable():
         raise refused("is no name", "printable characters in one line")
     return value
 
 
-def _word(value: str) -> str:
+def _require_word(value: str) -> str:
     """A unit goes into the header of a netlist."""
     if value and len(value.split()) != 1:
         raise refused("is no unit", "one word")
     return value
 
 
-def _beside_the_toml_file(value: Path, info: ValidationInfo) -> Path:
+def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
     """Never elsewhere, so that a stranger's file cannot look around."""
-    _printable(str(value))
+    _require_printable(str(value))
     if value.is_absolute() or ".." in value.parts:
         hint = "copy the file beside the TOML file and write its name alone"
         raise refused("this file is not beside the TOML file", "a relative path", hint=hint)
@@ -113,7 +120,7 @@ def _beside_the_toml_file(value: Path, info: ValidationInfo) -> Path:
     return folder / value
 
 
-def _dof(value: object) -> int:
+def _parse_dof(value: object) -> int:
     code = CODES.get(value.lower()) if isinstance(value, str) else value
     if type(code) is not int or code not in DOFS:
         expected = f"one of {candidates(value, CODES, 'docs/reference/matrices.md')}"
@@ -122,11 +129,11 @@ def _dof(value: object) -> int:
     return code
 
 
-def _direction(value: object) -> object:
+def _parse_axis(value: object) -> object:
     return _AXES.get(value, value) if isinstance(value, str) else value
 
 
-def _unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]:
+def _normalise_axis(value: tuple[float, float, float]) -> tuple[float, float, float]:
     length = math.hypot(*value)
     if length == 0.0:
         raise refused("is no axis", "'x', 'y', 'z' or a direction [x, y, z]")
@@ -138,15 +145,17 @@ def _as_list(value: object) -> object:
     return value if isinstance(value, list | tuple) else [value]
 
 
-Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
-File = Annotated[Path, AfterValidator(_beside_the_toml_file)]
+Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_require_printable)]
+File = Annotated[Path, AfterValidator(_resolve_beside_sidecar)]
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Node = Annotated[Count, Field(gt=-(2**40), lt=2**40)]
 Position = Annotated[Count, Field(ge=1)]
-Dof = Annotated[int, BeforeValidator(_dof)]
+Dof = Annotated[int, BeforeValidator(_parse_dof)]
 Point = tuple[Finite, Finite, Finite]
-Axis = Annotated[Point, BeforeValidator(_direction), AfterValidator(_unit_vector)]
-Unit = Annotated[str, Field(max_length=32), AfterValidator(_word), AfterValidator(_printable)]
+Axis = Annotated[Point, BeforeValidator(_parse_axis), AfterValidator(_normalise_axis)]
+Unit = Annotated[
+    str, Field(max_length=32), AfterValidator(_require_word), AfterValidator(_require_printable)
+]
 Rayleigh = tuple[float, float]
 Letter = Annotated[str, StringConstraints(pattern="^[MEKABCD]$")]
 Inner = Annotated[str, StringConstraints(pattern="^[MEKABCDH]$")]  # H: structural damping, K + j H
@@ -162,7 +171,7 @@ class NodeSelection(Section):
     within: Annotated[Finite, Field(ge=0)] | None = None
 
     @model_validator(mode="after")
-    def _one_selector(self) -> NodeSelection:
+    def _require_one_selector(self) -> NodeSelection:
         selectors = [k for k in ("node", "nodes", "nodeset", "at") if getattr(self, k) is not None]
         if len(selectors) > 1:
             hint = f"delete {selectors[0]} or {selectors[1]}"
@@ -192,7 +201,7 @@ class Fixed(NodeSelection):
     dof: Annotated[tuple[Dof, ...], BeforeValidator(_as_list)] = ()
 
     @model_validator(mode="after")
-    def _somewhere(self) -> Fixed:
+    def _require_nodes(self) -> Fixed:
         if not self.placed:
             expected = "one of node, nodes, nodeset and at"
             raise refused("this entry names no nodes", expected, hint="add for example  node = 1")
@@ -213,7 +222,7 @@ class PortEntry(NodeSelection):
     pins: tuple[Name, ...] = Field((), max_length=2)
 
     @model_validator(mode="after")
-    def _one_port(self) -> PortEntry:
+    def _require_one_place(self) -> PortEntry:
         if self.scale != 1 and self.kind in PORTS:
             problem = f"a port of kind {self.kind} has no scale"
             raise refused(problem, "scale of inputs and outputs only", hint="delete the key scale")
@@ -249,15 +258,15 @@ class PortEntry(NodeSelection):
             problem = "this port has both dof and axis" if both else "this port has no direction"
             hint = "delete dof or axis" if both else 'add  axis = "z"'
             raise refused(problem, "either dof or axis", hint=hint)
-        elif self.kind in DIRECTED and not self.weights.keys() <= {*self._group}:
-            expected = ", ".join(DOFS[k] for k in self._group)
+        elif self.kind in DIRECTED and not self.weights.keys() <= {*self._directions}:
+            expected = ", ".join(DOFS[k] for k in self._directions)
             raise refused(
                 f"{DOFS[self.dof or 0]} is no degree of freedom of a {self.kind} port", expected
             )
         return self
 
     @property
-    def _group(self) -> tuple[int, ...]:
+    def _directions(self) -> tuple[int, ...]:
         return ROTATIONS if self.kind == ROTATION.port else TRANSLATIONS
 
     @property
@@ -267,7 +276,7 @@ class PortEntry(NodeSelection):
             return {self.dof: 1.0}
         if self.kind in SCALARS:
             return {CODES[SCALARS[self.kind]]: 1.0}
-        axis = zip(self._group, self.axis or (0.0, 0.0, 0.0), strict=True)
+        axis = zip(self._directions, self.axis or (0.0, 0.0, 0.0), strict=True)
         return {kind: weight for kind, weight in axis if weight}
 
     @property
@@ -287,7 +296,7 @@ class MatrixDamping(Section):
     loss_factor: Annotated[Finite, Field(ge=0)] = 0.0
 
     @model_validator(mode="after")
-    def _either(self) -> MatrixDamping:
+    def _require_ratio_and_at(self) -> MatrixDamping:
         keys = self.model_fields_set - {"loss_factor"}
         if keys & {"ratio", "at"} and keys != {"ratio", "at"}:
             expected = "alpha and beta, or ratio and at [Hz]"
@@ -337,7 +346,7 @@ class Sidecar(Section):
         return self.where
 
     @model_validator(mode="after")
-    def _fits(self) -> Sidecar:
+    def _require_consistent(self) -> Sidecar:
         if self.band is not None and not self.band[0] < self.band[1]:
             hint = "write the lower frequency first, such as band = [0, 20000]"
             raise refused("not a frequency band", "[f0, f1] with 0 <= f0 < f1, Hz", "band", hint)
@@ -362,7 +371,7 @@ def read_sidecar(path: Path) -> Sidecar:
         twice; the message names the file and the key.
     """
     expected = f"a TOML file of at most {MAX_BYTES} bytes"
-    existing(path, expected)
+    require_file(path, expected)
     text = call_reader(path, expected, lambda: text_of(read_bounded(path, MAX_BYTES)))
     data = parse_toml_file(text, str(path))
     result = validated(Sidecar, data, f"{path}:", {"folder": path.parent})

@@ -18,7 +18,7 @@ from operator import attrgetter, itemgetter
 import numpy as np
 
 from kc2spice.bodies.readers.meanings import COMPLEX_FORMATS, TRACE_COLUMN, TRACE_FORMAT
-from kc2spice.bodies.readers.titles import COMMENT, is_frequency, units_of
+from kc2spice.bodies.readers.titles import COMMENT, is_frequency, parse_units
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.untrusted_files import lines_of
 
@@ -227,7 +227,7 @@ def _find_titles(
 
 def _is_unit(word: str) -> bool:
     try:
-        return bool(units_of(word.strip("()[]")))
+        return bool(parse_units(word.strip("()[]")))
     except ValueError:
         return True
 

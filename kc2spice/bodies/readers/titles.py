@@ -16,18 +16,18 @@ import numpy as np
 from kc2spice.bodies.readers.meanings import (
     ADDED,
     BARE,
+    COLUMN_KINDS,
     COMPLEX_NAMES,
     DEFAULT_UNITS,
     LABELS,
     LARGE,
     LARGEST_PHASE,
     LOST_LETTERS,
-    MEANINGS,
     PASSIVE_PHASES,
     PREFIXES,
     RADIANS,
     UNITS,
-    Meaning,
+    ColumnKind,
     Quantity,
 )
 from kc2spice.core.equality import EqualByContent
@@ -54,7 +54,7 @@ class Title:
     """Meaning of the title of a column; ``unit`` is None if the title contains no unit."""
 
     text: str
-    meaning: Meaning
+    meaning: ColumnKind
     sign: float
     unit: Unit | None
 
@@ -75,14 +75,14 @@ class Column(EqualByContent):
         return f"{sign}{label} [{self.unit}] from {self.title.text.strip()!r}"
 
 
-def units_of(text: str) -> list[Unit]:
+def parse_units(text: str) -> list[Unit]:
     """Units that ``text`` may be; ``s`` is siemens, ``f`` farad.
 
     Raises
     ------
     ValueError : the case of ``mhz`` or ``MF`` does not tell a prefix.
     """
-    plain = _plain(text).replace(" ", "")
+    plain = _clean_text(text).replace(" ", "")
     result = []
     for measures, spellings in UNITS.items():
         for base, value in spellings.items():
@@ -90,14 +90,14 @@ def units_of(text: str) -> list[Unit]:
             cased = base != base.lower()
             if base != (spelled if cased else spelled.lower()) or (not base and plain):
                 continue
-            factor = _prefix(prefix, spelled, measures, text)
+            factor = _prefix_factor(prefix, spelled, measures, text)
             if factor is None or (prefix and base in BARE):
                 continue
             result.append(Unit(text.strip(), measures, factor * value))
     return result
 
 
-def _prefix(prefix: str, base: str, measures: str, text: str) -> float | None:
+def _prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | None:
     """The factor of a prefix, None for what is none."""
     if len(prefix) > 1:
         return None
@@ -112,7 +112,7 @@ def _prefix(prefix: str, base: str, measures: str, text: str) -> float | None:
     return PREFIXES[other] if known else None
 
 
-def _plain(text: str) -> str:
+def _clean_text(text: str) -> str:
     """A title or unit with the usual letters and without quotes, cut at the longest title."""
     text = text[:LONGEST_TITLE]
     for wrong, letter in _TWICE.items():
@@ -127,22 +127,22 @@ def read_title(text: str) -> Title | None:
     ------
     ValueError : a unit that its quantity is not measured in, or whose prefix is not clear.
     """
-    plain = _plain(text).lstrip(COMMENT).strip()
+    plain = _clean_text(text).lstrip(COMMENT).strip()
     sign = -1.0 if re.match(r"-\s*[^\s\d-]", plain) else 1.0
     plain = plain.lstrip("-+ ")
     unfit = ""
-    for stem, unit_text in _splits(plain):
-        words = _words(stem)
-        meanings = [m for m in MEANINGS if re.fullmatch(m.names, words)]
+    for stem, unit_text in _split_unit(plain):
+        words = _normalise_words(stem)
+        meanings = [m for m in COLUMN_KINDS if re.fullmatch(m.names, words)]
         if not meanings:
             continue
         if unit_text is None:
             first = next((m for m in meanings if not m.needs_unit), None)
             if first is None:
-                choices = list(map(_in_unit, meanings))
+                choices = list(map(_name_with_unit, meanings))
                 raise ValueError(f"column {text.strip()!r} has no unit: {' or '.join(choices)}")
             return Title(text, first, sign, None)
-        units = units_of(unit_text)
+        units = parse_units(unit_text)
         for meaning in meanings:
             for unit in units:
                 if unit.measures in meaning.measures:
@@ -154,7 +154,7 @@ def read_title(text: str) -> Title | None:
     return None
 
 
-def _in_unit(meaning: Meaning) -> str:
+def _name_with_unit(meaning: ColumnKind) -> str:
     """A quantity with its default unit, for messages."""
     label = LABELS.get(meaning.quantity, meaning.quantity)
     return f"{label} in {DEFAULT_UNITS[meaning.measures[0]]}"
@@ -172,27 +172,27 @@ def is_frequency(text: str) -> bool:
 
 def complex_quantity(text: str) -> tuple[Quantity, float] | None:
     """Quantity and SI value of the unit of a column of complex numbers, such as ``Z (kOhm)``."""
-    for stem, unit_text in _splits(_plain(text).lstrip(COMMENT).strip()):
+    for stem, unit_text in _split_unit(_clean_text(text).lstrip(COMMENT).strip()):
         for quantity, names in COMPLEX_NAMES.items():
-            if not re.fullmatch(names, _words(stem)):
+            if not re.fullmatch(names, _normalise_words(stem)):
                 continue
             if unit_text is None:
                 return quantity, 1.0
             measures = {"Z": "impedance", "Y": "admittance", "S": "number"}[quantity]
-            for unit in units_of(unit_text):
+            for unit in parse_units(unit_text):
                 if unit.measures == measures:
                     return quantity, unit.value
     return None
 
 
-def _splits(title: str) -> Iterator[tuple[str, str | None]]:
+def _split_unit(title: str) -> Iterator[tuple[str, str | None]]:
     """Ways to divide a title into words and a unit; None is a title without one."""
     for match in re.finditer(r"[\[(]([^\[\]()]*)[\])]", title):
-        if units_of(match[1]):
+        if parse_units(match[1]):
             yield title[: match.start()] + " " + title[match.end() :], match[1]
             return
     tail = re.fullmatch(r"(.*?\S)\s*(?:/|[\s_,]+)\s*((?:rad/s|[^\s_/,()\[\]]+))", title)
-    if tail and _units_or_none(tail[2]):
+    if tail and _units_of_word(tail[2]):
         yield tail[1], tail[2]
     bracket = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])](.*)", title)
     if bracket:  # Re(Z) names a quantity, frequency (rpm) an unknown unit
@@ -202,12 +202,12 @@ def _splits(title: str) -> Iterator[tuple[str, str | None]]:
         yield title, None
 
 
-def _units_or_none(text: str) -> list[Unit]:
+def _units_of_word(text: str) -> list[Unit]:
     """Units of a word that may be part of a name instead."""
-    return units_of(text) if text not in ("-", "1") else []
+    return parse_units(text) if text not in ("-", "1") else []
 
 
-def _words(stem: str) -> str:
+def _normalise_words(stem: str) -> str:
     """The words of a title in small letters and in one, without those of instruments."""
     low = re.sub(r"z\s*''", "zimag", stem.lower())
     low = re.sub(r"z\s*'", "zreal", low)

@@ -37,9 +37,9 @@ def touchstone_response(text: str, ports: int) -> MeasuredResponse:
         unknown = [word for word in option[:at] if word not in _OPTIONS]
         if unknown:
             raise ValueError(f"the option line has the word {unknown[0]!r}, which is not known")
-        unit = _chosen(option[:at], tuple(_HERTZ), unit)
-        kind = _chosen(option[:at], _KINDS, kind)
-        form = _chosen(option[:at], _FORMS, form)
+        unit = _choose_word(option[:at], tuple(_HERTZ), unit)
+        kind = _choose_word(option[:at], _KINDS, kind)
+        form = _choose_word(option[:at], _FORMS, form)
     notes = ["the first of several option lines counts"] if len(options) > 1 else []
     stated = options[0] if options else []
     if not set(stated) & set(_HERTZ):
@@ -77,7 +77,7 @@ def touchstone_response(text: str, ports: int) -> MeasuredResponse:
     return MeasuredResponse(_HERTZ[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), summary)
 
 
-def _chosen(words: list[str], choices: tuple[str, ...], default: str) -> str:
+def _choose_word(words: list[str], choices: tuple[str, ...], default: str) -> str:
     """The word of an option line that is one of the choices.
 
     Raises
