@@ -1,10 +1,11 @@
-"""A system on an interval without events: residuals, their exact slopes, and guards; its operating
-point and dc sweep.
-"""
+"""Residuals, slopes and guards of a system between two events, its operating point and dc sweep."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,10 @@ from kc2spice.reference.system import System
 
 
 class Interval:
-    """``d/dt g(t, z) = f(t, z)`` with the devices in fixed ``modes``, and with the smooth pieces of
-    sources that hold the time ``within``."""
+    """Equations ``d/dt g(t, z) = f(t, z)`` with the devices in fixed ``modes``.
+
+    The sources are the smooth pieces that contain the time ``within``.
+    """
 
     def __init__(self, system: System, modes: list[Any], within: float) -> None:
         self.system, self.modes, self.within = system, modes, within
@@ -36,22 +39,23 @@ class Interval:
                 self.rows = self.rows | device.stores.any(axis=1)
 
     def with_sources(self, t: np.ndarray | float, z: np.ndarray) -> np.ndarray:
-        """``X`` (N,) at one time, (N, nt) at many."""
+        """Append the sources to ``z``: ``X`` (N,) at one time, (N, nt) at many."""
         return np.concatenate((z, self.system.source_values(t, self.within)))
 
     def waves(self, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> dict[str, np.ndarray]:
-        """All waves (nt,) at times ``t`` (nt,) by states and their rates (n, nt)."""
+        """Compute all waves (nt,) at times ``t`` (nt,) from states and their rates (n, nt)."""
         system, X = self.system, self.with_sources(t, z)
         dX = np.concatenate((r, system.source_values(t, self.within, 1)))
         outputs = [np.zeros((0, t.size))]
         for device, mode in zip(system.devices, self.modes, strict=True):
-            points = zip((device.inputs @ X).T, (device.inputs @ dX).T, strict=True)
-            outputs.append(np.array([device.out(*point, mode) for point in points]).T)
+            evaluate = partial(device.out, mode=mode)
+            points = map(evaluate, (device.inputs @ X).T, (device.inputs @ dX).T)
+            outputs.append(np.array(list(points)).T)
         y = system.now @ X + system.rated @ dX + system.direct @ np.concatenate(outputs)
         return dict(zip(system.names, y + system.constant[:, None], strict=True))
 
     def energy(self, t: float, z: np.ndarray) -> float:
-        """Energy stored [J]."""
+        """Compute the stored energy [J]."""
         X = self.with_sources(t, z)
         item = zip(self.system.devices, self.inputs(t, z), self.modes, strict=True)
         devices = sum(device.law.energy(e, mode) for device, e, mode in item)
@@ -62,16 +66,14 @@ class Interval:
         g: np.ndarray = self.system.G @ X
         for device, mode in self.curved:
             if device.stores is not None:
-                stores = [device.law.store(e, mode)[0] for e in (device.inputs @ X).T]
-                g += device.stores @ np.array(stores).T
+                g += device.stores @ _evaluate(device.law.store, device.inputs @ X, mode)
         return g
 
     def flow(self, X: np.ndarray) -> np.ndarray:
         """``f`` (n, nt)."""
         f: np.ndarray = self.F @ X + self.const[:, None]
         for device, mode in self.curved:
-            out = [device.law.evaluate(e, mode)[0] for e in (device.inputs @ X).T]
-            f += device.into @ np.array(out).T
+            f += device.into @ _evaluate(device.law.evaluate, device.inputs @ X, mode)
         return f
 
     def slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -100,8 +102,8 @@ class Interval:
         item = zip(self.system.devices, self.inputs(t, z), self.modes, strict=True)
         return np.concatenate([np.empty(0), *(d.law.guards(e, mode) for d, e, mode in item)])
 
-    def settled(self, t: float, z: np.ndarray) -> np.ndarray:
-        """``z`` with algebraic unknowns that agree with the others."""
+    def solve_algebraic(self, t: float, z: np.ndarray) -> np.ndarray:
+        """Solve the algebraic equations for the algebraic unknowns of ``z``."""
         algebraic, rows = ~self.system.differential, ~self.rows
         z = z.copy()
         for _ in range(30 if algebraic.any() else 0):
@@ -113,78 +115,100 @@ class Interval:
         return z
 
 
+def _evaluate(
+    function: Callable[[np.ndarray, Any], tuple[np.ndarray, ...]], inputs: np.ndarray, mode: Any
+) -> np.ndarray:
+    """Values (k, nt) of a function of a law and its slopes, at ``inputs`` (m, nt)."""
+    return np.array([function(e, mode)[0] for e in inputs.T]).T
+
+
+def join_waves(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Concatenate the waves of consecutive intervals by their names."""
+    columns = zip(*map(dict.values, parts), strict=True)
+    return dict(zip(parts[0], map(np.concatenate, columns), strict=True))
+
+
 _ITERATIONS = 400
 _DIRECT = 12  # Newton steps from a guess
 
 
 def solve_operating_point(system: System) -> dict[str, float]:
-    """Every wave at the equilibrium with the sources as they are at t = 0.
+    """Compute every wave at the equilibrium with the sources as they are at t = 0.
 
-    Charges of floating nets are zero. Raises SimulationError where nothing holds a part, or where
-    no equilibrium was reached.
+    Charges of floating nets are zero.
+
+    Raises
+    ------
+    SimulationError : a part has no support, or no equilibrium was reached.
     """
-    return _values(system, *equilibrium(system))
+    return _compute_waves(system, *equilibrium(system))
 
 
 def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Equilibria while ``source`` takes ``values``, each started from the one before.
+    """Compute the equilibria at ``values`` of a source, each starting from the last one.
 
     Returns arrays over the sweep: ``sweep`` and every name of `solve_operating_point`.
     """
     z, result = None, []
     for value in np.asarray(values, dtype=float):
-        now = _with_waves(system, {source: value})
+        now = _fix_sources(system, {source: value})
         z, modes = equilibrium(now, z)
-        result.append(_values(now, z, modes))
-    swept = {key: np.array([point[key] for point in result]) for key in result[0]}
+        result.append(_compute_waves(now, z, modes))
+    columns = zip(*map(dict.values, result), strict=True)
+    swept = dict(zip(result[0], map(np.array, columns), strict=True))
     return {"sweep": np.asarray(values, dtype=float)} | swept
 
 
-def _with_waves(system: System, values: dict[str, float]) -> System:
-    """All sources constant, at ``values`` or what they are at t = 0."""
-    waves = [(p, values.get(p.name, float(p.wave(0.0)))) for p in system.sources]
-    sources = (replace(p, wave=constant(value)) for p, value in waves)
+def _fix_sources(system: System, values: dict[str, float]) -> System:
+    """Make all sources constant, at ``values`` or at their values at t = 0."""
+    sources = []
+    for source in system.sources:
+        value = values.get(source.name, float(source.wave(0.0)))
+        sources.append(replace(source, wave=constant(value)))
     return replace(system, sources=tuple(sources))
 
 
-def _values(system: System, z: np.ndarray, modes: list[Any]) -> dict[str, float]:
-    rest, t = Interval(_with_waves(system, {}), modes, 0.0), np.zeros(1)
+def _compute_waves(system: System, z: np.ndarray, modes: list[Any]) -> dict[str, float]:
+    rest, t = Interval(_fix_sources(system, {}), modes, 0.0), np.zeros(1)
     waves = rest.waves(t, z[:, None], np.zeros((z.size, 1)))
     return {name: float(wave[0]) for name, wave in waves.items()}
 
 
-class _Rest:
-    """Equations of rest: balance, start values that are held, charges that nothing can change."""
+class _StaticEquations:
+    """Static equations: balances, enforced initial values, and charges that nothing changes."""
 
     def __init__(self, system: System) -> None:
-        self.system = _with_waves(system, {})
+        self.system = _fix_sources(system, {})
         self.source_values = self.system.source_values(0.0, 0.0)
         n, values = system.size, system.initial_values
         self.H = np.array([h.row[:n] for h in values]).reshape(-1, n)
         self.h = np.array([h.value - h.row[n:] @ self.source_values for h in values])
-        self.into = np.array([h.into for h in values]).reshape(-1, n).T
+        self.into = np.array([*map(attrgetter("into"), values)]).reshape(-1, n).T
 
     def interval(self, z: np.ndarray) -> Interval:
-        """The system in the modes that its devices have at ``z``."""
+        """Make the interval with the modes that the devices have at ``z``."""
         X = np.concatenate((z, self.source_values))
         modes = [device.law.mode(device.inputs @ X) for device in self.system.devices]
         return Interval(self.system, modes, 0.0)
 
     def equations(self, interval: Interval, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual (n,) and slopes (n, n) without what is held."""
+        """Compute residual (n,) and slopes (n, n) without the enforced initial values."""
         return interval.at(0.0, z)[1], interval.slopes(0.0, z)[1]
 
 
 def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.ndarray, list[Any]]:
-    """Unknowns and modes at rest, by Newton's method after a motion through thick friction."""
-    rest, n = _Rest(system), system.size
+    """Solve for unknowns and modes at rest by Newton's method.
+
+    A motion with strong friction precedes Newton's method.
+    """
+    rest, n = _StaticEquations(system), system.size
     z = np.zeros(n) if guess is None else guess.copy()
     z[system.velocity] = 0.0
     if rest.h.size and guess is None:
         z = z + np.linalg.lstsq(rest.H, rest.h - rest.H @ z, rcond=None)[0]
     friction, forces, places = np.zeros((n, n)), system.velocity, system.moved
     if guess is not None and not places.size:  # nothing has a mass: a net's row balances its forces
-        forces = places = _nets(system)
+        forces = places = _find_net_displacements(system)
     friction[forces, places] = 1.0
     # A guess is mostly near: Newton's method alone first, the slow motion where that fails.
     pace, direct = (1e-6, 0) if guess is None else (1e13, _DIRECT)
@@ -194,14 +218,14 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
             z, pace = start, 1e-6
         interval = rest.interval(z)
         f, J = rest.equations(interval, z)
-        step = _solve(rest, interval, z, f, J - friction / pace if pace < 1e13 else J)
+        step = _newton_step(rest, interval, z, f, J - friction / pace if pace < 1e13 else J)
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
         if guess is not None and not small and count >= direct and f[forces] @ step[places] < 0.0:
             pace *= 0.01  # past a fold a long step leads back, against its forces
             continue
         z = z + step
         if pace >= 1e13 and small and not np.any(interval.guards(0.0, z) < -1e-18):
-            return _moving(system, z), interval.modes
+            return _set_initial_speeds(system, z), interval.modes
         pace = min(10.0 * pace, 1e13)
     raise SimulationError(
         "no equilibrium was reached",
@@ -210,17 +234,17 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
     )
 
 
-def _nets(system: System) -> np.ndarray:
-    """Unknowns that are displacements of nets."""
-    names = {name: k for k, name in enumerate(system.names)}
-    moving = [k for name, k in names.items() if f"{name}.rate" in names]
+def _find_net_displacements(system: System) -> np.ndarray:
+    """Find the unknowns that are displacements of nets."""
+    names = np.array(system.names)
+    moving = np.isin(np.char.add(names, ".rate"), names)
     return np.flatnonzero((system.now[moving, : system.size] != 0.0).any(axis=0))
 
 
-def _solve(
-    rest: _Rest, interval: Interval, z: np.ndarray, f: np.ndarray, J: np.ndarray
+def _newton_step(
+    rest: _StaticEquations, interval: Interval, z: np.ndarray, f: np.ndarray, J: np.ndarray
 ) -> np.ndarray:
-    """Newton step with the held values and, where it is singular, the kept charges."""
+    """Compute a Newton step with the initial values and, if it is singular, constant charges."""
     n, m = z.size, rest.h.size
     full = np.block([[J, rest.into], [rest.H, np.zeros((m, m))]])
     right = -np.concatenate((f, rest.H @ z - rest.h))
@@ -247,13 +271,13 @@ def _solve(
     return np.linalg.lstsq(full, right, rcond=1e-15)[0][:n]
 
 
-def _moving(system: System, z: np.ndarray) -> np.ndarray:
-    """Give held masses their velocities."""
-    if not system.initial_values:
+def _set_initial_speeds(system: System, z: np.ndarray) -> np.ndarray:
+    """Set the velocities of masses with an initial velocity."""
+    values = system.initial_values
+    if not values:
         return z
-    forms = np.array([h.rate[: system.size] for h in system.initial_values])[:, system.velocity]
+    forms = np.array([*map(attrgetter("rate"), values)])[:, system.velocity]
+    speeds = list(map(attrgetter("speed"), values))
     z = z.copy()
-    z[system.velocity] = np.linalg.lstsq(
-        forms, [h.speed for h in system.initial_values], rcond=None
-    )[0]
+    z[system.velocity] = np.linalg.lstsq(forms, speeds, rcond=None)[0]
     return z

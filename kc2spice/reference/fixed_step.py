@@ -16,15 +16,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import starmap
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.laws import PortBody, Relation
+from kc2spice.core.laws import Device, PortBody, Relation
 from kc2spice.linalg.factor import factorise
-from kc2spice.reference.equilibrium import Interval, equilibrium
+from kc2spice.reference.equilibrium import Interval, equilibrium, join_waves
 from kc2spice.reference.system import System
 
 GAMMA = 1.0 - np.sqrt(0.5)
@@ -35,7 +36,7 @@ NOTHING = 1e-100  # zero load; a solver cannot solve for its rounding errors
 SLOW = 3e-8  # rate of a free body that only drifts, relative to its fastest rate
 
 
-class _Body:
+class _BodyIntegrator:
     """Integrator of the linear model ``sum_k P_k d^k x/dt^k = B a`` with steps of fixed length.
 
     It starts from rest with the initial input ``a`` (inputs,).
@@ -48,7 +49,7 @@ class _Body:
     def __init__(self, law: PortBody, step: float, e: np.ndarray) -> None:
         self.law, self.pencil = law, law.model.pencil
         self.step, self.rate = step, 1.0 / (GAMMA * step)
-        self.solve = _solver(self.pencil, self.rate)
+        self.solve = _make_solver(self.pencil, self.rate)
         self.answers = self.solve(self.pencil.B)
         H = self.pencil.C @ self.answers + self.pencil.D
         self.H = 0.5 * (H + H.T) if self.pencil.symmetric and self.pencil.collocated else H
@@ -57,8 +58,8 @@ class _Body:
         if np.abs(a).max(initial=0.0) > NOTHING:
             self.x = at_rest(self.pencil)(self.pencil.B @ a)
 
-    def relation(self, second: bool) -> Relation:
-        """Right-hand side of the next stage."""
+    def begin_stage(self, second: bool) -> Relation:
+        """Compute the relation between the ports of the body in the next stage."""
         P, s = self.pencil.coefficients, self.rate
         x, v = self.x, self.v
         if second:
@@ -70,8 +71,8 @@ class _Body:
         self._free = self.solve(known)
         return Relation(self.H, self.pencil.C @ self._free)
 
-    def loaded(self, e: np.ndarray, second: bool) -> None:
-        """End the stage with what the device sees."""
+    def finish_stage(self, e: np.ndarray, second: bool) -> None:
+        """End the stage with the inputs ``e`` of the device."""
         x, v = self._past
         now = self._free + self.answers @ self.law.loads(e)
         self._v = self.rate * (now - x)
@@ -80,8 +81,8 @@ class _Body:
             self.x, self.v = now, self._v
 
 
-def _solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
-    """``P(s)^-1`` at a real ``s``, by a Cholesky factor where there is one."""
+def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the product with ``P(s)^-1`` at a real ``s``, by a Cholesky factor if there is one."""
     if pencil.symmetric:
         matrix = sparse.csc_array(pencil.at(s))
         if matrix.shape[0] == pencil.size:
@@ -94,23 +95,25 @@ def _solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def at_rest(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """``P(0)^-1``; of a body that nothing holds ``P(s)^-1`` with a rate at which it but drifts.
+    """Return the product with ``P(0)^-1``, or ``P(s)^-1`` at a slow rate s if a body is free.
 
     Raises
     ------
     SimulationError : singular at any rate.
     """
     try:
-        return _solver(pencil, 0.0)
+        return _make_solver(pencil, 0.0)
     except SimulationError:
-        sizes = [float(abs(P).max()) for P in (pencil.coefficients[0], pencil.coefficients[-1])]
-        return _solver(pencil, SLOW * (sizes[0] / sizes[1]) ** (1 / pencil.degree))
+        ratio = float(abs(pencil.coefficients[0]).max()) / float(abs(pencil.coefficients[-1]).max())
+        return _make_solver(pencil, SLOW * ratio ** (1 / pencil.degree))
 
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """``time`` (nt,), every wave by name (nt,) as of a `reference.integrate.Result` but currents of
-    charges that devices keep, and the ``modes`` of all devices but bodies at each time."""
+    """Waves (nt,) by their names over ``time`` (nt,), and the modes of devices at each time.
+
+    Currents of charges that devices store have no wave. Bodies have no modes.
+    """
 
     time: np.ndarray
     waves: dict[str, np.ndarray]
@@ -125,7 +128,7 @@ def steps(
     start_from: Callable[[System, np.ndarray], np.ndarray] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Steps:
-    """``count`` steps from ``first`` [s] on.
+    """Integrate ``count`` steps from ``first`` [s] on.
 
     The laws begin in equilibrium, the bodies in that of t = 0, until ``first``.
     ``start_from`` converts the unknowns there to those at ``first``, for laws that move before the
@@ -136,10 +139,10 @@ def steps(
     SimulationError : no equilibrium, a stage that does not settle, or a law that left its range.
     """
     z, modes = equilibrium(system)
-    march = _March(system, modes, step)
+    march = _StepIntegrator(system, modes, step)
     es = march.interval(0.0).inputs(0.0, z)
     for k, ported in march.ported:
-        march.bodies[k] = _Body(ported, step, es[k])
+        march.bodies[k] = _BodyIntegrator(ported, step, es[k])
     if start_from is not None:
         z = start_from(system, z)
     es = march.interval(first).inputs(first, z)
@@ -154,34 +157,41 @@ def steps(
         if progress is not None and k % 20 == 0:
             progress(k / count)
     time = np.array(times)
-    result = np.array(states).T, np.gradient(np.array(states).T, time, axis=1)
-    points = zip(intervals, time[:, None], *(item.T[:, :, None] for item in result), strict=True)
-    item = [interval.waves(*point) for interval, *point in points]
-    laws = [law for _, law in march.others]
-    charges = {f"{law.name}.{law.flows[k].pin}.through" for law in laws for k in law.charged}
-    waves = {name: np.concatenate([row[name] for row in item]) for name in {*item[0]} - charges}
-    mode_history = [tuple(interval.modes[k] for k, _ in march.others) for interval in intervals]
-    return Steps(time, {"time": time} | waves, mode_history)
+    unknowns = np.array(states)
+    rates = np.gradient(unknowns.T, time, axis=1).T
+    points = zip(intervals, time[:, None], unknowns[:, :, None], rates[:, :, None], strict=True)
+    waves = join_waves(list(starmap(Interval.waves, points)))
+    for _, law in march.others:
+        for k in law.charged:
+            waves.pop(f"{law.name}.{law.flows[k].pin}.through", None)
+    return Steps(time, {"time": time} | waves, list(map(march.device_modes, intervals)))
 
 
-class _March:
-    """The state of a run but for the unknowns: bodies and modes."""
+class _StepIntegrator:
+    """Integrator of a system with bodies: their states and the modes of devices."""
 
     def __init__(self, system: System, modes: list[Any], step: float) -> None:
         self.system, self.modes, self.h = system, modes, step
         self.rate = 1.0 / (GAMMA * step)
-        laws = [device.law for device in system.devices]
-        self.ported = [(k, law) for k, law in enumerate(laws) if isinstance(law, PortBody)]
-        self.others = [(k, law) for k, law in enumerate(laws) if not isinstance(law, PortBody)]
-        self.bodies: dict[int, _Body] = {}
+        self.ported, self.others = list[tuple[int, PortBody]](), list[tuple[int, Device]]()
+        for k, device in enumerate(system.devices):
+            if isinstance(device.law, PortBody):
+                self.ported.append((k, device.law))
+            else:
+                self.others.append((k, device.law))
+        self.bodies: dict[int, _BodyIntegrator] = {}
         self.affine = all(law.affine for _, law in self.others)
 
     def interval(self, t: float) -> Interval:
-        """The system in its modes about ``t``."""
+        """Make the interval about ``t`` with the present modes."""
         return Interval(self.system, list(self.modes), t)
 
+    def device_modes(self, interval: Interval) -> tuple[Any, ...]:
+        """Select the modes of all devices except bodies in an interval."""
+        return tuple(interval.modes[k] for k, _ in self.others)
+
     def step(self, t: float, z: np.ndarray) -> np.ndarray:
-        """The unknowns a step after ``t``; the modes become those there."""
+        """Compute the unknowns a step after ``t``, and set the modes to those at its end."""
         stored = self.interval(t).at(t, z)[0]
         within = t + GAMMA * self.h
         first = self._stage(within, z, stored, False)
@@ -193,9 +203,9 @@ class _March:
         return last
 
     def _stage(self, t: float, z: np.ndarray, stored: np.ndarray, second: bool) -> np.ndarray:
-        """Solve ``g(z) - kept = f(z) / rate`` at ``t`` for unknowns and modes."""
+        """Solve ``g(z) - stored = f(z) / rate`` at ``t`` for unknowns and modes."""
         for k, body in self.bodies.items():
-            self.modes[k] = body.relation(second)
+            self.modes[k] = body.begin_stage(second)
         es = self.interval(t).inputs(t, z)
         self._switch(es, 0)
         for count in range(ITERATIONS):
@@ -211,14 +221,14 @@ class _March:
             small = np.abs(change).max() <= 1e-10 * (1e-3 + np.abs(z).max())
             if not self._switch(es, count) and (self.affine or small):
                 for k, body in self.bodies.items():
-                    body.loaded(es[k], second)
+                    body.finish_stage(es[k], second)
                 return z
         raise SimulationError(
             "the iteration of a time step does not converge", where=f"t = {t:.6e} s"
         )
 
     def _switch(self, es: list[np.ndarray], count: int) -> bool:
-        """Whether a device had to change its mode."""
+        """Change the modes of devices with a negative guard; return whether there was any."""
         changed = False
         for k, law in self.others:
             guards = law.guards(es[k], self.modes[k])

@@ -12,7 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from scipy.optimize import brentq
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device
-from kc2spice.reference.equilibrium import Interval, equilibrium
+from kc2spice.reference.equilibrium import Interval, equilibrium, join_waves
 from kc2spice.reference.system import System
 
 _S6 = np.sqrt(6.0)
@@ -61,6 +62,11 @@ class Step:
         """State at the end."""
         return self.first + self.increments[:, 2]
 
+    @property
+    def stage_times(self) -> np.ndarray:
+        """Times (3,) of the stages."""
+        return self.start + self.length * NODES
+
     def at(self, t: np.ndarray | float) -> np.ndarray:
         """States (n, nt) on the collocation polynomial."""
         x = (np.atleast_1d(t) - self.start) / self.length
@@ -80,11 +86,11 @@ class Step:
 
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
         """States and rates (n, 3) at the stages, for quadrature over the step."""
-        return self.first[:, None] + self.increments, self.rate(self.start + self.length * NODES)
+        return self.first[:, None] + self.increments, self.rate(self.stage_times)
 
 
 class Radau:
-    """Steps within one interval; ``advance`` makes one of an error, ``take`` one of a length."""
+    """Integrator of one interval by steps of a given error (``advance``) or length (``take``)."""
 
     def __init__(self, interval: Interval, t: float, z: np.ndarray, rtol: float) -> None:
         self.rtol = rtol
@@ -105,7 +111,7 @@ class Radau:
         self.h_lu, self.lu = 0.0, tuple[Any, ...]()
 
     def guess(self, end: float) -> float:
-        """First step: a hundredth of the time in which the state doubles."""
+        """Choose the first step: a hundredth of the time in which the state doubles."""
         rates = np.linalg.lstsq(self.M, self.f, rcond=None)[0]
         speed = _norm((rates / (self.rtol * (1.0 + np.abs(self.z))))[self.active])
         if speed <= 1e-300:
@@ -126,7 +132,7 @@ class Radau:
             lapack.zgetrf(_values[_PAIR] / h * self.M - self.J),
         )
         self.h_lu = h
-        if any(info for _, _, info in self.lu):
+        if any(map(itemgetter(2), self.lu)):
             raise SimulationError(
                 "the equations are singular",
                 where=f"t = {self.t:.6e} s",
@@ -166,14 +172,17 @@ class Radau:
         return None
 
     def accept(self, step: Step) -> None:
-        """Go on from the end of ``step``."""
+        """Continue from the end of a step."""
         self.before = step
         self._start(step.end, step.last)
         if not self.interval.linear and self.iterations > 2:
             self._linearise()
 
     def advance(self, h: float, end: float) -> tuple[Step, float]:
-        """One step whose error is within tolerance, not yet accepted, and the next length."""
+        """Compute a step whose error is within the tolerance, and the length of the next one.
+
+        The step is not accepted yet.
+        """
         rejected = False
         while True:
             if not h > 1e-15 * max(abs(self.t), 1e-6):
@@ -193,8 +202,8 @@ class Radau:
             h, rejected = h * max(0.2, factor), True
 
     def _error(self, step: Step) -> float:
-        """Estimated error in units of the tolerance."""
-        p, t, h = self.interval, self.t + step.length * NODES, step.length
+        """Estimate the error in units of the tolerance."""
+        p, t, h = self.interval, step.stage_times, step.length
         sources = p.system.source_values(t, p.within)
         # of the stored value; ``M`` times the unknowns belongs to an earlier state
         late = p.stored(np.concatenate((step.first[:, None] + step.increments, sources)))
@@ -221,8 +230,10 @@ class Segment:
 
 @dataclass(frozen=True)
 class EnergyBalance:
-    """Energy [J] that a run cannot account for, what came in less what is stored more or became
-    heat, and the ``turnover`` that it is judged by: all that came in, was lost or was there."""
+    """Error of the energy of a run: energy [J] that came in and was neither stored nor lost.
+
+    Its scale is the ``turnover``: all energy that came in, was lost, or was there at the start.
+    """
 
     residual: float
     turnover: float
@@ -230,8 +241,10 @@ class EnergyBalance:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Segments of a run, to be read at ``time`` (nt,), and the ``events`` [s] at which a device
-    changed its mode."""
+    """Segments of a run, its output times ``time`` (nt,), and its ``events`` [s].
+
+    An event is a change of the mode of a device.
+    """
 
     system: System
     time: np.ndarray
@@ -240,28 +253,35 @@ class Trajectory:
 
     @cached_property
     def waves(self) -> dict[str, np.ndarray]:
-        """``time``; ``NAME.pin`` across, ``NAME.pin.through``, ``NAME.pin.rate``, ``NAME.state``,
-        and what a device adds; read from the collocation polynomials."""
-        # A corner that is rounded otherwise by ngspice is still the end of what was before it.
+        """Waves (nt,) by their names, from the collocation polynomials.
+
+        The names are ``time``, ``NAME.pin``, ``NAME.pin.through``, ``NAME.pin.rate``,
+        ``NAME.state`` and those that a device adds.
+        """
+        # ngspice may round the time of a corner otherwise: it still belongs to the segment before.
         ends = np.array([s.steps[-1].end for s in self.segments[:-1]])
         owner = np.searchsorted(ends + 4 * np.spacing(self.time[-1]), self.time, side="left")
         result = []
         for k in np.unique(owner):
             segment, t = self.segments[k], self.time[owner == k]
-            at = np.searchsorted([s.start for s in segment.steps[1:]], t, side="left")
-            steps = [(segment.steps[j], t[at == j]) for j in np.unique(at)]
-            z = np.hstack([step.at(times) for step, times in steps])
-            r = np.hstack([step.rate(times) for step, times in steps])
-            result.append(segment.interval.waves(t, z, r))
-        joined = {name: np.concatenate([waves[name] for waves in result]) for name in result[0]}
-        return {"time": self.time, **joined}
+            starts = list(map(attrgetter("start"), segment.steps[1:]))
+            at = np.searchsorted(starts, t, side="left")
+            states, rates = [], []
+            for j in np.unique(at):
+                step, times = segment.steps[j], t[at == j]
+                states.append(step.at(times))
+                rates.append(step.rate(times))
+            result.append(segment.interval.waves(t, np.hstack(states), np.hstack(rates)))
+        return {"time": self.time, **join_waves(result)}
 
     @cached_property
     def energy(self) -> EnergyBalance:
-        """Energies at both ends, and powers by the quadrature of the method itself."""
+        """Energy balance by the energies at both ends and the quadrature of powers."""
         came, went = np.zeros(2), np.zeros(2)  # sums, and those of sizes
         for segment in self.segments:
-            for sums, energies in zip((came, went), _exchanges(self.system, segment), strict=True):
+            for sums, energies in zip(
+                (came, went), _sum_energies(self.system, segment), strict=True
+            ):
                 sums += np.sum(energies), np.abs(energies).sum()
         begin, end = self.segments[0], self.segments[-1]
         before = begin.interval.energy(begin.steps[0].start, begin.steps[0].first)
@@ -281,7 +301,10 @@ def solve_transient(
 
     Segments end at corners of sources and located zeros of the devices' guards.
     ``times`` of the waves default to the accepted steps. ``progress`` receives the share done.
-    Raises SimulationError.
+
+    Raises
+    ------
+    SimulationError : no equilibrium, singular equations, or events without end.
     """
     z, modes = equilibrium(system)
     driven = [p.wave.corners(stop) for p in system.sources]
@@ -296,7 +319,9 @@ def solve_transient(
                     "contact opens and closes without end", where=f"t = {t:.9e} s"
                 )
             interval = Interval(system, modes, within)
-            steps, fired = _run(interval, t, z, end, rtol, lambda t: progress(t / stop))
+            steps, fired = _integrate_interval(
+                interval, t, z, end, rtol, lambda t: progress(t / stop)
+            )
             if steps:
                 segments.append(Segment(interval, tuple(steps)))
                 t, z = steps[-1].end, steps[-1].last
@@ -305,13 +330,14 @@ def solve_transient(
             else:
                 modes = _switch_mode(system, modes, fired)
                 events.append(t)
-    grid = [s.start for p in segments for s in p.steps] + [stop]
+    accepted = chain.from_iterable(map(attrgetter("steps"), segments))
+    grid = [*map(attrgetter("start"), accepted), stop]
     time = np.unique(grid) if times is None else np.union1d(times, events)
     return Trajectory(system, time, tuple(segments), tuple(events))
 
 
 def _switch_mode(system: System, modes: list[Any], fired: int) -> list[Any]:
-    """Modes after guard number ``fired`` fell to zero."""
+    """Return the modes after guard number ``fired`` fell to zero."""
     item = zip(system.devices, modes, strict=True)
     counts = [len(d.law.guards(np.zeros(len(d.inputs)), mode)) for d, mode in item]
     k = int(np.searchsorted(np.cumsum(counts), fired, side="right"))
@@ -319,19 +345,22 @@ def _switch_mode(system: System, modes: list[Any], fired: int) -> list[Any]:
     return [*modes[:k], now, *modes[k + 1 :]]
 
 
-def _run(
+def _integrate_interval(
     interval: Interval,
     t: float,
     z: np.ndarray,
     end: float,
     rtol: float,
-    reached: Callable[[float], None],
+    report_progress: Callable[[float], None],
 ) -> tuple[list[Step], int | None]:
-    """Steps to ``end``, or to the first guard that falls to zero, and its number."""
-    z = interval.settled(t, z)
+    """Integrate to ``end``, or to the first guard that falls to zero.
+
+    Returns the steps and the number of this guard, None without one.
+    """
+    z = interval.solve_algebraic(t, z)
     before = interval.guards(t, z)
     solver = Radau(interval, t, z, rtol)
-    pace = min((p.wave.pace for p in interval.system.sources), default=np.inf)
+    pace = min(map(attrgetter("wave.pace"), interval.system.sources), default=np.inf)
     steps: list[Step] = []
     h = 0.0
     while solver.t < end * (1 - 1e-16):
@@ -349,7 +378,7 @@ def _run(
         if fired is not None:
             return steps, fired
         solver.accept(step)
-        reached(step.end)
+        report_progress(step.end)
         before, h = after, h_next
     return steps, None
 
@@ -357,7 +386,7 @@ def _run(
 def _locate_zero(
     interval: Interval, solver: Radau, step: Step, fell: np.ndarray
 ) -> tuple[Step, int]:
-    """The step shortened to the first zero of a guard, solved again there."""
+    """Shorten a step to the first zero of a guard, and solve it again."""
 
     def value(t: float, k: int) -> float:
         return float(interval.guards(t, step.at(t)[:, 0])[k])
@@ -371,39 +400,39 @@ def _locate_zero(
         crosses = value(t1, k) < 0.0
         return brentq(value, low, t1, args=(k,), xtol=1e-18, rtol=1e-15) if crosses else t1
 
-    def shortened(h: float) -> Step:
-        """On the polynomial where Newton's method fails."""
+    def shorten(h: float) -> Step:
+        """Solve a shorter step; interpolate where Newton's method fails."""
         stages = step.at(t0 + h * NODES) - step.first[:, None]
         rough = Step(t0, h, step.first, stages, step.differential)
         return solver.take(h) or rough
 
     at, guard = min((root(int(k)), int(k)) for k in fell)
     h = max(at - t0, 1e-12 * step.length)  # late in a run, t0 + 1e-12 length may be t0
-    result = shortened(h)
+    result = shorten(h)
     for _ in range(2):  # the polynomial is of lower order than the step
         miss = float(interval.guards(t0 + h, result.last)[guard])
         rate = (value(t0 + h, guard) - value(t0 + 0.999 * h, guard)) / (0.001 * h)
         if rate >= 0.0 or not 1e-17 <= abs(miss / rate) <= 0.01 * h:
             break
         h -= miss / rate
-        result = shortened(h)
+        result = shorten(h)
     return result, guard
 
 
-def _exchanges(system: System, segment: Segment) -> tuple[list[float], list[float]]:
-    """Energies [J] that sources and devices bring in, and those that become heat."""
+def _sum_energies(system: System, segment: Segment) -> tuple[list[float], list[float]]:
+    """Compute the energies [J] that sources and devices bring in, and those that become heat."""
     interval, steps = segment.interval, segment.steps
-    t = np.concatenate([s.start + s.length * NODES for s in steps])
-    w = np.concatenate([s.length * WEIGHTS for s in steps])
-    z, r = map(np.hstack, zip(*(s.nodes() for s in steps), strict=True))
+    t = np.concatenate([*map(attrgetter("stage_times"), steps)])
+    w = np.outer([*map(attrgetter("length"), steps)], WEIGHTS).ravel()
+    z, r = map(np.hstack, zip(*map(Step.nodes, steps), strict=True))
     X = interval.with_sources(t, z)
     came, went = [], []
     waves = interval.waves(t, z, r) if system.sources else {}
     for source in system.sources:
         if not source.signal:
-            what = ".rate" if source.domain.position else ""
-            high, low = (waves[f"{source.name}.{pin}{what}"] for pin in ("out", "ret"))
-            came.append(float(-waves[f"{source.name}.out.through"] * (high - low) @ w))
+            name, what = source.name, ".rate" if source.domain.position else ""
+            across = waves[f"{name}.out{what}"] - waves[f"{name}.ret{what}"]
+            came.append(float(-waves[f"{name}.out.through"] * across @ w))
     if system.dissipated.any():
         went.append(float(np.einsum("it,ij,jt,t", X, system.dissipated, X, w, optimize=True)))
     for device, mode in zip(system.devices, interval.modes, strict=True):

@@ -1,17 +1,20 @@
-"""The linear circuit about its operating point: its response to small signals, its modes, its exact
-motion under waveforms of straight lines and sines, and its thermal noise.
+"""The linear circuit about an operating point: response, modes, exact motion and thermal noise.
+
+The exact motion is that under waveforms of straight lines and sines.
 
 A linear law with the admittance ``Y`` (through by rate of across) has through quantities of the
 spectral density ``4 k T (Y + Y^H) / 2`` (H. B. Callen, T. A. Welton, Phys. Rev. 83 (1951) 34; one
-sided, per Hz). A body is taken by the answers at its ports, whatever its states are: not by the
-force noise of each mode, as its netlist is.
+sided, per Hz). The noise of a body follows from the responses at its ports. The netlist of the
+body contains a noise force of each mode instead.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import chain, repeat
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
@@ -31,16 +34,18 @@ _FREE = 1e-7  # largest effect of the drives on such a body, relative to their t
 Warp = Callable[[np.ndarray], np.ndarray]
 
 
-class Linear:
-    """``d/dt (G X) = F X`` for deviations ``X = [z, s, s']`` from rest, with the outputs
-    ``y = C0 X + d/dt C1 X``, which have the names of the system's waves.
+class LinearisedSystem:
+    """Equations ``d/dt (G X) = F X`` of deviations ``X = [z, s, s']`` from rest.
 
-    ``exact`` tells whether the system is linear, so that this holds for any size of motion.
+    The outputs ``y = C0 X + d/dt C1 X`` have the names of the system's waves. ``exact`` tells
+    whether the system is linear: the equations then hold for motions of any size.
 
-    Devices that follow a frequency are taken as they are at the rate ``at``; ``point`` is a state
-    of rest that is known.
+    Devices that depend on the frequency are linearised at the rate ``at``. ``point`` is a known
+    equilibrium.
 
-    Raises SimulationError where there is no equilibrium to linearise about.
+    Raises
+    ------
+    SimulationError : there is no equilibrium to linearise about.
     """
 
     def __init__(
@@ -75,12 +80,12 @@ class Linear:
         )
 
     def answer(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Outputs (ny,) for sources ``amplitudes e^(w t)``."""
+        """Compute the outputs (ny,) for sources ``amplitudes e^(w t)``."""
         X = self._unknowns(w, amplitudes)
         return np.asarray(self.C0 @ X + w * (self.C1 @ X))
 
     def terms(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Sum (ny,) of the absolute values of all terms of each output of :meth:`answer`."""
+        """Sum the absolute values (ny,) of all terms of each output of :meth:`answer`."""
         X = self._unknowns(w, amplitudes)
         return self._terms(slice(None), X[:, None], np.array([w]))[:, 0]
 
@@ -94,12 +99,12 @@ class Linear:
 
     def _terms(self, columns: slice, X: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """``|C0| |X| + |C1| |X rates|`` (ny, m) of unknowns in these columns of both."""
-        now, rated = (size[:, columns] for size in self._sizes)
-        return np.asarray(now @ np.abs(X) + rated @ np.abs(X * rates))
+        now, rated = self._sizes
+        return np.asarray(now[:, columns] @ np.abs(X) + rated[:, columns] @ np.abs(X * rates))
 
     @cached_property
     def _free_motion(self) -> _FreeMotion | None:
-        """Equations of the states alone; None where these do not determine the other unknowns."""
+        """Equations of the states alone; None if states do not determine the other unknowns."""
         n, rows, cols = self.system.size, self.rows, self.system.differential
         if rows.sum() != cols.sum() or not cols.any():
             return None
@@ -155,7 +160,7 @@ class Linear:
 
     @cached_property
     def modes(self) -> Modes | None:
-        """The natural motions; None where they have no basis of their own, or a body is free."""
+        """Natural modes; None if eigenvectors are no basis, or a body is free."""
         n, k = self.system.size, len(self.system.sources)
         rows, cols = self.rows, self.system.differential
         motion = self._free_motion
@@ -164,7 +169,7 @@ class Linear:
         J, algebraic = self.F[:, :n], ~cols
         inverse, follow, cut = motion.inverse, motion.follow, motion.cut
         try:
-            rates, shapes, reading, drifting = _split(motion.rates)
+            rates, shapes, reading, drifting = _decompose_motion(motion.rates)
         except np.linalg.LinAlgError:
             return None
         if rates is None:
@@ -191,8 +196,11 @@ class Linear:
         return Modes(rates, out, terms, np.asarray(drive), reading @ off, level)
 
     def motion(self, waves: tuple[Function, ...], stop: float) -> ExponentialSolution | None:
-        """The exact motion up to ``stop`` [s] under the sources' waveforms; None where a source has
-        another shape than straight lines and sines, or a mode has no end."""
+        """Compute the exact motion up to ``stop`` [s] under the waveforms of the sources.
+
+        The result is None if a source has another shape than straight lines and sines, or if
+        there are no modes.
+        """
         modes = self.modes
         if modes is None:
             return None
@@ -201,36 +209,41 @@ class Linear:
             if not isinstance(wave, Waveform) or wave.start < 0:
                 return None
             if wave.straight:
-                lines += _kinks(k, wave, stop)
+                lines += _find_kinks(k, wave, stop)
             elif wave.amplitude:
                 sines.append((k, wave))
         unit = np.eye(len(waves))
         small = 1e-5 * np.abs(modes.rates).min()
-        pairs = [(self.answer(small, u).real, self.answer(-small, u).real) for u in unit]
         shape = len(waves), len(self.system.names)
-        still = np.array([(a + b) / 2 for a, b in pairs]).reshape(shape)
-        drift = np.array([(a - b) / (2 * small) for a, b in pairs]).reshape(shape)
+        growing = np.array(list(map(partial(self.answer, small), unit))).real.reshape(shape)
+        decaying = np.array(list(map(partial(self.answer, -small), unit))).real.reshape(shape)
+        still, drift = (growing + decaying) / 2, (growing - decaying) / (2 * small)
         return ExponentialSolution(
             self, modes, waves, tuple(sorted(lines)), tuple(sines), still, drift, stop
         )
 
 
 def solve_ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
-    """Complex waves for the ``ac`` amplitudes of all sources.
+    """Compute complex waves (nf,) for the ``ac`` amplitudes of all sources.
 
-    Linearised about the operating point. ``NAME.pin`` and ``NAME.pin.through`` (nf,) as in
-    ``Result.waves``; also ``frequency`` [Hz].
+    The system is linearised about its operating point. Names are ``frequency`` [Hz] and, as in
+    ``Result.waves``, ``NAME.pin`` and ``NAME.pin.through``.
     """
-    amplitude = np.array([p.ac for p in system.sources], dtype=complex)
+    amplitude = np.array([*map(attrgetter("ac"), system.sources)], dtype=complex)
     frequencies, point = np.asarray(frequencies, dtype=float), equilibrium(system)
-    result = [Linear(system, w, point).answer(w, amplitude) for w in 2j * np.pi * frequencies]
+    result = []
+    for w in 2j * np.pi * frequencies:
+        result.append(LinearisedSystem(system, w, point).answer(w, amplitude))
     waves = zip(system.names, np.array(result).T, strict=True)
     return {"frequency": frequencies} | {n: y for n, y in waves if not n.endswith(".rate")}
 
 
-def _split(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray]:
-    """Rates (m,), shapes (n, m), what reads them (m, n) of ``x' = F x``, and what reads the rest, a
-    motion without restoring force (n - m, n). The rates are None where the shapes are no basis."""
+def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray]:
+    """Compute rates (m,), shapes (n, m) and left eigenvectors (m, n) of ``x' = F x``.
+
+    The last result are left vectors (n - m, n) of motions without restoring force. The rates are
+    None if the shapes are no basis.
+    """
     size = float(np.abs(np.linalg.eigvals(F)).max(initial=0.0))
     T, Q, k = sla.schur(F.astype(complex), "complex", sort=lambda x: abs(x) > _STILL * size)
     X = sla.solve_sylvester(T[:k, :k], -T[k:, k:], -T[:k, k:]) if k < len(F) else T[:k, k:]
@@ -242,8 +255,8 @@ def _split(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray]:
     return rates, Q[:, :k] @ S, reading, left[k:]
 
 
-def _kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]]:
-    """Times from zero on at which the slope of source ``k`` jumps, and by how much."""
+def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]]:
+    """Find the times from zero on at which the slope of source ``k`` jumps, and the jumps."""
     times, values = wave.knots(stop)
     slopes = np.diff(values) / np.diff(times)
     jumps = np.diff(np.concatenate([[0.0], slopes, [0.0]]))
@@ -254,10 +267,10 @@ def _kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]
 
 @dataclass(frozen=True, eq=False)
 class _FreeMotion:
-    """``x' = rates x`` of the states ``x``, with the algebraic unknowns ``follow x``.
+    """Free motion ``x' = rates x`` of the states x, with the algebraic unknowns ``follow x``.
 
-    ``inverse`` is that of the states' own part of ``G``; ``cut`` carries what acts on the algebraic
-    equations over to those of the states.
+    ``inverse`` is the inverse of the part of ``G`` that belongs to the states. ``cut`` maps right
+    sides of the algebraic equations to right sides of the states' equations.
     """
 
     rates: np.ndarray
@@ -268,11 +281,12 @@ class _FreeMotion:
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """``y = level + sum_i out_i a_i``, ``a_i' = rates_i a_i + (drive_i of the sources)``.
+    """Modes: ``y = level + sum_i out_i a_i``, ``a_i' = rates_i a_i + (drive_i of the sources)``.
 
-    ``rates`` (m,) [1/s], ``out`` (ny, m), ``drive`` (m, sources): residues are their products;
-    ``terms`` (ny, m) are sums of the absolute values of all terms of ``out``;
-    ``start`` (m,) are the amplitudes at t = 0, ``level`` (ny,) what the sources at t = 0 hold.
+    Products of ``out`` (ny, m) and ``drive`` (m, sources) are residues of the poles ``rates`` (m,)
+    [1/s]. ``terms`` (ny, m) are sums of the absolute values of all terms of ``out``. ``start``
+    (m,) are the amplitudes at t = 0, and ``level`` (ny,) is the static solution for the sources
+    at t = 0.
     """
 
     rates: np.ndarray
@@ -290,9 +304,9 @@ class Modes:
 
 @dataclass(frozen=True, eq=False)
 class ExponentialSolution:
-    """The exact solution, as sums of exponentials that begin at the corners of the drives."""
+    """Exact solution: sums of exponentials that begin at the corners of the sources."""
 
-    linear: Linear
+    linear: LinearisedSystem
     modes: Modes
     waves: tuple[Function, ...]
     kinks: tuple[tuple[float, int, float], ...]  # time, source, jump of its slope
@@ -303,8 +317,9 @@ class ExponentialSolution:
 
     @property
     def corners(self) -> np.ndarray:
-        """Times from which on modes move again."""
-        return np.unique([0.0, *(t for t, _, _ in self.kinks), *(w.start for _, w in self.sines)])
+        """Times at which sources excite modes."""
+        starts = map(attrgetter("start"), map(itemgetter(1), self.sines))
+        return np.unique([0.0, *map(itemgetter(0), self.kinks), *starts])
 
     @property
     def moves(self) -> bool:
@@ -318,8 +333,11 @@ class ExponentialSolution:
         rates: Warp | None = None,
         axis: Warp | None = None,
     ) -> np.ndarray:
-        """Waves (nt, len(outputs)) at rising times: those of a rule of integration where ``rates``
-        says what it makes of the modes' rates and ``axis`` of the frequency ``j w`` of a sine."""
+        """Compute waves (nt, len(outputs)) at increasing times.
+
+        The waves are those of a rule of integration if ``rates`` maps the rates of modes, and
+        ``axis`` the frequency ``j w`` of a sine, to those that the rule integrates.
+        """
         poles = self.modes.rates
         moved = poles if rates is None else rates(poles)
         y = np.tile(self.modes.level[outputs], (t.size, 1)).astype(float)
@@ -360,15 +378,15 @@ class ExponentialSolution:
         return result
 
     def peaks(self) -> np.ndarray:
-        """(m, ny) largest amplitude that each mode has in each wave."""
+        """Largest amplitude (m, ny) of each mode in each wave."""
         return np.asarray(self._amplitudes[:, None] * np.abs(self.modes.out.T))
 
     def rounding(self) -> np.ndarray:
-        """(ny,) what of each wave is nothing but the rounding of what cancels in it.
+        """Rounding error (ny,) of each wave, whose terms may cancel.
 
-        The forces on a joint without mass, and the currents into a node, add up to zero: what such
-        a sum leaves has no course that a step could follow. It is below :data:`ROUNDED` of the
-        absolute values of its terms, those of all modes and of what the sines hold.
+        The forces on a joint without mass, and the currents into a node, add up to zero. The sum
+        is rounding noise below :data:`ROUNDED` of the absolute values of the terms of all modes
+        and sines, and no time step can resolve it.
         """
         result = self.modes.terms @ self._amplitudes
         unit = np.eye(len(self.waves))
@@ -379,23 +397,24 @@ class ExponentialSolution:
 
     @cached_property
     def _amplitudes(self) -> np.ndarray:
-        """(m,) largest amplitude of each mode."""
-        return np.max([np.abs(a) for _, _, a in self._spans(self.modes.rates)], axis=0)
+        """Largest amplitude (m,) of each mode."""
+        amplitudes = np.array([*map(itemgetter(2), self._spans(self.modes.rates))])
+        return np.asarray(np.abs(amplitudes).max(axis=0))
 
     def samples(self, count: int) -> np.ndarray:
-        """Times that see the whole motion, and what begins at the first corners and the last."""
+        """Choose times that resolve the whole motion and the starts at the outer corners."""
         spread = np.random.default_rng(0).uniform(0.0, self.stop, count)
         corners = self.corners
-        some = np.unique(np.concatenate([corners[:8], corners[-8:]]))
-        behind = np.geomspace(0.1 / np.abs(self.modes.rates).max(), self.stop, 120)
-        close = (some[:, None] + behind).ravel()
+        outer = np.unique(np.concatenate([corners[:8], corners[-8:]]))
+        delays = np.geomspace(0.1 / np.abs(self.modes.rates).max(), self.stop, 120)
+        close = (outer[:, None] + delays).ravel()
         return np.unique(np.concatenate([spread, close[close <= self.stop]]))
 
 
 def solve_noise(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.Reading, f: np.ndarray
 ) -> np.ndarray:
-    """Spectral density (nf,) of a reading, in its unit per root Hz, at the frequencies ``f`` [Hz].
+    """Compute the spectral density (nf,) of a reading, in its unit per root Hz, at ``f`` [Hz].
 
     ``joins`` are those of :func:`kc2spice.reference.system.assemble_system`.
     """
@@ -405,12 +424,12 @@ def solve_noise(
     )
     system = assemble_system(answering, joins)
     point = equilibrium(system)
-    power = [_power(Linear(system, s, point), of, s) for s in 2j * np.pi * f]
+    power = [_noise_power(LinearisedSystem(system, s, point), of, s) for s in 2j * np.pi * f]
     return np.sqrt(4 * BOLTZMANN * TEMPERATURE * np.array(power))
 
 
-def _power(at: Linear, of: L.Reading, s: complex) -> float:
-    """Sum of what all sources of a unit density add, by the adjoint of the circuit."""
+def _noise_power(at: LinearisedSystem, of: L.Reading, s: complex) -> float:
+    """Sum the densities from all sources of a unit density, by the adjoint of the circuit."""
     system = at.system
     n, k = system.size, len(system.sources)
     C0, C1 = at.output_rows(of)
@@ -418,7 +437,7 @@ def _power(at: Linear, of: L.Reading, s: complex) -> float:
     level = np.abs(P).max(axis=1)
     adjoint = np.linalg.solve((P / level[:, None]).T, (C0 + s * C1)[:n]) / level
     power = 0.0
-    modes = (*at.device_modes, *(() for _ in system.linear))
+    modes = chain(at.device_modes, repeat((), len(system.linear)))
     for device, mode in zip((*system.devices, *system.linear), modes, strict=True):
         e = device.inputs @ np.concatenate([at.z0, np.zeros(2 * k)])
         result = device.law.noise(s, e, mode)

@@ -11,6 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from itertools import count
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -24,8 +27,8 @@ MICRO = 1e-6  # m, the displacement that errors are judged by
 
 
 @dataclass(frozen=True, eq=False)
-class Attached:
-    """A device in its place: it sees ``inputs @ X``; its outputs are added to ``f`` by ``into``."""
+class PlacedDevice:
+    """A device between unknowns: its inputs are ``inputs @ X``, ``into`` adds its outputs to f."""
 
     law: L.Device
     inputs: np.ndarray  # (m, N)
@@ -35,7 +38,7 @@ class Attached:
     first: int  # place of its outputs among those of all devices
 
     def out(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
-        """Outputs (k,), with the rates of charges, for inputs ``e`` of this ``rate``."""
+        """Compute the outputs (k,) for inputs ``e`` of this ``rate``, with the rates of charges."""
         law, result = self.law, self.law.evaluate(e, mode)[0]
         if law.charged:
             result = result.copy()
@@ -45,18 +48,18 @@ class Attached:
 
 @dataclass(frozen=True, eq=False)
 class InitialValue:
-    """A start that a law asks for: ``row @ X = value`` and ``rate @ X = speed``."""
+    """An initial condition of a law: ``row @ X = value`` and ``rate @ X = speed``."""
 
     row: np.ndarray
     value: float
     rate: np.ndarray
     speed: float
-    into: np.ndarray  # (n,) how what holds it acts
+    into: np.ndarray  # (n,) balances in which the force that enforces the value acts
 
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Reduced equations and how to read everything from their unknowns; made by `assemble_system`.
+    """Reduced equations, and the waves as functions of their unknowns.
 
     Waves are ``now X + d/dt (rated X) + direct (outputs of all devices) + constant`` in the order
     of ``names``. Linear laws store ``X' stored X + lifted X`` [J] and lose ``X' dissipated X`` [W].
@@ -69,8 +72,8 @@ class System:
     velocity: np.ndarray  # (m,) places of velocities among the unknowns
     moved: np.ndarray  # (m,) places of the displacements whose they are
     sources: tuple[L.IdealSource, ...]
-    devices: tuple[Attached, ...]
-    linear: tuple[Attached, ...]  # whose outputs and stores are in ``G``, ``F`` and ``const``
+    devices: tuple[PlacedDevice, ...]
+    linear: tuple[PlacedDevice, ...]  # whose outputs and stores are in ``G``, ``F`` and ``const``
     initial_values: tuple[InitialValue, ...]
     names: tuple[str, ...]
     now: np.ndarray  # (W, N)
@@ -87,36 +90,48 @@ class System:
         return self.const.size
 
     def source_values(self, t: np.ndarray | float, within: float, order: int = 0) -> np.ndarray:
-        """Derivatives of this ``order`` of the sources, and the next ones, (2 sources,) or
-        (2 sources, nt) at ``t``, of the smooth pieces that hold the time ``within``."""
-        waves = [p.wave for p in self.sources]
-        result = [w.rate(t, within, k) if k else w(t) for k in (order, order + 1) for w in waves]
+        """Derivatives of the ``order`` and of the next one, (2 sources,) or (2 sources, nt).
+
+        They are those of the smooth pieces of the sources that contain the time ``within``.
+        """
+        result = []
+        for k in (order, order + 1):
+            for source in self.sources:
+                result.append(source.wave.rate(t, within, k) if k else source.wave(t))
         return np.array(result, dtype=float).reshape(len(result), *np.shape(t))
 
 
 def assemble_system(laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]]) -> System:
     """Join the pins of ``laws`` at nets.
 
-    ``joins`` maps a net's name to its pins ``NAME.pin``, of one kind; the net ``gnd`` is the
-    reference of every kind. Raises UsageError for sources that conflict.
+    ``joins`` maps a net's name to its pins ``NAME.pin``, of one kind. The net ``gnd`` is the
+    reference of every kind.
+
+    Raises
+    ------
+    UsageError : ideal sources contradict each other.
     """
-    return _Assembly(tuple(laws), joins).system()
+    return _Assembly(tuple(laws), joins).reduce()
 
 
 class _Assembly:
-    """Raw equations while laws are stamped. The row of a displacement holds the balance of forces
-    of what it moves, that of a node voltage the balance of currents."""
+    """Raw equations of laws.
+
+    The row of a displacement is a balance of forces, the row of a node voltage one of currents.
+    """
 
     def __init__(self, laws: tuple[L.Law, ...], joins: Mapping[str, Iterable[str]]) -> None:
         self.laws = laws
         self.kinds: dict[str, str] = {}
-        self.nets = {pin: net for net, pins in joins.items() for pin in pins}
+        self.nets: dict[str, str] = {}
+        for net, pins in joins.items():
+            self.nets |= dict.fromkeys(pins, net)
         for law in laws:
             for pin in law.pins:
                 name = f"{law.name}.{pin.name}"
                 net = self.nets.setdefault(name, L.GROUND if pin.grounded else name)
                 self.kinds.setdefault(net, pin.kind)
-        self._number()
+        self._number_unknowns()
         n = self.size
         self.M, self.A, self.const = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
         self.moving = np.zeros((self.nq, self.nq))  # which displacements need velocities
@@ -124,7 +139,7 @@ class _Assembly:
         self.sources = tuple(p for p in laws if isinstance(p, L.IdealSource))
         self.S = np.zeros((n, len(self.sources)))
         self.constraints: list[tuple[np.ndarray, np.ndarray]] = []  # forms, and of which sources
-        self.forms: dict[str, Any] = {k: np.zeros((n, n)) for k in ("stored", "dissipated")}
+        self.forms = {"stored": np.zeros((n, n)), "dissipated": np.zeros((n, n))}
         self.lifted = np.zeros(n)
         self.flows: dict[str, tuple[np.ndarray, np.ndarray, float]] = {}
         self.attached: list[tuple[L.Device, np.ndarray, np.ndarray]] = []
@@ -137,15 +152,20 @@ class _Assembly:
         for law in laws:
             match law:
                 case L.SecondOrderBody():
-                    _body(law, self)
+                    _stamp_body(law, self)
                 case L.IdealSource():
-                    _source(law, self)
+                    _stamp_source(law, self)
                 case _:
-                    _device(law, self)
+                    _stamp_device(law, self)
 
-    def _number(self) -> None:
-        """Give every unknown its place; a net on a body's port needs none of its own."""
-        used = [n for n in dict.fromkeys(self.nets.values()) if n != L.GROUND]
+    def _number_unknowns(self) -> None:
+        """Number the unknowns; a net on a body's port needs none of its own."""
+        used = dict.fromkeys(self.nets.values())
+        used.pop(L.GROUND, None)
+
+        def select_nets(kinds: Iterable[str]) -> list[str]:
+            return [net for net in used if self.kinds[net] in kinds]
+
         bodies = [b for b in self.laws if isinstance(b, L.SecondOrderBody)]
         self.body: dict[str, slice] = {}
         at = 0
@@ -158,19 +178,14 @@ class _Assembly:
                 if port.kind in L.MECHANICAL and port.name not in b.states:
                     net = self.nets[f"{b.name}.{port.name}"]
                     moved.setdefault(net, []).append((self.body[b.name], b.model.C[k]))
-        independent = [n for n in used if self.kinds[n] in L.MECHANICAL and n not in moved]
+        independent = [net for net in select_nets(L.MECHANICAL) if net not in moved]
         self.nq = at + len(independent)
         self.sizes = np.full(self.nq, MICRO)
-        self.place: dict[str, np.ndarray] = {
-            n: np.eye(1, self.nq, at + k)[0] for k, n in enumerate(independent)
-        }
+        self.place = dict(zip(independent, np.eye(len(independent), self.nq, at), strict=True))
         at = 2 * self.nq
-        nodes, signals = (
-            [n for n in used if self.kinds[n] in kinds] for kinds in (L.POTENTIALS, ("signal",))
-        )
-        self.node = {n: at + k for k, n in enumerate(nodes)}
+        self.node = dict(zip(select_nets(L.POTENTIALS), count(at)))
         at += len(self.node)
-        self.signal = {n: at + k for k, n in enumerate(signals)}
+        self.signal = dict(zip(select_nets(("signal",)), count(at)))
         at += len(self.signal)
         self.state_index: dict[str, int] = {}
         extra = [1.0] * (at - 2 * self.nq)
@@ -184,12 +199,12 @@ class _Assembly:
         self.size = at
         self.rigid: list[np.ndarray] = []
         for net, members in moved.items():
-            forms = [np.zeros(self.nq) for _ in members]
+            forms = np.zeros((len(members), self.nq))
             for form, (where, row) in zip(forms, members, strict=True):
                 form[where] = row
             first = self.place.setdefault(net, forms[0]) if net != L.GROUND else 0.0
-            rest = forms if net == L.GROUND else forms[1:]
-            self.rigid += [np.concatenate((f - first, np.zeros(at - self.nq))) for f in rest]
+            others = forms if net == L.GROUND else forms[1:]
+            self.rigid += list(np.pad(others - first, ((0, 0), (0, at - self.nq))))
         for b in bodies:
             reach, charge = np.zeros((2, b.model.order))
             for port, row in zip(b.ports, np.abs(b.model.C), strict=True):
@@ -208,7 +223,7 @@ class _Assembly:
     # --- what stamps use --------------------------------------------------------------------
 
     def form(self, law: L.Law, pin: str) -> np.ndarray:
-        """Form of a pin along which through quantities act: displacement, voltage or signal."""
+        """Compute the displacement, voltage or signal of a pin as a form of the unknowns."""
         net, row = self.nets[f"{law.name}.{pin}"], np.zeros(self.size)
         if net == L.GROUND:
             return row
@@ -219,44 +234,45 @@ class _Assembly:
         return row
 
     def gap(self, law: L.Law, a: str, *others: str) -> np.ndarray:
-        """Form of a pin less those of others, where they have a name."""
+        """Subtract the forms of ``others`` from the form of a pin; empty names have none."""
         return np.asarray(self.form(law, a) - sum(self.form(law, b) for b in others if b))
 
     def rate(self, form: np.ndarray, needed: bool = True) -> np.ndarray:
-        """The same form of the velocities; those that are not ``needed`` may be missing."""
+        """Convert a form of displacements to velocities, which may be missing if not ``needed``."""
         row = np.zeros(self.size)
         row[self.nq : 2 * self.nq] = form[: self.nq]
         if needed:
             self.moving += np.outer(form[: self.nq], form[: self.nq])
         return row
 
-    def term(self, kind: str, rows: np.ndarray, weight: Any) -> None:
-        """Account for ``y' weight y`` that is stored or lost, ``y = rows @ raw``."""
+    def add_energy(self, kind: str, rows: np.ndarray, weight: Any) -> None:
+        """Add ``y' weight y`` to the energy that is stored or lost, ``y = rows @ raw``."""
         rows = np.atleast_2d(rows)
         self.forms[kind] += rows.T @ np.atleast_2d(weight) @ rows
 
     def constrain(self, form: np.ndarray, source: int) -> None:
-        """Demand ``form @ raw = s[source]``, or zero where that is -1."""
+        """Add the constraint ``form @ raw = s[source]``, zero for the source -1."""
         self.constraints.append((form, np.arange(len(self.sources)) == source))
 
     def states(self, law: L.Device) -> np.ndarray:
-        """Places of a device's own states."""
+        """Places of a device's states among the unknowns."""
         return np.array([self.state_index[f"{law.name}.{s}"] for s in law.states], dtype=int)
 
     def stores(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
-        """Into which balances the rates of what a device stores go, (size, stored)."""
+        """Balances (size, stored) that contain the rates of the quantities that a device stores."""
         return np.hstack([np.eye(self.size)[:, self.states(law)], -outputs[:, list(law.charged)]])
 
     # --- reduction --------------------------------------------------------------------------
 
-    def _null(self, where: slice, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Basis of what the constraints leave free, in units of ``sizes``, and ``R``: y = R s."""
+    def _constraint_basis(self, where: slice, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Compute a basis of the unconstrained motions, in units of ``sizes``, and R: y = R s."""
         pairs = [(f[where] * sizes, by) for f, by in self.constraints if f[where].any()]
         R = np.zeros((sizes.size, len(self.sources)))
         if not pairs:
             return np.diag(sizes), R
-        level = np.array([[np.abs(form).max()] for form, _ in pairs])
-        G, drive = (np.array(rows) / level for rows in zip(*pairs, strict=True))
+        forms, drives = map(np.array, zip(*pairs, strict=True))
+        level = np.abs(forms).max(axis=1, keepdims=True)
+        G, drive = forms / level, drives / level
         mixed = np.flatnonzero(G.any(axis=0))
         u, sing, vt = np.linalg.svd(G[:, mixed])
         rank = int((sing > 1e-11 * sing[0]).sum())
@@ -273,17 +289,17 @@ class _Assembly:
         free[mixed, others.size :] = vt[rank:].T
         return sizes[:, None] * free, sizes[:, None] * R
 
-    def system(self) -> System:
+    def reduce(self) -> System:
         """Eliminate the constraints, split off what has no inertia, and scale."""
         nq, n = self.nq, self.size
         vel, vol, rest = slice(nq, 2 * nq), slice(2 * nq, 2 * nq + len(self.node)), self.extra_sizes
-        Nq, Rq = self._null(slice(0, nq), self.sizes)
-        Nv, Rv = self._null(vol, rest[: len(self.node)])
+        Nq, Rq = self._constraint_basis(slice(0, nq), self.sizes)
+        Nv, Rv = self._constraint_basis(vol, rest[: len(self.node)])
         mass = self.M[:nq, vel]
-        Nq, moving = _split(Nq, self.M[:nq, vel] - self.A[:nq, vel] + self.moving)
+        Nq, moving = _separate_columns(Nq, self.M[:nq, vel] - self.A[:nq, vel] + self.moving)
         charge = self.M[vol, :]
         follows = charge[:, vol] + np.diag(np.abs(charge[:, :nq]).sum(axis=1))
-        Nv, _ = _split(Nv, follows + self.charged[vol, vol])
+        Nv, _ = _separate_columns(Nv, follows + self.charged[vol, vol])
         p, d, w = Nq.shape[1], int(moving.sum()), Nv.shape[1]
         others = n - 2 * nq - len(self.node)
         # Sources and resistors alone have no state: one that stays zero spares solvers that case.
@@ -333,7 +349,7 @@ class _Assembly:
                 if not law.linear:
                     differential[small] = True
                     differential |= (storing[:, small.size :].T @ T).any(axis=0)
-            devices.append(Attached(law, taps @ expansion, W.T @ into, stores, small, first))
+            devices.append(PlacedDevice(law, taps @ expansion, W.T @ into, stores, small, first))
             first += 0 if law.linear else into.shape[1]
         devices, linear = (devices[: len(self.attached)], devices[len(self.attached) :])
         return System(
@@ -355,10 +371,14 @@ class _Assembly:
             **self._waves(expansion, devices, first),
         )
 
-    def _waves(self, expansion: np.ndarray, devices: list[Attached], count: int) -> dict[str, Any]:
-        """Across quantities ``NAME.pin``, their ``.rate`` where something moves, what is
-        ``.through`` pins, and states of devices. What prescribes a quantity exerts what remains in
-        the raw equations."""
+    def _waves(
+        self, expansion: np.ndarray, devices: list[PlacedDevice], outputs: int
+    ) -> dict[str, Any]:
+        """Compute all waves: across quantities ``NAME.pin``, flows ``.through`` pins, and states.
+
+        Mechanical pins have a wave ``.rate``, too. A source that prescribes a quantity exerts what
+        remains in the raw equations.
+        """
         size, sources = expansion.shape[1], len(self.sources)
         rows: dict[str, tuple[Any, Any, Any, float]] = {}
         for law in self.laws:
@@ -370,23 +390,24 @@ class _Assembly:
         for name, (at_once, rated, constant) in self.flows.items():
             rows[f"{name}.through"] = (at_once @ expansion, rated @ expansion, 0.0, constant)
         for device in devices:
-            law, outputs = device.law, np.eye(count)[device.first :]
-            for flow, one in zip(law.flows, outputs, strict=False):
+            law, units = device.law, np.eye(outputs)[device.first :]
+            for flow, one in zip(law.flows, units, strict=False):
                 rows[f"{law.name}.{flow.pin}.through"] = (0.0, 0.0, one, 0.0)
             for state, row in zip(law.states, device.inputs[len(law.taps) :], strict=True):
                 rows[f"{law.name}.{state}"] = (row, 0.0, 0.0, 0.0)
-        forms = np.array([form for form, _ in self.constraints]).reshape(-1, self.size)
-        touched = forms.any(axis=0)
-        solve = np.linalg.pinv(forms[:, touched].T, rcond=1e-12)
+        forms = np.array([*map(itemgetter(0), self.constraints)]).reshape(-1, self.size)
+        drives = np.array([*map(itemgetter(1), self.constraints)]).reshape(len(forms), sources)
+        constrained = forms.any(axis=0)
+        solve = np.linalg.pinv(forms[:, constrained].T, rcond=1e-12)
         acting = self.A @ expansion
         acting[:, size - 2 * sources : size - sources] += self.S
-        raw = np.hstack([np.zeros((self.size, 0)), *(into for _, _, into in self.attached)])
+        raw = np.hstack([np.zeros((self.size, 0)), *map(itemgetter(2), self.attached)])
         for at, source in enumerate(self.sources):
             name = f"{source.name}.out.through"
-            forced = [j for j, (_, by) in enumerate(self.constraints) if by[at]]
-            if forced:
+            forced = np.flatnonzero(drives[:, at])
+            if forced.size:
                 by = np.zeros(self.size)
-                by[touched] = solve[forced[0]]
+                by[constrained] = solve[forced[0]]
                 rated = -by @ self.M @ expansion
                 rows[name] = (by @ acting, rated, by @ raw, float(by @ self.const))
             elif source.flows:
@@ -394,31 +415,35 @@ class _Assembly:
         columns = tuple(zip(*rows.values(), strict=True))
         return {
             "names": tuple(rows),
-            "now": np.array([row + np.zeros(size) for row in columns[0]]),
-            "rated": np.array([row + np.zeros(size) for row in columns[1]]),
-            "direct": np.array([row + np.zeros(count) for row in columns[2]]),
+            "now": _stack_rows(columns[0], size),
+            "rated": _stack_rows(columns[1], size),
+            "direct": _stack_rows(columns[2], outputs),
             "constant": np.array(columns[3]),
         }
 
 
-def _split(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Turn ``basis`` so that ``pattern`` (not negative) acts on some of its columns alone."""
+def _stack_rows(rows: Iterable[Any], width: int) -> np.ndarray:
+    """Stack rows (width,) and numbers, which stand for rows of equal entries."""
+    return np.array([row + np.zeros(width) for row in rows])
+
+
+def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotate a basis so that ``pattern`` (not negative) acts on some of its columns alone."""
     reduced = basis.T @ pattern @ basis
     reduced = 0.5 * (reduced + reduced.T)
     level = np.sqrt(np.maximum(np.diag(reduced), 0.0))
-    acted = level > 0.0
-    scaled = reduced[np.ix_(acted, acted)] / np.outer(level[acted], level[acted])
-    if acted.any() and np.linalg.eigvalsh(scaled)[0] < 1e-10:
+    active = level > 0.0
+    scaled = reduced[np.ix_(active, active)] / np.outer(level[active], level[active])
+    if active.any() and np.linalg.eigvalsh(scaled)[0] < 1e-10:
         values, vectors = sla.eigh(reduced)
-        acted = values > 1e-12 * values[-1]
-        return basis @ vectors, acted
-    return basis, acted
+        return basis @ vectors, values > 1e-12 * values[-1]
+    return basis, active
 
 
 # --- stamps ---------------------------------------------------------------------------------------
 
 
-def _body(law: L.SecondOrderBody, into: _Assembly) -> None:
+def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
     x, nq, n = into.body[law.name], into.nq, into.size
     v = slice(nq + x.start, nq + x.stop)
     (K, E, *inertia), B, C, D = law.model.pencil.coefficients, law.model.B, law.model.C, law.model.D
@@ -429,22 +454,23 @@ def _body(law: L.SecondOrderBody, into: _Assembly) -> None:
     into.A[x, v] -= E
     motion, volts = np.zeros((C.shape[1], n)), {}
     motion[:, x] = np.eye(C.shape[1])
+    shaken = {}
     for k, port in enumerate(law.ports):
         if port.kind in L.CHARGED:
             volts[k] = into.gap(law, port.name, port.ret)
-    shaken = {
-        k: into.form(law, port.name)
-        for k, port in enumerate(law.ports)
-        if port.kind == ACCELERATION.name
-    }
+        elif port.kind == ACCELERATION.name:
+            shaken[k] = into.form(law, port.name)
+
+    def direct_term(k: int, forms: Mapping[int, np.ndarray]) -> np.ndarray:
+        return sum((D[k, j] * form for j, form in forms.items()), np.zeros(n))
+
     for k, port in enumerate(law.ports):
         if port.kind == ACCELERATION.name:
             into.A[x] += np.outer(B[:, k], into.form(law, port.name))
             into.flows[f"{law.name}.{port.name}"] = (C[k] @ motion, np.zeros(n), 0.0)
         elif port.kind in L.CHARGED:
             into.A[x] += np.outer(B[:, k], volts[k])
-            charge = C[k] @ motion + sum((D[k, j] * f for j, f in volts.items()), np.zeros(n))
-            charge = charge + sum((D[k, j] * f for j, f in shaken.items()), np.zeros(n))
+            charge = C[k] @ motion + direct_term(k, volts) + direct_term(k, shaken)
             into.M += np.outer(volts[k], charge)
             into.flows[f"{law.name}.{port.name}"] = (np.zeros(n), charge, 0.0)
         elif port.name in law.states:  # u = C x + D F with the force F on the part as an unknown
@@ -460,7 +486,7 @@ def _body(law: L.SecondOrderBody, into: _Assembly) -> None:
             for j, form in shaken.items():
                 into.A[at] -= D[k, j] * form
             into.flows[f"{law.name}.{port.name}"] = (force, np.zeros(n), 0.0)
-            into.term(
+            into.add_energy(
                 *(("dissipated", force, D[k, k]) if heat else ("stored", force, 0.5 * D[k, k]))
             )
     moving = np.zeros((C.shape[1], n))
@@ -469,20 +495,20 @@ def _body(law: L.SecondOrderBody, into: _Assembly) -> None:
         if port.kind == ACCELERATION.name:  # brings in v' B a from outside
             work = np.zeros((C.shape[1] + 1,) * 2)
             work[-1, :-1] = work[:-1, -1] = -0.5 * B[:, k]
-            into.term("dissipated", np.vstack([moving, into.form(law, port.name)]), work)
+            into.add_energy("dissipated", np.vstack([moving, into.form(law, port.name)]), work)
     if heat:
-        into.term("stored", motion, 0.5 * E)
-        into.term("dissipated", motion, K)
+        into.add_energy("stored", motion, 0.5 * E)
+        into.add_energy("dissipated", motion, K)
         return
-    into.term("stored", motion, 0.5 * K)
-    into.term("stored", moving, 0.5 * M)
-    into.term("dissipated", moving, E)
+    into.add_energy("stored", motion, 0.5 * K)
+    into.add_energy("stored", moving, 0.5 * M)
+    into.add_energy("dissipated", moving, E)
     if volts:
         keys = list(volts)
-        into.term("stored", np.array(list(volts.values())), 0.5 * D[np.ix_(keys, keys)])
+        into.add_energy("stored", np.array(list(volts.values())), 0.5 * D[np.ix_(keys, keys)])
 
 
-def _source(law: L.IdealSource, into: _Assembly) -> None:
+def _stamp_source(law: L.IdealSource, into: _Assembly) -> None:
     k = into.sources.index(law)
     if law.signal:
         into.S[:, k] += into.form(law, "out")
@@ -495,18 +521,20 @@ def _source(law: L.IdealSource, into: _Assembly) -> None:
         into.constrain(form, k)
 
 
-def _device(law: L.Device, into: _Assembly) -> None:
-    taps = [into.gap(law, t.pin, t.minus, t.less) for t in law.taps]
-    taps = [into.rate(form) if t.rate else form for t, form in zip(law.taps, taps, strict=True)]
+def _stamp_device(law: L.Device, into: _Assembly) -> None:
+    taps = []
+    for tap in law.taps:
+        form = into.gap(law, tap.pin, tap.minus, tap.less)
+        taps.append(into.rate(form) if tap.rate else form)
     if law.start is not None:
         into.initial_values.append((taps[0], law.start[0], into.rate(taps[0]), law.start[1]))
     states = np.eye(into.size)[into.states(law)]
     through = [-into.gap(law, f.pin, f.minus, f.less) for f in law.flows]
-    driven = [into.form(law, pin) for pin in law.prescribes]
+    driven = map(partial(into.form, law), law.prescribes)
     inputs = np.array([*taps, *states]).reshape(-1, into.size)
     outputs = np.array([*through, *states, *driven]).reshape(-1, into.size).T
     if law.linear:
-        _linear(law, into, inputs, outputs)
+        _stamp_linear(law, into, inputs, outputs)
         return
     if not law.storing:
         into.M += states.T @ states
@@ -515,8 +543,8 @@ def _device(law: L.Device, into: _Assembly) -> None:
     into.attached.append((law, inputs, outputs))
 
 
-def _linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndarray) -> None:
-    """Constant matrices of its outputs, stores, energy and loss."""
+def _stamp_linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndarray) -> None:
+    """Stamp the constant matrices of a linear device, and those of its energy and its loss."""
     still = np.zeros(len(inputs))
     mode = law.mode(still)
     (out, slope), (_, stored_slope) = law.evaluate(still, mode), law.store(still, mode)
@@ -528,16 +556,19 @@ def _linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndar
         rate = rated.get(k, 0.0 * inputs[0])
         into.flows[f"{law.name}.{flow.pin}"] = slope[k] @ inputs, rate, float(out[k])
     if type(law).energy is not L.Device.energy:
-        stored, lifted = _quadratic(lambda e: law.energy(e, mode), len(inputs))
-        into.term("stored", inputs, stored)
+        stored, lifted = _fit_quadratic(lambda e: law.energy(e, mode), len(inputs))
+        into.add_energy("stored", inputs, stored)
         into.lifted += lifted @ inputs
-        into.term("dissipated", inputs, _quadratic(lambda e: law.loss(e, mode), len(inputs))[0])
+        into.add_energy(
+            "dissipated", inputs, _fit_quadratic(lambda e: law.loss(e, mode), len(inputs))[0]
+        )
     into.linear.append((law, inputs, outputs))
 
 
-def _quadratic(f: Callable[[np.ndarray], float], n: int) -> tuple[np.ndarray, np.ndarray]:
-    """``Q`` (n, n) and ``b`` (n,) of a function ``e' Q e + b' e``."""
+def _fit_quadratic(f: Callable[[np.ndarray], float], n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Compute ``Q`` (n, n) and ``b`` (n,) of a function ``e' Q e + b' e``."""
     item = np.array(list(map(f, np.eye(n))))
-    both = np.array([[f(a + b) for b in np.eye(n)] for a in np.eye(n)])
+    sums = np.eye(n)[:, None] + np.eye(n)
+    both = np.array(list(map(f, sums.reshape(n * n, n)))).reshape(n, n)
     Q = (both - item[:, None] - item) / 2
     return Q, item - Q.diagonal()

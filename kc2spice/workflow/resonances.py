@@ -20,7 +20,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.equations.networks import Network
 from kc2spice.equations.scene_laws import SceneLaws, scene_laws
 from kc2spice.netlist.deck import Command, Deck, with_frequencies
-from kc2spice.reference.small_signal import Linear
+from kc2spice.reference.small_signal import LinearisedSystem
 from kc2spice.reference.system import assemble_system
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import Build
@@ -157,7 +157,7 @@ def _network_zeros(network: Network, of: Iterable[str]) -> dict[str, np.ndarray]
     if system is None or system.size > LARGEST_SYSTEM:
         return {}
     amplitudes = np.array([source.ac for source in system.sources])
-    linear = Linear(system)
+    linear = LinearisedSystem(system)
     return {name: linear.zeros(network.readings[name], amplitudes) for name in of}
 
 
@@ -165,6 +165,6 @@ def _network_poles(network: Network) -> np.ndarray | None:
     """None of a network that is too large or has no operating point."""
     try:
         system = assemble_system(network.laws, network.joins)
-        return Linear(system).poles if system.size <= LARGEST_SYSTEM else None
+        return LinearisedSystem(system).poles if system.size <= LARGEST_SYSTEM else None
     except (SimulationError, UsageError, np.linalg.LinAlgError):
         return None

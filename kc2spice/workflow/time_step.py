@@ -142,14 +142,14 @@ def with_linearised_scene(build: Build) -> Build:
 
 def _motion(network: Network, stop: float) -> ExponentialSolution | None:
     """Motion of a network, linearised at rest; None if it is too large or has no solution."""
-    from kc2spice.reference.small_signal import Linear
+    from kc2spice.reference.small_signal import LinearisedSystem
     from kc2spice.reference.system import assemble_system  # which loads scipy
 
     try:
         system = assemble_system(network.laws, network.joins)
         if system.size > SIZE:
             return None
-        linear = Linear(system)
+        linear = LinearisedSystem(system)
     except (SimulationError, UsageError, np.linalg.LinAlgError):
         return None
     return linear.motion(tuple(source.wave for source in system.sources), stop)

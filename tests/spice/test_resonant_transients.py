@@ -14,7 +14,7 @@ from scipy.signal import lsim
 
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError
-from kc2spice.reference.small_signal import Linear
+from kc2spice.reference.small_signal import LinearisedSystem
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.run import run_scene
 
@@ -192,13 +192,13 @@ def test_a_run_solves_the_eigenvalues_of_its_circuit_once(monkeypatch):
         "c": {"part": "capacitor", "capacitance": "20 nF", "pins": {"a": "l.b"}},
         "analysis": {"type": "transient", "stop": "0.4 ms"},
     }  # fmt: skip
-    solved, modes = [], Linear.modes.func
+    solved, modes = [], LinearisedSystem.modes.func
 
     def counted(linear):
         solved.append(linear)
         return modes(linear)
 
-    monkeypatch.setattr(Linear.modes, "func", counted)
+    monkeypatch.setattr(LinearisedSystem.modes, "func", counted)
     result = kc.run(kc.load_scene(tables))
     assert len(solved) == 1
     assert [check.name for check in result.checks if check.name.startswith("steps")]
