@@ -7,7 +7,7 @@ import numpy as np
 from bench.points import Outcome, Plane, Point, speed_up, timed
 from bench.setup import keys_of
 from kc2spice.core.magnets import em_cases
-from kc2spice.fem.magnet_field import catch_table, positions, ring_sign, systems
+from kc2spice.fem.magnet_field import assemble_heights, catch_table, ring_sign, sphere_heights
 
 HEIGHTS, QUICK_HEIGHTS, FINE_HEIGHTS = (41, 21, 81), (5, 9), 161
 
@@ -57,10 +57,10 @@ def brute_force(catch, radius, currents):
     The paper's code and the baseline of :func:`catch_table`: on the same meshes, each case
     assembles, factorises and solves for the sum of its sources and takes that one field's force.
     """
-    y = positions(catch)
+    y = sphere_heights(catch)
     amplitudes = [np.array([ring_sign(catch), 1.0, i1, i2]) for i1, i2 in currents]
     result = np.empty((len(amplitudes), y.size))
-    for index, system in systems(catch, radius):
+    for index, system in assemble_heights(catch, radius):
         for case, amplitude in enumerate(amplitudes):
             field = system.solve(system.loads @ amplitude[:, None])
             result[case, index] = system.force(field)[0, 0]

@@ -27,6 +27,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, product
 from math import ceil, floor, hypot, pi
+from operator import attrgetter
 from types import ModuleType
 from typing import Any
 
@@ -64,25 +65,26 @@ def catch_table(
     UsageError : the sphere leaves the air cylinder, or a part is higher.
     SimulationError : a field that does not satisfy its equations.
     """
-    settings = {"refine": catch.refine / 2, "positions": some_positions(catch.positions)}
+    positions = count_compared_positions(catch.positions)
+    settings = {"refine": catch.refine / 2, "positions": positions}
     rough = catch.model_copy(update=settings)  # whose fineness no key may have
-    return replace(_swept(catch, radius, progress), coarser=_swept(rough, radius))
+    return replace(_sweep_heights(catch, radius, progress), coarser=_sweep_heights(rough, radius))
 
 
-def some_positions(count: int) -> int:
-    """Number of heights, five at least, that are equally spaced among ``count`` equally spaced."""
+def count_compared_positions(count: int) -> int:
+    """Choose how many of ``count`` equally spaced heights, five at least, are spaced equally."""
     return next((n for n in range(COMPARED, count) if (count - 1) % (n - 1) == 0), count)
 
 
-def _swept(
+def _sweep_heights(
     catch: Catch, radius: float, progress: Callable[[float], None] = lambda share: None
 ) -> EMTable:
-    """The table of :func:`catch_table`, on one mesh."""
-    y = positions(catch)
+    """Compute the table of :func:`catch_table` on one mesh."""
+    y = sphere_heights(catch)
     forces = np.empty((y.size, 4, 4))
     fluxes = np.empty((y.size, 2, 4))
     unknowns = 0
-    for done, (index, system) in enumerate(systems(catch, radius), 1):
+    for done, (index, system) in enumerate(assemble_heights(catch, radius), 1):
         fields = system.solve(system.loads)
         forces[index] = system.force(fields)
         fluxes[index] = (system.loads.T @ fields)[[LOWER, UPPER]]
@@ -110,8 +112,8 @@ def _swept(
     )
 
 
-def positions(catch: Catch) -> np.ndarray:
-    """Heights of the sphere's centre [m] that the table has."""
+def sphere_heights(catch: Catch) -> np.ndarray:
+    """Heights of the sphere's centre [m] in the table."""
     return np.linspace(catch.y_min, catch.y_max, catch.positions)
 
 
@@ -131,7 +133,7 @@ class FieldEquations:
     stretch: sparse.csr_array  # force = -1/2 a' stretch a on them
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
-        """Fields (n, k) of the loads (n, k).
+        """Solve for the fields (n, k) of the loads (n, k).
 
         Raises
         ------
@@ -144,21 +146,22 @@ class FieldEquations:
         return a
 
     def force(self, a: np.ndarray) -> np.ndarray:
-        """Symmetric (k, k) [N]: fields ``a`` (n, k) of amplitudes q push with ``q' force q``."""
+        """Compute the form (k, k) [N] of the force ``q' form q`` by amplitudes q of fields a."""
         near = a[self.mover]
         return -0.5 * near.T @ (self.stretch @ near)
 
 
-def systems(catch: Catch, radius: float) -> Iterator[tuple[int, FieldEquations]]:
-    """Index and equations of each height; heights on one lattice share their meshes."""
-    y = positions(catch)
+def assemble_heights(catch: Catch, radius: float) -> Iterator[tuple[int, FieldEquations]]:
+    """Yield index and equations of each height; heights on one lattice share their meshes."""
+    y = sphere_heights(catch)
     pitch = lattice_pitch(catch, radius, (y[-1] - y[0]) / (y.size - 1))
     offset = np.round((y - y[0]) / pitch, 6) % 1.0
     for value in np.unique(offset):
         selected = np.flatnonzero(offset == value)
         lattice = bore(catch, radius, pitch, y[selected[0]], y[selected[-1]])
         system = assemble_field(catch, lattice)
-        yield from ((int(index), system(y[index])) for index in selected)
+        for index in selected.tolist():
+            yield index, system(y[index])
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,22 +176,25 @@ class ElementMatrices:
 
 
 def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations]:
-    """Mesh and assemble stator and mover for the lattice ``bore``: what gives the equations with
-    the sphere's centre at a height [m], a lattice point."""
+    """Mesh and assemble stator and mover for the lattice ``bore``.
+
+    The result is a function of the height [m] of the sphere's centre, a lattice point, that
+    returns the equations at this height.
+    """
     mesh, sphere = mover_mesh(bore)
     coercivity = catch.remanence / (catch.mu_r * MU_0)
-    moved = _body(catch, mesh, sphere, {SPHERE: (_remanence, coercivity, sphere)})
+    moved = _assemble_mesh(catch, mesh, sphere, {SPHERE: (_remanence, coercivity, sphere)})
     r, y = moved.points
     edge = 1e-6 * bore.pitch
     rim = np.flatnonzero((r > bore.wall - edge) | (np.abs(y) > bore.half - edge))
     # the air carries the force where the weight g varies: 1 in the sphere, 0 on the rim, harmonic
     # between; the force is -1/2 a' stretch a [N]
-    basis = _basis(mesh)
+    basis = _make_basis(mesh)
     g, core = np.zeros(basis.N), np.unique(basis.element_dofs[:, sphere])
     g[core] = 1.0
     g = solve(*condense(laplace.assemble(basis), x=g, D=np.union1d(core, rim)))
-    around = _basis(mesh, np.flatnonzero(~sphere))
-    stretch = sparse.csr_array(_stretch.assemble(around, g=around.interpolate(g)) / MU_0)
+    outside = _make_basis(mesh, np.flatnonzero(~sphere))
+    stretch = sparse.csr_array(_stretch.assemble(outside, g=outside.interpolate(g)) / MU_0)
 
     mesh = stator_mesh(catch, bore)
     centres = mesh.p[:, mesh.t].mean(axis=1)
@@ -198,7 +204,7 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
     for column, coil, inside in zip((LOWER, UPPER), (catch.lower, catch.upper), coils, strict=True):
         density = catch.turns / ((coil.outer - coil.inner) * coil.height)
         sources[column] = (_current, density, inside)
-    stator = _body(catch, mesh, ring, sources)
+    stator = _assemble_mesh(catch, mesh, ring, sources)
     movable = (r < bore.wall) & (y > bore.bottom) & (y < bore.bottom + bore.rows * bore.pitch)
     _, low, right, high = air(catch)
     r, y = stator.points
@@ -236,17 +242,17 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
     return system
 
 
-def _body(
+def _assemble_mesh(
     catch: Catch,
     mesh: MeshTri2,
     magnet: np.ndarray,
     sources: dict[int, tuple[LinearForm, float, np.ndarray]],
 ) -> ElementMatrices:
-    """A mesh with a ``magnet`` and its ``sources`` by column: form, size, elements."""
-    basis = _basis(mesh)
+    """Assemble a mesh with a ``magnet`` and its ``sources`` by column: form, size, elements."""
+    basis = _make_basis(mesh)
     loads = np.zeros((basis.N, 4))
     for column, (form, size, inside) in sources.items():
-        loads[:, column] = size * form.assemble(_basis(mesh, np.flatnonzero(inside)))
+        loads[:, column] = size * form.assemble(_make_basis(mesh, np.flatnonzero(inside)))
     coo = _stiffness.coo_data(basis)
     rows, cols = coo.indices.reshape(2, -1, mesh.nelements)
     reluctivity = np.where(magnet, 1 / catch.mu_r, 1.0) / MU_0
@@ -254,8 +260,8 @@ def _body(
     return ElementMatrices(basis.doflocs, rows, cols, local, loads)
 
 
-def _basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:
-    """The integrands on straight triangles are polynomials of degree 5."""
+def _make_basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:
+    """Make a basis that integrates polynomials of degree 5 on straight triangles exactly."""
     return Basis(mesh, ElementTriP2(), intorder=6, elements=elements)
 
 
@@ -320,7 +326,8 @@ def rectangle(part: Ring) -> tuple[float, float, float, float]:
 def air(catch: Catch) -> tuple[float, float, float, float]:
     """Section of the air cylinder, centred on the actuator's parts (paper 2.2.1)."""
     boxes = list(map(rectangle, parts(catch)))
-    low, high = min(box[1] for box in boxes), max(box[3] for box in boxes)
+    _, bottoms, _, tops = zip(*boxes, strict=True)
+    low, high = min(bottoms), max(tops)
     if high - low >= catch.air_height:
         expected = f"more than {high - low:g} m, several times that for a small error"
         problem = "the air cylinder is lower than what stands in it"
@@ -330,20 +337,20 @@ def air(catch: Catch) -> tuple[float, float, float, float]:
 
 
 def lattice_pitch(catch: Catch, radius: float, spacing: float) -> float:
-    """Cell height [m] near the wanted size that ``spacing`` is a multiple, or a divisor, of."""
-    target = min(_LATTICE * radius, _gap(catch, radius)) / catch.refine
+    """Choose a height of cells [m] of which ``spacing`` is a multiple or a divisor."""
+    target = min(_LATTICE * radius, _narrowest_gap(catch, radius)) / catch.refine
     ratio = spacing / target
     return spacing / ceil(ratio) if ratio >= 1 else spacing * floor(1 / ratio)
 
 
 def bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: float) -> Bore:
-    """Lattice on which ``lowest`` and ``highest`` are the outermost centres of the sphere.
+    """Make the lattice whose outermost centres of the sphere are ``lowest`` and ``highest``.
 
     Raises
     ------
     UsageError : the sphere leaves the air cylinder.
     """
-    gap = _gap(catch, radius)
+    gap = _narrowest_gap(catch, radius)
     wall = radius + gap / 2
     half = pitch * ceil(wall / pitch)
     bottom, top = lowest - half, highest + half
@@ -360,7 +367,7 @@ def bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: floa
 
 
 def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
-    """Whole half plane without a sphere: free triangles around the bore's lattice."""
+    """Mesh the half plane without a sphere by free triangles around the bore's lattice."""
     top = bore.bottom + bore.rows * bore.pitch
     boxes = list(map(rectangle, parts(catch)))
     shapes = [air(catch), (0.0, bore.bottom, bore.wall, top), *boxes]
@@ -385,12 +392,12 @@ def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
             cells = bore.rows if high - low > bore.pitch / 2 else bore.columns
             gmsh.model.mesh.setTransfiniteCurve(curve, cells + 1)
         gmsh.model.mesh.setTransfiniteSurface(lattice[1], "AlternateLeft")
-        points, triangles = _generate(gmsh, size)
+        points, triangles = _generate_mesh(gmsh, size)
     return MeshTri2.from_mesh(MeshTri(points, triangles))
 
 
 def mover_mesh(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
-    """Box around a sphere centred at the origin, and a mask of its triangles inside the sphere.
+    """Mesh a box around a sphere at the origin; return a mask of triangles inside the sphere, too.
 
     Edges of the sphere's surface are arcs: their mid-nodes lie on the circle.
     """
@@ -399,14 +406,14 @@ def mover_mesh(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
     with gmsh_session() as gmsh:
         geo = gmsh.model.geo
         p = [geo.addPoint(r, y, 0) for r, y in outline]
-        lines = [geo.addLine(p[i], p[(i + 1) % 6]) for i in range(6)]
+        lines = list(map(geo.addLine, p, [*p[1:], p[0]]))
         arc = geo.addCircleArc(p[1], p[0], p[5])
         geo.addPlaneSurface([geo.addCurveLoop([lines[0], arc, lines[5]])])
         geo.addPlaneSurface([geo.addCurveLoop([*lines[1:5], -arc])])
         geo.synchronize()
         gmsh.model.mesh.setTransfiniteCurve(lines[2], round(bore.half / bore.pitch) + 1)
         gmsh.model.mesh.setTransfiniteCurve(lines[3], bore.columns + 1)
-        points, triangles = _generate(gmsh, lambda r, y: _SPHERE * bore.size)
+        points, triangles = _generate_mesh(gmsh, lambda r, y: _SPHERE * bore.size)
     # with the mirror image in y = 0, sharing the nodes on that line
     on_line = np.abs(points[1]) < 1e-9 * np.ptp(points[1])
     points = np.where(on_line, [points[0], np.zeros_like(points[0])], points)
@@ -424,15 +431,15 @@ def mover_mesh(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
     return mesh, inside
 
 
-def _gap(catch: Catch, radius: float) -> float:
-    """Between the sphere and the narrowest part."""
-    return min(part.inner for part in parts(catch)) - radius
+def _narrowest_gap(catch: Catch, radius: float) -> float:
+    """Gap [m] between the sphere and the narrowest part."""
+    return min(map(attrgetter("inner"), parts(catch))) - radius
 
 
-def _generate(
+def _generate_mesh(
     gmsh: ModuleType, size: Callable[[float, float], float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (2, n) and triangles (3, t) of the model's surfaces."""
+    """Mesh the surfaces of the model: vertices (2, n) and triangles (3, t)."""
     gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
     gmsh.model.mesh.setSizeCallback(lambda dim, tag, x, y, z, given: size(x, y))
     gmsh.model.mesh.generate(2)

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import product
+from functools import cached_property, partial
+from itertools import product, starmap
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -39,9 +39,12 @@ STEP = 1e-4  # step of a numerical slope, relative to the range of heights
 
 
 def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Mutual inductance [H] of two coaxial circles of the radii ``r`` and ``other`` [m] at the
-    heights ``z`` and ``height`` (Maxwell, A Treatise on Electricity and Magnetism, art. 701);
-    arguments broadcast. Infinite where both coincide."""
+    """Compute the mutual inductance [H] of two coaxial circles; arguments broadcast.
+
+    The circles have the radii ``r`` and ``other`` [m] and the heights ``z`` and ``height`` [m].
+    The result is infinite if both coincide. Source: Maxwell, A Treatise on Electricity and
+    Magnetism, art. 701.
+    """
     from scipy.special import ellipe, ellipkm1
 
     apart = (z - height) ** 2
@@ -54,8 +57,11 @@ def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Rings of sections ``wide`` (n,) times ``tall`` (n,) [m], radial and axial, about ``r`` (n,)
-    and ``z`` (n,), of which the shares ``filled`` (n,) carry current."""
+    """Rings with rectangular sections, ``wide`` (n,) along the radius and ``tall`` (n,) [m].
+
+    The middles of the sections are at ``r`` (n,) and ``z`` (n,). The shares ``filled`` (n,) of the
+    sections carry current.
+    """
 
     r: np.ndarray
     z: np.ndarray
@@ -65,7 +71,7 @@ class Cells:
 
     @cached_property
     def inductance(self) -> np.ndarray:
-        """(n, n) [H], of currents spread evenly over each section.
+        """Inductances (n, n) [H] of currents that are uniform over each section.
 
         The logarithm in that of circles is replaced by its mean over both sections (J. C. Maxwell,
         Trans. R. Soc. Edinburgh 26 (1872) 729). The rest of it is taken between the middles, near
@@ -74,7 +80,7 @@ class Cells:
         r, z = self.r, self.z
         logs = self._logs
         result, near = _mean_mutual(r, z, r, z, logs), r < NEAR * self.wide
-        steps = [(i * self.wide, j * self.tall) for i in GAUSS for j in GAUSS]
+        steps = [(i * self.wide, j * self.tall) for i, j in product(GAUSS, GAUSS)]
         part = np.zeros((np.count_nonzero(near), r.size))
         for (u, v), (s, t) in product(steps, steps):
             ends = r[near] + u[near], z[near] + v[near], r + s, z + t
@@ -84,7 +90,7 @@ class Cells:
 
     @cached_property
     def _logs(self) -> np.ndarray:
-        """(n, n) mean logarithms of the distance of two sections."""
+        """Mean logarithms (n, n) of the distance of two sections."""
         x, y = np.subtract.outer(self.r, self.r), np.subtract.outer(self.z, self.z)
         result = np.hypot(x, y)
         longest = np.maximum(self.wide, self.tall)
@@ -97,14 +103,14 @@ class Cells:
 
     @cached_property
     def resistance(self) -> np.ndarray:
-        """(n,) [Ohm] at 1 S/m."""
+        """Resistances (n,) [Ohm] at 1 S/m."""
         return 2 * np.pi * self.r / (self.wide * self.tall * self.filled)
 
 
 def _mean_mutual(
     r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray, logs: np.ndarray
 ) -> np.ndarray:
-    """:func:`mutual` (n, m) with ``logs`` for the logarithm of the distance in it."""
+    """Compute :func:`mutual` (n, m) with ``logs`` instead of the logarithm of the distance."""
     r, z = r[:, None], z[:, None]
     same = (r == other) & (z == height)
     distance = np.where(same, 1.0, np.hypot(r - other, z - height))
@@ -116,8 +122,11 @@ def _mean_mutual(
 def _mean_log(
     x: np.ndarray, y: np.ndarray, a: np.ndarray, c: np.ndarray, b: np.ndarray, d: np.ndarray
 ) -> np.ndarray:
-    """Mean logarithm of the distance of rectangles ``a`` times ``b`` and ``c`` times ``d``, ``x``
-    and ``y`` apart: fourth difference of an integral of ``ln(x^2 + y^2) / 2``."""
+    """Compute the mean logarithm of the distance of two rectangles at the distances x and y.
+
+    The rectangles are ``a`` times ``b`` and ``c`` times ``d``. The mean is the fourth difference of
+    an integral of ``ln(x^2 + y^2) / 2``.
+    """
     result = np.zeros_like(x)
     ends = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))
     for (i, j, p), (k, m, q) in product(ends, ends):
@@ -137,8 +146,11 @@ def divide_section(
     inside: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     depth: float = np.inf,
 ) -> Cells:
-    """A section of about ``count`` nearly square cells, and of more below the surfaces where they
-    are not small to the skin ``depth`` [m]; cells that ``inside(r, z)`` cuts have a share."""
+    """Divide a section into about ``count`` nearly square cells.
+
+    Cells below the surfaces are thinner if these cells are not small to the skin ``depth`` [m].
+    The share of a cell that carries current is the part for which ``inside(r, z)`` is true.
+    """
     wide, tall = outer - inner, high - low
     thinnest = depth / LAYERS * np.sqrt(USUAL / count)
     if inside is not None:
@@ -146,27 +158,34 @@ def divide_section(
         count, thinnest = int(max(count, min(most, wide * tall / thinnest**2))), np.inf
     side = np.sqrt(wide * tall / count)
     # three layers at least: the skin effect is across the thinnest side
-    across = inner + _edges(wide, side, thinnest, 2 if inner else 1)
-    along = low + _edges(tall, side, thinnest, 2)
-    r, z = (item.ravel() for item in np.meshgrid(_middles(across), _middles(along)))
-    a, b = (item.ravel() for item in np.meshgrid(np.diff(across), np.diff(along)))
+    across = inner + _divide_length(wide, side, thinnest, 2 if inner else 1)
+    along = low + _divide_length(tall, side, thinnest, 2)
+    r, z = _flat_grid(_middles(across), _middles(along))
+    a, b = _flat_grid(np.diff(across), np.diff(along))
     if inside is None:
         return Cells(r, z, a, b, np.ones(r.size))
     offsets = (np.arange(16) + 0.5) / 16 - 0.5
-    u, v = (part.ravel() for part in np.meshgrid(offsets * a[0], offsets * b[0]))
+    u, v = _flat_grid(offsets * a[0], offsets * b[0])
     filled = inside(r[:, None] + u, z[:, None] + v).mean(axis=1)
     present = filled > SLIVER
     return Cells(r[present], z[present], a[present], b[present], filled[present])
+
+
+def _flat_grid(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Coordinates (2, n) of all points of a rectangular grid."""
+    return np.reshape(np.meshgrid(x, y), (2, -1))
 
 
 def _middles(edges: np.ndarray) -> np.ndarray:
     return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
-def _edges(length: float, side: float, thinnest: float, surfaces: int) -> np.ndarray:
-    """Edges of cells from 0 to ``length``: equal ones of about ``side``; where these are not
-    thinner than ``thinnest``, layers from there on that grow below the upper one of the
-    ``surfaces``, or below both."""
+def _divide_length(length: float, side: float, thinnest: float, surfaces: int) -> np.ndarray:
+    """Divide a length into cells of about ``side``, and layers that grow below the surfaces.
+
+    There are layers if the cells are thicker than ``thinnest``, the thickness of the first layer.
+    They are below the upper one of the ``surfaces``, or below both.
+    """
     count = max(3, round(length / side))
     if thinnest >= length / count:
         return np.linspace(0.0, length, count + 1)
@@ -182,7 +201,7 @@ def _edges(length: float, side: float, thinnest: float, surfaces: int) -> np.nda
 
 @dataclass(frozen=True)
 class Winding:
-    """``turns`` spread evenly over a rectangle about the mean ``radius`` and the height ``y``."""
+    """Winding whose ``turns`` fill a rectangle about the mean ``radius`` and the height ``y``."""
 
     radius: float
     width: float
@@ -197,12 +216,12 @@ class Winding:
         parts = [max(2, round(FINE * side / longest)) for side in (self.width, self.height)]
         r = self.radius - half[0] + self.width * (np.arange(parts[0]) + 0.5) / parts[0]
         z = self.y - half[1] + self.height * (np.arange(parts[1]) + 0.5) / parts[1]
-        r, z = (item.ravel() for item in np.meshgrid(r, z))
+        r, z = _flat_grid(r, z)
         even = np.ones_like(r)
         return Cells(r, z, self.width / parts[0] * even, self.height / parts[1] * even, even)
 
     def coupling(self, r: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Mutual inductance [H] with circles (...), by Gauss's points of the section."""
+        """Compute the mutual inductance [H] with circles (...), by Gauss points of the section."""
         sides = np.array([self.width, self.height])
         counts = np.maximum(3, np.round(POINTS * sides / sides.max())).astype(int)
         (x, p), (y, q) = map(np.polynomial.legendre.leggauss, counts)
@@ -211,16 +230,18 @@ class Winding:
         return np.asarray(self.turns * np.einsum("...ij,i,j->...", result, p / 2, q / 2))
 
     def through(self, sheet: Winding, heights: np.ndarray) -> np.ndarray:
-        """Mutual inductance [H] (n,) with a winding without width that is moved up by ``heights``
-        (n,), by Gauss's points along it."""
+        """Compute mutual inductances [H] (n,) with a sheet that is moved up by ``heights`` (n,).
+
+        The sheet is a winding without width, integrated by Gauss points along it.
+        """
         x, p = np.polynomial.legendre.leggauss(POINTS)
         z = heights[:, None] + sheet.y + sheet.height / 2 * x
         return np.asarray(sheet.turns * self.coupling(np.full_like(z, sheet.radius), z) @ p / 2)
 
     def with_other(self, other: Winding) -> float:
-        """Mutual inductance [H] with another winding; its own with itself.
+        """Compute the mutual inductance [H] with another winding, or the inductance of this one.
 
-        Its own as a sheet without width is that of L. Lorenz, Ann. Phys. 7 (1879) 161.
+        The inductance of a sheet without width: L. Lorenz, Ann. Phys. 7 (1879) 161.
         """
         if other == self and not self.width:
             from scipy.special import ellipe, ellipkm1
@@ -236,12 +257,13 @@ class Winding:
 
 @dataclass(frozen=True, eq=False)
 class Ladder(EqualByContent):
-    """A body as loops of 1 H and ``rates`` (k,) Ohm at 1 S/m, where ``inductance`` (c, c) [H] is
-    that of the coils and ``couplings`` (c, k, degree + 1), with magnets (c + 1, k, degree + 1), are
-    polynomials of ``2 (y - low) / (high - low) - 1``, lowest power first. ``error`` is the largest
-    of what the currents of more loops change in the coils' flux and in the force, of the largest,
-    up to ``frequency`` [Hz]; ``rings`` are those of the body and ``rough`` is the error that they
-    are estimated to make in flux, force and loss.
+    """A conducting body as loops of 1 H and ``rates`` (k,) Ohm at 1 S/m.
+
+    ``inductance`` (c, c) [H] is that of the coils. ``couplings`` (c, k, degree + 1), with magnets
+    (c + 1, k, degree + 1), are polynomials of ``2 (y - low) / (high - low) - 1``, lowest power
+    first. ``error`` is the largest change of the coils' flux and of the force by more loops, up to
+    ``frequency`` [Hz], relative to the largest. ``rings`` is the number of rings of the body, and
+    ``rough`` the error of flux, force and loss that the rings are estimated to cause.
     """
 
     rates: np.ndarray
@@ -262,27 +284,31 @@ class Ladder(EqualByContent):
         known = {"rings": float(self.rings), "loops": float(self.rates.size)}
         return known | {f"{MESH_ERROR}rings": self.rough, "loop_error": self.error}
 
-    def answer(self, heights: np.ndarray, s: complex, conductivity: float) -> Answer:
-        """Effect of the body's currents on the coils and the force at ``heights`` [m]."""
+    def effect(self, heights: np.ndarray, s: complex, conductivity: float) -> CurrentEffect:
+        """Compute the effect of the body's currents on coils and force at ``heights`` [m]."""
         x = (2 * heights - self.low - self.high) / (self.high - self.low)
         powers = x[:, None] ** np.arange(self.couplings.shape[2])
         slopes = np.arange(1, self.couplings.shape[2]) * self.couplings[:, :, 1:]
         m = np.einsum("ckd,yd->cyk", self.couplings, powers)
         slope = np.einsum("ckd,yd->cyk", slopes, powers[:, :-1]) * 2 / (self.high - self.low)
         share = s * conductivity / (self.rates + s * conductivity)
-        return Answer(*(np.einsum("iyk,jyk,k->ijy", end, m, share) for end in (m, slope)))
+        form = "iyk,jyk,k->ijy"
+        return CurrentEffect(np.einsum(form, m, m, share), np.einsum(form, slope, m, share))
 
 
 @dataclass(frozen=True, eq=False)
-class Answer(EqualByContent):
-    """``flux`` (c, c, y) [H] that the body's currents link with the coils, less than zero, and its
-    ``slope`` (c, c, y) [H/m] by the height of the first of both coils alone, each per ampere."""
+class CurrentEffect(EqualByContent):
+    """Effect of the body's currents on the coils, per ampere in a coil.
+
+    ``flux`` (c, c, y) [H] is the flux in the coils, which is negative. ``slope`` (c, c, y) [H/m] is
+    its derivative by the height of the first of both coils alone.
+    """
 
     flux: np.ndarray
     slope: np.ndarray
 
-    def apart(self, exact: Answer) -> float:
-        """The largest difference of flux, slope, and loss of any coil, of the largest."""
+    def largest_difference(self, exact: CurrentEffect) -> float:
+        """Largest difference of flux, slope, and loss of any coil, relative to the largest."""
         pairs = [(self.flux, exact.flux), (self.slope, exact.slope)]
         coils = np.arange(len(self.flux))
         pairs.append((self.flux[coils, coils].imag, exact.flux[coils, coils].imag))
@@ -296,27 +322,38 @@ def roughness(
     magnets: Sequence[Winding],
     conductivity: float,
 ) -> float:
-    """Largest relative difference between the loops ``ladder`` and a direct solution of the rings
-    of another ``body``, up to the frequency of the loops: see :meth:`Answer.apart`."""
+    """Compare the loops ``ladder`` with a direct solution of the rings of another ``body``.
+
+    The result is the largest relative difference up to the frequency of the loops, see
+    :meth:`CurrentEffect.largest_difference`.
+    """
     half, middle = (ladder.high - ladder.low) / 2, (ladder.high + ladder.low) / 2
     heights = middle + half * chebyshev.chebpts1(PLACES)
     step, worst = 2 * STEP * half, 0.0
 
-    def couplings(y: np.ndarray) -> np.ndarray:
-        at = body.r, body.z + y[:, None]
-        m = [c.coupling(*at) for c in coils]
-        if magnets:
-            m.append(sum((c.coupling(*at) for c in magnets), np.zeros_like(at[1])))
-        return np.array(m)
-
+    couplings = partial(_couplings, body, coils, magnets)
     m = couplings(heights)
     slope = (couplings(heights + step) - couplings(heights - step)) / (2 * step)
     for speed in 2 * np.pi * ladder.frequency * np.geomspace(0.01, 1, PLACES):
         impedance = body.inductance + np.diag(body.resistance / (1j * speed * conductivity))
         currents = np.linalg.solve(impedance, m.reshape(-1, body.r.size).T).T.reshape(m.shape)
-        exact = Answer(*(np.einsum("iyn,jyn->ijy", end, currents) for end in (m, slope)))
-        worst = max(worst, ladder.answer(heights, 1j * speed, conductivity).apart(exact))
+        form = "iyn,jyn->ijy"
+        exact = CurrentEffect(np.einsum(form, m, currents), np.einsum(form, slope, currents))
+        worst = max(
+            worst, ladder.effect(heights, 1j * speed, conductivity).largest_difference(exact)
+        )
     return worst
+
+
+def _couplings(
+    body: Cells, coils: Sequence[Winding], magnets: Sequence[Winding], heights: np.ndarray
+) -> np.ndarray:
+    """Mutual inductances (c, y, n) [H] of the rings with each coil, and with all magnets."""
+    at = body.r, body.z + heights[:, None]
+    m = [coil.coupling(*at) for coil in coils]
+    if magnets:
+        m.append(sum((magnet.coupling(*at) for magnet in magnets), np.zeros_like(at[1])))
+    return np.array(m)
 
 
 def ladder(
@@ -329,33 +366,30 @@ def ladder(
     frequency: float,
     tolerance: float,
 ) -> Ladder:
-    """The loops of a ``body`` at the heights ``low`` to ``high`` [m] up to ``frequency`` [Hz].
+    """Reduce a ``body`` to loops at the heights ``low`` to ``high`` [m] up to ``frequency`` [Hz].
 
-    The turns of ``magnets`` are amperes on their surfaces; what all of them couple to the loops is
-    a flux [Wb]. The subspace of the body's currents is that of its answers to each coil, and to the
-    magnets, at some heights and frequencies, as small as the ``tolerance`` lets it be; the loops
-    are the modes within it, so that energy and loss are those of currents that the body can carry.
+    The turns of ``magnets`` are amperes on their surfaces, and their coupling to the loops is a
+    flux [Wb]. The subspace of the body's currents contains the responses to each coil, and to the
+    magnets, at several heights and frequencies. It is as small as the ``tolerance`` allows. The
+    loops are the modes in the subspace: their energy and loss are those of possible currents.
 
     Raises
     ------
     UsageError : the couplings are no smooth functions of the height, as where body and coil meet.
     """
-    nodes, heights = _nodes(low, high)
-    inductance = _inductance(coils)
-    at = body.r, body.z + heights[:, None]
-    m = [c.coupling(*at) for c in coils]  # (c, y, n)
-    if magnets:
-        m.append(sum((c.coupling(*at) for c in magnets), np.zeros_like(at[1])))
+    nodes, heights = _chebyshev_nodes(low, high)
+    inductance = _coil_inductance(coils)
+    m = _couplings(body, coils, magnets, heights)
     from scipy.linalg import eigh
 
     rates, modes = eigh(np.diag(body.resistance), body.inductance)
-    couplings = np.array(m) @ modes
+    couplings = m @ modes
     couplings /= np.linalg.norm(couplings, axis=2).max(axis=1)[:, None, None]
     speeds = 2 * np.pi * frequency * conductivity * np.geomspace(1e-3, 1, 13)
-    basis, error = _subspace(rates, couplings, speeds, nodes, tolerance)
+    basis, error = _compute_subspace(rates, couplings, speeds, nodes, tolerance)
     reduced, turn = np.linalg.eigh(basis.T * rates @ basis)
-    result = np.array(m) @ modes @ basis @ turn
-    polynomials = _polynomials(nodes, result, tolerance)
+    result = m @ modes @ basis @ turn
+    polynomials = _fit_power_series(nodes, result, tolerance)
     return Ladder(reduced, polynomials, inductance, low, high, error, body.r.size, frequency)
 
 
@@ -367,51 +401,62 @@ def current_body(
     high: float,
     tolerance: float,
 ) -> Ladder:
-    """A body that carries the constant currents of ``sheets``, at the heights ``low`` to ``high``
-    [m], as one loop without a rate. What is fixed and what is raised are as in :func:`ladder`."""
-    nodes, heights = _nodes(low, high)
-    m = [sum(c.through(s, heights) for s in sheets) for c in coils]
+    """Make one loop of a body with the constant currents of ``sheets``; see :func:`ladder`.
+
+    Raises
+    ------
+    UsageError : the couplings are no smooth functions of the height, as where body and coil meet.
+    """
+    nodes, heights = _chebyshev_nodes(low, high)
+
+    def linked_flux(windings: Sequence[Winding]) -> np.ndarray:
+        return sum(starmap(Winding.through, product(windings, sheets, (heights,))), np.zeros(NODES))
+
+    m = [linked_flux([coil]) for coil in coils]
     if magnets:
-        m.append(sum(c.through(s, heights) for c in magnets for s in sheets))
-    polynomials = _polynomials(nodes, np.array(m)[:, :, None], tolerance)
-    return Ladder(np.empty(0), polynomials, _inductance(coils), low, high, 0.0, 0)
+        m.append(linked_flux(magnets))
+    polynomials = _fit_power_series(nodes, np.array(m)[:, :, None], tolerance)
+    return Ladder(np.empty(0), polynomials, _coil_inductance(coils), low, high, 0.0, 0)
 
 
-def _nodes(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-    """Chebyshev's points from -1 to 1, and as heights [m]."""
+def _chebyshev_nodes(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+    """Chebyshev points from -1 to 1, and the same as heights [m]."""
     nodes = chebyshev.chebpts1(NODES)
     return nodes, low + (nodes + 1) * (high - low) / 2
 
 
-def _inductance(coils: Sequence[Winding]) -> np.ndarray:
+def _coil_inductance(coils: Sequence[Winding]) -> np.ndarray:
     return np.array([list(map(a.with_other, coils)) for a in coils])
 
 
-def _subspace(
+def _compute_subspace(
     rates: np.ndarray, mutual: np.ndarray, speeds: np.ndarray, nodes: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float]:
-    """Orthonormal columns that hold the answers to the couplings ``mutual`` (c, y, n) of coils at
-    every other one of the angular frequencies ``speeds``, and how much others miss by them."""
+    """Compute an orthonormal basis of the currents, and its largest error at all frequencies.
 
-    def answers(some: np.ndarray, couplings: np.ndarray) -> np.ndarray:
-        return couplings[:, :, None, :] * (1j * some / (rates[:, None] + 1j * some)).T
+    The basis contains the responses to the couplings ``mutual`` (c, y, n) of coils at every other
+    one of the angular frequencies ``speeds``.
+    """
 
-    sampled = answers(speeds[::2], mutual[:, ::3]).reshape(-1, rates.size)
+    def compute_currents(speeds: np.ndarray, couplings: np.ndarray) -> np.ndarray:
+        return couplings[:, :, None, :] * (1j * speeds / (rates[:, None] + 1j * speeds)).T
+
+    sampled = compute_currents(speeds[::2], mutual[:, ::3]).reshape(-1, rates.size)
     left, _, _ = np.linalg.svd(np.concatenate([sampled.real, sampled.imag]).T, full_matrices=False)
     slopes = chebyshev.chebval(nodes, chebyshev.chebder(_chebyshev_fit(nodes, mutual))).transpose(
         0, 2, 1
     )
 
-    def acted(rate: np.ndarray, at: np.ndarray, slope: np.ndarray) -> list[np.ndarray]:
+    def compute_effect(rate: np.ndarray, at: np.ndarray, slope: np.ndarray) -> list[np.ndarray]:
         share = 1j * speeds / (rate[:, None] + 1j * speeds)
         return [np.einsum("iyn,jyn,nf->ijyf", at, other, share) for other in (at, slope)]
 
-    exact = acted(rates, mutual, slopes)
+    exact = compute_effect(rates, mutual, slopes)
     error = np.inf
     for count in range(1, left.shape[1] + 1):
         basis = left[:, :count]
         reduced, turn = np.linalg.eigh(basis.T * rates @ basis)
-        part = acted(reduced, mutual @ basis @ turn, slopes @ basis @ turn)
+        part = compute_effect(reduced, mutual @ basis @ turn, slopes @ basis @ turn)
         error = max(np.abs(a - b).max() / np.abs(a).max() for a, b in zip(exact, part, strict=True))
         if error < tolerance:
             break
@@ -427,9 +472,12 @@ def _chebyshev_fit(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
     return result.reshape(nodes.size, count, k)
 
 
-def _polynomials(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
-    """Power series (c, k, degree + 1) of ``values`` (c, NODES, k), as short as lets each coil's
-    slopes miss by a tenth of the ``tolerance``."""
+def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
+    """Fit power series (c, k, degree + 1) to ``values`` (c, NODES, k).
+
+    The series are the shortest with errors of each coil's slopes below a tenth of the
+    ``tolerance``.
+    """
     c = _chebyshev_fit(nodes, values)
     order = np.arange(nodes.size)[:, None, None] ** 2  # slope of a Chebyshev polynomial, at most
     size = np.abs(chebyshev.chebval(nodes, chebyshev.chebder(c))).max(axis=(1, 2))

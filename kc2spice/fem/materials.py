@@ -1,4 +1,4 @@
-"""Materials: a library with sources, tables of the user's own, and tensors turned to any poling.
+"""Materials: a library with sources, tables of the user, and tensors rotated to any poling.
 
 Interface::
 
@@ -24,6 +24,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -80,8 +81,10 @@ class CylindricalAxes:
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def frames(self, places: np.ndarray) -> np.ndarray:
-        """Rotations (n, 3, 3) whose columns are the radial, hoop and axial unit vectors at
-        ``places`` (n, 3) [m]."""
+        """Rotations (n, 3, 3) to the cylindrical axes at ``places`` (n, 3) [m].
+
+        Their columns are the radial, hoop and axial unit vectors.
+        """
         axial = np.asarray(self.axis, float) / np.linalg.norm(self.axis)
         arm = places - np.asarray(self.point)
         arm = arm - np.outer(arm @ axial, axial)
@@ -145,26 +148,30 @@ class Material(EqualByContent):
         """Whether nothing changes by 2 % when it is turned by 30 or 45 degrees."""
         for angle in (np.pi / 6, np.pi / 4):
             c, s = np.cos(angle), np.sin(angle)
-            turned = self.rotated(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
-            pairs = [(self.C, turned.C), (self.e, turned.e), (self.eps_S, turned.eps_S)]
-            if any(not np.allclose(a, b, rtol=0, atol=0.02 * np.abs(a).max()) for a, b in pairs):
-                return False
+            rotated = self.rotated(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
+            for name in ("C", "e", "eps_S"):
+                tensor = getattr(self, name)
+                limit = 0.02 * np.abs(tensor).max()
+                if not np.allclose(tensor, getattr(rotated, name), rtol=0, atol=limit):
+                    return False
         return True
 
     @property
     def twists(self) -> bool:
-        """Whether what moves in a plane through z moves the material out of it, or polarises it
-        so: it has a component that changes sign in the mirror of that plane."""
-        out, within = [3, 5], [0, 1, 2, 4]
-        coupling = [self.C[np.ix_(out, within)], self.e[np.ix_([0, 2], out)]]
-        scale = [np.abs(self.C).max(), np.abs(self.e).max()]
-        return any(
-            np.abs(part).max() > ROUNDING * size for part, size in zip(coupling, scale, strict=True)
-        )
+        """Whether motion in a plane through z causes motion or polarisation out of this plane.
+
+        The material then has a component that changes its sign in the mirror of the plane.
+        """
+        out, within, C, e = [3, 5], [0, 1, 2, 4], np.abs(self.C), np.abs(self.e)
+        elastic = C[np.ix_(out, within)].max() > ROUNDING * C.max()
+        return bool(elastic or e[np.ix_([0, 2], out)].max() > ROUNDING * e.max())
 
     def at(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Stiffness (n, 6, 6), coupling (n, 3, 6) and permittivity (n, 3, 3) in the axes of the
-        body at ``places`` (n, 3) [m]; without a :attr:`cylinder` one of each, n = 1."""
+        """Compute stiffness (n, 6, 6), coupling (n, 3, 6) and permittivity (n, 3, 3).
+
+        The tensors are those in the axes of the body at ``places`` (n, 3) [m]. Without a
+        :attr:`cylinder` they are the same everywhere, and n = 1.
+        """
         if self.cylinder is None:
             return self.C[None], self.e[None], self.eps_S[None]
         R = self.cylinder.frames(places)
@@ -195,7 +202,7 @@ class Material(EqualByContent):
         return np.linalg.solve(self.C, self.e.T).T
 
     def rotated(self, R: np.ndarray) -> Material:
-        """The material turned by the rotation ``R`` (3, 3): its axis i points along ``R[:, i]``.
+        """Rotate the material by ``R`` (3, 3): its axis i then points along ``R[:, i]``.
 
         Bond's matrix M(R) for stress gives ``C' = M C M'``, ``e' = R e M'``, ``eps' = R eps R'``
         (B. A. Auld, Acoustic Fields and Waves in Solids, 1973, section 3.D).
@@ -210,7 +217,7 @@ class Material(EqualByContent):
         )
 
     def poled(self, direction: Sequence[float]) -> Material:
-        """The material with its z axis (poling of a ceramic) along ``direction`` in body axes.
+        """Rotate the z axis (poling of a ceramic) to a ``direction`` in the axes of the body.
 
         The rotation is the smallest one; for -z it is half a turn about x.
         """
@@ -240,15 +247,16 @@ def bond(R: np.ndarray) -> np.ndarray:
 
 
 def _components(unit: str) -> BeforeValidator:
-    """A tensor as named components or as nested lists, each number with or without unit."""
+    """Validate a tensor of named components or nested lists, each number with or without unit."""
     return BeforeValidator(partial(_convert, unit))
 
 
 def _convert(unit: str, value: object) -> object:
+    """Convert all quantities in nested mappings and lists to numbers in this unit."""
     if isinstance(value, Mapping):
         return {str(key): _convert(unit, item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_convert(unit, item) for item in value]
+        return list(map(partial(_convert, unit), value))
     try:
         return quantity(value, unit)
     except UsageError as error:
@@ -341,24 +349,29 @@ class MaterialTable(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _like(cls, data: Any) -> Any:
+    def _inherit(cls, data: Any) -> Any:
+        """Add the properties of the material ``like`` that the table leaves out."""
         if not isinstance(data, Mapping) or "like" not in data:
             return data
         base = dict(_tables().get(data["like"], {}))
         if not base:
             raise ValueError(f"like: no such material: {data['like']}; {', '.join(_tables())}")
         for forms in _ALTERNATIVES:
-            for keys in forms if any(set(form) & set(data) for form in forms) else ():
-                if not set(keys) & set(data):
-                    base = {key: value for key, value in base.items() if key not in keys}
-        both = {key for key in set(base) & set(data) if isinstance(base[key], dict)}
-        inner = {key: base[key] | data[key] for key in both if isinstance(data[key], Mapping)}
-        return base | dict(data) | inner
+            if set(chain.from_iterable(forms)).isdisjoint(data):
+                continue
+            for keys in forms:
+                for key in keys if set(keys).isdisjoint(data) else ():
+                    base.pop(key, None)
+        result = base | dict(data)
+        for key in set(base) & set(data):
+            if isinstance(base[key], dict) and isinstance(data[key], Mapping):
+                result[key] = base[key] | data[key]
+        return result
 
     @model_validator(mode="after")
-    def _one_form(self) -> MaterialTable:
+    def _require_one_form(self) -> MaterialTable:
         elastic = [self.youngs_modulus, self.stiffness, self.compliance]
-        if sum(x is not None for x in elastic) != 1:
+        if elastic.count(None) != 2:
             raise ValueError("give exactly one of youngs_modulus, stiffness, compliance")
         if self.stress_coupling is not None and self.strain_coupling is not None:
             raise ValueError("give stress_coupling or strain_coupling, not both")
@@ -376,7 +389,7 @@ class MaterialTable(Section):
         return self
 
     def build(self, name: str) -> Material:
-        """Tensors in stress-charge form.
+        """Build the material, with tensors in stress-charge form.
 
         Raises
         ------
@@ -393,9 +406,10 @@ class MaterialTable(Section):
             eps = eps - e @ np.linalg.solve(C, e.T)
         hint = "is the permittivity at constant stress or at constant strain?" if e.any() else None
         _require_definite(eps, "permittivity at constant strain", hint)
-        same = {key for key in type(self).model_fields if key in Material.__dataclass_fields__}
-        values = {key: getattr(self, key) for key in same}
-        stated = {key: value for key, value in values.items() if value is not None}
+        stated = {}
+        for key in set(type(self).model_fields) & set(Material.__dataclass_fields__):
+            if getattr(self, key) is not None:
+                stated[key] = getattr(self, key)
         return Material(name=name, C=C, e=e, eps_S=eps, **stated)
 
     def _stiffness(self) -> np.ndarray:
@@ -414,7 +428,7 @@ class MaterialTable(Section):
         return (C + C.T) / 2
 
     def _engineering(self) -> np.ndarray:
-        """Compliance of Young's moduli and Poisson's ratios ``nu_ij = -S_jj/S_ii``."""
+        """Compute the compliance of Young's moduli and ratios ``nu_ij = -S_jj/S_ii``."""
         E_keys, nu, G = self.youngs_modulus, self.poisson_ratio, self.shear_modulus
         ratios, planes = ("nu_xy", "nu_xz", "nu_yz"), ("g_yz", "g_xz", "g_xy")
         if isinstance(E_keys, float) and isinstance(nu, float) and G is None:
@@ -427,7 +441,7 @@ class MaterialTable(Section):
             and isinstance(G, dict)
             and (set(nu), set(G)) == (set(ratios), set(planes))
         ):
-            E, n, g = E_keys, [nu[name] for name in ratios], [G[name] for name in planes]
+            E, n, g = E_keys, list(map(nu.__getitem__, ratios)), list(map(G.__getitem__, planes))
         else:
             expected = f"three youngs_modulus, poisson_ratio {' '.join(ratios)}, "
             expected += f"shear_modulus {' '.join(planes)}"
@@ -449,24 +463,27 @@ class MaterialTable(Section):
         if values is None:
             return np.eye(3)
         if isinstance(values, list):
-            return _full(values, (3, 3), "permittivity")
+            return _require_shape(values, (3, 3), "permittivity")
         if "eps11" not in values or set(values) - set(names):
             expected = "eps11, and eps22 or eps33 where they differ from it"
             problem = "not the components of a permittivity"
             raise wrong("permittivity", problem, ", ".join(values), expected)
-        return np.diag([values.get(name, values["eps11"]) for name in names])
+        first = values["eps11"]
+        return np.diag([first, values.get("eps22", first), values.get("eps33", first)])
 
     def _tensor(self, key: str, letter: str) -> np.ndarray:
-        """Stiffness ``c`` or compliance ``s`` (6, 6), coupling ``e`` or ``d`` (3, 6), from lists or
-        from the components that the symmetry leaves free."""
+        """Make a tensor from lists, or from the free components of the symmetry.
+
+        The letter tells stiffness ``c`` or compliance ``s`` (6, 6), coupling ``e`` or ``d`` (3, 6).
+        """
         values, elastic = getattr(self, key), letter in "cs"
         shape = (6, 6) if elastic else (3, 6)
         if isinstance(values, list):
-            return _full(values, shape, key)
+            return _require_shape(values, shape, key)
         if self.symmetry not in _FREE:
             expected = f"symmetry = {', '.join(_FREE)}, or a full matrix"
             raise wrong(key, "components need a symmetry", self.symmetry, expected)
-        first, second, last = (f"{letter}{place}" for place in ("11", "12", "66"))
+        first, second, last = f"{letter}11", f"{letter}12", f"{letter}66"
         if elastic and self.symmetry in _DERIVED_66 and {first, second} <= set(values):
             factor = 0.5 if letter == "c" else 2.0
             values = {last: factor * (values[first] - values[second]), **values}
@@ -486,9 +503,10 @@ class MaterialTable(Section):
         return np.triu(matrix) + np.triu(matrix, 1).T if elastic else matrix
 
 
-def _full(rows: list[list[float]], shape: tuple[int, int], key: str) -> np.ndarray:
+def _require_shape(rows: list[list[float]], shape: tuple[int, int], key: str) -> np.ndarray:
+    """Check the shape of a tensor's rows, and the symmetry of a square tensor."""
     if list(map(len, rows)) != [shape[1]] * shape[0]:
-        got = f"rows of {', '.join(str(len(row)) for row in rows[:8])} numbers"
+        got = f"rows of {', '.join(map(str, map(len, rows[:8])))} numbers"
         expected = f"{shape[0]} rows of {shape[1]} numbers"
         raise UsageError("wrong number of entries", where=key, got=got, expected=expected)
     matrix = np.array(rows)
@@ -499,7 +517,7 @@ def _full(rows: list[list[float]], shape: tuple[int, int], key: str) -> np.ndarr
 
 
 def _require_definite(matrix: np.ndarray, key: str, hint: str | None = None) -> None:
-    """Positive definite after scaling the diagonal to one, so that units do not matter."""
+    """Check that a matrix is positive definite after its diagonal is scaled to one."""
     diagonal = np.diag(matrix)
     smallest = float(diagonal.min())
     if smallest > 0:
@@ -516,16 +534,21 @@ def _tables() -> dict[str, dict[str, Any]]:
 
 
 @cache
+def _library_names() -> dict[str, str]:
+    """Names of the library's materials by these names in lower case."""
+    return dict(zip(map(str.lower, _tables()), _tables(), strict=True))
+
+
+@cache
 def _library_material(name: str) -> Material:
-    """Material of the library by its name in lower case."""
-    (result,) = (key for key in _tables() if key.lower() == name)
-    return MaterialTable.model_validate(_tables()[result]).build(result)
+    """Build a material of the library."""
+    return MaterialTable.model_validate(_tables()[name]).build(name)
 
 
 def material(
     name_or_table: str | Mapping[str, Any] | Material, where: str = "material"
 ) -> Material:
-    """Material by its name in the library (case does not matter) or from a table.
+    """Return a material by its name in the library, in any case, or from a table.
 
     Raises
     ------
@@ -537,10 +560,10 @@ def material(
         table = validated(MaterialTable, name_or_table, where)
         with part_named(where):
             return table.build(where.rsplit(".", 1)[-1])
-    if name_or_table.lower() not in {name.lower() for name in _tables()}:
+    if name_or_table.lower() not in _library_names():
         names = list(_tables())
         expected = f"one of {candidates(name_or_table, names, 'docs/reference/materials.md')}"
         hint = did_you_mean(name_or_table, names)
         hint = hint or 'write a table: { density = …, youngs_modulus = "… GPa", poisson_ratio = … }'
         raise wrong(where, "no such material", repr(name_or_table), expected, hint)
-    return _library_material(name_or_table.lower())
+    return _library_material(_library_names()[name_or_table.lower()])

@@ -1,4 +1,4 @@
-"""Meshes and CAD files of the user's own, read by gmsh, with named groups.
+"""Meshes and CAD files of the user, read by gmsh, with named groups.
 
 ``.msh`` files bring elements and physical groups. ``.step`` and ``.brep`` files are meshed here;
 their solids are first made to share faces. Their groups are the labels of the file and what a
@@ -13,8 +13,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
+from operator import itemgetter
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -74,11 +76,11 @@ class GroupedMesh:
     groups: Mapping[str, Group]
 
     def group(self, name: str, where: str, *codimensions: int) -> Group:
-        """The group, which has one of these codimensions; ``where`` is the key that asks for it.
+        """Return a group of one of these codimensions; ``where`` is the key that needs the group.
 
         Raises
         ------
-        UsageError : there is none, an empty one, or one of another kind.
+        UsageError : there is no such group, it is empty, or it has another codimension.
         """
         result = self.groups.get(name)
         if not self.groups:
@@ -116,19 +118,20 @@ def read_mesh(
     splits: int = 0,
     merge: float | None = None,
 ) -> GroupedMesh:
-    """Read or make the mesh; ``unit`` is the file's unit of length [m], ``size`` the largest edge
-    of the elements of a CAD file [m], ``splits`` how often every edge is halved. ``picks`` are
-    groups of a CAD file by name: entities of a ``dimension`` (0 to 3: points, curves, faces,
-    solids) that contain one of the points ``at`` (n, 3), or that lie in a ``box`` of two corners,
-    all in the file's unit. Nodes at most ``merge`` [m] apart become one; 0 accepts solids that
-    touch and share no nodes.
+    """Read a mesh, or mesh a CAD file.
+
+    ``unit`` is the file's unit of length [m], ``size`` the largest edge of the elements of a CAD
+    file [m], ``splits`` how often every edge is halved. ``picks`` are groups of a CAD file by name:
+    entities of a ``dimension`` (0 to 3: points, curves, faces, solids) that contain one of the
+    points ``at`` (n, 3), or that lie in a ``box`` of two corners, all in the file's unit. Nodes at
+    most ``merge`` [m] apart become one; 0 accepts solids that touch and share no nodes.
 
     Raises
     ------
     UsageError : no such file, not of the kind that its name says, without solids, a CAD file
         without size, a pick that selects nothing, or solids that touch and share no nodes.
     """
-    data = _content(path)
+    data = _read_content(path)
     if path.suffix.lower() in STEP and unit != MILLIMETRE:
         raise wrong("unit", "a STEP file states its own unit", f"{unit:g} m", "no unit, or mm")
     cad = path.suffix.lower() != ".msh"
@@ -142,7 +145,7 @@ def read_mesh(
         problem = "groups are picked in CAD files only"
         raise wrong("groups", problem, hint="name physical groups in the mesh")
     result = _ask_gmsh(
-        "tables",
+        "extract_mesh",
         path,
         data,
         name=str(path),
@@ -151,15 +154,15 @@ def read_mesh(
         picks=dict(picks or {}),
         splits=splits,
     )
-    return _collect(result, unit, dimension, str(path), merge)
+    return _assemble_mesh(result, unit, dimension, str(path), merge)
 
 
 def length_unit(path: Path, unit: str | None) -> float:
-    """The unit of length [m] of a file's numbers, which ``unit`` names where the format does not.
+    """Determine the unit of length [m] of a file from its format, or from the key ``unit``.
 
     Raises
     ------
-    UsageError : neither of them says it; the message has the size in units that it may be.
+    UsageError : neither states the unit; the message contains the size in usual units.
     """
     if path.suffix.lower() in STEP or unit is not None:
         return quantity(f"1 {unit or 'mm'}", "m", where="unit")
@@ -177,36 +180,38 @@ def length_unit(path: Path, unit: str | None) -> float:
 
 
 def extent(path: Path) -> np.ndarray:
-    """Sides (3,) of the bounding box of a file, in its own unit (mm of STEP files).
+    """Measure the sides (3,) of the bounding box of a file, in its unit (mm of STEP files).
 
     Raises
     ------
     UsageError : as :func:`read_mesh`.
     """
-    low, high = _ask_gmsh("box", path, _content(path))["box"]
+    low, high = _ask_gmsh("measure_box", path, _read_content(path))["box"]
     return np.asarray(high - low)
 
 
 def _ask_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[str, np.ndarray]:
+    """Call a function of this module in a process with gmsh, on a copy of the file."""
     file = FORMATS[path.suffix.lower()][1]
 
-    def put(home: Path) -> None:
+    def write_copy(home: Path) -> None:
         (home / file).write_bytes(data)
 
+    request = {**request, "file": file}
     try:
-        return in_child(f"kc2spice.fem.mesh_file:{function}", {**request, "file": file}, put)
+        return in_child(f"kc2spice.fem.mesh_file:{function}", request, write_copy)
     except ValueError as error:
         raise UsageError("gmsh cannot read or mesh this", where=str(path), got=str(error)) from None
 
 
 def require_format(path: Path, head: bytes | None = None) -> None:
-    """Refuse a file that is not what its name says: gmsh runs what it does not know as a script.
+    """Check that a file has the format of its suffix: gmsh runs unknown files as scripts.
 
-    ``head`` is how the file begins, looked up if absent; a file that is not there passes.
+    ``head`` are the first bytes of the file, which are read by default. A missing file passes.
 
     Raises
     ------
-    UsageError : a suffix that is not read, or a file that begins otherwise.
+    UsageError : an unknown suffix, or a file of another format.
     """
     known = FORMATS.get(path.suffix.lower())
     if known is None:
@@ -235,8 +240,8 @@ def require_format(path: Path, head: bytes | None = None) -> None:
     )
 
 
-def _content(path: Path) -> bytes:
-    """Content of a file, after a check of its format."""
+def _read_content(path: Path) -> bytes:
+    """Read a file, and check its format."""
     require_format(path)
     try:
         data = read_bounded(path, MAX_BYTES)
@@ -255,13 +260,14 @@ def _content(path: Path) -> bytes:
     return data
 
 
-def _collect(
+def _assemble_mesh(
     arrays: Mapping[str, np.ndarray],
     unit: float,
     dimension: int,
     where: str,
     merge: float | None = None,
 ) -> GroupedMesh:
+    """Assemble the mesh and its groups from the arrays of :func:`extract_mesh`."""
     points = unit * arrays["points"]
     if not np.isfinite(points).all():
         raise UsageError("a node has a coordinate that is not finite", where=where)
@@ -283,12 +289,12 @@ def _collect(
     record = json.loads(str(arrays["record"]))
     same = np.arange(len(points))
     if merge:
-        same = merged_nodes(points, blocks, dimension + 1, merge)
-        blocks = [same[nodes] for nodes in blocks]
+        same = merge_nodes(points, blocks, dimension + 1, merge)
+        blocks = list(map(same.__getitem__, blocks))
     if merge != 0:
         owners = {name: arrays[f"group{k}"] for k, (name, d) in enumerate(record) if d == dimension}
         require_joined(points, blocks, dimension + 1, owners, where)
-    mesh, number = _quadratic(points, blocks, dimension + 1)
+    mesh, number = _make_quadratic(points, blocks, dimension + 1)
     groups: dict[str, Group] = {}
     for k, (name, d) in enumerate(record):
         members = arrays[f"group{k}"] if d == dimension else same[arrays[f"group{k}"]]
@@ -298,20 +304,19 @@ def _collect(
         if d == dimension:
             groups[name] = Group(0, members)
         elif d == dimension - 1:
-            facets = _find(mesh.facets, number[members], mesh.nvertices)
-            groups[name] = Group(1, np.unique(_inside(facets, name)))
+            facets = _find_columns(mesh.facets, number[members], mesh.nvertices)
+            groups[name] = Group(1, np.unique(_require_inside(facets, name)))
         else:
-            ends = _inside(number[members], name)
+            ends = _require_inside(number[members], name)
             length = np.linalg.norm(points[members[:, 0]] - points[members[:, -1]], axis=1)
-            groups[name] = Group(dimension - d, *_shares(mesh, ends, length, name))
+            groups[name] = Group(dimension - d, *_measure_shares(mesh, ends, length, name))
     return GroupedMesh(mesh, groups)
 
 
-def merged_nodes(
+def merge_nodes(
     points: np.ndarray, blocks: Sequence[np.ndarray], corners: int, distance: float
 ) -> np.ndarray:
-    """The number of the node (n,) that each of ``points`` becomes when those of elements that are
-    at most ``distance`` [m] apart become one.
+    """Number (n,) the nodes so that nodes of elements at most ``distance`` [m] apart become one.
 
     Raises
     ------
@@ -319,14 +324,14 @@ def merged_nodes(
     """
     from scipy.spatial import cKDTree  # late: few meshes need it
 
-    used = np.unique(np.concatenate([nodes.ravel() for nodes in blocks]))
+    used = np.unique(np.concatenate([*map(np.ravel, blocks)]))
     pairs = used[cKDTree(points[used]).query_pairs(distance, output_type="ndarray")]
     links = sparse.coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
     _, label = connected_components(links, directed=False)
     lowest = np.full(len(points), len(points))
     np.minimum.at(lowest, label, np.arange(len(points)))
     same = lowest[label]
-    cells = np.sort(same[np.concatenate([nodes[:, :corners] for nodes in blocks])], axis=1)
+    cells = np.sort(same[_corner_nodes(blocks, corners)], axis=1)
     if (np.diff(cells, axis=1) == 0).any():
         shortest = f"less than the shortest edge, {_shortest_edge(points, blocks, corners):.4g} m"
         raise wrong(
@@ -335,14 +340,16 @@ def merged_nodes(
     return np.asarray(same)
 
 
+def _corner_nodes(blocks: Iterable[np.ndarray], corners: int) -> np.ndarray:
+    """Nodes (elements, corners) at the corners of blocks of elements."""
+    return np.concatenate([np.empty((0, corners), int), *(nodes[:, :corners] for nodes in blocks)])
+
+
 def _shortest_edge(points: np.ndarray, blocks: Sequence[np.ndarray], corners: int) -> float:
-    cells = np.concatenate([nodes[:, :corners] for nodes in blocks])
-    ends = ((i, j) for i in range(corners) for j in range(i))
-    return float(
-        min(
-            np.linalg.norm(points[cells[:, i]] - points[cells[:, j]], axis=1).min() for i, j in ends
-        )
-    )
+    """Length of the shortest edge of all elements."""
+    cells = _corner_nodes(blocks, corners)
+    i, j = np.triu_indices(corners, 1)
+    return float(np.linalg.norm(points[cells[:, i]] - points[cells[:, j]], axis=-1).min())
 
 
 def require_joined(
@@ -352,7 +359,7 @@ def require_joined(
     owners: Mapping[str, np.ndarray],
     where: str,
 ) -> None:
-    """Refuse solids that touch and share no nodes: they would move apart without a word.
+    """Refuse solids that touch and share no nodes, because nothing would hold them together.
 
     ``points`` (n, d) [m], ``blocks`` of elements (k, nodes) with ``corners`` each, ``owners`` the
     numbers of the elements of each named group.
@@ -364,14 +371,14 @@ def require_joined(
     from scipy.spatial import cKDTree  # late: quick, yet nothing that a scene without mesh loads
 
     near = COINCIDENT * _shortest_edge(points, blocks, corners)
-    used = np.unique(np.concatenate([nodes.ravel() for nodes in blocks]))
+    used = np.unique(np.concatenate([*map(np.ravel, blocks)]))
     pairs = used[cKDTree(points[used]).query_pairs(near, output_type="ndarray")]
     expected = "one node for all elements that are joined there"
     apart = "merge = 0 keeps them apart"
     if len(pairs):
         got = f"{len(pairs)} pairs of nodes at one place, "
         got += _describe_nodes(points, pairs.ravel(), blocks, owners)
-        hint = f'merge = "{_engineering(10 * near)}" joins nodes up to that distance; {apart}'
+        hint = f'merge = "{_format_length(10 * near)}" joins nodes up to that distance; {apart}'
         raise wrong(where, "solids touch but share no nodes", got, expected, hint)
     strays = _nodes_on_other_pieces(points, blocks, corners, near)
     if strays.size:
@@ -384,10 +391,10 @@ def require_joined(
 def _nodes_on_other_pieces(
     points: np.ndarray, blocks: Sequence[np.ndarray], corners: int, near: float
 ) -> np.ndarray:
-    """Nodes on the surface of a piece of the mesh that they are no part of."""
+    """Find nodes on the surface of a piece of the mesh that does not contain them."""
     from scipy.spatial import cKDTree
 
-    cells = np.concatenate([nodes[:, :corners] for nodes in blocks])
+    cells = _corner_nodes(blocks, corners)
     ends = np.array([cells[:, :-1].ravel(), cells[:, 1:].ravel()])
     links = sparse.coo_array((np.ones(ends.shape[1]), ends), shape=(len(points),) * 2)
     _, label = connected_components(links, directed=False)
@@ -402,7 +409,7 @@ def _nodes_on_other_pieces(
     nodes = np.unique(faces)
     around = cKDTree(points[nodes]).query_ball_point(middle, reach)
     face = np.repeat(np.arange(len(faces)), list(map(len, around)))
-    node = nodes[np.concatenate([np.asarray(item, int) for item in around])]
+    node = nodes[np.fromiter(chain.from_iterable(around), int)]
     other = label[faces[face, 0]] != label[node]
     face, node = face[other], node[other]
     return np.unique(node[_on_simplex(points[node], points[faces[face]], near)])
@@ -440,22 +447,22 @@ def _describe_nodes(
     return ", ".join(spans) + (f", groups {', '.join(sorted(names))}" if names else "")
 
 
-def _engineering(length: float) -> str:
-    """A length with one digit and a prefix."""
+def _format_length(length: float) -> str:
+    """Format a length with one digit and a prefix."""
     for unit, factor in (("mm", 1e-3), ("um", 1e-6)):
         if length >= factor:
             return f"{length / factor:.1g} {unit}"
     return f"{length / 1e-9:.1g} nm"
 
 
-def _quadratic(
+def _make_quadratic(
     points: np.ndarray, blocks: list[np.ndarray], corners: int
 ) -> tuple[Mesh, np.ndarray]:
-    """The mesh with the mid-edge nodes of the file, straight edges where it has none, and the
-    number in it of each of the file's nodes, -1 of those that are no corner."""
-    vertices, cells = np.unique(
-        np.concatenate([nodes[:, :corners] for nodes in blocks]), return_inverse=True
-    )
+    """Make the mesh with the mid-edge nodes of the file, or with straight edges without them.
+
+    The second result is the number of each of the file's nodes in the mesh, -1 if no corner.
+    """
+    vertices, cells = np.unique(_corner_nodes(blocks, corners), return_inverse=True)
     cells = cells.reshape(-1, corners)
     kind, curved, ends = _CURVED[corners]
     mesh = curved.from_mesh(kind(points[vertices].T.copy(), cells.T.copy()))
@@ -473,13 +480,11 @@ def _quadratic(
 def _edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
     """Nodes in the middle of edges given by vertices (k, 2)."""
     edges = mesh.edges if mesh.dim() == 3 else mesh.facets
-    return mesh.nvertices + _find(edges, pairs, mesh.nvertices)
+    return mesh.nvertices + _find_columns(edges, pairs, mesh.nvertices)
 
 
-def _find(simplices: np.ndarray, corners: np.ndarray, vertices: int) -> np.ndarray:
-    """Columns of ``simplices`` (corners, n) that have the corners ``corners`` (k, corners); -1
-    where there is none.
-    """
+def _find_columns(simplices: np.ndarray, corners: np.ndarray, vertices: int) -> np.ndarray:
+    """Find the columns of ``simplices`` (corners, n) with these corners (k, corners), or -1."""
     base = vertices ** np.arange(len(simplices))
     keys, corner_keys = base @ np.sort(simplices, axis=0), np.sort(corners, axis=1) @ base
     order = np.argsort(keys)
@@ -487,14 +492,14 @@ def _find(simplices: np.ndarray, corners: np.ndarray, vertices: int) -> np.ndarr
     return np.where(keys[place] == corner_keys, place, -1)
 
 
-def _shares(
+def _measure_shares(
     mesh: Mesh, ends: np.ndarray, length: np.ndarray, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes on points (k, 1) or line elements (k, 2), and their parts of the whole length."""
+    """Find the nodes on points (k, 1) or lines (k, 2), and their shares of the whole length."""
     nodes, weights = ends.ravel(), np.ones(len(ends))
     if ends.shape[1] == 2:
         middle = _edge_nodes(mesh, ends)
-        _inside(middle - mesh.nvertices, name)
+        _require_inside(middle - mesh.nvertices, name)
         nodes = np.concatenate([*ends.T, middle])
         weights = np.concatenate([length, length, 4 * length]) / 6  # Simpson's rule
     unique, place = np.unique(nodes, return_inverse=True)
@@ -502,7 +507,8 @@ def _shares(
     return unique, total / (total.sum() or 1.0)
 
 
-def _inside(places: np.ndarray, name: str) -> np.ndarray:
+def _require_inside(places: np.ndarray, name: str) -> np.ndarray:
+    """Check that a group lies on the elements of the body: no place is -1."""
     if (places < 0).any():
         raise UsageError(
             "this group does not lie on the elements of the body",
@@ -519,13 +525,13 @@ MOST = 50_000_000  # largest number of elements for a mesh size
 Picks = Mapping[str, Mapping[str, Any]]
 
 
-def tables(
+def extract_mesh(
     file: str, name: str, size: float | None, dimension: int, picks: Picks, splits: int
 ) -> dict[str, np.ndarray]:
-    """Nodes, elements and physical groups of ``file``, which the user calls ``name``.
+    """Extract nodes, elements and physical groups of ``file``, which the user calls ``name``.
 
-    ``size`` (in the file's unit) makes it a CAD file to be meshed; ``picks`` are groups of it by
-    name: ``dimension``, points ``at``, corners of a ``box``.
+    A CAD file is meshed with elements of a ``size`` (in the file's unit). ``picks`` are its groups
+    by name: ``dimension``, points ``at``, corners of a ``box``.
 
     Returns ``points`` (n, 3); ``cells<k>`` (elements, nodes each), blocks of tetrahedra or
     triangles, corners first; ``group<k>``, numbers of such elements or nodes (elements, corners);
@@ -540,14 +546,14 @@ def tables(
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
         gmsh.merge(file)
         if size is not None:
-            _make(gmsh, size, dimension, picks)
+            _mesh_cad(gmsh, size, dimension, picks)
         for _ in range(splits):
             gmsh.model.mesh.refine()
         return _collect_arrays(gmsh, dimension, name)
 
 
-def box(file: str) -> dict[str, np.ndarray]:
-    """``box`` (2, 3), lowest and highest coordinates of ``file`` in its own unit."""
+def measure_box(file: str) -> dict[str, np.ndarray]:
+    """Measure the ``box`` (2, 3): lowest and highest coordinates of ``file`` in its unit."""
     with gmsh_session() as gmsh:
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
         gmsh.merge(file)
@@ -564,7 +570,7 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
     ranked = tags[order]
 
     def simplices(d: int, entities: Sequence[int]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Numbers and nodes of all elements in them, which are simplices."""
+        """Return numbers and nodes of all elements in these entities, which are simplices."""
         result = []
         for entity in entities:
             blocks = zip(*gmsh.model.mesh.getElements(d, entity), strict=True)
@@ -582,26 +588,26 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
                 result.append((numbers, order[at].reshape(-1, count)))
         return result
 
-    body = simplices(dimension, [tag for _, tag in gmsh.model.getEntities(dimension)])
+    entities = map(itemgetter(1), gmsh.model.getEntities(dimension))
+    body = simplices(dimension, list(entities))
     arrays = {f"cells{k}": nodes for k, (_, nodes) in enumerate(body)}
-    numbers = np.concatenate([np.empty(0, int), *(item for item, _ in body)])
+    numbers = np.concatenate([np.empty(0, int), *map(itemgetter(0), body)])
     groups: list[tuple[str, int]] = []
     for d, physical in gmsh.model.getPhysicalGroups():
         members = simplices(d, gmsh.model.getEntitiesForPhysicalGroup(d, physical))
         if d == dimension:
-            selected = [item for item, _ in members]
-            result = np.flatnonzero(np.isin(numbers, np.concatenate([np.empty(0, int), *selected])))
+            selected = np.concatenate([np.empty(0, int), *map(itemgetter(0), members)])
+            result = np.flatnonzero(np.isin(numbers, selected))
         else:
-            corners = [nodes[:, : d + 1] for _, nodes in members]
-            result = np.concatenate([np.empty((0, d + 1), int), *corners])
+            result = _corner_nodes(map(itemgetter(1), members), d + 1)
         arrays[f"group{len(groups)}"] = result
         groups.append((gmsh.model.getPhysicalName(d, physical) or str(physical), int(d)))
     arrays |= {"points": coordinates.reshape(-1, 3), "record": np.array(json.dumps(groups))}
     return arrays
 
 
-def _make(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
-    """Join the solids, name the groups, mesh with quadratic elements."""
+def _mesh_cad(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
+    """Join the solids of a CAD file, name its groups, and mesh it with quadratic elements."""
     bodies = gmsh.model.getEntities(dimension)
     if not bodies:
         problem = f"the CAD file contains no {DIMENSION[dimension]}"
@@ -617,16 +623,18 @@ def _make(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
     if len(bodies) > 1:
         _, pieces = gmsh.model.occ.fragment(bodies[:1], bodies[1:])
         gmsh.model.occ.synchronize()
-        result = set(gmsh.model.getEntities())
-        named_entities = {e: text for e, text in labels.items() if e[0] == dimension or e in result}
-        origin = dict(zip(bodies, pieces, strict=True))
-        labels = {new: text for e, text in named_entities.items() for new in origin.get(e, [e])}
+        entities = set(gmsh.model.getEntities())
+        pieces_of, texts = dict(zip(bodies, pieces, strict=True)), labels
+        labels = {}
+        for entity, text in texts.items():
+            if entity[0] == dimension or entity in entities:
+                labels |= dict.fromkeys(pieces_of.get(entity, [entity]), text)
     names: dict[tuple[str, int], list[int]] = {}
     for (d, tag), text in labels.items():
         if text:
             names.setdefault((text, d), []).append(tag)
     for name, pick in picks.items():
-        names[name, pick["dimension"]] = _pick(gmsh, name, **pick)
+        names[name, pick["dimension"]] = _select_entities(gmsh, name, **pick)
     for (name, d), tags in names.items():
         gmsh.model.addPhysicalGroup(d, tags, name=name)
     gmsh.option.setNumber("Mesh.MeshSizeMax", size)
@@ -637,13 +645,14 @@ def _make(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
         gmsh.model.mesh.optimize("HighOrder")
 
 
-def _pick(
+def _select_entities(
     gmsh: ModuleType,
     name: str,
     dimension: int,
     at: Sequence[Sequence[float]],
     box: Sequence[Sequence[float]] | None,
 ) -> list[int]:
+    """Select the entities that contain the points ``at``, and those inside the ``box``."""
     everything = gmsh.model.getBoundingBox(-1, -1)
     near = TOUCHING * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
     result: list[int] = []
@@ -661,7 +670,7 @@ def _pick(
     if box is not None:
         low, high = np.min(box, axis=0) - near, np.max(box, axis=0) + near
         inside = gmsh.model.getEntitiesInBoundingBox(*low, *high, dimension)
-        result += [tag for _, tag in inside]
+        result += map(itemgetter(1), inside)
     if not result:
         expected = f"a point of, or a box around, {DIMENSION[dimension]} of the geometry"
         raise UsageError("this group selects nothing", where=f"groups.{name}", expected=expected)
@@ -669,7 +678,7 @@ def _pick(
 
 
 def _contains(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:
-    """Whether the entity passes within ``near`` of the point, itself and not its continuation."""
+    """Whether an entity, and not only its continuation, passes within ``near`` of a point."""
     box = np.array(gmsh.model.getBoundingBox(d, tag))
     if np.any(point < box[:3] - near) or np.any(point > box[3:] + near):
         return False

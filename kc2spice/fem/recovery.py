@@ -49,22 +49,26 @@ class EnergyProducts:
 
 
 def energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> EnergyProducts:
-    """Energy of solutions and of their errors, from displacements ``u`` (d nodes, k) [m] and
-    potentials ``phi`` (nodes, k) [V]."""
+    """Compute energy products of solutions and of their errors.
+
+    The solutions are displacements ``u`` (d nodes, k) [m] and potentials ``phi`` (nodes, k) [V].
+    """
     patches = _Patches.of(solid, u, phi)
     k = u.shape[1]
-    solution, error, spread = (np.zeros((k, k)) for _ in range(3))
+    solution, error, spread = np.zeros((3, k, k))
     for cells in _chunks(solid.mesh.nelements):
         basis = solid.basis(elements=cells)
         places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
         energy = np.zeros((len(cells), k, k))
         hats = _hats(basis.X)
         points = zip(
-            _values(solid, basis, cells, u, phi), _energy(solid, basis, cells), strict=True
+            _evaluate_fields(solid, basis, cells, u, phi),
+            _energy_matrices(solid, basis, cells),
+            strict=True,
         )
         for q, (field, H) in enumerate(points):
             w = basis.dx[:, q, None, None]
-            delta = patches.recovered(cells, places[:, q], hats[q]) - field
+            delta = patches.evaluate(cells, places[:, q], hats[q]) - field
             energy += w * (delta.transpose(0, 2, 1) @ (H @ delta))
             solution += (w * (field.transpose(0, 2, 1) @ (H @ field))).sum(axis=0)
         error += energy.sum(axis=0)
@@ -73,32 +77,38 @@ def energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> EnergyProdu
 
 
 def _chunks(count: int) -> Iterator[np.ndarray]:
+    """Divide the numbers below ``count`` into arrays of :data:`CHUNK` numbers."""
     return (np.arange(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK))
 
 
-def _values(
+def _evaluate_fields(
     solid: Solid, basis: skfem.Basis, cells: np.ndarray, u: np.ndarray, phi: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Strains and fields (elements, 9, k) at each point of ``basis`` on elements ``cells``, fields
-    times the factor of their material."""
+    """Yield strains and fields (elements, 9, k) at each point of ``basis`` on elements ``cells``.
+
+    Fields are multiplied by the factor of their material.
+    """
     d, nodes = solid.components, basis.element_dofs.T
     moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
-    factor = -_factors(solid)[solid.owner[cells], None, None]
+    factor = -_coupling_factors(solid)[solid.owner[cells], None, None]
     for _, B, G in strains(solid, basis):
         yield np.concatenate([B @ u[moves], factor * (G @ phi[nodes])], axis=1)
 
 
-def _factors(solid: Solid) -> np.ndarray:
+def _coupling_factors(solid: Solid) -> np.ndarray:
     """Coupling of each material (materials,) in units of that of the first one of its name."""
     first = {material.name: material.e for material in reversed(solid.materials)}
     pairs = [(material.e, first[material.name]) for material in solid.materials]
     return np.array([np.sum(e * e0) / np.sum(e0 * e0) if e.any() else 1.0 for e, e0 in pairs])
 
 
-def _energy(solid: Solid, basis: skfem.Basis, cells: np.ndarray) -> Iterator[np.ndarray]:
-    """``[[C, -e'], [-e, -eps]]`` (elements, 9, 9) at each point of ``basis``, for fields times the
-    factor of their material; a material without coupling and permittivity has no field."""
-    owner, factors = solid.owner[cells], _factors(solid)
+def _energy_matrices(solid: Solid, basis: skfem.Basis, cells: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield ``[[C, -e'], [-e, -eps]]`` (elements, 9, 9) at each point of ``basis``.
+
+    Fields are multiplied by the factor of their material. A material without coupling and
+    permittivity has no field.
+    """
+    owner, factors = solid.owner[cells], _coupling_factors(solid)
     constants = [tensors(solid, basis, material) for material in solid.materials]
     for _ in range(basis.X.shape[-1]):
         H = np.zeros((len(cells), 9, 9))
@@ -124,11 +134,10 @@ def _hats(X: np.ndarray) -> np.ndarray:
 
 def _monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Monomials (…, terms) of coordinates ``x`` (…, d) up to a degree, and the degree of each."""
-    powers = [
-        axes
-        for p in range(degree + 1)
-        for axes in combinations_with_replacement(range(x.shape[-1]), p)
-    ]
+    dimensions = range(x.shape[-1])
+    powers = list[tuple[int, ...]]()
+    for total in range(degree + 1):
+        powers += combinations_with_replacement(dimensions, total)
     columns = [np.prod(x[..., list(axes)], axis=-1) for axes in powers]
     return np.stack(columns, axis=-1), np.array(list(map(len, powers)))
 
@@ -149,9 +158,9 @@ class _Patches:
     @staticmethod
     def of(solid: Solid, u: np.ndarray, phi: np.ndarray) -> _Patches:
         degree = solid.order
-        places, samples = _samples(solid, u, phi, solid.order)
-        number, middle = _corners(solid)
-        members = _wider(_members(number, len(middle)), number, middle, places)
+        places, samples = _sample_fields(solid, u, phi, solid.order)
+        number, middle = _number_corners(solid)
+        members = _widen_patches(_patch_elements(number, len(middle)), number, middle, places)
         size, sums, right = _normal_equations(members, middle, places, samples, degree)
         degrees = _monomials(middle[:1], degree)[1]
         mean = np.trace(sums, axis1=1, axis2=2) / len(degrees)
@@ -159,9 +168,11 @@ class _Patches:
         coefficients = np.linalg.solve(sums, right)
         return _Patches(number, middle, size, coefficients, degree)
 
-    def recovered(self, cells: np.ndarray, at: np.ndarray, hats: np.ndarray) -> np.ndarray:
-        """Strains and fields (elements, 9, k) at one point ``at`` (elements, d) of each element,
-        where its linear shape functions are ``hats`` (corners,)."""
+    def evaluate(self, cells: np.ndarray, at: np.ndarray, hats: np.ndarray) -> np.ndarray:
+        """Evaluate strains and fields (elements, 9, k) at one point ``at`` (elements, d) of each.
+
+        The linear shape functions of the elements at these points are ``hats`` (corners,).
+        """
         result = 0.0
         for corner, hat in enumerate(hats):
             patch = self.number[cells, corner]
@@ -171,21 +182,21 @@ class _Patches:
         return np.reshape(result, (len(cells), 9, -1))
 
 
-def _samples(
+def _sample_fields(
     solid: Solid, u: np.ndarray, phi: np.ndarray, order: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places (elements, points, d) and values (elements, points, 9 k) that are fitted."""
+    """Compute the places (elements, points, d) and values (elements, points, 9 k) to be fitted."""
     places, values = [], []
     for cells in _chunks(solid.mesh.nelements):
         basis = solid.basis(order, elements=cells)
         places.append(np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1))
-        fields = np.stack([*_values(solid, basis, cells, u, phi)], axis=1)
+        fields = np.stack([*_evaluate_fields(solid, basis, cells, u, phi)], axis=1)
         values.append(fields.reshape(*fields.shape[:2], -1))
     return np.concatenate(places), np.concatenate(values)
 
 
-def _corners(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
-    """Number (elements, corners) of the corner of a piece of one material, and their places."""
+def _number_corners(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
+    """Number the corners (elements, corners) of pieces of one material, and find their places."""
     first, second = solid.mesh.f2t[:, solid.mesh.f2t[1] >= 0]
     names = np.array([material.name for material in solid.materials])
     label = solid.owner if solid.order == 2 else names[solid.owner]
@@ -198,7 +209,7 @@ def _corners(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
     return number.reshape(corners.shape), solid.places[:, known % nodes].T
 
 
-def _members(number: np.ndarray, count: int) -> sparse.csr_array:
+def _patch_elements(number: np.ndarray, count: int) -> sparse.csr_array:
     """Incidence matrix (patches, elements) of the elements that meet in the corner of a patch."""
     elements = np.repeat(np.arange(len(number)), number.shape[1])
     ones = np.ones(number.size)
@@ -214,7 +225,7 @@ def _normal_equations(
     samples: np.ndarray,
     degree: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Size of each patch along each axis (patches, d), and its sums over points with monomials p.
+    """Compute the size (patches, d) of each patch, and its sums over points with monomials p.
 
     The sums are ``sum p p'`` (patches, terms, terms) and ``sum p values`` (patches, terms, 9 k).
     """
@@ -234,11 +245,11 @@ def _normal_equations(
     return np.concatenate(sizes), np.concatenate(sums), np.concatenate(rights)
 
 
-def _wider(
+def _widen_patches(
     members: sparse.csr_array, number: np.ndarray, middle: np.ndarray, places: np.ndarray
 ) -> sparse.csr_array:
-    """The elements of each patch and those of the neighbour that lies most in their middle."""
-    use = _most_central(number, members, middle, places)
+    """Add to each patch the elements of the neighbour that is most central to the patch."""
+    use = _choose_patches(number, members, middle, places)
     index = np.arange(len(use))
     other = use != index
     more = sparse.csr_array(
@@ -250,11 +261,14 @@ def _wider(
     return result
 
 
-def _most_central(
+def _choose_patches(
     number: np.ndarray, members: sparse.csr_array, middle: np.ndarray, places: np.ndarray
 ) -> np.ndarray:
-    """The patch that each corner (patches,) uses: its own, or that of a neighbour that lies more
-    in the middle of its points, as those at ends and edges do not."""
+    """Choose the patch that each corner (patches,) uses: its own or that of a neighbour.
+
+    The corner of the chosen patch is closer to the middle of the points of this patch. Corners at
+    edges of the body are far from the middle of their own points.
+    """
     count, d = places.shape[1], places.shape[2]
     total = np.diff(members.indptr) * count
     mean = (members @ places.sum(axis=1)) / total[:, None]

@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 
 import kc2spice as kc
-from kc2spice.fem.magnet_rings import _polynomials
+from kc2spice.fem.magnet_rings import _fit_power_series
 from kc2spice.fem.materials import material
 
 LANGEVIN = """
@@ -212,7 +212,7 @@ def test_part_numbers_suggest_their_scene(cli):
 def test_couplings_that_change_too_fast_name_the_key_that_helps():
     nodes = np.cos(np.pi * (np.arange(17) + 0.5) / 17)
     values = np.sign(nodes)[None, :, None]  # a step: no polynomial follows it
-    refused(lambda: _polynomials(nodes, values, 1e-5), "raise the key tolerance, now 1e-05")
+    refused(lambda: _fit_power_series(nodes, values, 1e-5), "raise the key tolerance, now 1e-05")
 
 
 def test_a_file_that_does_not_exist(cli, tmp_path):

@@ -435,7 +435,7 @@ class RingMagnetCoils(Touching[Coils]):
         self, part: Part[Coils], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
         """Force and inductance at some heights, with cells half as wide."""
-        from kc2spice.fem.magnet_field import catch_table, some_positions
+        from kc2spice.fem.magnet_field import catch_table, count_compared_positions
 
         table, keys = build.model(part, EMTable), part.keys
         unknowns = FINER**2 * table.facts["unknowns"]
@@ -443,7 +443,10 @@ class RingMagnetCoils(Touching[Coils]):
             cause = f"{unknowns:.0f} unknowns, more than {IN_PLANE * most:.0f}"
             yield f"{part.name}: no mesh half as wide ({cause}); {self.discretisation(part, build)}"
             return
-        settings = {"positions": some_positions(keys.positions), "refine": FINER * keys.refine}
+        settings = {
+            "positions": count_compared_positions(keys.positions),
+            "refine": FINER * keys.refine,
+        }
         unit = self._unit(part, settings["positions"]).model_copy(update=settings)
         key = {**self.model_key(part, build.scene), "finer": settings}
 
