@@ -1,4 +1,4 @@
-"""Laws of parts: what each type of part says of itself to the independent integrator.
+"""Laws of parts: the equations of each type of part for the independent integrator.
 
 A law is plain data in SI with named, typed pins. It knows no scene and no netlist. A pin's kind is
 the name of a domain (:mod:`kc2spice.core.domains`). It states which *across* quantity all pins of a
@@ -13,9 +13,10 @@ within a *mode*, and guards whose zeros end the mode; a linear one becomes const
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
@@ -24,18 +25,24 @@ from kc2spice.core.domains import CONSERVATIVE, QUANTITIES, SIGNALS, Domain
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Function
 
-MECHANICAL = tuple(domain.name for domain in CONSERVATIVE if domain.position)
-POTENTIALS = tuple(domain.name for domain in CONSERVATIVE if domain.potential)
+
+def _names_of(domains: Iterable[Domain]) -> tuple[str, ...]:
+    """Names of domains, which are kinds of pins."""
+    return tuple(map(attrgetter("name"), domains))
+
+
+MECHANICAL = _names_of(filter(attrgetter("position"), CONSERVATIVE))
+POTENTIALS = _names_of(filter(attrgetter("potential"), CONSERVATIVE))
 # Kinds whose port answers a flow with a potential: the flow is an unknown.
-HEATED = tuple(d.name for d in CONSERVATIVE if d.potential and d.driven == "through")
+HEATED = _names_of(d for d in CONSERVATIVE if d.potential and d.driven == "through")
 # Kinds whose port answers a potential with what has flowed through it, such as a charge.
-CHARGED = tuple(domain.name for domain in CONSERVATIVE if domain.charged)
+CHARGED = _names_of(filter(attrgetter("charged"), CONSERVATIVE))
 GROUND = "gnd"
 
 
 @dataclass(frozen=True)
 class LawPin:
-    """A named pin; one that is ``grounded`` lies on the reference where nothing else is joined."""
+    """A named pin; a ``grounded`` pin is on the reference if it is joined to no other pin."""
 
     name: str
     kind: str
@@ -44,8 +51,10 @@ class LawPin:
 
 @dataclass(frozen=True)
 class Reading:
-    """A result by the integrator's waves: ``sum factor wave + constant``; ``terms`` are the pairs
-    ``(factor, wave)``. ``charge`` divides an ac result by ``j omega``: a current becomes a charge.
+    """A result by the integrator's waves: ``sum factor wave + constant``.
+
+    ``terms`` are the pairs ``(factor, wave)``. ``charge`` divides an ac result by ``j omega``, and
+    a current becomes a charge.
     """
 
     terms: tuple[tuple[float, str], ...]
@@ -55,7 +64,7 @@ class Reading:
     @property
     def waves(self) -> tuple[str, ...]:
         """Names of the waves in ``terms``."""
-        return tuple(wave for _, wave in self.terms)
+        return tuple(map(itemgetter(1), self.terms))
 
     def combine(self, waves: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the sum of the waves times their factors, without the constant."""
@@ -63,25 +72,25 @@ class Reading:
 
 
 def reading(wave: str, factor: float = 1.0, constant: float = 0.0) -> Reading:
-    """``factor`` times one wave, plus ``constant``."""
+    """Make the reading ``factor`` times one wave, plus ``constant``."""
     return Reading(((factor, wave),), constant)
 
 
 def difference(plus: str, minus: str) -> Reading:
-    """One wave less another."""
+    """Make the reading of one wave less another."""
     return Reading(((1.0, plus), (-1.0, minus)))
 
 
 @dataclass(frozen=True)
 class Equations:
-    """The laws of a part and how they stand for it.
+    """Laws of a part, and their pins and waves that represent pins and results of the part.
 
-    ``pins`` maps pins of the part to pins of the laws (``NAME.pin``); a pin that is missing has no
-    counterpart, because another one stands for it or because it feels nothing. Two pins of the part
-    may share a pin of a law: a netlist has a velocity and a displacement node where the law has one
-    coordinate. ``nets`` are pins of the laws that meet inside of the part. ``results`` maps the
-    part's results to waves, ``sweeps`` its keys that a dc analysis moves to the name of a source
-    and its value per SI unit of the key.
+    ``pins`` maps pins of the part to pins of the laws (``NAME.pin``). A missing pin has no
+    counterpart, because another pin represents it or because nothing acts on it. Two pins of the
+    part may share a pin of a law: a netlist has a velocity and a displacement node where the law
+    has one coordinate. ``nets`` are pins of the laws that meet inside of the part. ``results``
+    maps the part's results to waves. ``sweeps`` maps keys that a dc analysis sweeps to the name of
+    a source and its value per SI unit of the key.
     """
 
     laws: tuple[Law, ...] = ()
@@ -125,8 +134,7 @@ class SecondOrderBody:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Forces at mechanical ports that have a compliance of their own besides the modes, and
-        flows of heat."""
+        """Forces at mechanical ports with a compliance besides the modes, and flows of heat."""
         pairs = zip(self.ports, self.model.D, strict=True)
         return tuple(
             port.name
@@ -136,12 +144,12 @@ class SecondOrderBody:
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Sizes that errors of these are judged by."""
+        """Scales of the errors of the states."""
         return (1e-3,) * len(self.states)
 
 
 def port_pins(ports: tuple[LawPort, ...]) -> tuple[LawPin, ...]:
-    """One pin a port, and the returns; accelerations, inputs and outputs are signals."""
+    """Make one pin for each port, and the returns; accelerations and signals are signals."""
     result: list[LawPin] = []
     for port in ports:
         kind = port.kind if port.kind in (*MECHANICAL, *POTENTIALS) else "signal"
@@ -172,12 +180,12 @@ class IdealSource:
 
     @property
     def signal(self) -> bool:
-        """Whether it sets a signal."""
+        """Whether the source sets a signal."""
         return self.domain.kind_of_law == SIGNALS.name
 
     @property
     def flows(self) -> bool:
-        """Whether it prescribes what flows through its pins."""
+        """Whether the source prescribes a through quantity, such as a current."""
         return self.kind in QUANTITIES and QUANTITIES[self.kind][1] == "through"
 
     @property
@@ -241,22 +249,22 @@ class Device(ABC):
 
     @property
     def charged(self) -> tuple[int, ...]:
-        """Places of the flows to which the rate of a stored quantity adds, such as a charge's."""
+        """Numbers of the flows that contain the rate of a stored quantity, such as a charge."""
         return ()
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of its own states."""
+        """Names of the states of the device."""
         return ()
 
     @property
     def prescribes(self) -> tuple[str, ...]:
-        """Signal pins that it sets."""
+        """Signal pins that the device sets."""
         return ()
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Sizes of the states that errors are judged by: currents in A, forces in N."""
+        """Scales of the errors of the states: currents in A, forces in N."""
         return (1e-3,) * len(self.states)
 
     @property
@@ -266,13 +274,15 @@ class Device(ABC):
 
     @property
     def linear(self) -> bool:
-        """Whether it has one mode, in which ``evaluate`` and ``store`` are affine, and energy and
-        loss quadratic."""
+        """Whether there is one mode, with affine ``evaluate`` and ``store``.
+
+        Energy and loss are then quadratic.
+        """
         return False
 
     @property
     def storing(self) -> bool:
-        """Whether it stores something else than its states."""
+        """Whether the device stores other quantities than its states."""
         return type(self).store is not Device.store and bool(self.states or self.charged)
 
     @abstractmethod
@@ -285,38 +295,41 @@ class Device(ABC):
         return e[m - k :], np.eye(k, m, m - k)
 
     def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of ``out`` (k, m) and of the store (len(states), m) for small signals
-        ``exp(s t)`` about ``e``; complex where they depend on the frequency."""
+        """Compute derivatives of ``out`` (k, m) and of the store for signals ``exp(s t)`` about e.
+
+        The derivatives of the store are (len(states), m). They are complex if they depend on the
+        frequency.
+        """
         return self.evaluate(e, mode)[1], self.store(e, mode)[1]
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """Noise sources of unit density, in ``out`` (k, sources) and the store (stored, sources).
+        """Compute noise sources of unit density in ``out`` (k, sources) and in the store.
 
         The noise is ``4 k T`` times their square; None without noise.
         """
         return None
 
     def mode(self, e: np.ndarray) -> Any:
-        """Mode in which it begins."""
+        """Return the mode in which the device begins with the inputs ``e``."""
         return None
 
     def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """(g,) values that are positive within the mode."""
+        """Compute values (g,) that are positive within the mode."""
         return np.empty(0)
 
     def switch(self, mode: Any, guard: int) -> Any:
-        """Mode after ``guard`` fell to zero."""
+        """Return the mode after ``guard`` fell to zero."""
         return mode
 
     def check(self, t: float, e: np.ndarray) -> None:  # noqa: B027 (most laws hold anywhere)
-        """Raise SimulationError where the inputs leave the law's range."""
+        """Raise SimulationError if the inputs are outside of the law's range."""
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
-        """Energy stored [J]."""
+        """Compute the stored energy [J]."""
         return 0.0
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        """Power that it turns into heat [W]; negative for what it brings in from outside."""
+        """Compute the power [W] that becomes heat; power from outside is negative."""
         return 0.0
 
 
@@ -328,10 +341,10 @@ GROWING = 1e3  # 1/s, of a load on a body that is free to move
 
 @dataclass(frozen=True, eq=False)
 class Relation:
-    """``y = H a + free`` for the loads ``a`` (inputs,) and answers ``y`` (outputs,) of a body.
+    """Relation ``y = H a + free`` of loads ``a`` (inputs,) and outputs ``y`` (outputs,) of a body.
 
-    At rest, at one frequency, and within one stage of an implicit time step a linear body is this
-    and nothing else; ``free`` is then what its past makes it do.
+    It describes a linear body at rest, at one frequency, and within one stage of an implicit time
+    step, in which ``free`` is the effect of the past.
     """
 
     H: np.ndarray
@@ -402,11 +415,11 @@ class PortBody(Device):
                 direct[k + at, self._loads.index(port)] = 1 / MICRO
                 answered[k + at, rows.index(port)] = -1 / MICRO
         for at, name in enumerate(self.prescribes, 2 * k):
-            answered[at, [port.name for port in rows].index(name)] = 1.0
+            answered[at, list(map(attrgetter("name"), rows)).index(name)] = 1.0
         return load, stored, direct, answered
 
     def loads(self, e: np.ndarray) -> np.ndarray:
-        """``a`` (inputs,) of the inputs ``e`` of the device."""
+        """Compute the loads ``a`` (inputs,) from the inputs ``e`` of the device."""
         return self._maps[0] @ e
 
     @cached_property
@@ -423,7 +436,7 @@ class PortBody(Device):
         return Relation(H.real, np.zeros(len(H)))
 
     def transfer(self, s: complex) -> np.ndarray:
-        """``H(s)`` (outputs, inputs), kept: copies of a body share it."""
+        """Compute ``H(s)`` (outputs, inputs) once: copies of a body share it."""
         if s not in self.known:
             self.known[s] = self.model.pencil.transfer(np.array([s]))[0]
         return self.known[s]
@@ -450,8 +463,10 @@ class PortBody(Device):
         return self._slope(H), stored @ H @ load
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """Answers have the density ``4 k T (s H + (s H)^H) / (2 |s|^2)`` (loads times rates of
-        answers are power)."""
+        """Compute sources with the density ``4 k T (s H + (s H)^H) / (2 |s|^2)`` of the outputs.
+
+        Loads times rates of outputs are power.
+        """
         if any(port.kind in ("input", "output", *HEATED) for port in self.ports):
             return None
         _, stored, _, answered = self._maps
@@ -464,7 +479,7 @@ class PortBody(Device):
 
 @dataclass(frozen=True, eq=False)
 class SignalBlock(Device):
-    """``E x' = A x + B u``, ``y = C x + D u`` from what is across ``inputs`` to signals."""
+    """Linear system ``E x' = A x + B u``, ``y = C x + D u`` from across quantities to signals."""
 
     name: str
     E: np.ndarray
@@ -489,7 +504,7 @@ class SignalBlock(Device):
 
     @property
     def states(self) -> tuple[str, ...]:
-        return tuple(f"x{k}" for k in range(len(self.A)))
+        return tuple(map("x{}".format, range(len(self.A))))
 
     @property
     def scales(self) -> tuple[float, ...]:
@@ -509,7 +524,7 @@ class SignalBlock(Device):
 
 
 def sensor(name: str, gain: float, kind: str) -> SignalBlock:
-    """Signal ``out = gain across(a)``."""
+    """Make a block with the signal ``out = gain across(a)``."""
     none, column = np.zeros((0, 0)), np.zeros((0, 1))
     D = np.array([[gain]])
     return SignalBlock(name, none, none, column, column.T, D, ("a",), ("out",), kind)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -86,7 +87,7 @@ def cubic_spline(x: np.ndarray, values: np.ndarray) -> Piecewise:
     return Piecewise(x, np.stack([values[:-1], slope, s[:-1] / 2, np.diff(s, axis=0) / (6 * h)]))
 
 
-CASES = np.array([(i1, i2) for i1 in (-0.1, 0.0, 0.1) for i2 in (-0.1, 0.0, 0.1)])  # A
+CASES = np.array(list(product((-0.1, 0.0, 0.1), repeat=2)))  # A
 NEAR = 1e-6  # distance of two equal heights, relative to the range of the table
 # Order of convergence of the force on quadratic triangles: 4 where the field is smooth, less at
 # corners of magnets and coils; tests/physics/test_magnetostatic.py limits what remains.

@@ -20,15 +20,18 @@ NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"
 
 
 def mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
-    """Estimated relative errors that the mesh of a body causes, by what they are errors of."""
-    errors = {words: facts.get(f"{MESH_ERROR}{name}") for name, words in _MESH_ERRORS.items()}
-    return {words: error for words, error in errors.items() if error is not None}
+    """List the estimated relative errors by the mesh of a body, by words for the quantity."""
+    errors = {}
+    for name, words in _MESH_ERRORS.items():
+        if f"{MESH_ERROR}{name}" in facts:
+            errors[words] = facts[f"{MESH_ERROR}{name}"]
+    return errors
 
 
 def mesh_facts(facts: Mapping[str, float]) -> dict[str, float]:
     """Select the ``facts`` that :func:`mesh_errors` reads."""
-    names = [f"{MESH_ERROR}{name}" for name in _MESH_ERRORS]
-    return {name: float(facts[name]) for name in names if name in facts}
+    names = filter(facts.__contains__, map(MESH_ERROR.__add__, _MESH_ERRORS))
+    return {name: float(facts[name]) for name in names}
 
 
 def mesh_words(facts: Mapping[str, float]) -> str:

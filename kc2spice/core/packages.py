@@ -66,9 +66,9 @@ def install_command(*packages: str) -> str:
     command = _command(sys.platform, _os_release())
     names = _NAMES.get(command, {})
     if command == _COMMANDS["debian"]:
-        names = {package: package for package in packages}
-    if all(package in names for package in packages):
-        return " ".join((command, *(names[package] for package in packages)))
+        names = dict(zip(packages, packages, strict=True))
+    if set(packages) <= set(names):
+        return " ".join((command, *map(names.__getitem__, packages)))
     return f"install the package that Debian calls {', '.join(packages)}"
 
 
@@ -78,7 +78,7 @@ def _command(platform: str, release: str) -> str:
     if platform == "linux":
         fields = dict(line.split("=", 1) for line in release.splitlines() if "=" in line)
         systems = f"{fields.get('ID', '')} {fields.get('ID_LIKE', '')}".replace('"', "").split()
-    return next((_COMMANDS[system] for system in systems if system in _COMMANDS), "")
+    return next(filter(None, map(_COMMANDS.get, systems)), "")
 
 
 def _os_release() -> str:

@@ -68,7 +68,7 @@ def describe_invalid(
 
 
 def _value_at(table: object, path: KeyPath, converted: Any) -> Any:
-    """The value at ``path`` of ``table``, which a validator may have ``converted`` to SI."""
+    """Return the value at ``path`` of ``table``, which a validator may have ``converted`` to SI."""
     if isinstance(converted, Mapping):
         return converted
     for step in path:
@@ -143,8 +143,7 @@ def _words(
         case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal":
             sign = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
             limit = ", ".join(f"{sign[key]} {bound:g}" for key, bound in context.items())
-            names = tuple(part for part in path if isinstance(part, str))
-            unit = next((unit_of(field) for item, field in entries(schema) if item == names), None)
+            unit = _unit_at(schema, path)
             return "out of range", f"{limit} {unit or ''}".rstrip(), None
         case "value_error":
             return str(context["error"]), None, None
@@ -169,7 +168,7 @@ def _other_word(word: str, fields: Sequence[str]) -> str | None:
 
 
 def _hints_of(table: type[BaseModel]) -> Mapping[str, str]:
-    """What to do instead of keys that a table does not have."""
+    """Return hints that replace the use of keys that a table lacks."""
     return getattr(table, "absent", {})
 
 
@@ -177,8 +176,7 @@ def _missing(
     schema: type[BaseModel], path: KeyPath, full_path: KeyPath
 ) -> tuple[str | None, str | None]:
     """Return the values that a missing key accepts, and the line to add."""
-    names = tuple(step for step in path if isinstance(step, str))
-    unit = next((unit_of(field) for item, field in entries(schema) if item == names), None)
+    unit = _unit_at(schema, path)
     table = dotted(full_path[:-1])
     value = f'"1 {unit}"' if unit else "VALUE"
     place = f"  to {table}" if table else ""
@@ -186,13 +184,20 @@ def _missing(
     return expected, f"add  {full_path[-1]} = {value}{place}"
 
 
+def _unit_at(schema: type[BaseModel], path: KeyPath) -> str | None:
+    """SI unit of the key at ``path``, None without one; numbers of list entries do not count."""
+    names = tuple(step for step in path if isinstance(step, str))
+    field = dict(entries(schema)).get(names)
+    return None if field is None else unit_of(field)
+
+
 def _key_list(schema: type[BaseModel]) -> str | None:
-    """The command or page that lists all keys of a table."""
+    """Return the command or page that lists all keys of a table."""
     return getattr(schema, "listed", None)
 
 
 def _table(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
-    """The innermost schema on the way to ``path``."""
+    """Return the innermost schema that contains ``path``."""
     for step in path[:-1]:
         if step in schema.model_fields:
             schema = submodel(schema.model_fields[str(step)].annotation) or schema
@@ -200,13 +205,14 @@ def _table(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
 
 
 def entries(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
-    """All keys of a schema in its order, those of its tables behind their names."""
+    """Yield all keys of a schema in its order, those of its tables behind their names."""
     for name, field in schema.model_fields.items():
         section, path = submodel(field.annotation), (field.alias or name,)
         if section is None:
             yield path, field
-        else:
-            yield from ((path + below, item) for below, item in entries(section))
+            continue
+        for below, item in entries(section):
+            yield path + below, item
 
 
 def submodel(annotation: Any) -> type[BaseModel] | None:
@@ -217,29 +223,34 @@ def submodel(annotation: Any) -> type[BaseModel] | None:
     return None
 
 
+def _metadata(field: FieldInfo) -> Iterator[Any]:
+    """Yield the metadata of a field, and those of its elements."""
+    yield from field.metadata
+    for argument in get_args(field.annotation):
+        yield from get_args(argument)[1:]
+
+
 def unit_of(field: FieldInfo) -> str | None:
     """SI unit that the validator of a number (or of each number of a list) converts to."""
-    nested = [meta for arg in get_args(field.annotation) for meta in get_args(arg)[1:]]
-    for meta in (*field.metadata, *nested):
+    for meta in _metadata(field):
         if isinstance(meta, BeforeValidator) and isinstance(meta.func, partial):
             return str(meta.func.args[0])
     return None
 
 
 def role_of(field: FieldInfo) -> Plausible | None:
-    """The range of plausible values that a key's role has, None where it declares none."""
-    nested = [meta for arg in get_args(field.annotation) for meta in get_args(arg)[1:]]
-    return next((meta for meta in (*field.metadata, *nested) if isinstance(meta, Plausible)), None)
+    """Range of plausible values of a key, None if the key declares none."""
+    return next((meta for meta in _metadata(field) if isinstance(meta, Plausible)), None)
 
 
 def dotted(path: KeyPath) -> str:
-    """``layers[0].thickness`` of its words and numbers."""
+    """Join the words and numbers of a path, such as ``layers[0].thickness``."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
     return text.removeprefix(".")
 
 
 def display_text(value: Any) -> str:
-    """``repr``, or what can be said of a number of more digits than Python prints."""
+    """Format a value as TOML, or describe a number with more digits than Python prints."""
     try:
         return clipped(_as_toml(value))
     except ValueError:
@@ -247,7 +258,7 @@ def display_text(value: Any) -> str:
 
 
 def _as_toml(value: Any) -> str:
-    """Tables and lists as a scene file would have them, other values as ``repr``."""
+    """Format tables and lists as in a scene file, and other values by ``repr``."""
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {_as_toml(item)}" for key, item in value.items()) + " }"
     if isinstance(value, list):
@@ -256,7 +267,7 @@ def _as_toml(value: Any) -> str:
 
 
 def clipped(text: str) -> str:
-    """At most 120 characters of a text."""
+    """Cut a text after 120 characters."""
     return text if len(text) <= 120 else text[:120] + " …"
 
 
@@ -298,8 +309,11 @@ def _symbol(text: str) -> tuple[int, ...] | None:
 
 
 def _parse_unit(text: str) -> tuple[int, ...] | None:
-    """``"A/(m s)"``: one product over another one, of factors between blanks, each with an optional
-    one-digit power; None where the text is no unit."""
+    """Parse a unit such as ``"A/(m s)"``; None if the text is no unit.
+
+    It is one product over another one. Blanks separate factors, each with an optional one-digit
+    power.
+    """
     top, slash, bottom = text.translate(_SPELLINGS).partition("/")
     if slash and not bottom.strip():
         return None
@@ -317,7 +331,7 @@ def _parse_unit(text: str) -> tuple[int, ...] | None:
 
 
 def _from_text(text: str, si: str) -> float:
-    """Value of a number with a unit; ValueError says in a few words what is wrong with it."""
+    """Parse a number with a unit; the message of a ValueError describes the fault."""
     match = _NUMBER.fullmatch(text) if len(text) <= _LONGEST else None
     if match is not None and match[2].startswith(","):
         raise ValueError("a comma in a number")

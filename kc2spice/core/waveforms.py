@@ -1,6 +1,4 @@
-"""Waveforms: what a source prescribes, one definition for netlist, reference and checks, and what a
-simulation gives back, with its files.
-"""
+"""Waveforms of sources, with one definition for netlist, reference and checks, and of results."""
 
 from __future__ import annotations
 
@@ -9,6 +7,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ MOST_PULSES = 25_000  # pulses of a finite train: as many corners as rows of a f
 class Waveforms(EqualByContent):
     """SI arrays over one scale (``time`` or ``frequency``), named as in ``waveforms.npz``.
 
-    ``stats`` holds what the simulator said of itself: ``accepted`` and ``rejected`` time points,
+    ``stats`` are statistics of the simulator: ``accepted`` and ``rejected`` time points,
     ``iterations``, ``cpu_s``.
     """
 
@@ -52,7 +52,7 @@ SCALES = {"time": "s", "frequency": "Hz"}  # units
 
 
 def plain_cell(text: str) -> str:
-    """``text`` as a cell of a CSV file that no spreadsheet evaluates as a formula.
+    """Quote a text as a cell of a CSV file that no spreadsheet evaluates as a formula.
 
     Spreadsheets evaluate cells that begin with ``=``, ``+``, ``-``, ``@``, a tab or a carriage
     return (OWASP, CSV injection); an apostrophe in front makes them text.
@@ -64,25 +64,23 @@ def plain_cell(text: str) -> str:
 
 
 def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path) -> list[str]:
-    """``waveforms.npz`` with every digit and ``waveforms.csv`` with units in its head."""
+    """Write ``waveforms.npz`` with every digit and ``waveforms.csv`` with units in its head."""
     save_arrays(waves, directory / "waveforms.npz")
-    columns = {
-        head: values
-        for name in waves.data
-        for head, values in _columns(name, waves[name], units.get(name) or SCALES.get(name, ""))
-    }
+    columns = dict[str, np.ndarray]()
+    for name, values in waves.data.items():
+        columns.update(_columns(name, values, units.get(name) or SCALES.get(name, "")))
     head, table = ",".join(map(plain_cell, columns)), np.column_stack(list(columns.values()))
     np.savetxt(directory / "waveforms.csv", table, "%.10g", ",", header=head, comments="")
     return ["waveforms.npz", "waveforms.csv"]
 
 
 def save_arrays(waves: Waveforms, path: Path) -> None:
-    """All arrays of ``waves`` in one npz file."""
+    """Write all arrays of ``waves`` to one npz file."""
     np.savez_compressed(path, **waves.data)  # type: ignore[arg-type]
 
 
 def _columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Heads and columns of one array; real and imaginary part of a complex one."""
+    """Yield heads and columns of one array; a complex array has a real and an imaginary part."""
     if np.iscomplexobj(values):
         yield f"{name} real", values.real
         yield f"{name} imag", values.imag
@@ -162,7 +160,7 @@ class Waveform:
     start: float = 0.0
 
     def __post_init__(self) -> None:
-        times = [t for t, _ in self.points]
+        times = list(map(itemgetter(0), self.points))
         if not times or np.any(np.diff(times) <= 0.0):
             raise UsageError("times of a waveform must increase strictly", got=times)
 
@@ -173,7 +171,7 @@ class Waveform:
 
     @property
     def pace(self) -> float:
-        """Largest step [s] that cannot miss what it makes a guard do."""
+        """Largest step [s] that cannot miss a zero of a guard between two of its ends."""
         return np.inf if self.straight else 0.05 / self.frequency
 
     @cached_property
@@ -182,7 +180,7 @@ class Waveform:
         return times, values
 
     def _folded(self, t: Any) -> np.ndarray:
-        """The same instants within the first period."""
+        """Map instants to the first period."""
         t, first = np.asarray(t, dtype=float), self.points[0][0]
         if self.period is None:
             return t
@@ -199,7 +197,7 @@ class Waveform:
         return (np.asarray(within) > self.start) * self.amplitude * w**order * turned
 
     def rate(self, t: Any, within: Any, order: int = 1) -> Any:
-        """Time derivatives at ``t``, of the smooth pieces that hold the times ``within``."""
+        """Compute time derivatives at ``t``, of the smooth pieces that contain ``within``."""
         if not self.straight:
             return self._turned(t, within, order)
         times, values = self._corners
@@ -208,7 +206,7 @@ class Waveform:
         return slopes[piece] * (order == 1) + 0.0 * np.asarray(t)
 
     def knots(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
-        """Times [s] of all points and values there, those of periods that begin up to ``stop``."""
+        """List times [s] and values of all points, in all periods that begin up to ``stop``."""
         times, values = self._corners
         if self.period is not None:
             turns = self.period * np.arange(max(1, int((stop - times[0]) / self.period) + 1))
@@ -217,12 +215,12 @@ class Waveform:
         return times, values
 
     def corners(self, stop: float) -> np.ndarray:
-        """Times [s] up to ``stop`` where the derivative jumps."""
+        """List times [s] up to ``stop`` at which the derivative jumps."""
         result = self.knots(stop)[0] if self.straight else np.array([self.start])
         return result[(result > 0) & (result < stop)]
 
     def spice(self, scale: float = 1.0) -> str:
-        """Value of an independent source in SPICE syntax, multiplied by ``scale``.
+        """Format an independent source in SPICE syntax, with its value multiplied by ``scale``.
 
         A flat top of zero length is written as corners: ngspice reads a ``PULSE`` width of zero as
         "until the end".
@@ -235,11 +233,12 @@ class Waveform:
         pulse = self._pulse(scale)
         if pulse is not None:
             return pulse
-        corners = [number for t, v in self.points for number in (t, scale * v)]
+        times, values = self._corners
+        corners = np.column_stack([times, scale * values]).ravel().tolist()
         return f"PWL({' '.join(map(_number, corners))})"
 
     def _pulse(self, scale: float) -> str | None:
-        """The short form of a trapezoid with a flat top, or of triangles without end."""
+        """Format a trapezoid with a flat top, or triangles without end, as a ``PULSE``."""
         if len(self.points) not in (3, 4):
             return None
         (t0, v0), (t1, v1), *_, (t2, v2), (last, end) = self.points[:2] + self.points[-2:]
@@ -257,17 +256,17 @@ class Waveform:
 
 
 def constant(value: float) -> Waveform:
-    """The same at all times."""
+    """Make a waveform with the same value at all times."""
     return Waveform(((0.0, value),))
 
 
 def sine(amplitude: float, frequency: float, start: float = 0.0) -> Waveform:
-    """A sine from ``start`` on."""
+    """Make a sine from ``start`` on."""
     return Waveform(((start, 0.0),), None, amplitude, frequency, start)
 
 
 def linear(points: Iterable[tuple[float, float]] | np.ndarray) -> Waveform:
-    """Straight lines through ``points`` (n, 2)."""
+    """Make straight lines through ``points`` (n, 2)."""
     return Waveform(tuple((float(t), float(v)) for t, v in points))
 
 
@@ -280,7 +279,7 @@ def pulse(
     period: float | None = None,
     count: int | None = None,
 ) -> Waveform:
-    """Trapezoids of ``width`` at half height, one, ``count`` of them, or without end.
+    """Make trapezoids of ``width`` at half height: one, ``count`` of them, or without end.
 
     Raises
     ------
@@ -296,9 +295,11 @@ def pulse(
     if period is None or count is None:
         shape = one if width > edge else (one[0], one[1], one[3])
         return Waveform(shape, period)
-    many = [(start + k * period + t, v) for k in range(count) for t, v in edges]
-    unique = [p for k, p in enumerate(many) if k + 1 == len(many) or p[0] < many[k + 1][0]]
-    return Waveform(tuple(unique))
+    points = list[tuple[float, float]]()
+    for k in range(count):
+        points += [(start + k * period + t, v) for t, v in edges]
+    unique = [point for point, following in pairwise(points) if point[0] < following[0]]
+    return Waveform((*unique, points[-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,7 +337,7 @@ Function = Waveform | Recorded
 
 
 def _span(first: float, last: float) -> float:
-    """``last - first`` with the fewest digits that rounding of both leaves open."""
+    """Compute ``last - first`` with as few digits as the rounding of both allows."""
     exact = last - first
     slack = 2 * np.spacing(max(abs(first), abs(last)))
     rounded = (float(f"{exact:.{digits}g}") for digits in range(1, 17))
@@ -344,7 +345,7 @@ def _span(first: float, last: float) -> float:
 
 
 def _number(value: float) -> str:
-    """As a person would write it: 15 digits where the value is that but for rounding of a sum."""
+    """Format a number with 15 digits if it equals these but for the rounding of a sum."""
     short = float(f"{value:.15g}")
     return repr(short if abs(short - value) <= 4 * np.spacing(abs(value)) else float(value))
 
@@ -359,7 +360,7 @@ def write_record(
 
 
 def _plain(value: Any) -> Any:
-    """``value`` in types that JSON has."""
+    """Convert a value to types of JSON."""
     value = value.item() if isinstance(value, np.generic) else value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
