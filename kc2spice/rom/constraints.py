@@ -33,6 +33,7 @@ from kc2spice.rom.pencil import (
     dense,
     eliminated,
     first_order,
+    has_entries,
     largest,
     proportional,
 )
@@ -77,8 +78,7 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
 
 def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
     """Unknowns without inertia and damping whose own stiffness is zero, and that of all pairs."""
-    used = sum(np.asarray(abs(P).sum(axis=axis)).ravel() for P in others for axis in (0, 1))
-    result = (np.asarray(used) == 0) & (rest.diagonal() == 0)
+    result = ~has_entries(others) & (rest.diagonal() == 0)
     indices = np.flatnonzero(result)
     if indices.size:
         among = abs(_submatrix(rest, indices, indices))

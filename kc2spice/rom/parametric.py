@@ -183,9 +183,10 @@ def parametric(
 
     middle = {axis.name: axis.middle for axis in axes}
     frame = _require_symmetric(model_at(middle), None)
-    losses = tuple(
-        result for axis in axes if (result := _identify_loss(model_at, axis, middle, frame))
-    )
+    losses = list[Loss]()
+    for axis in axes:
+        if loss := _identify_loss(model_at, axis, middle, frame):
+            losses.append(loss)
     stiffness_axes = tuple(axis for axis in axes if axis not in [loss.axis for loss in losses])
     degree = DEGREES.get(len(stiffness_axes), 2) if degree is None else degree
     exponents = exponents_to(len(stiffness_axes), degree)
@@ -220,7 +221,7 @@ def parametric(
     }
     return Parametric(
         axes=stiffness_axes,
-        losses=losses,
+        losses=tuple(losses),
         exponents=exponents,
         frame=replace(frame, facts={}),
         terms=terms,
@@ -353,11 +354,10 @@ def _differs_in_damping_only(one: LinearModel, other: LinearModel) -> bool:
 
 def exponents_to(axes: int, degree: int) -> np.ndarray:
     """Exponents (terms, axes) of all products of powers up to a total ``degree``."""
-    rows = [
-        np.bincount(selected, minlength=axes)
-        for total in range(degree + 1)
-        for selected in combinations_with_replacement(range(axes), total)
-    ]
+    rows = []
+    for total in range(degree + 1):
+        for selected in combinations_with_replacement(range(axes), total):
+            rows.append(np.bincount(selected, minlength=axes))
     return np.array(rows, dtype=int).reshape(len(rows), axes)
 
 

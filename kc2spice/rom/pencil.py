@@ -4,7 +4,7 @@ matrices may be applied and solved with, but never formed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Generic, TypeAlias, TypeVar
@@ -137,6 +137,14 @@ def largest(matrix: Matrix) -> float:
     if isinstance(matrix, Schur):
         return largest(matrix.uu)
     return float(abs(matrix).max()) if matrix.shape[0] and matrix.shape[1] else 0.0
+
+
+def has_entries(matrices: Sequence[Matrix]) -> np.ndarray:
+    """Mask (n,) of the unknowns that any of the matrices couples to an unknown."""
+    total = np.zeros(matrices[0].shape[0])
+    for size in map(abs, matrices):
+        total += np.ravel(size.sum(axis=0)) + np.ravel(size.sum(axis=1))
+    return total > 0
 
 
 def same(one: Matrix, other: Matrix) -> bool:
@@ -505,8 +513,7 @@ def eliminated(pencil: Pencil) -> Pencil:
     rest, *others = pencil.coefficients
     if isinstance(rest, Schur) or pencil.rayleigh is not None or pencil.size < 2:
         return pencil
-    used = sum(np.asarray(abs(P).sum(axis=axis)).ravel() for P in others for axis in (0, 1))
-    free = np.asarray(used) == 0
+    free = ~has_entries(others)
     if not free.any() or free.all():
         return pencil
     keep, p = np.flatnonzero(~free), np.flatnonzero(free)

@@ -8,6 +8,7 @@ so that all matrices stay real.
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -120,7 +121,7 @@ class GreedyBasis:
     def extend(self, s: complex, *answers: np.ndarray) -> None:
         """Add ``answers`` at ``s`` to the basis."""
         self._used.append(s)
-        new = np.column_stack([part for x in answers for part in real_parts(x)])
+        new = np.column_stack([*chain.from_iterable(map(real_parts, answers))])
         fresh = _independent(self.basis, new)
         if not fresh.shape[1]:
             self._previous = self.response
