@@ -1,1 +1,1 @@
-"""Bodies: each module turns a parametric device into a LinearModel with named, typed ports."""
+"""Bodies: parametric devices as LinearModels with named, typed ports."""

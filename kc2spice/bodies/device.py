@@ -34,7 +34,7 @@ from skfem import LinearForm
 from skfem.mesh import MeshHex, MeshQuad
 
 from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
-from kc2spice.bodies.undamped import FiniteElementModel, undamped_answers
+from kc2spice.bodies.undamped import FiniteElementModel, compute_undamped_responses
 from kc2spice.core.domains import ACCELERATION, BASE, ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError, part_named, wrong
 from kc2spice.fem.body_keys import Damping
@@ -57,9 +57,10 @@ class ForceShape:
 
 @dataclass(frozen=True, eq=False)
 class RigidFace:
-    """Nodes that move as one; ``ports`` maps each to its motion (ux, uy, uz, rx, ry, rz).
+    """Face that moves as a rigid body, with ports for its motions.
 
-    Rotations are about ``centre``, the mean of the nodes.
+    ``ports`` contains each port and its motion (ux, uy, uz, rx, ry, rz). Rotations are about
+    ``centre``, the mean of the nodes.
     """
 
     nodes: np.ndarray
@@ -68,7 +69,7 @@ class RigidFace:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Boundary conditions of a solid: supports, electrodes, ports, masses added to nodes.
+    """Boundary conditions of a solid: supports, electrodes, ports and added masses.
 
     Attributes
     ----------
@@ -104,7 +105,7 @@ class Setup:
 
 
 def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
-    """Constrain, attach ports, eliminate the potentials and state the facts; see the module.
+    """Make the model of a solid with supports, ports and damping, and its facts.
 
     Raises
     ------
@@ -115,14 +116,14 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     unknowns = bare.displacement.shape[1] + bare.potential.shape[1]
     facts = {"unknowns": unknowns, "mass_kg": bare.mass}
     facts |= {} if volts is None else {"depoling_voltage_v": volts}
-    answers = undamped_answers(bare.model, bare.shift)
+    answers = compute_undamped_responses(bare.model, bare.shift)
     facts |= answers.facts | estimate_mesh_errors(bare, answers, setup.sectors)
     model = replace(bare.model, facts=facts)
     return replace(bare, model=_add_damping(model, solid, bare.displacement, setup))
 
 
 def constrain_device(solid: Solid, setup: Setup) -> FiniteElementModel:
-    """The device before its damping and facts."""
+    """Make the model of a solid without its damping and facts."""
     full = assemble_solid(solid)
     P, motions = _constrain_displacements(solid, setup)
     Q, R, pins = _constrain_potentials(full.K_pp, setup)
@@ -160,7 +161,7 @@ def constrain_device(solid: Solid, setup: Setup) -> FiniteElementModel:
 
 
 def _depoling_voltage(solid: Solid, setup: Setup) -> float | None:
-    """Compute the voltage [V] that certainly depolarises a ceramic, None if it is unknown.
+    """Compute the voltage [V] that certainly depolarises a ceramic, None if unknown.
 
     At this voltage the mean field along the shortest line from an electrode to the reference is a
     depoling field. A lower voltage may depolarise the ceramic at the edge of an electrode.
@@ -189,7 +190,7 @@ def add_rayleigh_damping(model: LinearModel, damping: Damping) -> LinearModel:
 
 
 def _damping_frequency(model: LinearModel, damping: Damping) -> float | None:
-    """Determine the frequency [Hz] at which a ratio or a Q factor of damping holds."""
+    """Determine the frequency [Hz] at which a damping ratio or a Q factor holds."""
     facts = model.facts
     first = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if first is None and (damping.zeta or damping.per_material):
@@ -205,7 +206,7 @@ def _damping_frequency(model: LinearModel, damping: Damping) -> float | None:
 def _add_damping(
     model: LinearModel, solid: Solid, P: sparse.csc_array, setup: Setup
 ) -> LinearModel:
-    """Add Rayleigh damping, or damp the elastic stiffness of each material by its Q factor."""
+    """Add Rayleigh damping, or damp each material by its Q factor."""
     damping = setup.damping
     if not damping.per_material:
         return add_rayleigh_damping(model, damping)
@@ -236,7 +237,10 @@ def _add_damping(
 def node_shares(
     solid: Solid, *, facets: np.ndarray | None = None, elements: np.ndarray | None = None
 ) -> np.ndarray:
-    """``int N / int 1`` (nodes,) over facets or elements, of the full turn if axisymmetric."""
+    """Shares of nodes ``int N / int 1`` (nodes,) over facets or elements.
+
+    The integrals of a body of revolution are over the full turn.
+    """
     basis = solid.face(facets, 4) if facets is not None else solid.basis(4, elements=elements)
     form = LinearForm(lambda v, w: v * w.x[0] if solid.axisymmetric else v)
     shares = form.assemble(basis)
@@ -244,7 +248,7 @@ def node_shares(
 
 
 def spread(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
-    """Spread a unit vector over nodes by their shares (nodes,): weights (d nodes,)."""
+    """Spread a unit vector over nodes by their shares: weights (d nodes,)."""
     axis = axis if solid.components == 3 else axis[[0, 2]]
     return np.outer(shares, axis).ravel()
 
@@ -255,9 +259,10 @@ def translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
 
 
 def rigid_motions(solid: Solid, centre: np.ndarray) -> np.ndarray:
-    """Displacements (d nodes, 6) of three translations and of rotations about ``centre``.
+    """Displacements (d nodes, 6) of three translations and three rotations.
 
-    A body of revolution has one column, the translation along its axis.
+    The rotations are about ``centre``. A body of revolution has one column, the translation along
+    its axis.
     """
     if solid.axisymmetric:
         return translation(solid, UP)[:, None]
@@ -270,7 +275,7 @@ def rigid_motions(solid: Solid, centre: np.ndarray) -> np.ndarray:
 def _constrain_displacements(
     solid: Solid, setup: Setup
 ) -> tuple[sparse.csc_array, list[tuple[Port, np.ndarray]]]:
-    """Compute ``P`` of ``u = P z``, and the load column of each port of a rigid face."""
+    """Compute ``P`` of ``u = P z``, and the loads of the rigid faces' ports."""
     d, free = solid.components, ~setup.fixed
     where = solid.places.T
     blocks = []
@@ -338,7 +343,10 @@ def _constrain_potentials(
 
 
 def _choose_shift(solid: Solid, setup: Setup) -> float:
-    """Choose a shift [rad^2/s^2] with which ``K + shift M`` is regular: 0 of a supported body."""
+    """Choose a shift [rad^2/s^2] that makes ``K + shift M`` regular.
+
+    It is 0 for a supported body.
+    """
     constrained = (
         setup.fixed if setup.springs is None else setup.fixed | (setup.springs.diagonal() > 0)
     )
@@ -392,7 +400,10 @@ Box: TypeAlias = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True)
 class Block:
-    """A box of material, already poled. Blocks whose materials have one name are one piece."""
+    """A box of material, already poled.
+
+    Blocks whose materials have one name are one piece.
+    """
 
     box: Box
     material: Material
@@ -406,7 +417,7 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class Bonded:
-    """Blocks of material that are bonded where they touch, with electrodes and supports.
+    """Blocks of material that are bonded where they touch, with their supports.
 
     Where two blocks overlap, the later one counts.
 
@@ -453,7 +464,7 @@ class Bonded:
 
     @property
     def rated(self) -> float | None:
-        """Voltage [V] at which a ceramic reaches its depoling field, None if it is unknown.
+        """Voltage [V] at which a ceramic reaches its depoling field, None if unknown.
 
         All ceramics have the same field if the electrodes between them float.
         """
@@ -468,7 +479,7 @@ class Bonded:
         return float(fields.min() * thick.sum() if self.floating else (fields * thick).min())
 
     def device(self) -> FiniteElementModel:
-        """The mesh and the full model of the device.
+        """Make the mesh and the full model of the device.
 
         Raises
         ------
@@ -501,7 +512,7 @@ class Bonded:
         return result
 
     def _edges(self) -> np.ndarray:
-        """Ends (axes, edges) of blocks, electrodes, supports and ports, always in this order."""
+        """Ends (axes, edges) of blocks, electrodes, supports and ports, in this order."""
         boxes = [*map(attrgetter("box"), self.blocks), *self.ports.values()]
         boxes += map(itemgetter(1), self.fixed)
         boxes += chain(*self.electrodes.values(), *self.floating)

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg, sparse
 
-from kc2spice.bodies.undamped import Answers, FiniteElementModel
+from kc2spice.bodies.undamped import FiniteElementModel, UndampedResponses
 from kc2spice.fem.enrichment import EnrichedOperators, Enrichment, assemble_enrichment, enrich
 from kc2spice.linalg.factor import Factor, factorise
 from kc2spice.rom.pencil import Schur
@@ -39,14 +39,17 @@ Pair = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Corrections:
-    """Relative changes of the frequencies of modes (k,), and the products ``e_i' S e_j`` (a, a) of
-    the corrections of static answers."""
+    """Corrections of modes and static responses by additional shape functions.
+
+    ``frequencies`` (k,) are relative changes of the frequencies of modes. ``products`` (a, a) are
+    the energy products ``e_i' S e_j`` of the corrections of static responses.
+    """
 
     frequencies: np.ndarray
     products: np.ndarray
 
-    def near(self, other: Corrections) -> bool:
-        """Whether no frequency and no energy differs much from another's."""
+    def is_near(self, other: Corrections) -> bool:
+        """Whether frequencies and energies differ little from those of another."""
         pairs = (
             (self.frequencies, other.frequencies),
             (np.diag(self.products), np.diag(other.products)),
@@ -54,38 +57,38 @@ class Corrections:
         return all((np.abs(a - b) <= SETTLED * np.abs(a)).all() for a, b in pairs)
 
 
-def correct_answers(
-    device: FiniteElementModel, answers: Answers, sectors: int = 1, rounds: int = ROUNDS
+def correct_responses(
+    device: FiniteElementModel, answers: UndampedResponses, sectors: int = 1, rounds: int = ROUNDS
 ) -> Corrections:
-    """Corrections of the modes, and of the answers to voltages and to a force, in this order.
+    """Correct the modes, and the responses to voltages and to a force, in this order.
 
-    The model is that of so many ``sectors`` like the solid.
+    The model consists of ``sectors`` bodies like the solid.
     """
     model, modes = enrich_model(device, answers.solve, sectors), answers.modes
     z = np.hstack([modes, answers.static, answers.pushed])
     k, volts = modes.shape[1], answers.static.shape[1]
     voltages = np.zeros((volts, z.shape[1]))
     voltages[:, k : k + volts] = np.eye(volts)
-    shapes, residuals = model.start(z, voltages)
+    shapes, residuals = model.extend_responses(z, voltages)
     static = residuals[0][:, k:], residuals[1][:, k:]
     functions = np.zeros((len(shapes[0]) - len(z), answers.rigid.shape[1]))
-    space = _Space(
+    space = _CorrectionSpace(
         model, np.vstack([answers.rigid, functions]), (shapes[0][:, :k], shapes[1][:, :k])
     )
-    initial = space.ritz()[0]
+    initial = space.solve_ritz()[0]
     result = None
     for _ in range(rounds):
         for solve in (model.solve_functions, model.solve_mesh):
             space.extend(solve(space.residuals(static)))
         before, result = result, space.corrections(initial, static)
-        if before is not None and result.near(before):
+        if before is not None and result.is_near(before):
             break
     assert result is not None
     return result
 
 
 class Blocks(NamedTuple):
-    """A matrix of four sparse blocks: unknowns of the mesh first, then functions."""
+    """Matrix of four sparse blocks: unknowns of the mesh first, then functions."""
 
     mesh: sparse.sparray
     right: sparse.sparray
@@ -105,10 +108,10 @@ class Blocks(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class EnrichedModel:
-    """A device with more functions, by the matrices of the module's equations.
+    """Device with additional shape functions, as matrices of the module's equations.
 
-    ``operators`` are those of the functions; ``factors`` those of their K and P, None without any;
-    ``solve_at_rest`` applies ``(K + shift M)^-1`` of the mesh.
+    ``operators`` are the matrices of the functions, ``factors`` the factors of their K and P, None
+    without functions. ``solve_at_rest`` applies ``(K + shift M)^-1`` of the mesh.
     """
 
     device: FiniteElementModel
@@ -120,8 +123,11 @@ class EnrichedModel:
     factors: tuple[Factor | None, Factor | None]
     solve_at_rest: Callable[[np.ndarray], np.ndarray]
 
-    def start(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
-        """Unknowns of answers z (n, k) under voltages (e, k), and the residuals of static ones."""
+    def extend_responses(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
+        """Extend responses z (n, k) under voltages (e, k), and compute their residuals.
+
+        The residuals are those of static responses.
+        """
         K, lift = self.device.model.K, self.device.lift @ voltages
         p = np.zeros((self.P.mesh.shape[0], z.shape[1]))
         if isinstance(K, Schur):  # K.pp is -K_pp
@@ -135,7 +141,7 @@ class EnrichedModel:
         return shapes, (np.vstack([0.0 * z, r_u]), np.vstack([0.0 * p, r_p]))
 
     def solve_functions(self, residual: Pair) -> Pair:
-        """Solutions for the additional functions alone, after one iteration of their coupling."""
+        """Solve for the additional functions alone, with one iteration of their coupling."""
         (z, r_u), (q, r_p) = self._split(residual)
         (of_u, of_p), C = self.factors, self.operators.C
         u, p = of_u.solve(r_u) if of_u else r_u, r_p
@@ -145,7 +151,7 @@ class EnrichedModel:
         return np.vstack([0.0 * z, u]), np.vstack([0.0 * q, p])
 
     def solve_mesh(self, residual: Pair) -> Pair:
-        """Solutions for the unknowns of the mesh alone."""
+        """Solve for the unknowns of the mesh alone."""
         ((z, more_u), (q, more_p)), K = self._split(residual), self.device.model.K
         if isinstance(K, Schur):
             q = K.inner.solve(q)
@@ -156,7 +162,7 @@ class EnrichedModel:
         return np.vstack([z, 0.0 * more_u]), np.vstack([q, 0.0 * more_p])
 
     def _split(self, pair: Pair) -> list[list[np.ndarray]]:
-        """Parts of the mesh and of functions, of displacements and of potentials."""
+        """Split displacements and potentials into parts of the mesh and of functions."""
         counts = self.K.mesh.shape[0], self.P.mesh.shape[0]
         return [np.vsplit(part, [count]) for part, count in zip(pair, counts, strict=True)]
 
@@ -166,11 +172,13 @@ def enrich_model(
     solve_at_rest: Callable[[np.ndarray], np.ndarray],
     sectors: int = 1,
 ) -> EnrichedModel:
-    """The model of a device with functions of one degree more; ``solve_at_rest`` applies
-    ``(K + shift M)^-1``."""
+    """Add functions of one degree more to the model of a device.
+
+    ``solve_at_rest`` applies ``(K + shift M)^-1``.
+    """
     model, enrichment = device.model, enrich(device.solid)
     more = assemble_enrichment(enrichment, *_free_functions(device, enrichment)).scaled(sectors)
-    K, C, P = _of_mesh(model.K)
+    K, C, P = _mesh_blocks(model.K)
     to_u, to_phi = device.displacement, device.potential
     if to_phi.shape[1] != P.shape[0]:  # eliminated unknowns that are no potentials
         to_phi = sparse.csc_array((to_phi.shape[0], P.shape[0]))
@@ -187,8 +195,8 @@ def enrich_model(
     )
 
 
-def _of_mesh(K: Schur | sparse.csc_array) -> tuple[sparse.csc_array, ...]:
-    """K, C and P of the mesh."""
+def _mesh_blocks(K: Schur | sparse.csc_array) -> tuple[sparse.csc_array, ...]:
+    """Return the blocks K, C and P of the stiffness of a mesh."""
     if isinstance(K, Schur):
         return K.uu, K.up, -K.pp
     return K, sparse.csc_array((K.shape[0], 0)), sparse.csc_array((0, 0))
@@ -201,11 +209,11 @@ def _factor(matrix: sparse.csr_array) -> Factor | None:
 def _free_functions(
     device: FiniteElementModel, enrichment: Enrichment
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Masks of the displacements (functions, d) and potentials (functions,) that are free."""
+    """Masks of free displacements (functions, d) and free potentials (functions,)."""
     solid, count = device.solid, enrichment.count
     nodes = solid.basis(1).element_dofs
-    free_nodes = _alone(device.displacement).reshape(-1, solid.components)
-    electrode = _electrodes(device)
+    free_nodes = _has_own_unknown(device.displacement).reshape(-1, solid.components)
+    electrode = _number_electrodes(device)
     free, live = np.ones((count, solid.components), bool), enrichment.dielectric()
     for numbers, local in zip(enrichment.numbers, enrichment.nodes, strict=True):
         on = electrode[nodes[local]]
@@ -214,8 +222,8 @@ def _free_functions(
     return free, live
 
 
-def _alone(prolongation: sparse.csc_array) -> np.ndarray:
-    """Mask of the rows that are an unknown of their own."""
+def _has_own_unknown(prolongation: sparse.csc_array) -> np.ndarray:
+    """Mask of the nodal values that depend on one unknown, which no other one uses."""
     rows = sparse.csr_array(prolongation)
     counts = np.diff(sparse.csc_array(prolongation).indptr)
     result = np.diff(rows.indptr) == 1
@@ -223,19 +231,24 @@ def _alone(prolongation: sparse.csc_array) -> np.ndarray:
     return result
 
 
-def _electrodes(device: FiniteElementModel) -> np.ndarray:
-    """Number (nodes,) of the equipotential that each node belongs to, -1 of a free potential."""
+def _number_electrodes(device: FiniteElementModel) -> np.ndarray:
+    """Number the equipotential (nodes,) of each node; -1 is a free potential."""
     rows = sparse.csr_array(device.potential)
     column = np.full((rows.shape[0], 1), -1.0)
     tied = np.diff(rows.indptr) == 1
     column[tied, 0] = rows.indices[rows.indptr[:-1][tied]]
     table = np.hstack([column, device.drive.toarray()])
-    return np.where(_alone(device.potential), -1, np.unique(table, axis=0, return_inverse=True)[1])
+    return np.where(
+        _has_own_unknown(device.potential), -1, np.unique(table, axis=0, return_inverse=True)[1]
+    )
 
 
-class _Space:
-    """Space of displacements and one of potentials, with orthonormal vectors, and their products
-    with the matrices of a model. It begins with ``rigid`` modes and the shapes of other modes."""
+class _CorrectionSpace:
+    """Spaces of displacements and of potentials, with products with the matrices.
+
+    The vectors are orthonormal. The spaces begin with ``rigid`` modes and the shapes of other
+    modes.
+    """
 
     def __init__(self, model: EnrichedModel, rigid: np.ndarray, shapes: Pair) -> None:
         self.model, self.modes = model, shapes[0]
@@ -249,45 +262,48 @@ class _Space:
     def extend(self, parts: Pair) -> None:
         """Add the span of the columns of two arrays."""
         model = self.model
-        u, p = _orthonormal(self.u, parts[0]), _orthonormal(self.p, parts[1])
+        u, p = _orthonormalise(self.u, parts[0]), _orthonormalise(self.p, parts[1])
         self.u, self.p = np.hstack([self.u, u]), np.hstack([self.p, p])
         self.Mu = np.hstack([self.Mu, model.M @ u])
         self.Ku = np.hstack([self.Ku, model.K @ u])
         self.Cu = np.hstack([self.Cu, model.C.T @ u])
         self.Cp, self.Pp = np.hstack([self.Cp, model.C @ p]), np.hstack([self.Pp, model.P @ p])
 
-    def ritz(self) -> tuple[np.ndarray, Pair]:
-        """Eigenvalues (k,) nearest to the modes, and weights of the vectors in their shapes."""
+    def solve_ritz(self) -> tuple[np.ndarray, Pair]:
+        """Compute the eigenvalues (k,) nearest to the modes, and weights of the vectors."""
         if not self.modes.size:
             return np.zeros(0), (self.u.T[:, :0], self.p.T[:, :0])
         C, P = self.u.T @ self.Cp, self.p.T @ self.Pp
-        X = _solve(P, C.T)
+        X = _solve_definite(P, C.T)
         K, M = self.u.T @ self.Ku + C @ X, self.u.T @ self.Mu
         values, vectors = linalg.eigh((K + K.T) / 2, (M + M.T) / 2)
         overlap = np.abs(vectors.T @ (self.Mu.T @ self.modes))
         nearest = overlap.argmax(axis=0)
         return values[nearest], (vectors[:, nearest], X @ vectors[:, nearest])
 
-    def galerkin(self, loads: Pair) -> Pair:
-        """Weights of the vectors in the static corrections; the loads move no rigid body."""
+    def solve_galerkin(self, loads: Pair) -> Pair:
+        """Compute weights of the vectors in the static corrections.
+
+        The loads move no rigid body.
+        """
         elastic = self.u[:, self.rigid :]
         r_u, r_p = elastic.T @ loads[0], self.p.T @ loads[1]
         C, P = elastic.T @ self.Cp, self.p.T @ self.Pp
-        X, y = _solve(P, C.T), _solve(P, r_p)
+        X, y = _solve_definite(P, C.T), _solve_definite(P, r_p)
         K = elastic.T @ self.Ku[:, self.rigid :] + C @ X
-        u = _solve(K, r_u + C @ y)
+        u = _solve_definite(K, r_u + C @ y)
         return np.vstack([np.zeros((self.rigid, u.shape[1])), u]), X @ u - y
 
     def corrections(self, eigenvalues: np.ndarray, loads: Pair) -> Corrections:
-        """Changes from ``eigenvalues`` of the mesh, and products of the static corrections."""
-        u, p = self.galerkin(loads)
+        """Compute changes of ``eigenvalues`` of the mesh, and products of corrections."""
+        u, p = self.solve_galerkin(loads)
         products = loads[0].T @ (self.u @ u) + loads[1].T @ (self.p @ p)
-        return Corrections(np.sqrt(self.ritz()[0] / eigenvalues) - 1, products)
+        return Corrections(np.sqrt(self.solve_ritz()[0] / eigenvalues) - 1, products)
 
     def residuals(self, loads: Pair) -> Pair:
-        """What modes and static corrections leave."""
-        values, (mode_u, mode_p) = self.ritz()
-        u, p = self.galerkin(loads)
+        """Compute the residuals of modes and static corrections."""
+        values, (mode_u, mode_p) = self.solve_ritz()
+        u, p = self.solve_galerkin(loads)
         return (
             np.hstack([
                 (self.Mu @ mode_u) * values - self.Ku @ mode_u - self.Cp @ mode_p,
@@ -299,15 +315,15 @@ class _Space:
         )  # fmt: skip
 
 
-def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solution with a symmetric positive definite matrix."""
+def _solve_definite(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve a system with a symmetric positive definite matrix."""
     if not matrix.size:
         return right
     return np.asarray(linalg.cho_solve(linalg.cho_factor((matrix + matrix.T) / 2), right))
 
 
-def _orthonormal(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Orthonormal vectors of the span of ``columns``, orthogonal to a basis."""
+def _orthonormalise(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Compute an orthonormal basis of ``columns`` that is orthogonal to another basis."""
     size = np.linalg.norm(columns, axis=0)
     rest = columns[:, size > 0] / size[size > 0]
     for _ in range(2):

@@ -44,7 +44,7 @@ _VTK = {
 
 @dataclass(frozen=True, eq=False)
 class NodalMotion:
-    """Displacements ``z(t) = basis @ states[t]`` and ``voltages`` (times, electrical ports)."""
+    """Motion ``z(t) = basis @ states[t]`` under ``voltages`` (times, ports)."""
 
     device: FiniteElementModel
     time: np.ndarray
@@ -59,15 +59,15 @@ class NodalMotion:
         return self.inputs[:, [port.electrical for port in ports]]
 
     def at(self, instant: float) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements z (n,) and voltages (e,) at the sample nearest to ``instant`` [s]."""
+        """Return z (n,) and voltages (e,) at the sample nearest to ``instant`` [s]."""
         k = int(np.argmin(np.abs(self.time - instant)))
         return self.basis @ self.states[k], self.voltages[k]
 
 
-def recover(
+def recover_motion(
     device: FiniteElementModel, time: np.ndarray, inputs: Mapping[str, np.ndarray]
 ) -> NodalMotion:
-    """Motion of the body under port inputs (by port name, SI, over ``time``).
+    """Compute the motion of a body under port inputs (by name, SI, over ``time``).
 
     Other ports have no input. The body starts in equilibrium with the first values.
 
@@ -84,7 +84,7 @@ def recover(
             raise wrong("fields", problem, f"{name} {np.shape(wave)}", expected)
         u[:, names.index(name)] = wave
     t = np.asarray(time)
-    basis, omega, damp = _modes(device, float(t[-1] - t[0]))
+    basis, omega, damp = _compute_modes(device, float(t[-1] - t[0]))
     states, _ = integrate_modes(omega, damp, t, u @ (basis.T @ device.model.B).T)
     return NodalMotion(device, t, u, basis, states)
 
@@ -92,16 +92,21 @@ def recover(
 def lowest_modes(
     device: FiniteElementModel, count: int, end: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [Hz] below ``end`` of at most ``count`` modes that the ports excite, electrodes
-    shorted, and their displacements (n, modes); motions without stiffness are none of them."""
-    basis, omega, _ = _modes(device, np.inf)
+    """Compute the lowest modes with shorted electrodes that the ports excite.
+
+    The results are at most ``count`` frequencies [Hz] below ``end``, and displacements (n, modes).
+    Motions without stiffness are left out.
+    """
+    basis, omega, _ = _compute_modes(device, np.inf)
     selected = np.flatnonzero((omega > STILL * omega.max()) & (omega < 2 * np.pi * end))
     selected = selected[np.argsort(omega[selected])][:count]
     return omega[selected] / (2 * np.pi), basis[:, selected]
 
 
-def _modes(device: FiniteElementModel, span: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return modes of the projected model, their frequencies and their damping.
+def _compute_modes(
+    device: FiniteElementModel, span: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute the modes of the projected model, their frequencies and damping.
 
     The modes (n, q) are mass-normalised. The frequencies are in rad/s. The damping [1/s] is the
     diagonal of the modal damping matrix, so coupling of modes through damping is neglected.
@@ -118,7 +123,10 @@ def _modes(device: FiniteElementModel, span: float) -> tuple[np.ndarray, np.ndar
 
 
 class FieldProbe:
-    """Evaluates fields at the same points of every element: its nodes, or Gauss points."""
+    """Evaluation of fields at the same points of every element.
+
+    The points are the nodes of the element, or its Gauss points.
+    """
 
     def __init__(self, device: FiniteElementModel, *, gauss: bool) -> None:
         self.device = device
@@ -132,11 +140,11 @@ class FieldProbe:
         self._operators = list(strains(solid, self.basis))
 
     def nodal(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements and potentials at the nodes, as :meth:`Device.nodal` returns them."""
+        """Return nodal displacements and potentials, see :meth:`FiniteElementModel.nodal`."""
         return self.device.nodal(z, voltages)
 
     def stress(self, u: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Stress (points, 6, k) and field (points, 3, k) of nodal columns."""
+        """Compute stress (points, 6, k) and field (points, 3, k) of nodal columns."""
         solid, nodes = self.device.solid, self.basis.element_dofs.T
         d = solid.components
         moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
@@ -160,9 +168,12 @@ class FieldProbe:
 def at_nodes(
     device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """At the nodes of the elements, element by element and node by node, under z (n,) and voltages
-    (e,): ``displacement`` (points, 3) [m], ``potential`` (points,) [V], ``field`` (points, 3)
-    [V/m], ``stress`` (points, 6) [Pa] in Voigt order, and the number of each ``material``."""
+    """Evaluate all fields at the nodes of the elements, element by element.
+
+    They are those under z (n,) and voltages (e,): ``displacement`` (points, 3) [m], ``potential``
+    (points,) [V], ``field`` (points, 3) [V/m] and ``stress`` (points, 6) [Pa] in Voigt order.
+    ``material`` is the number of the material.
+    """
     probe = FieldProbe(device, gauss=False)
     u, phi = probe.nodal(z[:, None], voltages[:, None])
     T, E = probe.stress(u, phi)
@@ -173,8 +184,11 @@ def at_nodes(
     return result | {"stress": T[..., 0], "material": probe.owner.astype(float)}
 
 
-def principal(stress: np.ndarray) -> np.ndarray:
-    """Largest principal stress of Voigt stresses (..., 6): the trigonometric root of the cubic."""
+def principal_stress(stress: np.ndarray) -> np.ndarray:
+    """Largest principal stress of Voigt stresses (..., 6).
+
+    It is the trigonometric root of the cubic.
+    """
     xx, yy, zz, *shears = np.moveaxis(stress, -1, 0)
     mean = (xx + yy + zz) / 3
     parts = np.array([xx - mean, yy - mean, zz - mean, *shears])
@@ -197,11 +211,11 @@ QUANTITIES = {
 
 @dataclass(frozen=True, eq=False)
 class Extreme(EqualByContent):
-    """Largest value of one of :data:`QUANTITIES` in one material over time: ``value`` at
-    ``instant`` [s], ``place`` [m].
+    """Largest value of one of :data:`QUANTITIES` in one material over time.
 
-    ``curve`` (instants,) is the largest in the material at each of ``time``; ``limit`` is the
-    material's, None if it is not known.
+    The ``value`` occurs at ``instant`` [s] and ``place`` [m]. ``curve`` (instants,) is the largest
+    value in the material at each of ``time``. ``limit`` is the limit of the material, None if
+    unknown.
     """
 
     material: str
@@ -215,8 +229,8 @@ class Extreme(EqualByContent):
     curve: np.ndarray
 
 
-def extremes(motion: NodalMotion) -> list[Extreme]:
-    """Extreme values in each material.
+def find_extremes(motion: NodalMotion) -> list[Extreme]:
+    """Find the extreme values in each material.
 
     They are the largest principal stress, and in piezoelectric materials the largest electric field
     and the largest field against the poling.
@@ -225,7 +239,7 @@ def extremes(motion: NodalMotion) -> list[Extreme]:
     linear elasticity grows without bound as the mesh is refined.
     """
     probe = FieldProbe(motion.device, gauss=True)
-    selected = _instants(motion, max(INSTANTS, WORK // probe.owner.size))
+    selected = _choose_instants(motion, max(INSTANTS, WORK // probe.owner.size))
     solid = motion.device.solid
     places = np.asarray(probe.basis.global_coordinates()).reshape(solid.mesh.dim(), -1)
     electrodes = motion.voltages.shape[1]
@@ -247,7 +261,7 @@ def extremes(motion: NodalMotion) -> list[Extreme]:
         for quantity, (unit, limit) in QUANTITIES.items():
             if quantity != "principal_stress" and not made_of[0].piezoelectric:
                 continue
-            values = partial(_values, quantity, T[members], E[members], poling)
+            values = partial(_evaluate, quantity, T[members], E[members], poling)
             parts = map(values, np.array_split(states, -(-len(states) // CHUNK)))
             rows = [(part.max(axis=1), part.argmax(axis=1)) for part in parts]
             curve, points = map(np.concatenate, zip(*rows, strict=True))
@@ -259,20 +273,20 @@ def extremes(motion: NodalMotion) -> list[Extreme]:
     return result
 
 
-def _values(
+def _evaluate(
     quantity: str, T: np.ndarray, E: np.ndarray, poling: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
-    """One of :data:`QUANTITIES` (states, points) from the stress and the field of each state."""
+    """Compute one of :data:`QUANTITIES` (states, points) from stress and field."""
     if quantity == "principal_stress":
-        return principal(np.moveaxis(T @ states.T, -1, 0))
+        return principal_stress(np.moveaxis(T @ states.T, -1, 0))
     field = np.moveaxis(E @ states.T, -1, 0)
     if quantity == "electric_field":
         return np.asarray(np.linalg.norm(field, axis=-1))
     return np.asarray(0.0 - np.einsum("kpi,pi->kp", field, poling))
 
 
-def _instants(motion: NodalMotion, count: int) -> np.ndarray:
-    """Samples evenly spread over time, and those of most energy in states and voltages."""
+def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
+    """Choose samples at equal distances in time, and those of highest energy."""
     K = motion.device.model.pencil.project(motion.basis).coefficients[0]
     energy = np.einsum("ti,ij,tj->t", motion.states, K, motion.states)
     energy = energy / (energy.max() or 1.0)
@@ -283,8 +297,9 @@ def _instants(motion: NodalMotion, count: int) -> np.ndarray:
 
 
 def write_vtu(path: Path, device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray) -> None:
-    """Displacement [m], potential [V], field [V/m], stress [Pa] and largest principal stress at
-    the nodes of every element, as a VTU file of cells that share no points.
+    """Write displacement, potential, field and stresses to a VTU file, in SI units.
+
+    The values are those at the nodes of every element. Cells share no points.
     """
     import meshio
     from skfem.io.meshio import HEX_MAPPING
@@ -297,5 +312,5 @@ def write_vtu(path: Path, device: FiniteElementModel, z: np.ndarray, voltages: n
     kind = _VTK[type(element).__name__]
     if kind.startswith("hexahedron"):
         cells = cells[:, HEX_MAPPING[: cells.shape[1]]]
-    data["principal_stress"] = principal(data["stress"])
+    data["principal_stress"] = principal_stress(data["stress"])
     meshio.Mesh(where, [(kind, cells)], point_data=data).write(path, file_format="vtu")

@@ -36,15 +36,15 @@ class BVD:
     cm_f: float
 
     def admittance(self, frequency: np.ndarray) -> np.ndarray:
-        """Y (n,) complex at frequencies [Hz]."""
+        """Compute Y (n,) complex at frequencies [Hz]."""
         s = 2j * np.pi * np.asarray(frequency)
         branch = self.rm_ohm + s * self.lm_h + 1 / (s * self.cm_f)
         return s * self.c0_f + 1 / branch
 
 
 @dataclass(frozen=True)
-class AnalyserFigures:
-    """The analyser's figures: metrics of an ``ac`` scene, by their names."""
+class AnalyserValues:
+    """Values of an impedance analyser: metrics of an ``ac`` scene by their names."""
 
     resonance_hz: float
     antiresonance_hz: float
@@ -61,11 +61,11 @@ UNITS = {
 }  # fmt: skip
 
 
-def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserFigures:
-    """Figures of the first resonance in samples of Z over f (increasing, Hz).
+def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserValues:
+    """Analyse the first resonance in samples of Z over f (increasing, Hz).
 
-    ``capacitance_f`` is Im(Y)/w at 1 kHz or at a tenth of the resonance, whichever is lower (from
-    the circuit where the samples do not go down that far).
+    ``capacitance_f`` is Im(Y)/w at 1 kHz or at a tenth of the resonance, whichever is lower. Below
+    the lowest sample it is that of the circuit.
 
     Raises
     ------
@@ -82,15 +82,15 @@ def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserFigures
         expected = "finite values at frequencies that increase from above zero"
         raise wrong(None, "not samples of an impedance", expected=expected)
     Y = 1 / Z
-    window = _window(f, Y)
-    bvd = _fit(f[window], Y[window])
+    window = _select_window(f, Y)
+    bvd = _fit_circuit(f[window], Y[window])
     ratio = bvd.cm_f / bvd.c0_f
     resonance = 1 / (2 * math.pi * math.sqrt(bvd.lm_h * bvd.cm_f))
     quality = math.sqrt(bvd.lm_h / bvd.cm_f) / bvd.rm_ohm
     _require_resonance(f[window], Y[window], bvd, resonance, quality)
     low = np.array([min(1e3, resonance / 10)])
     sampled_at, admittance = (low, bvd.admittance(low)) if f[0] > low[0] else (f, Y)
-    return AnalyserFigures(
+    return AnalyserValues(
         resonance_hz=resonance,
         antiresonance_hz=resonance * math.sqrt(1 + ratio),
         quality=quality,
@@ -105,7 +105,7 @@ def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserFigures
 def _require_resonance(
     f: np.ndarray, Y: np.ndarray, bvd: BVD, resonance: float, quality: float
 ) -> None:
-    """Refuse a circuit fitted to a maximum of the conductance that is no resonance.
+    """Refuse a circuit fitted to a maximum of the conductance without a resonance.
 
     The loss of a dielectric, or rounding of a body without loss, has such maxima as well.
     """
@@ -122,10 +122,11 @@ def _require_resonance(
     raise wrong(None, "no resonance among the samples", got, hint="widen the band")
 
 
-def _window(f: np.ndarray, Y: np.ndarray) -> slice:
-    """Samples from half the resonance's skirt below f_s to its antiresonance and beyond.
+def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
+    """Select the samples around a resonance and its antiresonance.
 
-    A resonance is a local maximum of G/w that reaches a twentieth of the strongest one.
+    They begin half the width of the resonance's skirt below f_s. A resonance is a local maximum of
+    G/w that reaches a twentieth of the strongest one.
     """
     G = Y.real / f
     inner = np.flatnonzero((G[1:-1] >= G[:-2]) & (G[1:-1] > G[2:])) + 1
@@ -146,12 +147,14 @@ def _window(f: np.ndarray, Y: np.ndarray) -> slice:
     return slice(low, high)
 
 
-def _fit(f: np.ndarray, Y: np.ndarray) -> BVD:
-    """Weighted linear least squares, with f and Y scaled to one, for the coefficients of
+def _fit_circuit(f: np.ndarray, Y: np.ndarray) -> BVD:
+    """Fit a circuit by weighted linear least squares.
+
+    With f and Y scaled to one, the fit finds the coefficients of
 
         Y (1 + a s + b s^2) = s C + (s C0 + s^2 g)(1 + a s + b s^2).
 
-    The term g takes up the loss of the dielectric and of higher modes, which the circuit lacks.
+    The term g represents the loss of the dielectric and of higher modes, which the circuit lacks.
     """
     unit, size = float(np.mean(f)), float(np.max(np.abs(Y)))
     s, y = 1j * f / unit, Y / size

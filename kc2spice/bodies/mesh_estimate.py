@@ -22,8 +22,8 @@ from __future__ import annotations
 import numpy as np
 from skfem.mesh import MeshHex
 
-from kc2spice.bodies.enriched_model import correct_answers
-from kc2spice.bodies.undamped import Answers, FiniteElementModel
+from kc2spice.bodies.enriched_model import correct_responses
+from kc2spice.bodies.undamped import FiniteElementModel, UndampedResponses
 from kc2spice.core.mesh_error import MESH_ERROR
 from kc2spice.fem.recovery import energy_products
 
@@ -42,11 +42,12 @@ LEAST_ERROR = 1e-4  # least relative mesh error; below, rounding and port nodes 
 
 
 def estimate_mesh_errors(
-    device: FiniteElementModel, answers: Answers, sectors: int = 1
+    device: FiniteElementModel, answers: UndampedResponses, sectors: int = 1
 ) -> dict[str, float]:
-    """Estimated relative errors of facts that the mesh causes, by name behind :data:`MESH_ERROR`.
-    The model is that of so many ``sectors`` like the solid. ``modes`` is the largest of all modes
-    that were sought.
+    """Estimate relative errors of facts by the mesh, under names of the facts.
+
+    The names begin with :data:`MESH_ERROR`. The model consists of ``sectors`` bodies like the
+    solid. ``modes`` is the largest error of all modes that were computed.
     """
     volts = answers.static.shape[1]
     estimate = _by_recovery if isinstance(device.solid.mesh, MeshHex) else _by_enrichment
@@ -67,11 +68,14 @@ def estimate_mesh_errors(
 
 
 def _by_enrichment(
-    device: FiniteElementModel, answers: Answers, sectors: int
+    device: FiniteElementModel, answers: UndampedResponses, sectors: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Relative changes of frequencies (modes,), and energy products of the errors of static answers
-    (a, a)."""
-    corrections = correct_answers(device, answers, sectors)
+    """Estimate errors of frequencies and static responses by enrichment.
+
+    The results are relative changes of frequencies (modes,), and energy products (a, a) of the
+    errors of static responses.
+    """
+    corrections = correct_responses(device, answers, sectors)
     products = corrections.products
     size = np.sqrt(np.abs(np.diag(products)))
     products = _signed_hypot(products, OBLIQUE * np.outer(size, size))
@@ -79,9 +83,9 @@ def _by_enrichment(
 
 
 def _by_recovery(
-    device: FiniteElementModel, answers: Answers, sectors: int
+    device: FiniteElementModel, answers: UndampedResponses, sectors: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As :func:`_by_enrichment` returns, from the recovered strain and field."""
+    """Estimate errors as :func:`_by_enrichment`, from recovered strains and fields."""
     n, volts = answers.modes.shape[1], answers.static.shape[1]
     z = np.hstack([answers.modes, answers.static, answers.pushed])
     voltages = np.zeros((volts, z.shape[1]))
@@ -99,5 +103,5 @@ def _signed_hypot(values: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _relative(change: float) -> float:
-    """Error of a value beside the better one, from its ``change`` to that one beside itself."""
+    """Convert a relative change to a better value to an error relative to this value."""
     return float(max(abs(change) / max(1 + change, LEAST_SHARE), LEAST_ERROR))

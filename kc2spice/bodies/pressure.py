@@ -45,11 +45,11 @@ from skfem import LinearForm
 from skfem.mesh import MeshQuad, MeshQuad2
 
 from kc2spice.bodies.device import ForceShape, Setup, constrain_device
-from kc2spice.bodies.fields import FieldProbe, principal
+from kc2spice.bodies.fields import FieldProbe, principal_stress
 from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
 from kc2spice.bodies.stack import layer_materials, stack_setup
 from kc2spice.bodies.stack_keys import PATCH, Chip
-from kc2spice.bodies.undamped import FiniteElementModel, undamped_answers
+from kc2spice.bodies.undamped import FiniteElementModel, compute_undamped_responses
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
@@ -73,9 +73,10 @@ PIT = 1 / 60  # rad around the upper pole without cells
 
 @dataclass(frozen=True, eq=False)
 class PressureBasis(EqualByContent):
-    """Pressures linear in the radius (P1): function j is 1 at ``nodes[j]``, 0 at the others [m].
+    """Pressures linear in the radius (P1), one function for each of ``nodes`` [m].
 
-    The last node is the patch's edge, where the pressure is zero.
+    Function j is 1 at node j and 0 at the others. At the last node, the edge of the patch, the
+    pressure is zero.
     """
 
     nodes: np.ndarray
@@ -87,12 +88,14 @@ class PressureBasis(EqualByContent):
 
     @property
     def distances(self) -> np.ndarray:
-        """Radius [m] at which a paraboloid's gap is that of each function: the mean over it, where
-        ``r^2`` is the mean of ``r^2``."""
+        """Radius [m] at which the gap of a paraboloid is the mean gap of each function.
+
+        The mean is over the function: the square of the radius is the mean of ``r^2``.
+        """
         return np.asarray(np.sqrt(self._moments(2) / self._moments(0)))
 
     def pressure(self, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Radii and pressure as shares (n,) of the functions spread a unit force."""
+        """Return radii and the pressure by which shares (n,) spread a unit force."""
         return self.nodes, np.append(shares / self.areas, 0.0)
 
     def _moments(self, power: int) -> np.ndarray:
@@ -106,8 +109,11 @@ class PressureBasis(EqualByContent):
 
 
 def pressure_basis(spacing: float, patch: float) -> PressureBasis:
-    """One every ``spacing`` [m] near the axis, in proportion to the radius beyond a fifth of
-    ``patch`` [m], up to which they go: under a sphere each has a like share of the force."""
+    """Choose the nodes of a basis on a patch of a radius ``patch`` [m].
+
+    They have the distance ``spacing`` [m] near the axis, and a distance in proportion to the radius
+    beyond a fifth of the patch. The functions then have similar shares of a sphere's force.
+    """
     nodes = [0.0]
     while nodes[-1] + 1.5 * (step := spacing * max(1.0, nodes[-1] / (EVEN * patch))) < patch:
         nodes.append(nodes[-1] + step)
@@ -116,21 +122,25 @@ def pressure_basis(spacing: float, patch: float) -> PressureBasis:
 
 @dataclass(frozen=True, eq=False)
 class LocalCompliance(EqualByContent):
-    """``compliance`` (n, n) [m/N]: what the basis functions give more than the patch that they are
-    in, which itself gives ``patch`` [m/N]."""
+    """Compliance of basis functions in addition to that of their patch.
+
+    ``compliance`` (n, n) [m/N] is the additional one, ``patch`` [m/N] that of the whole patch.
+    """
 
     compliance: np.ndarray
     patch: float
 
     @property
     def shares(self) -> np.ndarray:
-        """(n,) of the basis functions in the patch, which move all of them alike."""
+        """Shares (n,) of the basis functions that move all of them by the same distance."""
         result = np.linalg.solve(self.compliance + self.patch, np.ones(len(self.compliance)))
         return np.asarray(result / result.sum())
 
 
 def local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
-    """Compliance of the basis functions on the stack's top, and of their patch on the coarse mesh.
+    """Compute the compliance of the basis functions on the top of a stack.
+
+    The compliance of their patch is that on the coarse mesh.
 
     Raises
     ------
@@ -159,13 +169,19 @@ def local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
 
 
 def surface_compliance(chip: Chip, shape: PressureBasis, cells: int = CELLS) -> np.ndarray:
-    """(n, n) mean displacement [m] of each function per force [N] on each, of a round stack as wide
-    as the chip's smaller side, on a roller, electrodes at constant voltage."""
-    return _compliance(_stack(chip, shape, cells).model)
+    """Mean displacement (n, n) [m] of each function per force [N] on each.
+
+    The stack is round, as wide as the chip's smaller side, on a roller, and with electrodes at
+    constant voltage.
+    """
+    return _compliance(_model_stack(chip, shape, cells).model)
 
 
 def _compliance(model: LinearModel) -> np.ndarray:
-    """(n, n) static displacements [m] of the mechanical ports, which come first, per force [N]."""
+    """Static displacements (n, n) [m] of the mechanical ports per force [N].
+
+    The mechanical ports are the first ports of the model.
+    """
     loads = model.B[:, [port.domain is TRANSLATION for port in model.ports]]
     S = loads.T @ model.pencil.pencil_solver(0.0).solve(loads)
     return np.asarray((S + S.T) / 2)
@@ -175,16 +191,16 @@ UNITS = {"pressure_pa": "Pa", "shear_pa": "Pa", "shear_depth_m": "m"}  # units o
 
 
 def stresses_under(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, float]:
-    """Stresses under ``force`` (n,) [N] on the basis, at Gauss points of the graded mesh.
+    """Compute stresses under ``force`` (n,) [N] on the basis, on the graded mesh.
 
-    They are the largest ``pressure_pa``, and the largest ``shear_pa``, half the difference of
-    principal stresses, with its ``shear_depth_m`` below the top.
+    They are values at Gauss points: the largest ``pressure_pa``, and the largest ``shear_pa``, half
+    the difference of principal stresses, with its ``shear_depth_m`` below the top.
     """
-    stack = _stack(chip, shape, CELLS)
+    stack = _model_stack(chip, shape, CELLS)
     probe, model = FieldProbe(stack, gauss=True), stack.model
     z = model.pencil.pencil_solver(0.0).solve(-model.B[:, : len(force)] @ force)
     T, _ = probe.stress(*probe.nodal(z[:, None], np.zeros((1, 1))))
-    shear = (principal(T[..., 0]) + principal(-T[..., 0])) / 2
+    shear = (principal_stress(T[..., 0]) + principal_stress(-T[..., 0])) / 2
     height = np.asarray(probe.basis.global_coordinates())[1].ravel()
     return {
         "pressure_pa": float((force / shape.areas).max()),
@@ -193,19 +209,21 @@ def stresses_under(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[
     }
 
 
-def _stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementModel:
-    """The round stack on a roller, with a port for every basis function, on quadrilaterals that
-    grow away from them, with a line at every face of a layer."""
+def _model_stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementModel:
+    """Model the round stack on a roller, with a port for every basis function.
+
+    The quadrilaterals grow away from the functions. Every face of a layer is a line of the mesh.
+    """
     ends = [cap.thickness if cap else 0.0 for cap in (chip.bottom_cap, chip.top_cap)]
     caps = [int(end > 0) for end in ends]
     layers = [chip.height / chip.layers] * chip.layers
     heights = np.r_[0.0, np.cumsum([*ends[:1] * caps[0], *layers, *ends[1:] * caps[1]])]
     planes, near = heights[caps[0] :][: chip.layers + 1], 1e-9 * heights[-1]
     inner = _subdivide(shape.nodes, cells)
-    outer = _growing(inner[-1], min(chip.half), inner[-1] - inner[-2])
+    outer = _grow_points(inner[-1], min(chip.half), inner[-1] - inner[-2])
     lines, step = [heights[-1:]], shape.nodes[1] / cells
     for low, high in zip(heights[-2::-1], heights[:0:-1], strict=True):
-        down = _growing(0.0, high - low, step)
+        down = _grow_points(0.0, high - low, step)
         lines.append(np.r_[high - down[1:-1], low])
         step = down[-1] - down[-2]
     mesh = MeshQuad.init_tensor(np.r_[inner, outer[1:]], np.concatenate(lines)[::-1])
@@ -249,13 +267,13 @@ def _basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.n
 
 
 def _subdivide(points: np.ndarray, count: int) -> np.ndarray:
-    """Every interval in ``count`` equal ones."""
+    """Divide every interval between points into ``count`` equal ones."""
     parts = np.arange(count * (len(points) - 1) + 1) / count
     return np.interp(parts, np.arange(len(points)), points)
 
 
-def _growing(start: float, end: float, step: float) -> np.ndarray:
-    """Points from ``start`` to ``end`` whose distances grow from about ``step`` on."""
+def _grow_points(start: float, end: float, step: float) -> np.ndarray:
+    """Place points from ``start`` to ``end`` at growing distances from ``step`` on."""
     points = [start]
     while points[-1] + 1.5 * (step := GROWTH * step) < end:
         points.append(points[-1] + step)
@@ -263,49 +281,52 @@ def _growing(start: float, end: float, step: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Indented:
+class IndentationLaw:
     """Force [N] of a sphere at the indentation x [m]: ``sum_k c_k s^(3 + k)``.
 
-    ``s = sqrt(x / depth)`` is the contact's radius over the widest one, so that the first term is
-    Hertz's law and the others what layers and the body's size add. ``depth`` [m] is the largest
-    that it holds for.
+    ``s = sqrt(x / depth)`` is the contact's radius relative to the widest one. The first term is
+    Hertz's law, and the others are effects of layers and of the body's size. ``depth`` [m] is the
+    largest indentation of the law.
     """
 
     depth: float
     coefficients: tuple[float, ...]
 
     def force(self, x: np.ndarray) -> np.ndarray:
-        """Force [N] at depths [m], none of them negative."""
+        """Compute the force [N] at indentations [m], none of them negative."""
         s = np.sqrt(x / self.depth)
         return np.asarray(s**3 * np.polynomial.polynomial.polyval(s, self.coefficients))
 
 
-def indentation_law(shape: PressureBasis, compliance: np.ndarray, gap: np.ndarray) -> Indented:
-    """The law of a sphere over basis functions of the ``compliance`` (n, n), each the ``gap`` (n,)
-    [m] below it.
+def indentation_law(
+    shape: PressureBasis, compliance: np.ndarray, gap: np.ndarray
+) -> IndentationLaw:
+    """Fit the law of a sphere on basis functions with a ``compliance`` (n, n).
 
-    They close one by one, and the force of n of them is n straight lines: it swings about the
-    converged one by a quarter of (spacing / contact's radius)^2. The work ``J = int F dx`` is a
-    minimum over all pressures, of second order in their error. The law is the derivative of the
-    polynomial that fits J, from contacts that are some of them wide on.
+    Each function has the ``gap`` (n,) [m] below the sphere. Functions come into contact one by one,
+    and their force is n straight lines: it differs from the converged force by up to a quarter of
+    (spacing / contact's radius)^2. The work ``J = int F dx`` is a minimum over all pressures, of
+    second order in their error. The law is the derivative of the polynomial that fits J, for
+    contacts at least :data:`RESOLVED` functions wide.
     """
     spacing, widest = shape.nodes[1], WIDEST * shape.nodes[-1]
     depth = 2 * float(np.interp(widest, shape.distances, gap))  # Hertz: half of it is left there
     s = np.linspace(min(0.5, RESOLVED * spacing / widest), 1.0, DEPTHS)
     x = depth * s**2
-    force = pressing(compliance, gap, x)
+    force = contact_forces(compliance, gap, x)
     work = ((x[:, None] - gap) * force).sum(axis=1) / 2
     power = 3 + np.arange(DEGREE + 1)
     terms = s[:, None] ** (power + 2) * (2 * depth / (power + 2))
     result = np.linalg.lstsq(terms / work[:, None], np.ones(DEPTHS), rcond=None)[0]
-    return Indented(depth, tuple(result.tolist()))
+    return IndentationLaw(depth, tuple(result.tolist()))
 
 
-def pressing(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """(depths, n) forces [N]: pressure where, and only where, the sphere meets the surface.
+def contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Forces (depths, n) [N] of a sphere, positive only where it meets the surface.
 
-    With ``g = x - gap``, ``f >= 0``, ``S f >= g`` and ``f'(S f - g) = 0`` say that ``f'S f / 2 -
-    f'g`` is least, which with ``S = L L'`` is ``|L'f - L^-1 g|^2 / 2`` but for a constant.
+    With ``g = x - gap`` the conditions ``f >= 0``, ``S f >= g`` and ``f'(S f - g) = 0`` are those
+    of a minimum of ``f'S f / 2 - f'g``. With ``S = L L'`` this is ``|L'f - L^-1 g|^2 / 2`` but for
+    a constant.
     """
     from scipy.optimize import nnls  # late: no contact of rings needs it
 
@@ -316,7 +337,7 @@ def pressing(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.n
 
 @dataclass(frozen=True)
 class IsotropicSphere:
-    """``radius`` [m] and what it is made of; isotropic about the axis."""
+    """Elastic sphere of a ``radius`` [m] whose material is isotropic about the axis."""
 
     radius: float
     material: Material
@@ -324,27 +345,31 @@ class IsotropicSphere:
 
     @property
     def oblate(self) -> float:
-        """Frequency [Hz] of its lowest mode, which makes it oblong, but for 1 % by the ratio nu."""
+        """Frequency [Hz] of the lowest mode, which makes the sphere oblong.
+
+        It depends on Poisson's ratio by 1 %.
+        """
         sound = np.sqrt(self.material.C[5, 5] / self.material.density)
         return float(OBLATE * sound / (2 * np.pi * self.radius))
 
     @property
     def rayleigh(self) -> tuple[float, float]:
-        """``alpha`` [1/s] and ``beta`` [s] of ``E = alpha M + beta K``, by that frequency."""
+        """Factors ``alpha`` [1/s] and ``beta`` [s] of damping, by the lowest mode."""
         return self.damping.rayleigh(self.oblate)
 
 
 def sphere(
     body: IsotropicSphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1
 ) -> LinearModel:
-    """The sphere with the port ``patch``, upwards: ``shares`` (n,) of the basis; see the module.
+    """Model a free sphere with the port ``patch``, upwards; see the module.
 
-    ``refine`` divides every cell along each axis.
+    ``shares`` (n,) are those of the basis in the port. ``refine`` divides every cell along each
+    axis.
     """
-    device, port = _free(body, shape, refine), Port(PATCH, TRANSLATION.port)
+    device, port = _model_free_sphere(body, shape, refine), Port(PATCH, TRANSLATION.port)
     load = device.model.B @ shares[:, None]
     model = replace(device.model, B=load, C=load.T, D=np.zeros((1, 1)), ports=(port,))
-    answers = undamped_answers(model)
+    answers = compute_undamped_responses(model)
     facts = {
         **model.facts,
         **answers.facts,
@@ -356,17 +381,19 @@ def sphere(
 def sphere_compliance(
     body: IsotropicSphere, shape: PressureBasis, refine: int = 1
 ) -> LocalCompliance:
-    """Compliance of the basis functions on the sphere, and of their patch."""
-    S = _compliance(_free(body, shape, refine).model)
+    """Compute the compliance of the basis functions on a sphere, and of their patch."""
+    S = _compliance(_model_free_sphere(body, shape, refine).model)
     patch = float(1 / np.linalg.solve(S, np.ones(len(S))).sum())
     return LocalCompliance(S - patch, patch)
 
 
-def _free(body: IsotropicSphere, shape: PressureBasis, refine: int) -> FiniteElementModel:
-    """The undamped sphere with a port for every function, on the mapped grid of the module."""
+def _model_free_sphere(
+    body: IsotropicSphere, shape: PressureBasis, refine: int
+) -> FiniteElementModel:
+    """Model the undamped sphere with a port for every function, on a mapped grid."""
     radius = body.radius
-    x = _onwards(np.arcsin(_subdivide(shape.nodes, CELLS) / radius))
-    y = _onwards(np.array([0.0, x[1]]))
+    x = _extend_angles(np.arcsin(_subdivide(shape.nodes, CELLS) / radius))
+    y = _extend_angles(np.array([0.0, x[1]]))
     mesh = MeshQuad2.from_mesh(MeshQuad.init_tensor(_subdivide(x, refine), _subdivide(y, refine)))
     w = np.tan(mesh.doflocs[0] / 2) + 1j * np.tan(mesh.doflocs[1] / 2)
     zeta = 2 * radius * w / (1 - 1j * w)
@@ -401,8 +428,8 @@ def _free(body: IsotropicSphere, shape: PressureBasis, refine: int) -> FiniteEle
     return FiniteElementModel(model, solid, moved, none, none, np.zeros((0, 0)), 0.0, mass)
 
 
-def _onwards(angles: np.ndarray) -> np.ndarray:
-    """``angles`` [rad] and further ones, whose steps grow and shrink again towards pi."""
+def _extend_angles(angles: np.ndarray) -> np.ndarray:
+    """Extend ``angles`` [rad] by steps that grow, and shrink again towards pi."""
     result = list(angles)
     while result[-1] + 2 * (step := min(GROWTH * (result[-1] - result[-2]), ANGLE)) < np.pi:
         result.append(result[-1] + step)

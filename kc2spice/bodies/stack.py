@@ -1,14 +1,14 @@
-"""The multilayer piezoelectric stack: ring-shaped contact ports on its top, one electrode pair.
+"""The multilayer piezoelectric stack with ring-shaped contact ports on its top.
 
-One quarter of it is meshed; the four move alike. The paper asks for a mapped mesh (2.2.2): nodes on
-concentric circles make one force per ring exact. A *level* is one element over the height: one
-layer, or several of them as one medium where ``layers_per_element`` allows it. The field in each
-layer is given by its electrodes, so m layers in parallel at one voltage are one layer m times as
-thick, of coupling ``m e`` and permittivity ``m^2 eps``.
+One quarter of it is meshed, because all four move in the same way. The paper asks for a mapped
+mesh (2.2.2): with nodes on concentric circles one force per ring is exact. A *level* is one element
+over the height: one layer, or several layers as one medium if ``layers_per_element`` allows this.
+The electrodes determine the field in each layer. Thus m layers in parallel at one voltage are one
+layer m times as thick, of coupling ``m e`` and permittivity ``m^2 eps``.
 
-Even planes of electrodes are the grounded cathode, odd ones the anode; layers are poled by turns,
-along -z above a cathode, so that a positive anode voltage lengthens every one. Paper 2.2.2 and
-appendix A.2.
+Even planes of electrodes are the grounded cathode, odd ones the anode. The poling of the layers
+alternates, along -z above a cathode, so that a positive anode voltage lengthens every layer. Paper
+2.2.2 and appendix A.2.
 """
 
 from __future__ import annotations
@@ -41,18 +41,17 @@ Profile = tuple[np.ndarray, np.ndarray]
 def stack_device(
     kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
 ) -> FiniteElementModel:
-    """The stack with ring ports ring0, ring1, ... and the anode, voltage driven, and its facts.
+    """Make the stack with ring ports ring0, ring1, ... and the anode, and its facts.
 
-    Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. On the bottom face z = 0, by
-    ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 where ``glued``, nothing where
-    ``free``, or springs against all three axes, each ``mounting`` N/m per m^2. A stack poled along
-    x moves antisymmetrically in x: u_y = u_z = 0 on x = 0 instead. Free potentials exist only where
-    a plane of nodes lies inside an active layer.
+    Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. Those on the bottom face z = 0
+    depend on ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 if ``glued``, none if
+    ``free``, or springs along all three axes, each ``mounting`` N/m per m^2. A stack poled along x
+    moves antisymmetrically in x: u_y = u_z = 0 on x = 0 instead. Free potentials exist only where a
+    plane of nodes lies inside an active layer.
 
-    The unknowns are those of one quarter. A force on a whole ring is shared by the quarters, which
-    all answer with the displacement of one. ``breakdown`` [V/m] is the field that a layer stands.
-    ``pressure``, straight lines over radii [m] and nothing beyond them, is the one mechanical port
-    in place of the rings.
+    The unknowns are those of one quarter. The quarters share a force on a whole ring, and each has
+    the full displacement. ``breakdown`` [V/m] is the breakdown field of a layer. A ``pressure``,
+    straight lines over radii [m] and zero beyond them, replaces the rings by one mechanical port.
 
     Raises
     ------
@@ -72,14 +71,14 @@ def stack_device(
 def stack_setup(
     kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
 ) -> tuple[Solid, Setup]:
-    """Mesh and materials of the quarter ``0 <= x, y``, ``0 <= z``, its bottom cap included (paper
-    2.2.2, Fig. 3b), and what is done to it.
+    """Make mesh, materials and boundary conditions of one quarter of the stack.
 
-    Nodes are numbered plane by plane, in each the centre first, then ring by ring from the x to
-    the y axis; elements from the bottom up.
+    It is ``0 <= x, y``, ``0 <= z`` with its bottom cap (paper 2.2.2, Fig. 3b). Nodes are numbered
+    plane by plane, in each the centre first, then ring by ring from the x to the y axis. Elements
+    are numbered from the bottom up.
     """
     steps = kick.mesh.refine * kick.mesh.order
-    (spans, heights), lattice = _levels(kick, steps), _in_plane(kick, steps)
+    (spans, heights), lattice = _divide_height(kick, steps), _place_nodes(kick, steps)
     plane = 1 + (lattice.shape[0] - 1) * lattice.shape[1]
     nodes, inner = plane * len(heights), plane * int((spans == 1).sum()) * (steps - 1)
     sparse_bytes = SPARSE_BYTES * (3.0 * nodes + inner) ** (4 / 3)
@@ -89,17 +88,19 @@ def stack_setup(
         where="kick.mesh",
         hint="lower kick.mesh.refine, kick.mesh.order or the number of rings and sectors",
     )
-    mesh, numbers = _hexahedra(lattice, heights, kick.mesh.order)
+    mesh, numbers = _make_hexahedra(lattice, heights, kick.mesh.order)
     materials, owner = layer_materials(kick, spans, breakdown)
     level = np.arange(mesh.nelements) * len(spans) // mesh.nelements
     with part_named("kick"):
         solid = Solid(mesh, materials, owner[level], order=kick.mesh.order, numbers=numbers)
-    electrodes, graded = _electrodes(spans, heights[::steps], solid)
+    electrodes, graded = _find_electrodes(spans, heights[::steps], solid)
     return solid, Setup(
         _fixed_mask(kick, solid),
         electrodes,
         "cathode",
-        shapes=_rings(kick, solid) if pressure is None else [_patch(solid, pressure)],
+        shapes=_make_ring_forces(kick, solid)
+        if pressure is None
+        else [_make_patch_force(solid, pressure)],
         graded=graded,
         springs=springs(solid, kick),
         sectors=SECTORS,
@@ -107,9 +108,9 @@ def stack_setup(
     )
 
 
-def _levels(kick: Chip, steps: int) -> tuple[np.ndarray, np.ndarray]:
+def _divide_height(kick: Chip, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Active layers in each level, and the heights [m] of all planes of nodes."""
-    spans, caps = level_spans(kick), (kick.bottom_cap, kick.top_cap)
+    spans, caps = choose_level_spans(kick), (kick.bottom_cap, kick.top_cap)
     counts = [cap_layers(kick, cap) for cap in caps]
     below, above = (
         np.linspace(0, cap.thickness if cap else 0.0, steps * count + 1)
@@ -121,12 +122,14 @@ def _levels(kick: Chip, steps: int) -> tuple[np.ndarray, np.ndarray]:
     return np.pad(spans, counts), heights
 
 
-def _hexahedra(lattice: np.ndarray, heights: np.ndarray, order: int) -> tuple[MeshHex1, np.ndarray]:
-    """A box in (ring, spoke, plane) coordinates whose nodes are then moved in place, with the
-    numbers of the nodes of its hexahedra.
+def _make_hexahedra(
+    lattice: np.ndarray, heights: np.ndarray, order: int
+) -> tuple[MeshHex1, np.ndarray]:
+    """Make the mesh of hexahedra, and the numbers of their nodes.
 
-    The box gives regular hexahedra and their numbering; the nodes of its face ring = 0 become one
-    node per plane, which collapses those hexahedra into exact wedges.
+    A box in (ring, spoke, plane) coordinates gives regular hexahedra and their numbering. Its nodes
+    are then moved to their places. The nodes of its face ring = 0 become one node per plane, which
+    collapses these hexahedra into exact wedges.
     """
     counts = (lattice.shape[0] - 1, lattice.shape[1] - 1, len(heights) - 1)
     box = MeshHex1.init_tensor(*(np.arange(n // order + 1) * 1.0 for n in counts))
@@ -139,9 +142,12 @@ def _hexahedra(lattice: np.ndarray, heights: np.ndarray, order: int) -> tuple[Me
     return type(box)(places, box.t), number[box.dofs.element_dofs]
 
 
-def level_spans(kick: Chip) -> np.ndarray:
-    """Layers in each level from the bottom up: ``layers_per_element`` at most, and no level thicker
-    than ``GROWTH`` of its depth below the top."""
+def choose_level_spans(kick: Chip) -> np.ndarray:
+    """Choose the number of layers in each level, from the bottom up.
+
+    It is at most ``layers_per_element``, and no level is thicker than :data:`GROWTH` of its depth
+    below the top.
+    """
     spans: list[int] = []
     while (left := kick.layers - sum(spans)) > 0:
         grown = max(1, int(GROWTH * sum(spans)))
@@ -150,16 +156,20 @@ def level_spans(kick: Chip) -> np.ndarray:
 
 
 def cap_layers(kick: Chip, cap: Cap | None) -> int:
-    """Layers of cells in a cap: about as thick as an active layer, sixteen at most."""
+    """Choose the layers of cells in a cap.
+
+    They are about as thick as an active layer, and at most sixteen.
+    """
     if cap is None:
         return 0
     return int(np.clip(np.ceil(cap.thickness * kick.layers / kick.height - 1e-9), 2, 16))
 
 
-def _in_plane(kick: Chip, steps: int) -> np.ndarray:
-    """Lattice (rings + 1, spokes + 1, 2) of node positions; row 0 repeats the centre.
+def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
+    """Place the nodes of a plane on a lattice (rings + 1, spokes + 1, 2).
 
-    Nodes share arcs and straight edges evenly; out from the last ring they lie on straight lines.
+    Row 0 repeats the centre. Nodes divide arcs and straight edges into equal parts. Beyond the last
+    ring they lie on straight lines.
     """
     mesh, half = kick.mesh, kick.half
     along = np.linspace(0.0, 1.0, mesh.sectors * steps + 1)
@@ -185,8 +195,10 @@ def _in_plane(kick: Chip, steps: int) -> np.ndarray:
 def layer_materials(
     kick: Chip, spans: np.ndarray, breakdown: float | None = None
 ) -> tuple[tuple[Material, ...], np.ndarray]:
-    """Materials, and the number of that of each level from the bottom up, of so many layers each
-    (none in a cap)."""
+    """Make the materials of the levels, and number the material of each level.
+
+    ``spans`` are the numbers of layers of the levels from the bottom up, 0 in a cap.
+    """
     plain = replace(kick.ceramic, breakdown_field=breakdown)
     poled, active = (
         plain.poled((0, 0, 1) if kick.poling == "z" else (1, 0, 0)),
@@ -219,7 +231,7 @@ def layer_materials(
 
 
 def _fixed_mask(kick: Chip, solid: Solid) -> np.ndarray:
-    """Mask of the displacements ``3 node + axis`` that mirror planes and the mounting hold."""
+    """Mask of the displacements ``3 node + axis`` that mirror planes or mounting fix."""
     fixed = np.zeros(solid.places.T.shape, dtype=bool)
     near = _NEAR * solid.places.max()
     mounting = {"roller": "z", "glued": "xyz"}.get(str(kick.mounting), "")
@@ -230,11 +242,14 @@ def _fixed_mask(kick: Chip, solid: Solid) -> np.ndarray:
     return fixed.ravel()
 
 
-def _electrodes(
+def _find_electrodes(
     spans: np.ndarray, faces: np.ndarray, solid: Solid
 ) -> tuple[dict[str, np.ndarray], Profile | None]:
-    """Nodes on the electrodes, and the potentials of those between the ones within a level, of so
-    many layers (none in a cap) between its ``faces`` [m]."""
+    """Find the nodes on the electrodes, and the potentials of nodes between them.
+
+    ``spans`` are the numbers of layers of the levels (0 in a cap) between their ``faces`` [m]. A
+    level of several layers contains electrodes between its nodes.
+    """
     active, z = np.flatnonzero(spans), solid.places[2]
     planes = faces[np.r_[active, active[-1] + 1]]
     on = np.abs(z[:, None] - planes) < _NEAR * planes[-1]
@@ -248,11 +263,11 @@ def _electrodes(
     )
 
 
-def _rings(kick: Chip, solid: Solid) -> list[ForceShape]:
-    """Unit ring forces along z, or along x where that is the poling, equal along the circle.
+def _make_ring_forces(kick: Chip, solid: Solid) -> list[ForceShape]:
+    """Make unit ring forces along z, or along x for a stack poled along x.
 
-    Nodes on a symmetry plane carry half (the other half acts on the mirror image). Weights sum to
-    one, so the transpose averages the displacement (paper 2.2.2, eq. 8).
+    Nodes on a symmetry plane carry half, because the other half acts on the mirror image. Weights
+    sum to one, so the transpose averages the displacement (paper 2.2.2, eq. 8).
     """
     shapes, (x, y, z), axis = [], solid.places, np.eye(3)["xyz".index(kick.poling)]
     near = _NEAR * solid.places.max()
@@ -265,7 +280,7 @@ def _rings(kick: Chip, solid: Solid) -> list[ForceShape]:
     return shapes
 
 
-def _patch(solid: Solid, pressure: Profile) -> ForceShape:
+def _make_patch_force(solid: Solid, pressure: Profile) -> ForceShape:
     """A unit axial force on the top, spread as the pressure is."""
 
     def load(v, w):  # type: ignore[no-untyped-def]
@@ -276,7 +291,10 @@ def _patch(solid: Solid, pressure: Profile) -> ForceShape:
 
 
 def springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
-    """Springs of one quarter under the bottom face and on the top face, None without any."""
+    """Make the springs of one quarter under the bottom face and on the top face.
+
+    The result is None without springs.
+    """
 
     def face(height: float) -> sparse.csc_array:
         """``int N_i N_j dA`` over the face at a height."""

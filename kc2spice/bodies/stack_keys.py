@@ -78,7 +78,10 @@ class ChipDamping(Damping):
 
 
 class Cap(Section):
-    """A layer without field at one end: the stack's own ceramic, not poled, unless ``material``."""
+    """Layer without field at one end of a stack.
+
+    It consists of the stack's own ceramic without poling, unless ``material`` is stated.
+    """
 
     thickness: Thickness = Field(gt=0, description="Thickness of the inactive layer")
     material: str | dict[str, Any] | None = Field(
@@ -99,12 +102,12 @@ def _default_height(keys: dict[str, Any]) -> float:
 
 
 class Chip(Section):
-    """Layered piezoelectric stack, one quarter of it modelled: its cross-section is a square of
-    ``side``, a rectangle of ``side`` (x) and ``depth`` (y), or a circle of ``diameter``.
+    """Layered piezoelectric stack, of which one quarter is modelled.
 
-    ``height`` is that of the active layers: ``layers`` times ``layer_thickness`` where it is given.
-    ``poling`` along z, the field's axis, makes the stack longer; along x it shears, the rings move
-    along x.
+    Its cross-section is a square of ``side``, a rectangle of ``side`` (x) and ``depth`` (y), or a
+    circle of ``diameter``. ``height`` is that of the active layers: ``layers`` times
+    ``layer_thickness`` if this is stated. Poled along z, the axis of the field, the stack becomes
+    longer. Poled along x it shears, and the rings move along x.
     """
 
     side: Width = Field(3e-3, gt=0, description="Width of a rectangular chip")

@@ -1,5 +1,6 @@
-"""Finite-element models of bodies, and their responses without damping: capacitances, strokes and
-the lowest resonances.
+"""Finite-element models of bodies, and their responses without damping.
+
+The responses are capacitances, strokes and the lowest resonances.
 """
 
 from __future__ import annotations
@@ -25,10 +26,11 @@ Operator = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class FiniteElementModel:
-    """A solid's linear model and how its unknowns z and voltages V give the fields at the nodes:
-    ``u = displacement @ z`` (d nodes,) and ``phi = potential @ p + drive @ V`` (nodes,) with
-    ``K_pp p = K_up' z + lift V``. ``shift`` [rad^2/s^2] makes ``K + shift M`` regular.
-    ``mass`` [kg] counts what is held too.
+    """Linear model of a solid with the fields at its nodes.
+
+    The unknowns z and voltages V give ``u = displacement @ z`` (d nodes,) and ``phi = potential @ p
+    + drive @ V`` (nodes,) with ``K_pp p = K_up' z + lift V``. ``shift`` [rad^2/s^2] makes ``K +
+    shift M`` regular. ``mass`` [kg] is the mass of all nodes, also of fixed ones.
     """
 
     model: LinearModel
@@ -41,7 +43,10 @@ class FiniteElementModel:
     mass: float
 
     def nodal(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements (d nodes, k) and potentials (nodes, k) of columns z (n, k), V (e, k)."""
+        """Compute displacements (d nodes, k) and potentials (nodes, k) at the nodes.
+
+        The columns are those of z (n, k) and of voltages (e, k).
+        """
         phi, K = self.drive @ voltages, self.model.K
         if self.potential.shape[1]:
             # K.pp is -K_pp: p = K_pp^-1 (K_up' z + lift V)
@@ -50,7 +55,7 @@ class FiniteElementModel:
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class UndampedResponses:
     """Responses of a model without damping.
 
     Attributes are displacements (n, …). ``static`` is the response to 1 V at each electrical port.
@@ -68,25 +73,30 @@ class Answers:
     solve: Operator
 
 
-def undamped_answers(model: LinearModel, shift: float = 0.0) -> Answers:
-    """Capacitances (of the first electrical port, those of others under their names, each with the
-    rest shorted), static stroke of the first mechanical port, by its name, per volt, and the lowest
-    resonances that the electrical ports excite (of a body without any: the others), all electrodes
-    shorted and all open, without damping.
+def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> UndampedResponses:
+    """Compute static responses and the lowest resonances without damping.
 
-    ``shift`` [rad^2/s^2] makes ``K + shift M`` regular; 0 for a supported body. A resonance that is
-    not among the lowest modes is left out.
+    The facts are
+
+    * the capacitances of electrical ports, those of others than the first under their names, each
+      with the other ports shorted,
+    * the stroke per volt of the first mechanical port, under its name,
+    * the lowest resonances that the electrical ports excite, with all electrodes shorted and with
+      all open. In a body without electrical ports the other ports excite them.
+
+    ``shift`` [rad^2/s^2] makes ``K + shift M`` regular; it is 0 for a supported body. A resonance
+    that is not among the lowest modes is left out.
     """
     e = [k for k, port in enumerate(model.ports) if port.electrical]
     force = [k for k, port in enumerate(model.ports) if port.domain is TRANSLATION][:1]
     solve = model.pencil.pencil_solver(-shift).solve
     if not e:
-        lowest, modes, rigid = _resonance(model, solve, range(len(model.ports)), shift)
+        lowest, modes, rigid = _find_resonance(model, solve, range(len(model.ports)), shift)
         facts = {} if lowest is None else {"resonance_hz": lowest}
-        pushed = _at_rest(model, solve, force, shift)[1]
-        return Answers(facts, model.B[:, e], pushed, modes, rigid, solve)
+        pushed = _solve_static(model, solve, force, shift)[1]
+        return UndampedResponses(facts, model.B[:, e], pushed, modes, rigid, solve)
     load = model.B[:, e]
-    shifted, rest = _at_rest(model, solve, [*e, *force], shift)
+    shifted, rest = _solve_static(model, solve, [*e, *force], shift)
     shifted, rest, pushed = shifted[:, : len(e)], rest[:, : len(e)], rest[:, len(e) :]
     weight = np.linalg.inv(model.D[np.ix_(e, e)] + load.T @ shifted)
 
@@ -103,16 +113,19 @@ def undamped_answers(model: LinearModel, shift: float = 0.0) -> Answers:
     for port in force:
         stroke = f"free_stroke_{model.ports[port].name}_m_per_v"
         stated[stroke] = float(model.B[:, port] @ rest[:, 0])
-    stated["resonance_short_hz"], modes, rigid = _resonance(model, solve, e, shift)
-    stated["resonance_open_hz"], *_ = _resonance(model, opened, e, shift)
+    stated["resonance_short_hz"], modes, rigid = _find_resonance(model, solve, e, shift)
+    stated["resonance_open_hz"], *_ = _find_resonance(model, opened, e, shift)
     facts = {name: value for name, value in stated.items() if value is not None}
-    return Answers(facts, rest, pushed, modes, rigid, solve)
+    return UndampedResponses(facts, rest, pushed, modes, rigid, solve)
 
 
-def _at_rest(
+def _solve_static(
     model: LinearModel, solve: Operator, ports: list[int], shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacements (n, ports) under a constant unit at each port, with the shift and without."""
+    """Compute displacements (n, ports) under a constant unit load at each port.
+
+    The results are those with the shift and those without.
+    """
     load = model.B[:, ports]
     shifted = rest = solve(load) if ports else load
     for _ in range(REFINEMENTS if shift else 0):  # loads in equilibrium: exact in the limit
@@ -120,12 +133,14 @@ def _at_rest(
     return shifted, rest
 
 
-def _resonance(
+def _find_resonance(
     model: LinearModel, solve: Operator, ports: range | list[int], shift: float
 ) -> tuple[float | None, np.ndarray, np.ndarray]:
-    """Lowest frequency [Hz] above rigid motion that the ports excite, None if it is not among the
-    lowest modes, all modes (n, …) among these that the ports excite, and the rigid-body modes.
-    Lanczos starts from their static answers, so it stays with what they excite.
+    """Find the lowest resonance [Hz] that the ports excite, and the modes.
+
+    The frequency is None if it is not among the lowest modes. The other results are the modes (n,
+    …) that the ports excite, and the rigid-body modes. The Lanczos method starts from the static
+    responses and therefore stays with modes that the ports excite.
     """
     n, M = model.order, model.M
     inverse = LinearOperator((n, n), matvec=solve, dtype=float)

@@ -8,8 +8,8 @@ from drawn_meshes import drawn
 from scipy import linalg
 from skfem.mesh import MeshQuad, MeshTet, MeshTri
 
-from kc2spice.bodies.enriched_model import correct_answers, enrich_model
-from kc2spice.bodies.undamped import undamped_answers
+from kc2spice.bodies.enriched_model import correct_responses, enrich_model
+from kc2spice.bodies.undamped import compute_undamped_responses
 from kc2spice.fem.enrichment import assemble_enrichment, enrich, shape_functions
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid, assemble_solid
@@ -194,8 +194,8 @@ def direct(device, answers):
 def test_corrections_are_those_of_a_direct_solution(support):
     """Corrections of few vectors and of all unknowns agree to a twentieth."""
     device = disc.disc_body({"layers": LAYERS, "support": support}).device()
-    answers = undamped_answers(device.model, device.shift)
-    corrections = correct_answers(device, answers)
+    answers = compute_undamped_responses(device.model, device.shift)
+    corrections = correct_responses(device, answers)
     first, products = direct(device, answers)
     assert corrections.frequencies[0] == pytest.approx(first, rel=0.05)
     np.testing.assert_allclose(corrections.products, products, rtol=0.05)
@@ -206,8 +206,8 @@ def test_corrections_are_those_of_a_direct_solution(support):
 def test_corrections_of_tetrahedra_are_those_of_a_direct_solution(tmp_path, number):
     _, make, _ = drawn(number)
     device = make(1, tmp_path)
-    answers = undamped_answers(device.model, device.shift)
-    corrections = correct_answers(device, answers)
+    answers = compute_undamped_responses(device.model, device.shift)
+    corrections = correct_responses(device, answers)
     first, products = direct(device, answers)
     assert corrections.frequencies[0] == pytest.approx(first, rel=0.1)
     np.testing.assert_allclose(np.diag(corrections.products), np.diag(products), rtol=0.1)

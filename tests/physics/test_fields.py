@@ -11,10 +11,10 @@ from kc2spice.bodies.device import ForceShape, Setup, make_device, node_shares, 
 from kc2spice.bodies.fields import (
     FieldProbe,
     at_nodes,
-    extremes,
+    find_extremes,
     lowest_modes,
-    principal,
-    recover,
+    principal_stress,
+    recover_motion,
     write_vtu,
 )
 from kc2spice.bodies.stack import stack_device
@@ -76,7 +76,7 @@ def test_uniform_stress_and_field_are_exact(kind):
     device = pulled(plate(kind))
     time = np.array([0.0, 1e-6, 2e-6])  # at rest under constant inputs: static
     force, voltage = 3.0, 20.0
-    motion = recover(device, time, {"pull": np.full(3, force), "anode": np.full(3, voltage)})
+    motion = recover_motion(device, time, {"pull": np.full(3, force), "anode": np.full(3, voltage)})
     for gauss in (False, True):
         stress, field = at_points(FieldProbe(device, gauss=gauss), *motion.at(1e-6))
         pressure = force / (SIZE[1] * SIZE[2])
@@ -86,15 +86,15 @@ def test_uniform_stress_and_field_are_exact(kind):
     strain = np.linalg.inv(PZT.C)[0, 0] * pressure - PZT.d[2, 0] * voltage / SIZE[2]
     stretched = at_nodes(device, *motion.at(1e-6))["displacement"][:, 0].max()
     assert stretched == pytest.approx(strain * SIZE[0], rel=1e-6)
-    stress, field, opposing = extremes(motion)
+    stress, field, opposing = find_extremes(motion)
     assert (stress.quantity, stress.unit, stress.limit) == ("principal_stress", "Pa", 76e6)
     assert stress.value == pytest.approx(pressure, rel=1e-6)
     assert (field.quantity, field.limit) == ("electric_field", None)
     assert (opposing.quantity, opposing.limit) == ("opposing_field", 0.7e6)  # E = -V/t z
     for each in (field, opposing):
         assert each.value == pytest.approx(voltage / SIZE[2], rel=1e-6)
-    reverse = recover(device, time, {"anode": np.full(3, -voltage)})
-    assert extremes(reverse)[2].value == pytest.approx(-voltage / SIZE[2], rel=1e-6)
+    reverse = recover_motion(device, time, {"anode": np.full(3, -voltage)})
+    assert find_extremes(reverse)[2].value == pytest.approx(-voltage / SIZE[2], rel=1e-6)
 
 
 CERAMIC = {"material": "PZT-5A", "diameter": "6 mm", "thickness": "1 mm"}
@@ -120,8 +120,8 @@ def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
         (disc.disc_body({"layers": [CERAMIC | {"poling": "down"}]}).device(), 1e-3, 1e-3, -1),
         (chip(), 60e-6, 360e-6, -1),  # a positive voltage lengthens it
     ):
-        motion = recover(device, still, {"anode": np.full(3, 30.0)})
-        stress, field, opposing = extremes(motion)
+        motion = recover_motion(device, still, {"anode": np.full(3, 30.0)})
+        stress, field, opposing = find_extremes(motion)
         e33 = np.abs(device.solid.materials[0].e).max()
         assert stress.value < 1e-4 * e33 * 30 / thick
         assert field.value == pytest.approx(30 / thick, rel=1e-6)
@@ -140,7 +140,7 @@ def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
 def test_every_section_of_what_is_pressed_carries_the_whole_force(device, port, symmetric):
     """Statics: the axial stress over any cross-section is the force on the end."""
     device, force = device(), -50.0
-    motion = recover(device, np.linspace(0, 1e-6, 3), {port: np.full(3, force)})
+    motion = recover_motion(device, np.linspace(0, 1e-6, 3), {port: np.full(3, force)})
     probe = FieldProbe(device, gauss=True)
     axial = at_points(probe, *motion.at(0.0))[0][:, 2]
     basis = probe.basis
@@ -167,7 +167,7 @@ def test_motion_is_that_of_the_full_model():
     model = device.model
     time = np.linspace(0, 2e-5, 801)
     inputs = np.column_stack([np.sin(4e5 * time) * (time < 1e-5), 30 * np.clip(time / 1e-6, 0, 1)])
-    found = recover(device, time, dict(zip(("pull", "anode"), inputs.T, strict=True)))
+    found = recover_motion(device, time, dict(zip(("pull", "anode"), inputs.T, strict=True)))
     squares, X = eigh(model.K.toarray(), model.M.toarray())
     keep = squares < (2 * np.pi * 60e6) ** 2
     squares, X = squares[keep], X[:, keep]
@@ -191,7 +191,7 @@ def test_free_body_falls_as_newton_says():
     device = make_device(solid, Setup(fixed, shapes=[push], damping=Damping(ratio=0.01, at=1e6)))
     time = np.linspace(0, 1e-3, 50)
     force = np.where(time > 0, 1e-3, 0.0)
-    found = outputs(recover(device, time, {"push": force}))[-1, 0]
+    found = outputs(recover_motion(device, time, {"push": force}))[-1, 0]
     start = time[1]  # the force rises linearly over the first step
     late = time[-1] - start
     velocity = 0.5 * start
@@ -204,9 +204,9 @@ def test_largest_principal_stress_is_the_largest_eigenvalue():
     voigt[:3] = [[0] * 6, [1, 1, 1, 0, 0, 0], [-2, -2, -2, 0, 0, 1e-9]]
     place = [[0, 5, 4], [5, 1, 3], [4, 3, 2]]
     wanted = np.linalg.eigvalsh(voigt[:, place])[:, -1]
-    assert principal(voigt) == pytest.approx(wanted, abs=1e-7)
+    assert principal_stress(voigt) == pytest.approx(wanted, abs=1e-7)
     tiny = 1e-200  # whose cube is no number any more
-    assert principal(tiny * voigt[3:]) == pytest.approx(tiny * wanted[3:], rel=1e-7, abs=0)
+    assert principal_stress(tiny * voigt[3:]) == pytest.approx(tiny * wanted[3:], rel=1e-7, abs=0)
 
 
 @pytest.mark.parametrize(("kind", "cell"), [

@@ -10,7 +10,7 @@ from test_body import section, slabs, write
 
 from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
-from kc2spice.bodies.undamped import undamped_answers
+from kc2spice.bodies.undamped import compute_undamped_responses
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import material
@@ -227,7 +227,7 @@ def test_fields_of_a_quadratic_stack_are_recovered_layer_by_layer(tmp_path):
 def test_energy_of_solutions_is_that_of_the_model():
     """``A(w, w)`` of a static answer is minus the free capacitance, of a mode its eigenvalue."""
     made = beam(**layers(("brass", 0.2), (PZT, 0.22)), length=4e-3, width=4e-3)(1, None)
-    answers = undamped_answers(made.model)
+    answers = compute_undamped_responses(made.model)
     z = np.hstack([answers.modes[:, :1], answers.static])
     products = energy_products(made.solid, *made.nodal(z, np.array([[0.0, 1.0]])))
     omega = 2 * np.pi * made.model.facts["resonance_short_hz"]

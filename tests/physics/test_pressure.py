@@ -14,9 +14,9 @@ from closed_forms import half_space, hertz
 from bench.usual.contact import sphere_gap
 from kc2spice.bodies.pressure import (
     PressureBasis,
+    contact_forces,
     indentation_law,
     local_compliance,
-    pressing,
     pressure_basis,
     stresses_under,
     surface_compliance,
@@ -106,7 +106,9 @@ def test_stress_below_a_sphere_is_that_of_hertz_and_huber():
     """``p0 = 2 E* a / pi R``; on the axis the shear is largest half a radius down (Johnson 4.2)."""
     shape, S, gap = graded(5e-6)
     depth, nu = 6e-6, 0.291
-    found = stresses_under(Chip(material=steel()), shape, pressing(S, gap, np.array([depth]))[0])
+    found = stresses_under(
+        Chip(material=steel()), shape, contact_forces(S, gap, np.array([depth]))[0]
+    )
     a = np.sqrt(R * depth)
     p0 = 2 * STEEL * a / (np.pi * R)
     z = np.linspace(0.01, 2, 20001)  # in units of a
@@ -133,7 +135,7 @@ def test_forces_act_where_surfaces_meet_and_nowhere_else():
     for _ in range(100):
         root = rng.normal(size=(6, 6))
         S, gap, depth = (root @ root.T + np.eye(6)) * 1e-8, rng.normal(size=6) * 1e-6, 1e-6
-        (force,) = pressing(S, gap, np.array([depth]))
+        (force,) = contact_forces(S, gap, np.array([depth]))
         apart = S @ force - (depth - gap)
         assert min(force) >= 0
         assert apart.min() > -1e-5 * np.abs(gap).max()

@@ -208,7 +208,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
             return None
 
         def recover_fields() -> tuple[Waveforms, Recovered]:
-            from kc2spice.bodies.fields import extremes, recover
+            from kc2spice.bodies.fields import find_extremes, recover_motion
 
             loads = self.loads(part, build, waves)
             port_names = self.used_port_names(part, build.scene)
@@ -217,8 +217,8 @@ class MeshedBody(LinearBody[FieldKeysT]):
                 expected = "contacts, springs, dampers, masses and sources"
                 problem = "fields need every load of the body"
                 raise wrong(f"{part.name}.fields", problem, got, expected)
-            motion = recover(self.device(part, build.scene), waves["time"], loads)
-            return waves, Recovered(motion, tuple(extremes(motion)))
+            motion = recover_motion(self.device(part, build.scene), waves["time"], loads)
+            return waves, Recovered(motion, tuple(find_extremes(motion)))
 
         # The identity of the waves is a key for as long as the result contains them.
         kind = f"fields of {part.name}"

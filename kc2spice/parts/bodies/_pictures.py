@@ -118,10 +118,10 @@ def deformed(
 ) -> tuple[Panel, float]:
     """The body under displacements z (n,) and voltages (e,), coloured by the largest principal
     stress, over its edges at rest; and by how much displacements are enlarged."""
-    from kc2spice.bodies.fields import at_nodes, principal
+    from kc2spice.bodies.fields import at_nodes, principal_stress
 
     result = at_nodes(device, z, voltages)
-    stress = 1e-6 * principal(result["stress"])
+    stress = 1e-6 * principal_stress(result["stress"])
     moved, factor = _enlarged(device, result["displacement"])
     at_rest = edges("at rest", device.solid.mesh, ":", fine=0)
     label = "largest principal stress in MPa"

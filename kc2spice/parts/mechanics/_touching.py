@@ -23,7 +23,7 @@ from kc2spice.scene.model import (
 )
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.pressure import Indented, LocalCompliance, PressureBasis
+    from kc2spice.bodies.pressure import IndentationLaw, LocalCompliance, PressureBasis
     from kc2spice.core.waveforms import Waveforms
 
 FLOOR = "floor"  # port of a rigid plane
@@ -299,13 +299,13 @@ class Pair:
 
     def basis_forces(self, force: float) -> np.ndarray:
         """(n,) [N] on each basis function where they carry ``force`` together."""
-        from kc2spice.bodies.pressure import pressing
+        from kc2spice.bodies.pressure import contact_forces
 
         assert self.b.radius is not None
         depths = np.linspace(0.0, self.normal.depth, 1000)
         depth = np.interp(force, self.normal.force(depths), depths)
         gap = ring_gaps(self.shape.distances, self.b.radius)
-        result = pressing(self.indentation[0].compliance, gap, np.array([depth]))[0]
+        result = contact_forces(self.indentation[0].compliance, gap, np.array([depth]))[0]
         return np.asarray(force / result.sum() * result)
 
     def unresolved(self) -> float:
@@ -358,12 +358,12 @@ def only_pair(scene: GovernedScene) -> Pair | None:
     return None if contact is None else pair_of(contact, scene)
 
 
-def _indentation_law(shape: PressureBasis, compliance: np.ndarray, radius: float) -> Indented:
+def _indentation_law(shape: PressureBasis, compliance: np.ndarray, radius: float) -> IndentationLaw:
     return _dented_by(shape.nodes.tobytes(), compliance.tobytes(), radius)
 
 
 @lru_cache(maxsize=8)
-def _dented_by(nodes: bytes, compliance: bytes, radius: float) -> Indented:
+def _dented_by(nodes: bytes, compliance: bytes, radius: float) -> IndentationLaw:
     from kc2spice.bodies.pressure import PressureBasis, indentation_law
 
     shape = PressureBasis(np.frombuffer(nodes))
