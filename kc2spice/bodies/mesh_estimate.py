@@ -1,4 +1,4 @@
-"""Error estimates of the mesh of a body: of natural frequencies and of static values.
+"""Error estimates of the mesh of a body: natural frequencies and static values.
 
 With the energy product A of displacements and potentials and the errors e of modes w, of the
 answers v to a voltage and p to a force,

@@ -1,4 +1,4 @@
-"""Pressure on the top of a layered stack: a contact port that converges with the mesh.
+"""Pressure on the top of a stack: a contact port that converges with the mesh.
 
 A force on a circle of the mesh's nodes is a line load, whose indentation grows without limit as the
 mesh gets finer. Here pressures are piecewise linear in the radius (P1), with the displacements

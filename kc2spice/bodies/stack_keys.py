@@ -96,7 +96,7 @@ HEIGHT = 2e-3  # height of the stack in the paper [m]
 
 
 def _default_height(keys: dict[str, Any]) -> float:
-    """Height [m] of all active layers, from the thickness of one layer where it is given."""
+    """Height [m] of all active layers, from the thickness of one layer if stated."""
     layers, thickness = keys.get("layers"), keys.get("layer_thickness")
     return HEIGHT if layers is None or thickness is None else float(layers * thickness)
 

@@ -101,7 +101,7 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
     weight = np.linalg.inv(model.D[np.ix_(e, e)] + load.T @ shifted)
 
     def opened(f: np.ndarray) -> np.ndarray:
-        """``(K + b C0^-1 b')^-1``: without charge the electrodes float to ``V = -C0^-1 b'u``."""
+        """Apply ``(K + b C0^-1 b')^-1``: open electrodes float to ``V = -C0^-1 b'u``."""
         u = solve(f)
         return np.asarray(u - shifted @ (weight @ (load.T @ u)))
 

@@ -1,4 +1,4 @@
-"""Residuals, slopes and guards of a system between two events, its operating point and dc sweep."""
+"""Equations of a system between two events, its operating point and dc sweep."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Interval:
         return np.concatenate((z, self.system.source_values(t, self.within)))
 
     def waves(self, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> dict[str, np.ndarray]:
-        """Compute all waves (nt,) at times ``t`` (nt,) from states and their rates (n, nt)."""
+        """Compute all waves (nt,) from states and rates (n, nt) at times ``t`` (nt,)."""
         system, X = self.system, self.with_sources(t, z)
         dX = np.concatenate((r, system.source_values(t, self.within, 1)))
         outputs = [np.zeros((0, t.size))]
@@ -145,7 +145,9 @@ def solve_operating_point(system: System) -> dict[str, float]:
 
 
 def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Compute the equilibria at ``values`` of a source, each starting from the last one.
+    """Compute the equilibria at ``values`` of a source.
+
+    Each solution starts from the one before.
 
     Returns arrays over the sweep: ``sweep`` and every name of `solve_operating_point`.
     """
@@ -175,7 +177,7 @@ def _compute_waves(system: System, z: np.ndarray, modes: list[Any]) -> dict[str,
 
 
 class _StaticEquations:
-    """Static equations: balances, enforced initial values, and charges that nothing changes."""
+    """Static equations: balances, initial values, and constant charges."""
 
     def __init__(self, system: System) -> None:
         self.system = _fix_sources(system, {})
@@ -244,7 +246,7 @@ def _find_net_displacements(system: System) -> np.ndarray:
 def _newton_step(
     rest: _StaticEquations, interval: Interval, z: np.ndarray, f: np.ndarray, J: np.ndarray
 ) -> np.ndarray:
-    """Compute a Newton step with the initial values and, if it is singular, constant charges."""
+    """Compute a Newton step with initial values, and constant charges if singular."""
     n, m = z.size, rest.h.size
     full = np.block([[J, rest.into], [rest.H, np.zeros((m, m))]])
     right = -np.concatenate((f, rest.H @ z - rest.h))

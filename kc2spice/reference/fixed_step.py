@@ -1,4 +1,4 @@
-"""Transient in equal steps of laws with bodies that are known at their ports: any `PortBody`.
+"""Transient in equal steps of laws and of bodies as their ports (`PortBody`).
 
 A body of n unknowns meets the others at p ports. Within a stage of an implicit method with the
 rate ``s`` its unknowns are ``x = P(s)^-1 (r + B a)`` with what its past leaves in ``r``, thus
@@ -37,7 +37,7 @@ SLOW = 3e-8  # rate of a free body that only drifts, relative to its fastest rat
 
 
 class _BodyIntegrator:
-    """Integrator of the linear model ``sum_k P_k d^k x/dt^k = B a`` with steps of fixed length.
+    """Integrator of ``sum_k P_k d^k x/dt^k = B a`` with steps of fixed length.
 
     It starts from rest with the initial input ``a`` (inputs,).
 
@@ -82,7 +82,10 @@ class _BodyIntegrator:
 
 
 def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the product with ``P(s)^-1`` at a real ``s``, by a Cholesky factor if there is one."""
+    """Return the product with ``P(s)^-1`` at a real ``s``.
+
+    It uses a Cholesky factor if there is one.
+    """
     if pencil.symmetric:
         matrix = sparse.csc_array(pencil.at(s))
         if matrix.shape[0] == pencil.size:
@@ -95,7 +98,9 @@ def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def at_rest(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the product with ``P(0)^-1``, or ``P(s)^-1`` at a slow rate s if a body is free.
+    """Return the product with ``P(0)^-1``, of a free body with ``P(s)^-1``.
+
+    The rate s is slow.
 
     Raises
     ------
@@ -110,7 +115,7 @@ def at_rest(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Waves (nt,) by their names over ``time`` (nt,), and the modes of devices at each time.
+    """Waves (nt,) by their names over ``time`` (nt,), and modes of devices.
 
     Currents of charges that devices store have no wave. Bodies have no modes.
     """

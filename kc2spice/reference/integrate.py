@@ -1,4 +1,4 @@
-"""Transient of a `System`: smooth intervals between corners and located guards of devices.
+"""Transient of a `System`: smooth intervals between corners and events.
 
 Steps are those of Radau IIA of order five for ``d/dt g(t, z) = f(t, z)`` (Hairer and Wanner 1996,
 IV.8). ``scipy.integrate.Radau`` takes no mass matrix, and algebraic unknowns can be eliminated only
@@ -44,7 +44,7 @@ _SQUARE = np.linalg.inv(NODES[:, None] ** (_POWERS - 1))
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """An accepted step: start, length, state at the start, increments (n, 3) at the stages."""
+    """Accepted step: start, length, first state, and increments (n, 3) at stages."""
 
     start: float
     length: float
@@ -90,7 +90,10 @@ class Step:
 
 
 class Radau:
-    """Integrator of one interval by steps of a given error (``advance``) or length (``take``)."""
+    """Integrator of one interval.
+
+    The steps have a given error (``advance``) or a given length (``take``).
+    """
 
     def __init__(self, interval: Interval, t: float, z: np.ndarray, rtol: float) -> None:
         self.rtol = rtol
@@ -179,7 +182,7 @@ class Radau:
             self._linearise()
 
     def advance(self, h: float, end: float) -> tuple[Step, float]:
-        """Compute a step whose error is within the tolerance, and the length of the next one.
+        """Compute a step whose error is within the tolerance, and the next length.
 
         The step is not accepted yet.
         """
@@ -230,7 +233,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class EnergyBalance:
-    """Error of the energy of a run: energy [J] that came in and was neither stored nor lost.
+    """Error of a run's energy: energy [J] that came in, but was not stored or lost.
 
     Its scale is the ``turnover``: all energy that came in, was lost, or was there at the start.
     """
@@ -420,7 +423,7 @@ def _locate_zero(
 
 
 def _sum_energies(system: System, segment: Segment) -> tuple[list[float], list[float]]:
-    """Compute the energies [J] that sources and devices bring in, and those that become heat."""
+    """Compute energies [J] that sources and devices bring in, and the losses."""
     interval, steps = segment.interval, segment.steps
     t = np.concatenate([*map(attrgetter("stage_times"), steps)])
     w = np.outer([*map(attrgetter("length"), steps)], WEIGHTS).ravel()

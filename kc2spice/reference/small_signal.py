@@ -1,4 +1,4 @@
-"""The linear circuit about an operating point: response, modes, exact motion and thermal noise.
+"""The linear circuit about an operating point: response, modes and noise.
 
 The exact motion is that under waveforms of straight lines and sines.
 
@@ -104,7 +104,7 @@ class LinearisedSystem:
 
     @cached_property
     def _free_motion(self) -> _FreeMotion | None:
-        """Equations of the states alone; None if states do not determine the other unknowns."""
+        """Equations of the states alone; None if other unknowns do not follow them."""
         n, rows, cols = self.system.size, self.rows, self.system.differential
         if rows.sum() != cols.sum() or not cols.any():
             return None
@@ -135,7 +135,9 @@ class LinearisedSystem:
         return rows, of.combine(dict(zip(names, self.C1, strict=True)))
 
     def zeros(self, of: L.Reading, amplitudes: np.ndarray) -> np.ndarray:
-        """Rates ``w`` (m,) [1/s], complex, at which a reading is zero for ``amplitudes e^(w t)``.
+        """Compute rates ``w`` (m,) [1/s] at which a reading is zero.
+
+        The sources are ``amplitudes e^(w t)``, and the rates are complex.
 
         With ``v = w u`` and the sources ``amplitudes u`` it is a linear eigenvalue problem of
         ``[X, u, v]``: the equations, ``w u = v``, and the reading (H. H. Rosenbrock, State-Space
@@ -256,7 +258,10 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
 
 
 def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]]:
-    """Find the times from zero on at which the slope of source ``k`` jumps, and the jumps."""
+    """Find the times from zero on at which the slope of source ``k`` jumps.
+
+    The result contains the jumps as well.
+    """
     times, values = wave.knots(stop)
     slopes = np.diff(values) / np.diff(times)
     jumps = np.diff(np.concatenate([[0.0], slopes, [0.0]]))
@@ -267,7 +272,7 @@ def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, f
 
 @dataclass(frozen=True, eq=False)
 class _FreeMotion:
-    """Free motion ``x' = rates x`` of the states x, with the algebraic unknowns ``follow x``.
+    """Free motion ``x' = rates x`` of states; algebraic unknowns are ``follow x``.
 
     ``inverse`` is the inverse of the part of ``G`` that belongs to the states. ``cut`` maps right
     sides of the algebraic equations to right sides of the states' equations.
@@ -281,7 +286,9 @@ class _FreeMotion:
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Modes: ``y = level + sum_i out_i a_i``, ``a_i' = rates_i a_i + (drive_i of the sources)``.
+    """Modes ``a_i' = rates_i a_i + (drive_i of the sources)`` and their waves.
+
+    The waves are ``y = level + sum_i out_i a_i``.
 
     Products of ``out`` (ny, m) and ``drive`` (m, sources) are residues of the poles ``rates`` (m,)
     [1/s]. ``terms`` (ny, m) are sums of the absolute values of all terms of ``out``. ``start``
@@ -414,7 +421,9 @@ class ExponentialSolution:
 def solve_noise(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.Reading, f: np.ndarray
 ) -> np.ndarray:
-    """Compute the spectral density (nf,) of a reading, in its unit per root Hz, at ``f`` [Hz].
+    """Compute the spectral density (nf,) of a reading at frequencies ``f`` [Hz].
+
+    Its unit is that of the reading per root Hz.
 
     ``joins`` are those of :func:`kc2spice.reference.system.assemble_system`.
     """
@@ -429,7 +438,7 @@ def solve_noise(
 
 
 def _noise_power(at: LinearisedSystem, of: L.Reading, s: complex) -> float:
-    """Sum the densities from all sources of a unit density, by the adjoint of the circuit."""
+    """Sum the densities from all sources of unit density by the adjoint circuit."""
     system = at.system
     n, k = system.size, len(system.sources)
     C0, C1 = at.output_rows(of)

@@ -28,7 +28,7 @@ MICRO = 1e-6  # m, the displacement that errors are judged by
 
 @dataclass(frozen=True, eq=False)
 class PlacedDevice:
-    """A device between unknowns: its inputs are ``inputs @ X``, ``into`` adds its outputs to f."""
+    """Device with inputs ``inputs @ X``; ``into`` adds its outputs to ``f``."""
 
     law: L.Device
     inputs: np.ndarray  # (m, N)
@@ -38,7 +38,10 @@ class PlacedDevice:
     first: int  # place of its outputs among those of all devices
 
     def out(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
-        """Compute the outputs (k,) for inputs ``e`` of this ``rate``, with the rates of charges."""
+        """Compute the outputs (k,) for inputs ``e`` and their rate.
+
+        They contain the rates of charges.
+        """
         law, result = self.law, self.law.evaluate(e, mode)[0]
         if law.charged:
             result = result.copy()
@@ -90,7 +93,9 @@ class System:
         return self.const.size
 
     def source_values(self, t: np.ndarray | float, within: float, order: int = 0) -> np.ndarray:
-        """Derivatives of the ``order`` and of the next one, (2 sources,) or (2 sources, nt).
+        """Evaluate derivatives of the sources, (2 sources,) or (2 sources, nt).
+
+        They are the derivatives of the ``order`` and of the next one.
 
         They are those of the smooth pieces of the sources that contain the time ``within``.
         """
@@ -238,7 +243,10 @@ class _Assembly:
         return np.asarray(self.form(law, a) - sum(self.form(law, b) for b in others if b))
 
     def rate(self, form: np.ndarray, needed: bool = True) -> np.ndarray:
-        """Convert a form of displacements to velocities, which may be missing if not ``needed``."""
+        """Convert a form of displacements to velocities.
+
+        They may be missing if they are not ``needed``.
+        """
         row = np.zeros(self.size)
         row[self.nq : 2 * self.nq] = form[: self.nq]
         if needed:
@@ -259,13 +267,16 @@ class _Assembly:
         return np.array([self.state_index[f"{law.name}.{s}"] for s in law.states], dtype=int)
 
     def stores(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
-        """Balances (size, stored) that contain the rates of the quantities that a device stores."""
+        """Balances (size, stored) with the rates of quantities that a device stores."""
         return np.hstack([np.eye(self.size)[:, self.states(law)], -outputs[:, list(law.charged)]])
 
     # --- reduction --------------------------------------------------------------------------
 
     def _constraint_basis(self, where: slice, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute a basis of the unconstrained motions, in units of ``sizes``, and R: y = R s."""
+        """Compute a basis of unconstrained motions, and R of ``y = R s``.
+
+        Both are in units of ``sizes``.
+        """
         pairs = [(f[where] * sizes, by) for f, by in self.constraints if f[where].any()]
         R = np.zeros((sizes.size, len(self.sources)))
         if not pairs:
@@ -374,7 +385,7 @@ class _Assembly:
     def _waves(
         self, expansion: np.ndarray, devices: list[PlacedDevice], outputs: int
     ) -> dict[str, Any]:
-        """Compute all waves: across quantities ``NAME.pin``, flows ``.through`` pins, and states.
+        """Compute across quantities ``NAME.pin``, flows ``.through`` pins, and states.
 
         Mechanical pins have a wave ``.rate``, too. A source that prescribes a quantity exerts what
         remains in the raw equations.
@@ -428,7 +439,10 @@ def _stack_rows(rows: Iterable[Any], width: int) -> np.ndarray:
 
 
 def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate a basis so that ``pattern`` (not negative) acts on some of its columns alone."""
+    """Rotate a basis so that ``pattern`` acts on some of its columns alone.
+
+    The pattern is not negative.
+    """
     reduced = basis.T @ pattern @ basis
     reduced = 0.5 * (reduced + reduced.T)
     level = np.sqrt(np.maximum(np.diag(reduced), 0.0))
@@ -544,7 +558,7 @@ def _stamp_device(law: L.Device, into: _Assembly) -> None:
 
 
 def _stamp_linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndarray) -> None:
-    """Stamp the constant matrices of a linear device, and those of its energy and its loss."""
+    """Stamp the constant matrices of a linear device, of its energy and its loss."""
     still = np.zeros(len(inputs))
     mode = law.mode(still)
     (out, slope), (_, stored_slope) = law.evaluate(still, mode), law.store(still, mode)

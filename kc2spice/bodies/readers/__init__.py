@@ -1,4 +1,4 @@
-"""Matrices of other tools: from a path over the files of one model to a linear model with ports."""
+"""Matrices of other tools, read as linear models with ports."""
 
 from __future__ import annotations
 
@@ -90,7 +90,9 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
 
 
 def mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
-    """Measure the size (3,) [m] of the mesh that the TOML file names; None without a mesh.
+    """Measure the size (3,) [m] of the mesh that the TOML file names.
+
+    The result is None if the file names no mesh.
 
     Raises
     ------
@@ -130,7 +132,7 @@ READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] 
 
 
 def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
-    """List the files of the model at ``path``: all of its name, and those of its sidecar.
+    """List the existing files of a model, by its name and by its TOML file.
 
     Raises
     ------
@@ -150,7 +152,7 @@ def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
 
 
 def locate_model(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path], Path, Sidecar]:
-    """Return the model path, its matrix files, its TOML file and the parsed TOML content.
+    """Return model path, matrix files, TOML file and content of the TOML file.
 
     The TOML file need not exist unless ``sidecar`` names it.
 
@@ -166,7 +168,7 @@ def locate_model(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path
 
 
 def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
-    """Find the path of a model without suffixes, and the files that contain one matrix each."""
+    """Find the path of a model without suffixes, and its files of one matrix each."""
     job = codes.find_siblings(path)
     if job:
         match = codes.NAME.fullmatch(path.name)
@@ -227,7 +229,7 @@ def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]
 
 
 def _read_matrices(files: dict[str, Path]) -> raw.Raw:
-    """Read one matrix from each file, in Matrix Market, Harwell-Boeing or Abaqus' format."""
+    """Read one matrix from each file: Matrix Market, Harwell-Boeing or Abaqus."""
     result: dict[str, Matrix] = {}
     tables: dict[str, Path] = {}
     mapped: list[Path] = []

@@ -37,7 +37,7 @@ def assemble_model(rows: Rows) -> LinearModel:
 
 
 def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
-    """Rename the damping matrix to E: many tools call it C, which is the matrix of outputs here.
+    """Rename a damping matrix C to E, because C are the outputs here.
 
     A square C beside M and K may be either, and is an error unless the sidecar tells which.
     """
@@ -145,7 +145,10 @@ class Rows:
         return int(self.matrices["K" if "K" in self.matrices else "A"].shape[0])
 
     def dofs(self, where: str) -> Dofs:
-        """Return nodes and degrees of freedom of the rows; ``where`` is the key that needs them."""
+        """Return nodes and degrees of freedom of the rows, which a key needs.
+
+        ``where`` is this key.
+        """
         dofs = self.raw.dofs
         if dofs is None:
             raise UsageError(
@@ -160,7 +163,9 @@ class Rows:
         return dofs
 
     def find(self, place: NodeSelection, kinds: tuple[int, ...]) -> list[np.ndarray]:
-        """Find the rows of the freedoms ``kinds`` at the nodes of ``place``, an array per kind.
+        """Find the rows of degrees of freedom at the nodes of ``place``.
+
+        The result contains an array for each of ``kinds``.
 
         Without ``kinds`` the only array contains the rows of all freedoms at these nodes.
         """
@@ -213,7 +218,7 @@ class Rows:
         return {k: sparse.csc_array(force * length * (t @ m @ t)) for k, m in self.matrices.items()}
 
     def fixed(self) -> np.ndarray:
-        """Mask (rows,) of the degrees of freedom that the tool or the sidecar fixes at zero."""
+        """Mask (rows,) of the degrees of freedom that the tool or the sidecar fixes."""
         fixed_rows = np.zeros(self.size, dtype=bool)
         fixed_rows[self.raw.fixed] = True
         for fixed in self.sidecar.fixed:
@@ -298,7 +303,7 @@ class Rows:
 
 
 def _assemble_mechanical(rows: Rows) -> LinearModel:
-    """Assemble a model without electrodes, with the damping of its matrices and of the sidecar."""
+    """Assemble a model without electrodes, with all its damping."""
     settings = rows.sidecar
     keep = np.flatnonzero(~rows.fixed())
     if not keep.size:

@@ -130,7 +130,7 @@ def _parse_entries(data: bytes) -> tuple[bool, raw.Triple]:
 
 
 def read_calculix(path: Path, _: object) -> raw.Raw:
-    """Read stiffness and mass of a job by the path of its ``.sti``, ``.mas`` or ``.dof`` file.
+    """Read stiffness and mass of a job by the path of one of its files.
 
     Raises
     ------
@@ -266,7 +266,7 @@ def read_harwell_boeing(
 
 
 def _parse_fixed_width(lines: list[bytes], repeat: int, width: int, number: int) -> np.ndarray:
-    """Parse ``number`` values of ``width`` characters, ``repeat`` of them on each line."""
+    """Parse ``number`` values of ``width`` characters, ``repeat`` on each line."""
     if len(lines) * repeat < number:
         raise ValueError(
             f"the file ends after {len(lines)} of {math.ceil(number / repeat)} lines with "
@@ -281,7 +281,7 @@ def _parse_fixed_width(lines: list[bytes], repeat: int, width: int, number: int)
 
 
 def read_mapping(data: bytes, size: int) -> raw.Dofs:
-    """Read node and freedom of each of ``size`` equations from Ansys' ``NAME.mapping``.
+    """Read the nodes and freedoms of ``size`` equations from an Ansys mapping.
 
     Raises
     ------
@@ -347,7 +347,9 @@ def _usual_letter(name: str) -> str | None:
 
 
 def read_dmig(path: Path, requested: Mapping[str, str]) -> raw.Raw:
-    """Read the matrices of the DMIG cards in ``path``, rows named by grid and component.
+    """Read the matrices of the DMIG cards in ``path``.
+
+    Grid and component name the rows.
 
     Raises
     ------
@@ -367,7 +369,7 @@ def read_dmig(path: Path, requested: Mapping[str, str]) -> raw.Raw:
 
 
 def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
-    """Parse the form of each matrix by name, and its keys of rows and columns and values."""
+    """Parse the forms of the matrices by name, and their keys and values."""
     forms: dict[str, int] = {}
     values: dict[str, Callable[[str, str], complex]] = {}
     entries: dict[str, list[tuple[complex, ...]]] = {}
@@ -413,7 +415,7 @@ def _value_converter(kind: int, polar: bool, name: str) -> Callable[[str, str], 
 
 
 def bulk_data_cards(data: bytes, name: str) -> Iterator[list[str]]:
-    """Yield the fields of each card of this name, with those of its continuation lines.
+    """Yield the fields of each card of a name, with those of continuation lines.
 
     Fields of bulk data may be small, large or free.
     """

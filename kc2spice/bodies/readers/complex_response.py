@@ -1,4 +1,4 @@
-"""Complex responses of columns: which columns belong together, and the admittance they give.
+"""Complex responses from columns, and their admittances.
 
 In: tables of a file, or vectors with titles. Out: a :class:`MeasuredResponse`. A file that allows
 two readings is refused with both of them.
@@ -69,7 +69,10 @@ class MeasuredResponse(EqualByContent):
 
 
 def admittance_of(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarray:
-    """Convert S with the reference resistances ``z0`` (ports,), Z or Y to Y (n, ports, ports)."""
+    """Convert S, Z or Y to Y (n, ports, ports).
+
+    ``z0`` (ports,) are the reference resistances of S.
+    """
     one = np.eye(P.shape[1])
     try:
         if quantity == "S":
@@ -138,7 +141,7 @@ def _find_response(table: TextTable, shunt: float | None, suffix: str) -> Measur
 
 
 def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str, ...]:
-    """Replace titles that a suffix implies by titles of the same quantity in the comments.
+    """Replace titles that a suffix implies by those of equal quantity in comments.
 
     Raises
     ------
@@ -173,7 +176,7 @@ class _ColumnPair(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class _Columns(EqualByContent):
-    """Columns of a table by quantity, complex columns, unknown titles, and problems of titles."""
+    """Columns by quantity, complex columns, unknown titles, and problems of titles."""
 
     by_quantity: dict[str, list[Column]]
     complex_columns: list[tuple[str, Quantity, np.ndarray]]
@@ -299,7 +302,7 @@ def _incomplete_table(titles: Sequence[str], columns: _Columns) -> Exception:
 
 
 def _require_agreement(quantity: str, candidates: Sequence[Column]) -> Column:
-    """Return the first column of a quantity, and check that other columns have the same values.
+    """Return the first column of a quantity, and check that others have its values.
 
     Raises
     ------
@@ -382,7 +385,7 @@ def _admittance(reading: _ColumnPair) -> np.ndarray:
 
 
 def _convert_gain(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, str]:
-    """Convert a gain through a shunt [Ohm] to a reflection, its reference [Ohm] and a note."""
+    """Convert a gain through a shunt [Ohm] to a reflection, its reference and a note."""
     inverse = bool(np.median(np.abs(gain)) > 1)
     ratio = "source over shunt" if inverse else "shunt over source"
     gain = 1 / gain if inverse else gain

@@ -1,4 +1,4 @@
-"""Columns that instruments write: their quantities, units and titles, and what two of them give.
+"""Columns that instruments write: quantities, units, titles and combinations.
 
 Data only; a new kind of column is one row here.
 
@@ -48,9 +48,12 @@ RADIANS = 0.51 * np.pi, 0.5
 
 @dataclass(frozen=True)
 class ColumnKind:
-    """A kind of column: its ``quantity``, what it may be measured in, the first by default, and the
-    pattern of its title in small letters, without sign, unit, blanks and words of instruments.
-    With ``needs_unit`` the title alone does not tell it from others."""
+    """Kind of column: its quantity, and the pattern of its title.
+
+    ``measures`` are the kinds of units of the column, the first by default. ``names`` is the
+    pattern of the title in small letters, without sign, unit, blanks and words of instruments. With
+    ``needs_unit`` the title is not sufficient to identify the column.
+    """
 
     quantity: str
     measures: tuple[str, ...]
@@ -148,9 +151,10 @@ UNSTATED = {
 
 @dataclass(frozen=True)
 class Combination:
-    """Columns that determine the ``quantity`` together, and how: angles in rad, w in rad/s.
+    """Columns that determine a ``quantity``: angles in rad, w in rad/s.
 
-    With ``shunt`` the value is the gain from a source to a resistor in series with the part."""
+    With ``shunt`` the value is the gain from a source to a resistor in series with the part.
+    """
 
     columns: tuple[str, str]
     quantity: Quantity

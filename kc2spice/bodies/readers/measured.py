@@ -1,4 +1,4 @@
-"""Measured responses: Touchstone files of version 1 and 2, tables of impedance analysers, MATLAB.
+"""Measured responses from Touchstone files, tables and MATLAB files.
 
 A table has titles that say what its columns are (:mod:`kc2spice.bodies.readers.meanings`), in any
 order: frequency, and the columns of one combination. Fields lie between semicolons, tabs, commas or
@@ -57,7 +57,7 @@ _MATRIX = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # NAME_K.txt
 
 @dataclass(frozen=True, eq=False)
 class Measured(EqualByContent):
-    """Admittance ``Y`` (n, ports, ports) [S] at the increasing frequencies ``f`` (n,) [Hz].
+    """Admittance ``Y`` (n, ports, ports) [S] at frequencies ``f`` (n,) [Hz].
 
     ``samples`` (n, ports, ports) are the ``quantity`` that was measured, ``"S"``, ``"Z"`` or
     ``"Y"``; ``Y`` by default. ``reference`` (ports,) [Ohm] are the resistances of S. ``notes`` are
@@ -82,9 +82,11 @@ class Measured(EqualByContent):
 
     @property
     def measured_noise(self) -> float:
-        """Standard deviation of one component of the measured quantity, of Z and Y relative to
-        each entry: the median size of third differences, which a smooth response does not have.
-        Entries that are zero have none."""
+        """Standard deviation of one component of the measured quantity.
+
+        That of Z and Y is relative to each entry. It is the median size of third differences, which
+        a smooth response lacks. Entries that are zero have no noise.
+        """
         x = self.Y if self.samples is None else self.samples
         x = x.reshape(len(self.f), -1)
         size = np.ones(x[1:-2].shape) if self.quantity == "S" else np.abs(x[1:-2])
@@ -93,8 +95,9 @@ class Measured(EqualByContent):
 
     @cached_property
     def admittance_noise(self) -> np.ndarray:
-        """Standard deviation (n, ports, ports) [S] of one component of each entry of Y, by the
-        first-order effect of independent noise of the measured entries::
+        """Standard deviation (n, ports, ports) [S] of one component of each entry of Y.
+
+        It is the first-order effect of independent noise of the measured entries::
 
             dY = -Y dZ Y        R^(1/2) dY R^(1/2) = -2 (1 + S)^-1 dS (1 + S)^-1
 
@@ -119,8 +122,11 @@ class Measured(EqualByContent):
         return float(np.median(self.admittance_noise[size > 0] / size[size > 0]))
 
     def relative_noise(self, norm: Norm) -> float:
-        """Noise (rms, complex) of Y in the norm of an error: *pointwise* relative to each entry,
-        *peak* to the largest value of the entry, of which the noisiest counts."""
+        """Noise (rms, complex) of Y in the norm of an error.
+
+        *Pointwise* noise is relative to each entry, *peak* noise to the largest value of the entry.
+        The result is that of the noisiest entry.
+        """
         size = np.abs(self.Y)
         size = np.broadcast_to(size.max(axis=0), size.shape) if norm == "peak" else size
         share = np.where(size > 0, self.admittance_noise / np.where(size > 0, size, 1.0), 0.0)
@@ -243,7 +249,10 @@ def _require_no_shunt(shunt: float | None, content: str) -> None:
 
 
 def _require_conducting(data: Measured) -> None:
-    """Deviations are relative: to each admittance of one port, to the largest of several."""
+    """Refuse an open circuit, because deviations are relative to the admittance.
+
+    They are relative to each admittance of one port, and to the largest of several ports.
+    """
     still = np.einsum("fii->fi", data.Y) == 0
     one = still.shape[1] == 1
     still = still[:, 0] if one else still.all(axis=0)
@@ -274,12 +283,12 @@ def _require_passive(data: Measured) -> None:
 
 @lru_cache(maxsize=1)
 def _load_variables(path: Path, changed: float) -> dict[str, np.ndarray]:
-    """Numeric arrays of a MATLAB file by name, none of one that has matrices of a model."""
+    """Load the numeric arrays of a MATLAB file without matrices of a model."""
     return in_own_process(read_vectors, path)
 
 
 def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> MeasuredResponse:
-    """Real vectors are columns; a complex array says all itself, its parts are those of one."""
+    """Read real vectors as columns, or a complex array as a response."""
     first = next(filter(is_frequency, variables), None)
     if first is None:
         raise ValueError(f"variables {', '.join(variables)}, none of them the frequency")

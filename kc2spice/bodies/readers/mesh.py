@@ -1,4 +1,4 @@
-"""Node coordinates and node sets from the input file of the tool that wrote the matrices.
+"""Node coordinates and node sets from the input file of an FE tool.
 
 Abaqus and CalculiX ``.inp`` (``*NODE``, ``*NSET``, one instance), Nastran bulk data (``GRID`` in
 the basic system), Ansys ``.cdb`` (``NBLOCK``, ``CMBLOCK``), or ``.csv`` with lines
@@ -23,7 +23,9 @@ _EXPECTED = "an .inp, .cdb, .bdf, .dat, .nas, .pch or .csv file with the nodes"
 
 @dataclass(frozen=True, eq=False)
 class NodeMesh:
-    """Numbers (n,) of nodes, their coordinates (n, 3) in the file's unit, and node sets by name.
+    """Nodes of a mesh: numbers (n,), coordinates (n, 3), and node sets by name.
+
+    The coordinates are in the unit of the file.
 
     Names of node sets are in capital letters.
     """
@@ -46,7 +48,9 @@ class NodeMesh:
         return result
 
     def nearest(self, place: tuple[float, ...], within: float | None, where: str) -> int:
-        """Find the node at ``place``, at most ``within`` away (1e-6 of the size by default).
+        """Find the node at ``place``, at most ``within`` away.
+
+        The default of ``within`` is 1e-6 of the size.
 
         Raises
         ------
@@ -109,7 +113,10 @@ def _parse_point(words: Iterable[str]) -> tuple[float, float, float]:
 
 
 class _Sets(dict[str, list[int]]):
-    """Node sets by name, with a limit of their size: a short text may state a large range."""
+    """Node sets by name, with a limit of their size.
+
+    A short text may state a large range.
+    """
 
     def add(self, name: str, members: Sequence[int]) -> None:
         """Add nodes to a set."""
@@ -168,7 +175,10 @@ def _parse_bulk_data(data: bytes) -> Content:
 
 
 def _parse_blocks(data: bytes) -> Content:
-    """Parse NBLOCK (``i,i,i,x,y,z`` in fixed fields) and CMBLOCK of nodes, as Ansys writes them."""
+    """Parse the NBLOCK and CMBLOCK of nodes that Ansys writes.
+
+    NBLOCK has ``i,i,i,x,y,z`` in fixed fields.
+    """
     nodes: Nodes = {}
     sets = _Sets()
     lines = iter(_lines(data))

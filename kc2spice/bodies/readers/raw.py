@@ -1,4 +1,4 @@
-"""Content of a matrix file before ports are chosen: matrices by letter, names of their rows.
+"""Content of a matrix file: matrices by letter, and names of their rows.
 
 Every reader refuses bad sizes and indices here, before it allocates memory.
 
@@ -70,7 +70,7 @@ def unusable_file(path: Path, got: object, expected: str, hint: str = NEXT) -> U
 
 
 def present(path: Path) -> bool:
-    """Whether ``path`` is a file; a name that no file can have (NUL, too long) is none."""
+    """Whether ``path`` is a file; impossible names (NUL, too long) are no files."""
     try:
         return path.is_file()
     except (ValueError, OSError):
@@ -113,7 +113,7 @@ def parse_file(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
 
 
 def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = NEXT) -> T:
-    """Call ``read()``, and turn every exception of a parser into an error about the file.
+    """Call ``read()``, and turn exceptions of parsers into errors about the file.
 
     ``advice`` is the hint for a damaged file.
     """
@@ -184,7 +184,7 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
 
 @dataclass(frozen=True, eq=False)
 class Dofs:
-    """Node number and kind of freedom (a key of ``DOFS``) of each row; both (n,) integers.
+    """Node and kind of freedom (a key of ``DOFS``) of each row, (n,) integers.
 
     Raises
     ------
@@ -253,7 +253,9 @@ def matrices_by_letter(triples: Mapping[str, Triple]) -> tuple[dict[str, sparse.
 
 
 def both_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
-    """Complete a matrix whose pairs of entries off the diagonal are stored once, on either side.
+    """Complete a matrix that contains each pair off the diagonal once.
+
+    The stored entry may be on either side.
 
     A matrix that contains any pair twice is returned unchanged.
     """
@@ -295,7 +297,9 @@ def read_matrix_archive(path: Path, _: object) -> Raw:
 def in_own_process(
     function: Callable[..., object], path: Path, **options: object
 ) -> dict[str, np.ndarray]:
-    """Call ``function(path, **options)`` in a process of its own, and return its arrays.
+    """Call ``function(path, **options)`` in a separate process.
+
+    The function returns arrays.
 
     The size of the file limits the memory and the time of this process.
 
@@ -367,7 +371,9 @@ def _unpack_dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
 
 
 def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
-    """Read the matrices of a MATLAB file as arrays of an archive; ``requested`` is ignored.
+    """Read the matrices of a MATLAB file as arrays of an archive.
+
+    ``requested`` is ignored.
 
     Raises
     ------

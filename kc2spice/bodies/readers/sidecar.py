@@ -286,8 +286,10 @@ class PortEntry(NodeSelection):
 
 
 class MatrixDamping(Section):
-    """``E = alpha M + beta K``, or beta from a ratio at a frequency [Hz]; and the loss factor of
-    structural damping, ``K (1 + j loss_factor)``."""
+    """Damping ``E = alpha M + beta K``, or beta from a ratio at a frequency [Hz].
+
+    ``loss_factor`` is that of structural damping, ``K (1 + j loss_factor)``.
+    """
 
     alpha: Annotated[Finite, Field(ge=0)] = 0.0
     beta: Annotated[Finite, Field(ge=0)] = 0.0
@@ -312,7 +314,7 @@ class MatrixDamping(Section):
 
 
 class Sidecar(Section):
-    """Everything that ``NAME.toml`` says; the defaults are those of a model without one."""
+    """Content of ``NAME.toml``; the defaults are those of a model without a file."""
 
     listed: ClassVar[str] = "docs/reference/matrices.md"
 

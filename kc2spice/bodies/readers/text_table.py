@@ -1,4 +1,4 @@
-"""Tables in a text: lines of numbers, the titles above them, and the blocks that belong together.
+"""Tables in a text: lines of numbers, titles above them, and merged blocks.
 
 In: the text of a file. Out: :class:`TextTable` records, the longest first. Fields lie between
 semicolons, tabs, commas or blanks. Commas are decimal where they do not separate, or separate
@@ -41,7 +41,9 @@ HALF_TURN = 180.0  # degrees, the largest size of a phase
 
 @dataclass(frozen=True, eq=False)
 class TextTable(EqualByContent):
-    """Columns of ``numbers`` (n,) under ``titles``, which are None where no line has as many.
+    """Columns of ``numbers`` (n,) under ``titles``.
+
+    The titles are None if no line contains as many.
 
     ``lines`` are the first and the last line of the numbers, from 1; ``header`` is the last line
     above them, ``comments`` are all lines above them; ``notes`` are assumptions of the reader.
@@ -66,7 +68,9 @@ class TextTable(EqualByContent):
 
 
 def read_tables(text: str) -> list[TextTable]:
-    """Read the tables of a text, the longest first; blocks of the same frequencies are one table.
+    """Read the tables of a text, the longest first.
+
+    Blocks of the same frequencies are one table.
 
     Raises
     ------
@@ -105,7 +109,10 @@ def read_tables(text: str) -> list[TextTable]:
 
 @dataclass(frozen=True)
 class _Run:
-    """Lines ``first`` to before ``last`` whose rows have as many fields; ``rows`` of numbers."""
+    """Lines ``first`` to before ``last`` with as many fields, of which some are rows.
+
+    ``rows`` is the number of rows of numbers.
+    """
 
     first: int
     last: int
@@ -207,7 +214,9 @@ def _note_left_out_rows(
 def _find_titles(
     above: list[str], separator: str | None, columns: int, index: bool
 ) -> tuple[str, ...] | None:
-    """Find so many titles in the nearest line that names a frequency, or in the last line.
+    """Find so many titles in the nearest line that names a frequency.
+
+    Otherwise the last line contains the titles.
 
     A line of units may follow them. With ``index`` the first column may have no title.
     """
@@ -247,7 +256,10 @@ def _split_titles(line: str, separator: str | None, columns: int, index: bool) -
 
 
 def _find_format(above: list[str]) -> str:
-    """Find the quantity in the last line ``FORMAT: |Z|`` above a table; empty without one."""
+    """Find the quantity in the last line ``FORMAT: |Z|`` above a table.
+
+    The result is empty without such a line.
+    """
     for line in reversed(above):
         if match := TRACE_FORMAT.fullmatch(line.strip().strip('"')):
             return match[1]
@@ -257,7 +269,7 @@ def _find_format(above: list[str]) -> str:
 def _apply_format(
     titles: tuple[str, ...], numbers: list[np.ndarray], stated: str
 ) -> tuple[tuple[str, ...], list[np.ndarray], list[str]]:
-    """Give the numbers of a trace the titles of the ``FORMAT`` that the file states, and a note.
+    """Name the numbers of a trace by the ``FORMAT`` in the file, and add a note.
 
     The second number of one real quantity is zero. Beside |Z| or |Y| it may be the phase.
 

@@ -1,4 +1,4 @@
-"""Titles of columns: the quantity, the sign and the unit of a title, and its column in SI.
+"""Titles of columns: quantity, sign and unit, and the column in SI.
 
 A title of an instrument, such as ``Trace 2: Impedance: Phase (deg)`` or ``-Im(Z)/Ohm``, is taken
 apart into a sign, words and a unit; :mod:`kc2spice.bodies.readers.meanings` lists the words and
@@ -51,7 +51,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Title:
-    """Meaning of the title of a column; ``unit`` is None if the title contains no unit."""
+    """Meaning of the title of a column; ``unit`` is None without a unit in it."""
 
     text: str
     meaning: ColumnKind
@@ -113,7 +113,10 @@ def _prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | 
 
 
 def _clean_text(text: str) -> str:
-    """A title or unit with the usual letters and without quotes, cut at the longest title."""
+    """Replace unusual letters of a title or unit, and remove quotes.
+
+    A text is cut after :data:`LONGEST_TITLE` characters.
+    """
     text = text[:LONGEST_TITLE]
     for wrong, letter in _TWICE.items():
         text = text.replace(wrong, letter)
@@ -161,8 +164,10 @@ def _name_with_unit(meaning: ColumnKind) -> str:
 
 
 def is_frequency(text: str) -> bool:
-    """Whether a title, or the name of a variable, is that of the frequency; also with a unit that
-    is not clear."""
+    """Whether a title, or the name of a variable, is that of the frequency.
+
+    It may have an ambiguous unit.
+    """
     try:
         title = read_title(text)
     except ValueError:
@@ -171,7 +176,10 @@ def is_frequency(text: str) -> bool:
 
 
 def complex_quantity(text: str) -> tuple[Quantity, float] | None:
-    """Quantity and SI value of the unit of a column of complex numbers, such as ``Z (kOhm)``."""
+    """Return quantity and unit of a column of complex numbers such as ``Z (kOhm)``.
+
+    The unit is its value in SI. The result is None for other titles.
+    """
     for stem, unit_text in _split_unit(_clean_text(text).lstrip(COMMENT).strip()):
         for quantity, names in COMPLEX_NAMES.items():
             if not re.fullmatch(names, _normalise_words(stem)):

@@ -1,4 +1,4 @@
-"""Touchstone files of version 1 and 2 (IBIS Open Forum, 2009) as complex responses."""
+"""Touchstone files (IBIS Open Forum, 2009) as complex responses."""
 
 from __future__ import annotations
 
