@@ -1,4 +1,4 @@
-"""Expensive results on disk, found again by a hash of everything that they depend on.
+"""Cache of expensive results on disk, by a hash of everything they depend on.
 
 An entry is an ``.npz`` archive: arrays without pickle and one JSON text with the structure around
 them. It is written to a temporary name and renamed, so readers see whole entries only; a damaged
@@ -40,7 +40,7 @@ _PLACES = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/C
 
 
 def cache_dir() -> Path:
-    """``$KC2SPICE_CACHE``, else the platform's directory for files that can be made again."""
+    """Return ``$KC2SPICE_CACHE``, or the platform's directory for caches."""
     if selected := os.environ.get("KC2SPICE_CACHE"):
         return Path(selected)
     variable, below = _PLACES.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
@@ -49,8 +49,11 @@ def cache_dir() -> Path:
 
 @cache
 def _home() -> Path:
-    """The user's home; a directory for this process alone where the user has none, as an unknown
-    uid in a container: a name in the common temporary directory could be somebody else's."""
+    """Return the user's home, or a private directory if there is none.
+
+    An unknown uid in a container has no home. A fixed name in the common temporary directory could
+    belong to another user.
+    """
     try:
         return Path.home()
     except RuntimeError:
@@ -130,8 +133,10 @@ def _plain(value: Any) -> Any:
 
 
 def _source_digest(module: str) -> str:
-    """Hash of a module's text, or of all modules of a package; never the same twice for one that
-    has no file, such as a notebook's."""
+    """Compute the hash of the text of a module, or of all modules of a package.
+
+    A module without a file, such as that of a notebook, gets another hash each time.
+    """
     loaded = sys.modules.get(module)
     spec = importlib.util.find_spec(module) if loaded is None else loaded.__spec__
     file = getattr(loaded, "__file__", None) or getattr(spec, "origin", None)
@@ -163,7 +168,7 @@ def _store(path: Path, result: Any, known: Mapping[str, type]) -> None:
 
 
 def _prune(root: Path) -> None:
-    """Drop the entries that were unused for longest once the cache is larger than its limit.
+    """Delete the entries that were unused for longest if the cache is too large.
 
     What a killed process left half written goes after an hour.
     """
@@ -198,7 +203,10 @@ def _load(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
 
 
 def _encode(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str, type]) -> Any:
-    """JSON structure of ``value``: what JSON lacks as ``{tag: …}``, arrays set aside by number."""
+    """Convert a value to a JSON structure, and move its arrays to ``arrays``.
+
+    Types that JSON lacks become ``{tag: …}``.
+    """
     if isinstance(value, np.ndarray):
         arrays[name := f"a{len(arrays)}"] = value
         return {"array": name}

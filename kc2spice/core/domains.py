@@ -1,4 +1,4 @@
-"""Physical domains as one table: what is across a pin, what flows through it, and in which units.
+"""Physical domains as one table: quantities of pins, and their units.
 
 Ports of models, branches of declarations, pins of netlists, sources, symbols, headers and energy
 balances read this table. A new domain is one row of :data:`TABLE` and its tests.
@@ -52,7 +52,7 @@ class Quantity:
 
 @dataclass(frozen=True, repr=False)
 class Domain:
-    """A physical domain: the quantities on its pins, their power, and the meaning of rest.
+    """Physical domain: quantities on its pins, their power, and the meaning of rest.
 
     The values of ``across`` are equal on all pins of a net and those of ``through`` sum to zero.
     ``power`` states what power enters a part through a pin. ``rest`` describes an operating point.
@@ -119,7 +119,7 @@ class Domain:
         return self.across.pin_unit, self.flow
 
     def value_unit(self, letter: str) -> str:
-        """Unit of the value of a V, I, R, C or L card between its pins; "" if it is the card's own.
+        """Unit of the value of a V, I, R, C or L card; "" if it is the card's own.
 
         Examples
         --------
@@ -145,22 +145,22 @@ class Domain:
 
     @property
     def charged(self) -> bool:
-        """Whether the answer of a port is what has flowed through its pin, such as a charge."""
+        """Whether a port's output is the integral of its flow, such as a charge."""
         return self.driven == "across" and self.power == "across * through"
 
     @property
     def relaxes(self) -> bool:
-        """Whether nothing in this domain has inertia, as the power is the flow itself: heat."""
+        """Whether nothing has inertia, because the flow is the power: heat."""
         return self.power == "through"
 
     @property
     def metered(self) -> bool:
-        """Whether the power through a pin follows from what is across and through that pin."""
+        """Whether the quantities at one pin determine the power through this pin."""
         return self.conservative and self.power != "velocity of the frame * through"
 
     @property
     def kind_of_law(self) -> str:
-        """Kind of its pins in the laws of the reference solution, where a frame is a signal."""
+        """Kind of its pins in the laws of the reference; a frame is a signal."""
         return "signal" if self.power == "velocity of the frame * through" else self.name
 
     @property
@@ -316,7 +316,9 @@ PIN_UNITS = tuple(_pin_units())
 
 
 def domain_of(unit: str, flow: str) -> Domain | None:
-    """Return the domain of a pin by what 1 V and 1 A mean on it; None for signals and unknown ones.
+    """Return the domain of a pin by the meaning of 1 V and 1 A on the pin.
+
+    The result is None for signals and unknown units.
 
     Examples
     --------
@@ -348,7 +350,7 @@ def across_of(unit: str) -> Quantity | None:
 
 
 def units_stated(units: Collection[str]) -> str:
-    """Return what 1 V and 1 A mean in the domains that have one of these units, in words.
+    """Describe 1 V and 1 A in the domains that have one of these units.
 
     Examples
     --------

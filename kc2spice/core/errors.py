@@ -1,4 +1,4 @@
-"""Exceptions that tell a user where, what was found, what was expected and what to do next."""
+"""Exceptions with place, value, expected values and the next step."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def unknown(
     where: str | None = None,
     command: str | None = None,
 ) -> UsageError:
-    """The error of a ``name`` that is none of the ``known`` ones, with what is near it.
+    """The error of a ``name`` that is not ``known``, with similar names.
 
     ``command`` is the command line that lists all of them.
     """
@@ -110,7 +110,9 @@ def unknown(
 
 
 def candidates(word: object, choices: Iterable[str], command: str | None = None) -> str:
-    """At most five choices, those nearest to ``word`` if there are more; ``command`` lists all.
+    """List at most five choices, those nearest to ``word`` if there are more.
+
+    ``command`` is the command line that lists all.
 
     >>> candidates("v", ["a", "b"])
     'a, b'
@@ -131,7 +133,10 @@ def candidates(word: object, choices: Iterable[str], command: str | None = None)
 
 
 def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
-    """``did you mean 'x'?`` for a near miss; of dotted keys only the last parts are compared."""
+    """Suggest ``did you mean 'x'?`` for a near miss.
+
+    Only the last parts of dotted keys are compared.
+    """
     import difflib  # late: most errors need none of it
 
     if len(word) > LONGEST:

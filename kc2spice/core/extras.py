@@ -1,4 +1,4 @@
-"""Libraries that only some commands need: which extra installs each, and the error without it.
+"""Optional libraries: the extra that installs each, and the error without it.
 
 All imports of these libraries go through :func:`import_optional`. ``pyproject.toml`` states their
 versions.
@@ -13,7 +13,7 @@ from kc2spice.core.errors import MissingToolError
 
 
 class OptionalLibrary(NamedTuple):
-    """A library by its name in the Python Package Index, and the extra of kc2spice with it.
+    """Library by its name in the Python Package Index, and its extra of kc2spice.
 
     ``extra`` is None for a library without an extra, which is installed by its name.
     """

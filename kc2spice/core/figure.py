@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Curve(EqualByContent):
-    """``x`` and ``y`` (n,) in the panel's units; a value that is not finite leaves a gap.
+    """Curve of ``x`` and ``y`` (n,) in the panel's units.
+
+    A value that is not finite is a gap.
 
     ``style``: a line (``-``, ``--``, ``:``), ``reference`` (dotted, in black), ``step`` (constant
     up to the next point), ``bar`` (bars as wide as the points are apart), ``o`` (points), ``o-``
@@ -31,8 +33,10 @@ class Curve(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class Map(EqualByContent):
-    """Colours ``z`` (rows, columns) at the centres ``x`` (columns,) and ``y`` (rows,), ascending;
-    a value that is not finite stays grey. ``label`` is that of the colour bar."""
+    """Colours ``z`` (rows, columns) at centres ``x`` (columns,) and ``y`` (rows,).
+
+    The centres ascend. A value that is not finite is grey. ``label`` is that of the colour bar.
+    """
 
     x: np.ndarray
     y: np.ndarray
@@ -42,9 +46,11 @@ class Map(EqualByContent):
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes. ``levels`` are horizontal lines ``(value, label)``, ``bands`` shaded
-    ranges ``(low, high, label)``, ``marks`` vertical lines; ``span`` is the range of x; ``equal``
-    gives both axes one scale; ``map`` lies below the curves.
+    """One pair of axes with curves, lines, ranges and a map below them.
+
+    ``levels`` are horizontal lines ``(value, label)``, ``bands`` shaded ranges ``(low, high,
+    label)``, and ``marks`` vertical lines. ``span`` is the range of x. ``equal`` gives both axes
+    one scale.
 
     ``x`` and ``y`` are labels of the form ``quantity in unit``.
     """
@@ -64,9 +70,11 @@ class Panel:
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels above each other with one x axis, or in a grid of so many ``columns`` where each has
-    its own; ``name`` is that of its file, without ending. ``main`` marks the curve that a reader
-    of the scene looks for first."""
+    """Panels above each other with one x axis, or in a grid of ``columns``.
+
+    Panels in a grid have their own axes. ``name`` is that of the file, without suffix. ``main``
+    marks the most important curve of a scene.
+    """
 
     name: str
     title: str
@@ -78,7 +86,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Shape:
-    """An upright rectangle, or a circle (``round``), of a side view: centre and sizes in metres.
+    """Upright rectangle or circle (``round``) of a side view, in metres.
 
     ``layers`` equal slices are drawn; ``label`` stands beside it.
     """
@@ -104,13 +112,18 @@ def window(t: np.ndarray, first: float, last: float) -> np.ndarray:
 
 
 def time_axis(t: np.ndarray) -> tuple[str, float]:
-    """Label of an axis with these times [s] and the factor to its unit: µs, or ms from 1 ms on."""
+    """Return the label of an axis with times [s], and the factor to its unit.
+
+    The unit is µs, and ms from 1 ms on.
+    """
     return ("time in ms", 1e3) if t[-1] - t[0] >= 1e-3 else ("time in µs", 1e6)
 
 
 def scale_axis(name: str, x: np.ndarray) -> tuple[str, float]:
-    """Label of the axis of a run's scale (``time``, ``frequency``, what was swept) with these
-    values in SI, and the factor to its unit."""
+    """Return the label of the axis of a run's scale, and the factor to its unit.
+
+    The scale is ``time``, ``frequency`` or a swept key, with values in SI.
+    """
     if name == "time":
         return time_axis(x)
     if name == "frequency":

@@ -1,4 +1,4 @@
-"""Results appear in their directory all at once, after everything worked, or not at all."""
+"""Results that appear in their directory all at once after success, or not."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _ABANDONED = 60.0  # s after which a work directory without a living owner is cl
 
 @contextmanager
 def staged(out: Path | str) -> Iterator[Path]:
-    """Directory to build results in; its files move into ``out`` when the block ends well.
+    """Provide a directory whose files move to ``out`` when the block succeeds.
 
     If the block raises, nothing was written and earlier results in ``out`` are as they were.
     Files are moved by rename under a lock on ``out``: two runs into one directory finish one after
@@ -149,7 +149,7 @@ def _rank(path: Path) -> int:
 
 
 def _clear_abandoned(directory: Path, prefix: str) -> None:
-    """Remove work directories of runs that were killed: no process holds their locks any more."""
+    """Remove work directories of killed runs, which no process locks any more."""
     for other in directory.parent.iterdir():
         if other == directory or not (
             other.name.startswith(prefix) and other.name.endswith(_SUFFIX)
@@ -163,7 +163,7 @@ def _clear_abandoned(directory: Path, prefix: str) -> None:
 
 @contextmanager
 def locked(path: Path, *, wait: bool = True) -> Iterator[None]:
-    """Exclusive lock on a file or on a directory itself, which leaves no lock file behind.
+    """Lock a file or directory exclusively, without a lock file.
 
     Raises
     ------

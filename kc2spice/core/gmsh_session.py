@@ -13,7 +13,7 @@ from kc2spice.core.errors import MissingToolError
 
 @contextmanager
 def gmsh_session() -> Iterator[ModuleType]:
-    """Initialise gmsh, which has one empty model, and yield the module; finalise on every way out.
+    """Initialise gmsh with one empty model, yield the module, and finalise it.
 
     gmsh keeps global state, so sessions do not nest. It neither reads the user's option files nor
     takes over the signal handlers, hence the same input always gives the same mesh.

@@ -22,9 +22,11 @@ STUCK = b"kc2spice: interrupted; nothing was written\n"
 
 @contextlib.contextmanager
 def end_on_signals(grace: float = GRACE) -> Iterator[None]:
-    """Ctrl-C raises KeyboardInterrupt, SIGTERM and SIGHUP raise SystemExit: simulators are stopped,
-    unfinished files removed. What does neither within ``grace`` [s] ends at once, with the same
-    exit code 128 + signal. Handlers of others are left alone.
+    """Convert signals to exceptions that stop simulators and remove files.
+
+    Ctrl-C raises KeyboardInterrupt, SIGTERM and SIGHUP raise SystemExit. A program that still runs
+    after ``grace`` [s] ends at once, with the same exit code 128 + signal. Handlers of others
+    remain.
 
     A KeyboardInterrupt that leaves the block ends the program with that exit code too. Behind the
     block the exit code stands, and signals are ignored: the end of the interpreter would take back
@@ -44,7 +46,7 @@ def end_on_signals(grace: float = GRACE) -> Iterator[None]:
 
 
 def _handle_signals(grace: float) -> set[int]:
-    """Set the handlers and start the thread that waits; return the signals that have them."""
+    """Set the handlers, start the waiting thread, and return the signals."""
     handled = threading.Semaphore(0)
 
     def interrupt(number: int, frame: FrameType | None) -> None:

@@ -1,4 +1,4 @@
-"""Laws of parts: the equations of each type of part for the independent integrator.
+"""Laws of parts: equations of each part type for the independent integrator.
 
 A law is plain data in SI with named, typed pins. It knows no scene and no netlist. A pin's kind is
 the name of a domain (:mod:`kc2spice.core.domains`). It states which *across* quantity all pins of a
@@ -42,7 +42,10 @@ GROUND = "gnd"
 
 @dataclass(frozen=True)
 class LawPin:
-    """A named pin; a ``grounded`` pin is on the reference if it is joined to no other pin."""
+    """Named pin of a law.
+
+    A ``grounded`` pin is on the reference if it is joined to no other pin.
+    """
 
     name: str
     kind: str
@@ -83,7 +86,7 @@ def difference(plus: str, minus: str) -> Reading:
 
 @dataclass(frozen=True)
 class Equations:
-    """Laws of a part, and their pins and waves that represent pins and results of the part.
+    """Laws of a part, and the pins and waves that represent the part.
 
     ``pins`` maps pins of the part to pins of the laws (``NAME.pin``). A missing pin has no
     counterpart, because another pin represents it or because nothing acts on it. Two pins of the
@@ -116,9 +119,10 @@ class LawPort:
 
 @dataclass(frozen=True, eq=False)
 class SecondOrderBody:
-    """``M x'' + E x' + K x = B in``, ``out = C x + D in`` of a small ``model`` with a dense
-    ``pencil`` of second order, or of first order without M, whose unknowns are some of the
-    equations'.
+    """Body ``M x'' + E x' + K x = B in``, ``out = C x + D in`` of a small model.
+
+    The ``model`` has a dense ``pencil`` of second order, or of first order without M. Its unknowns
+    are unknowns of the system of equations.
 
     A port with ``D`` must be electrical or acoustic or have an own positive compliance. Energy and
     loss of a heat model are those of a circuit of the same numbers: ``x' E x / 2``, ``x' K x``.
@@ -134,7 +138,7 @@ class SecondOrderBody:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Forces at mechanical ports with a compliance besides the modes, and flows of heat."""
+        """Forces at mechanical ports with additional compliance, and flows of heat."""
         pairs = zip(self.ports, self.model.D, strict=True)
         return tuple(
             port.name
@@ -149,7 +153,10 @@ class SecondOrderBody:
 
 
 def port_pins(ports: tuple[LawPort, ...]) -> tuple[LawPin, ...]:
-    """Make one pin for each port, and the returns; accelerations and signals are signals."""
+    """Make a pin for each port, and for the returns.
+
+    Accelerations, inputs and outputs are signals.
+    """
     result: list[LawPin] = []
     for port in ports:
         kind = port.kind if port.kind in (*MECHANICAL, *POTENTIALS) else "signal"
@@ -198,7 +205,7 @@ class IdealSource:
 
 @dataclass(frozen=True)
 class Tap:
-    """An input of a device: across of ``pin`` less those of ``minus`` and ``less``, or its rate."""
+    """Input of a device: across of ``pin`` less ``minus`` and ``less``, or its rate."""
 
     pin: str
     minus: str = ""
@@ -208,8 +215,10 @@ class Tap:
 
 @dataclass(frozen=True)
 class Flow:
-    """An output of a device: a through quantity into it at ``pin``, out of it at ``minus``, and as
-    much at ``less``."""
+    """Output of a device: a through quantity into the device at ``pin``.
+
+    It leaves the device at ``minus``, and the same quantity at ``less``.
+    """
 
     pin: str
     minus: str = ""
@@ -217,7 +226,9 @@ class Flow:
 
 
 class Device(ABC):
-    """A law of its inputs, rates and states; subclasses are frozen dataclasses with a ``name``.
+    """Law of inputs, rates and states; subclasses are frozen dataclasses.
+
+    Each has a ``name``.
 
     With the taps and then the own states as its inputs ``e`` (m,), in a mode that is any value::
 
@@ -249,7 +260,7 @@ class Device(ABC):
 
     @property
     def charged(self) -> tuple[int, ...]:
-        """Numbers of the flows that contain the rate of a stored quantity, such as a charge."""
+        """Numbers of the flows that contain the rate of a charge or the like."""
         return ()
 
     @property
@@ -295,7 +306,9 @@ class Device(ABC):
         return e[m - k :], np.eye(k, m, m - k)
 
     def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Compute derivatives of ``out`` (k, m) and of the store for signals ``exp(s t)`` about e.
+        """Compute derivatives for small signals ``exp(s t)`` about ``e``.
+
+        They are the derivatives of ``out`` (k, m) and of the store (len(states), m).
 
         The derivatives of the store are (len(states), m). They are complex if they depend on the
         frequency.
@@ -341,7 +354,7 @@ GROWING = 1e3  # 1/s, of a load on a body that is free to move
 
 @dataclass(frozen=True, eq=False)
 class Relation:
-    """Relation ``y = H a + free`` of loads ``a`` (inputs,) and outputs ``y`` (outputs,) of a body.
+    """Relation ``y = H a + free`` of loads (inputs,) and outputs (outputs,).
 
     It describes a linear body at rest, at one frequency, and within one stage of an implicit time
     step, in which ``free`` is the effect of the past.
@@ -353,7 +366,9 @@ class Relation:
 
 @dataclass(frozen=True, eq=False)
 class PortBody(Device):
-    """A linear model of any size by what it does at its ``ports``: its mode is a :class:`Relation`.
+    """Linear model of any size as a relation at its ports.
+
+    Its mode is a :class:`Relation`.
 
     Loads are forces [N], voltages [V], accelerations and signals, in the order of the ports with a
     column of B; answers are displacements [m], charges [C] and signals, in that of the rows of C.
@@ -399,7 +414,10 @@ class PortBody(Device):
 
     @cached_property
     def _maps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """``a = load @ e``, ``charges = stored @ y`` and ``out = direct @ e + answered @ y``."""
+        """Matrices of ``a = load @ e``, ``charges = stored @ y`` and the outputs.
+
+        The outputs are ``out = direct @ e + answered @ y``.
+        """
         n, k, drives = len(self._loads), len(self._flow_ports), len(self.prescribes)
         rows = [port for port in self.ports if port.kind != "input"]
         load, stored = np.zeros((n, n + k)), np.zeros((k, len(rows)))
@@ -463,7 +481,9 @@ class PortBody(Device):
         return self._slope(H), stored @ H @ load
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """Compute sources with the density ``4 k T (s H + (s H)^H) / (2 |s|^2)`` of the outputs.
+        """Compute noise of the density ``4 k T (s H + (s H)^H) / (2 |s|^2)``.
+
+        It is that of the outputs.
 
         Loads times rates of outputs are power.
         """
@@ -479,7 +499,10 @@ class PortBody(Device):
 
 @dataclass(frozen=True, eq=False)
 class SignalBlock(Device):
-    """Linear system ``E x' = A x + B u``, ``y = C x + D u`` from across quantities to signals."""
+    """Linear system ``E x' = A x + B u``, ``y = C x + D u`` with signals as outputs.
+
+    The inputs are across quantities.
+    """
 
     name: str
     E: np.ndarray

@@ -1,4 +1,4 @@
-"""Two coils and a magnet that moves: one coenergy of height and currents, and its table.
+"""Two coils and a moving magnet: coenergy of height and currents, and its table.
 
 Splines are in numpy alone: scipy's would be most of what a run with cached models spends on loading
 modules.
@@ -57,8 +57,9 @@ class Piecewise(EqualByContent):
 
 
 def cubic_spline(x: np.ndarray, values: np.ndarray) -> Piecewise:
-    """Not-a-knot cubic spline through ``values`` (n, m) at ascending ``x`` (n,), n at least 2; of
-    two or three the line or the parabola.
+    """Interpolate ``values`` (n, m) at ascending ``x`` (n,) by not-a-knot cubics.
+
+    With two or three points the result is a line or a parabola.
 
     Unknown are the second derivatives s at the nodes; equal slopes from both sides, with
     ``h = diff(x)`` and ``d = diff(values) / h``, ask for ::
@@ -107,8 +108,10 @@ def products(i1: Any, i2: Any) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Coenergy:
-    """``W(y, i) = p(y) . products(i)`` [J] at the height ``y`` [m]: its slopes by the height and by
-    the currents are the force [N] and the flux linkages [Wb]."""
+    """Coenergy ``W(y, i) = p(y) . products(i)`` [J] at the height ``y`` [m].
+
+    Its derivatives by the height and by the currents are the force [N] and the flux linkages [Wb].
+    """
 
     terms: Piecewise  # p (..., 6)
 
@@ -156,7 +159,9 @@ def _quadratic(p: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class EMTable(EqualByContent):
-    """Result of the magnetostatic FE sweep; exact in the currents because materials are linear.
+    """Result of the magnetostatic FE sweep over heights.
+
+    It is exact in the currents because the materials are linear.
 
     With the currents ``i1`` (lower coil) and ``i2`` (upper coil) at position ``y``::
 
@@ -219,8 +224,10 @@ class EMTable(EqualByContent):
 
     @cached_property
     def facts(self) -> dict[str, float]:
-        """The numbers by which an engineer knows the actuator: the force is the largest of the nine
-        pairs of -0.1, 0 and 0.1 A in the coils."""
+        """Characteristic values of the actuator.
+
+        The force is the largest of the nine pairs of -0.1, 0 and 0.1 A in the coils.
+        """
         forces = em_cases(self, CASES)
         return self.mesh_errors | {
             "unknowns": self.unknowns,
@@ -232,8 +239,10 @@ class EMTable(EqualByContent):
 
     @cached_property
     def mesh_errors(self) -> dict[str, float]:
-        """Estimated errors that the mesh causes, relative to the largest force of :data:`CASES` and
-        to the largest inductance: ``|f(2 h) - f(h)| / (2^p - 1)``, with the order p = 3."""
+        """Estimated errors by the mesh: ``|f(2 h) - f(h)| / (2^p - 1)`` with p = 3.
+
+        They are relative to the largest force of :data:`CASES` and to the largest inductance.
+        """
         if self.coarser is None:
             return {}
         rows = np.searchsorted(self.y, self.coarser.y - NEAR * np.ptp(self.y))
@@ -250,5 +259,8 @@ class EMTable(EqualByContent):
 
 
 def em_cases(table: EMTable, currents: np.ndarray) -> np.ndarray:
-    """Force (m, n) [N] at the nodes for ``currents`` (m, 2): the curves of the paper's Fig. 6."""
+    """Compute forces (m, n) [N] at the nodes for ``currents`` (m, 2).
+
+    They are the curves of the paper's Fig. 6.
+    """
     return np.array([products(i1, i2) @ table.coefficients.T for i1, i2 in currents])

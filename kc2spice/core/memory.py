@@ -1,5 +1,6 @@
-"""Memory that this process can still have: of the machine, of its control group, and within the
-limits that a shell or a batch system has set.
+"""Memory that this process can still use.
+
+It is limited by the machine, by control groups, and by a shell or batch system.
 
 Sources: Linux, Documentation/admin-guide/cgroup-v2.rst and cgroup-v1/memory.rst; proc(5);
 getrlimit(2).
@@ -16,8 +17,10 @@ UNLIMITED = 2**62  # bytes; control groups of version 1 write almost 2^63 for no
 
 
 def available_bytes(root: Path = Path("/")) -> float:
-    """Memory [B] that this process can have without swapping; that of the machine where the system
-    states nothing else. Files below ``root`` are read."""
+    """Determine the memory [B] that this process can use without swapping.
+
+    It is that of the machine if the system states no other limit. Files below ``root`` are read.
+    """
     known = [*_of_machine(root), *_of_groups(root), *_of_limits(root)]
     return max(min(known), 0.0) if known else _of_pages()
 
@@ -33,7 +36,10 @@ def _of_machine(root: Path) -> Iterator[float]:
 
 
 def _of_groups(root: Path) -> Iterator[float]:
-    """Free memory of each control group above this process, reclaimable file pages included."""
+    """Free memory of each control group of this process.
+
+    File pages that can be reclaimed are free.
+    """
     for line in _text(root / "proc/self/cgroup").splitlines():
         number, _, rest = line.partition(":")
         controllers, _, path = rest.partition(":")
@@ -55,7 +61,7 @@ def _of_groups(root: Path) -> Iterator[float]:
 
 
 def _of_limits(root: Path) -> Iterator[float]:
-    """Memory left below the limits of address space and data segment (``ulimit -v``, ``-d``)."""
+    """Memory below the limits of address space and data segment (``ulimit``)."""
     try:
         import resource
     except ImportError:  # Windows

@@ -20,7 +20,7 @@ NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"
 
 
 def mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
-    """List the estimated relative errors by the mesh of a body, by words for the quantity."""
+    """List the estimated relative mesh errors, by words for the quantities."""
     errors = {}
     for name, words in _MESH_ERRORS.items():
         if f"{MESH_ERROR}{name}" in facts:

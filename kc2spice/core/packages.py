@@ -1,4 +1,4 @@
-"""The command that installs a program or library on the operating system of this machine.
+"""Commands that install programs on the operating system of this machine.
 
 :func:`install_command` takes names of Debian packages. It returns a line for the shell, or a
 sentence if the package manager of a system is unknown. Commands for Fedora, macOS and Windows are

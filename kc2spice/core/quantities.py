@@ -68,7 +68,7 @@ def describe_invalid(
 
 
 def _value_at(table: object, path: KeyPath, converted: Any) -> Any:
-    """Return the value at ``path`` of ``table``, which a validator may have ``converted`` to SI."""
+    """Return the value at ``path`` of a table, or the value in SI if ``converted``."""
     if isinstance(converted, Mapping):
         return converted
     for step in path:
@@ -185,7 +185,10 @@ def _missing(
 
 
 def _unit_at(schema: type[BaseModel], path: KeyPath) -> str | None:
-    """SI unit of the key at ``path``, None without one; numbers of list entries do not count."""
+    """SI unit of the key at ``path``, None without one.
+
+    Numbers of list entries in the path are ignored.
+    """
     names = tuple(step for step in path if isinstance(step, str))
     field = dict(entries(schema)).get(names)
     return None if field is None else unit_of(field)
@@ -216,7 +219,10 @@ def entries(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInf
 
 
 def submodel(annotation: Any) -> type[BaseModel] | None:
-    """The section behind a field's annotation (``Kick`` for ``Kick | None``), if it is one."""
+    """Return the section in a field's annotation, ``Kick`` for ``Kick | None``.
+
+    The result is None for other annotations.
+    """
     for candidate in (annotation, *get_args(annotation)):
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):
             return candidate
@@ -231,7 +237,10 @@ def _metadata(field: FieldInfo) -> Iterator[Any]:
 
 
 def unit_of(field: FieldInfo) -> str | None:
-    """SI unit that the validator of a number (or of each number of a list) converts to."""
+    """Return the SI unit to which the validator of a number converts.
+
+    It may be that of each number of a list.
+    """
     for meta in _metadata(field):
         if isinstance(meta, BeforeValidator) and isinstance(meta.func, partial):
             return str(meta.func.args[0])
@@ -250,7 +259,7 @@ def dotted(path: KeyPath) -> str:
 
 
 def display_text(value: Any) -> str:
-    """Format a value as TOML, or describe a number with more digits than Python prints."""
+    """Format a value as TOML, or describe a number of too many digits."""
     try:
         return clipped(_as_toml(value))
     except ValueError:
@@ -301,7 +310,10 @@ _LONGEST = 200  # characters; nothing sensible comes near it
 
 
 def _symbol(text: str) -> tuple[int, ...] | None:
-    """A unit with or without prefix; the unprefixed reading wins (``m`` is metre, ``T`` tesla)."""
+    """Look up a unit with or without prefix.
+
+    A unit without prefix has precedence: ``m`` is metre, ``T`` tesla.
+    """
     if text in _UNITS:
         return _UNITS[text]
     unit, shift = _UNITS.get(text[1:]), _PREFIX.get(text[:1])
@@ -349,7 +361,9 @@ def _from_text(text: str, si: str) -> float:
 
 
 def quantity(value: object, si: str, *, where: str | None = None) -> float:
-    """Return ``value`` in the SI unit ``si`` (``""`` for a plain number, where ``%`` is a unit).
+    """Return ``value`` in the SI unit ``si``, ``""`` for a plain number.
+
+    ``%`` is a unit of plain numbers.
 
     A number is taken as SI already; a string is a number with a unit (``"100 V"``, ``"25 us"``).
 
@@ -416,7 +430,7 @@ def _rings(value: object) -> object:
 
 
 class ScalePlace(float):
-    """A place on the scale of an analysis; ``unit`` is empty where its author wrote none."""
+    """Place on the scale of an analysis; ``unit`` is empty if none was written."""
 
     unit: str = ""
 
@@ -450,14 +464,17 @@ def _mounting(value: object) -> object:
 
 
 def si(unit: str) -> BeforeValidator:
-    """Marks a number that is kept in ``unit`` and may be written as a string with any other."""
+    """Mark a number in ``unit`` that may be a string with any other unit."""
     return BeforeValidator(partial(_number, unit))
 
 
 @dataclass(frozen=True)
 class Plausible:
-    """Marks a key by the role of its number: such things are ``low`` to ``high`` in ``unit``, and
-    ``why`` nothing else is made. Zero is none of it, such as no mass at a tip."""
+    """Marks a key by the role of its number, with a range of plausible values.
+
+    Such things are ``low`` to ``high`` in ``unit``, and ``why`` states the reason. Zero is outside
+    of the role, such as no mass at a tip.
+    """
 
     unit: str
     low: float
@@ -503,7 +520,9 @@ GateTime = Annotated[float, BeforeValidator(partial(_number_with_unit, "s"))]
 
 @dataclass(frozen=True)
 class Notch:
-    """Marks a key that trades time for error: one notch finer multiplies it by ``factor``.
+    """Marks a key that trades time for error.
+
+    One notch finer multiplies the key by ``factor``.
 
     ``spaces`` says that it counts points, whose spaces are multiplied; ``finest`` is a value below
     which rounding decides; ``model`` marks what costs no time of the simulator, ``mesh`` the

@@ -1,4 +1,4 @@
-"""The frequency up to which a waveform, or what a run recorded, has nearly all of its energy."""
+"""Frequency that bounds nearly all of the energy of a waveform or record."""
 
 from __future__ import annotations
 
@@ -48,8 +48,11 @@ def energy_frequency(
 
 @lru_cache(maxsize=64)
 def waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) -> float:
-    """The same of a waveform up to ``stop`` [s]: a sine's own frequency; one period of what repeats
-    without end; of a train of many pulses what its beginning has too."""
+    """Frequency that bounds nearly all of the energy of a waveform up to ``stop`` [s].
+
+    That of a sine is its own frequency. An endless train is evaluated for one period, and a train
+    of many pulses at its beginning.
+    """
     if not wave.straight:
         return wave.frequency
     times, values = map(np.array, zip(*wave.points, strict=True))

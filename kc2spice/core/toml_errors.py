@@ -1,4 +1,4 @@
-"""Errors of TOML files: the line as its author typed it, and a repair that the parser accepts.
+"""Errors of TOML files: the line as typed, and a repair that the parser accepts.
 
 The parser says where it stopped, which is seldom what the author did wrong. Each function of this
 module proposes repaired lines for one kind of mistake. :func:`invalid_toml` suggests the first
@@ -91,7 +91,7 @@ def invalid_toml(text: str, error: ValueError, label: str) -> UsageError:
 
 
 def _header_of(line: str) -> tuple[str, str]:
-    """Opening brackets and name of the table that begins with this line; empty of other lines."""
+    """Return opening brackets and name of a table's header; empty of other lines."""
     header = _HEADER.fullmatch(line) if len(line) <= LONGEST_LINE else None
     return ("", "") if header is None else (header[1], header[2].strip())
 
@@ -131,7 +131,7 @@ def _reach(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
 
 
 def _mask_strings(line: str) -> str:
-    """``line`` of the same length, without the contents of its strings and its comment."""
+    """Mask the contents of strings and the comment of a line; keep its length."""
     masked = _STRING.sub(lambda found: '"' + "_" * (len(found[0]) - 2) + '"', line)
     comment = masked.find("#")
     return masked if comment < 0 else masked[:comment] + " " * (len(masked) - comment)
@@ -173,7 +173,7 @@ def _without_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
 
 
 def _lone_quote(line: str) -> str:
-    """The quote that opens no string of a line or closes none; empty if there is not one such."""
+    """Find the quote that opens no string or closes none; empty without one."""
     masked = _STRING.sub(lambda found: "_" * len(found[0]), line)
     lone = [mark for mark in "\"'" if masked.count(mark) == 1]
     return lone[0] if len(lone) == 1 else ""
@@ -241,7 +241,7 @@ _PROPOSALS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
 
 
 def _several_lines(lines: Sequence[str], number: int, label: str) -> UsageError | None:
-    """The error of a table between { } that does not end on its line, which TOML does not allow."""
+    """The error of an inline table { } that does not end on its line."""
     if not 1 <= number <= len(lines) or "=" not in lines[number - 1]:
         return None
     if _mask_strings(lines[number - 1]).rstrip()[-1:] not in ("{", ","):
@@ -286,7 +286,10 @@ def _duplicate(lines: Sequence[str], number: int, message: str, label: str) -> U
 
 
 def _first_line(lines: Sequence[str], number: int, name: str) -> int | None:
-    """The line above ``number`` that states the table or, within one table, the key ``name``."""
+    """Find the line above ``number`` with the first occurrence of ``name``.
+
+    It is a table, or a key within one table.
+    """
     for at in range(number - 1, 0, -1):
         line = lines[at - 1].strip()
         _, header = _header_of(line)

@@ -1,4 +1,4 @@
-"""Files of others: regular, bounded, called by names that lead nowhere else, judged before use.
+"""Files of others: regular, of limited size, with safe names, checked before use.
 
 The TOML parser of the standard library takes time with the square of the length of a dotted key,
 and calls itself once for every bracket; an archive unpacks to any size. What a file declares is
@@ -54,7 +54,7 @@ _BEHIND_KEY = re.compile(r"[ \t]{0,200}[.=\]]")
 
 
 def read_bounded(path: Path, limit: int) -> bytes:
-    """Content of the regular file ``path``, of which more than ``limit`` bytes are never read.
+    """Read the regular file ``path``, but never more than ``limit`` bytes.
 
     A pipe or a device, which could keep a reader waiting for ever, is refused.
 
@@ -78,12 +78,15 @@ def read_bounded(path: Path, limit: int) -> bytes:
 
 
 def text_of(data: bytes) -> str:
-    """UTF-8 text with or without a byte order mark; UnicodeDecodeError for anything else."""
+    """Decode UTF-8 text with or without a byte order mark.
+
+    Anything else raises UnicodeDecodeError.
+    """
     return data.decode("utf-8-sig")
 
 
 def lines_of(text: str) -> list[str]:
-    r"""Lines of a text, which end with ``\n``, ``\r\n`` or ``\r`` as simulators read them.
+    r"""Split a text into lines, which end with ``\n``, ``\r\n`` or ``\r``.
 
     ``str.splitlines`` also breaks lines at form feeds and at U+0085, U+2028 and U+2029, so that the
     end of a comment would become a statement.
@@ -96,7 +99,7 @@ def lines_of(text: str) -> list[str]:
 
 
 def name_threat(name: str) -> str | None:
-    """Why ``name`` may not be joined to a directory to name a file below it; None if it may.
+    """Explain why ``name`` is unsafe as the name of a file; None if it is safe.
 
     A name is one or more parts between slashes. Parts are letters, digits and ``_ . + -`` with
     blanks between them; they begin with a letter, a digit or ``_``.
@@ -143,13 +146,19 @@ def file_in_folder(home: Path, name: str, where: str) -> Path:
 
 
 def identifier(name: str, otherwise: str) -> str:
-    """``name`` in letters, digits and ``_``; ``otherwise_`` stands before what is no letter."""
+    """Replace all characters of ``name`` except letters, digits and ``_``.
+
+    ``otherwise_`` precedes a name that begins with another character than a letter.
+    """
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)[:48]
     return plain if plain[:1].isalpha() else f"{otherwise}_{plain}"
 
 
 def plain_name(name: str) -> str:
-    """The last part of ``name`` in letters, digits and ``_ . + -``, as a netlist may spell it."""
+    """Replace unusual characters in the last part of ``name`` for a netlist.
+
+    Letters, digits and ``_ . + -`` remain.
+    """
     plain = _UNSAFE.sub("_", name.replace("\\", "/").rpartition("/")[2])
     return plain if plain[:1].isalnum() or plain[:1] == "_" else f"_{plain}"
 
@@ -171,7 +180,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def _require_simple(text: str) -> None:
-    """Refuse text with deep brackets, long chains of dots, or a long word where a key stands."""
+    """Refuse deep brackets, long chains of dots, and long words as keys."""
     depth = dots = 0
     for token in _TOKEN.finditer(text):
         first = token[0][0]
@@ -192,7 +201,9 @@ def _require_simple(text: str) -> None:
 def read_archive(
     path: Path, select: Callable[[str], bool], *, entries: Callable[[str], int], total: int
 ) -> dict[str, np.ndarray]:
-    """The arrays of an ``.npz`` file whose names ``select`` accepts; nothing is unpickled.
+    """Read the arrays of an ``.npz`` file whose names ``select`` accepts.
+
+    Nothing is unpickled.
 
     Memory is taken only once every wanted member has declared at most ``entries(name)`` numbers,
     all of them at most ``total`` bytes, and no more than it holds.
@@ -253,7 +264,9 @@ def in_child(
     memory: int = LARGEST,
     seconds: int = 0,
 ) -> dict[str, np.ndarray]:
-    """The arrays that ``function`` (``"package.module:name"``) returns for keywords ``request``.
+    """Call ``function`` (``"package.module:name"``) in a separate process.
+
+    The result are its arrays for the keywords ``request``.
 
     ``request`` is JSON. The function runs with a new folder as its working directory, in which
     ``prepare`` may put files first, and ends with this process.

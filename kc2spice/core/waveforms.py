@@ -1,4 +1,7 @@
-"""Waveforms of sources, with one definition for netlist, reference and checks, and of results."""
+"""Waveforms of sources and of results.
+
+Netlist, reference and checks use one definition.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,9 @@ MOST_PULSES = 25_000  # pulses of a finite train: as many corners as rows of a f
 
 @dataclass(frozen=True, eq=False)
 class Waveforms(EqualByContent):
-    """SI arrays over one scale (``time`` or ``frequency``), named as in ``waveforms.npz``.
+    """SI arrays over one scale, named as in ``waveforms.npz``.
+
+    The scale is ``time`` or ``frequency``.
 
     ``stats`` are statistics of the simulator: ``accepted`` and ``rejected`` time points,
     ``iterations``, ``cpu_s``.
@@ -64,7 +69,7 @@ def plain_cell(text: str) -> str:
 
 
 def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path) -> list[str]:
-    """Write ``waveforms.npz`` with every digit and ``waveforms.csv`` with units in its head."""
+    """Write ``waveforms.npz`` with all digits, and ``waveforms.csv`` with units."""
     save_arrays(waves, directory / "waveforms.npz")
     columns = dict[str, np.ndarray]()
     for name, values in waves.data.items():
@@ -80,7 +85,10 @@ def save_arrays(waves: Waveforms, path: Path) -> None:
 
 
 def _columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield heads and columns of one array; a complex array has a real and an imaginary part."""
+    """Yield heads and columns of one array.
+
+    A complex array has a real and an imaginary part.
+    """
     if np.iscomplexobj(values):
         yield f"{name} real", values.real
         yield f"{name} imag", values.imag
@@ -89,14 +97,19 @@ def _columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[str, np
 
 
 def running(values: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """Running trapezoidal integral (..., n) of ``values`` d ``over``, zero at the first point."""
+    """Compute the running trapezoidal integral (..., n) of ``values`` d ``over``.
+
+    It is zero at the first point.
+    """
     steps = (values[..., 1:] + values[..., :-1]) / 2 * np.diff(over)
     start = np.zeros((*np.shape(steps)[:-1], 1))
     return np.concatenate([start, np.cumsum(steps, axis=-1)], axis=-1)
 
 
 def slope(values: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """Derivative (n,) of ``values`` (n,) by ``over`` (n,), which may have equal points.
+    """Compute the derivative (n,) of ``values`` (n,) by ``over`` (n,).
+
+    Points of ``over`` may be equal.
 
     It is that of the parabola through three points, of the second order in their distance.
     """
@@ -118,7 +131,10 @@ NEVER = 1e4  # s; a period that no run reaches (newer ngspice repeats a pulse th
 
 
 class PulseKeys(Section):
-    """From ``low`` to ``high`` from ``start`` on within ``edge``; ``width`` at half height."""
+    """Pulse from ``low`` to ``high``, which begins at ``start``.
+
+    The rise and the fall take ``edge`` each. ``width`` is that at half height.
+    """
 
     high: float | str = Field(1.0, description="Value of the pulse, in the unit of the source")
     low: float | str = Field(0.0, description="Value between pulses, in the unit of the source")
@@ -145,7 +161,9 @@ class SineKeys(Section):
 
 @dataclass(frozen=True)
 class Waveform:
-    """A function of time in SI: straight lines, or with a ``frequency`` a sine from ``start`` on.
+    """Function of time in SI: straight lines, or a sine from ``start`` on.
+
+    A sine has a ``frequency``.
 
     ``points`` (n, 2) are times [s] and values, held before the first and behind the last. With a
     ``period`` [s] the part from the first point on repeats, which a ``PULSE`` writes shortly.
@@ -206,7 +224,10 @@ class Waveform:
         return slopes[piece] * (order == 1) + 0.0 * np.asarray(t)
 
     def knots(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
-        """List times [s] and values of all points, in all periods that begin up to ``stop``."""
+        """List times [s] and values of all points in all periods.
+
+        The periods begin before ``stop``.
+        """
         times, values = self._corners
         if self.period is not None:
             turns = self.period * np.arange(max(1, int((stop - times[0]) / self.period) + 1))
@@ -220,7 +241,7 @@ class Waveform:
         return result[(result > 0) & (result < stop)]
 
     def spice(self, scale: float = 1.0) -> str:
-        """Format an independent source in SPICE syntax, with its value multiplied by ``scale``.
+        """Format an independent source in SPICE syntax, multiplied by ``scale``.
 
         A flat top of zero length is written as corners: ngspice reads a ``PULSE`` width of zero as
         "until the end".
@@ -279,7 +300,9 @@ def pulse(
     period: float | None = None,
     count: int | None = None,
 ) -> Waveform:
-    """Make trapezoids of ``width`` at half height: one, ``count`` of them, or without end.
+    """Make trapezoids: one, ``count`` of them, or without end.
+
+    ``width`` is the width at half height.
 
     Raises
     ------
@@ -304,8 +327,9 @@ def pulse(
 
 @dataclass(frozen=True, eq=False)
 class Recorded(EqualByContent):
-    """A smooth curve through ``values`` at ``times`` (n,) of cubics (Akima, J. ACM 17, 589, 1970),
-    constant before and after.
+    """Smooth curve through ``values`` at ``times`` (n,), constant outside.
+
+    It consists of cubics (Akima, J. ACM 17, 589, 1970).
 
     Every 16th sample is a corner: no step of an integrator is longer than what was sampled
     there, so that an event after a long rest is not stepped over.

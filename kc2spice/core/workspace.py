@@ -31,7 +31,7 @@ class Workspace:
         self._entries: dict[str, tuple[Any, Any]] = {}
 
     def latest(self, kind: str, key: Any, compute: Callable[[], T]) -> T:
-        """Return the result of ``key``, which is computed unless it is the latest of its kind.
+        """Return the result of ``key``, computed unless it is the latest of its kind.
 
         The former result is dropped first: two at a time would need twice the memory.
         """
