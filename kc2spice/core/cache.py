@@ -87,10 +87,10 @@ def cached(
     """
     known = {cls.__name__: cls for cls in classes}
     modules = {__name__, *sources, *(cls.__module__ for cls in known.values())}
-    path = cache_dir() / kind / f"{_digest(key, modules)}.entry"
+    path = cache_dir() / kind / f"{_compute_digest(key, modules)}.entry"
     answer = _load(path, known)
     if answer is None:
-        with _exclusive(path):
+        with _lock_entry(path):
             answer = _load(path, known)  # somebody else may have built it since
             if answer is None:
                 _store(path, result := build(), known)
@@ -99,7 +99,7 @@ def cached(
 
 
 @contextmanager
-def _exclusive(path: Path) -> Iterator[None]:
+def _lock_entry(path: Path) -> Iterator[None]:
     """Keep other processes from building the same entry; without locks two may do so."""
     lock = path.with_name(f".{path.stem}.lock.part")  # cleared away as any other .part
     with ExitStack() as stack:
@@ -111,11 +111,11 @@ def _exclusive(path: Path) -> Iterator[None]:
         yield
 
 
-def _digest(key: Mapping[str, Any], sources: Iterable[str]) -> str:
+def _compute_digest(key: Mapping[str, Any], sources: Iterable[str]) -> str:
     versions = {name: _version(name) for name in _LIBRARIES}
     texts = {name: _source_digest(name) for name in sources}
     content = {"key": key, "libraries": versions, "sources": texts}
-    text = json.dumps(content, sort_keys=True, default=_plain)
+    text = json.dumps(content, sort_keys=True, default=_to_json)
     return hashlib.sha256(text.encode()).hexdigest()[:40]
 
 
@@ -127,7 +127,7 @@ def _version(library: str) -> str:
         return "absent"
 
 
-def _plain(value: Any) -> Any:
+def _to_json(value: Any) -> Any:
     """JSON form of what a key may hold besides JSON: scene sections and numpy scalars."""
     return value.model_dump(mode="json") if hasattr(value, "model_dump") else value.item()
 

@@ -146,11 +146,13 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
         leaves.setdefault(choice.rpartition(".")[2], choice)
     near = difflib.get_close_matches(word.rpartition(".")[2], leaves, n=1, cutoff=0.7)
     if not near:  # part numbers in the maker's spelling: 7BB-20-6 of buzzer_7bb_20_6
-        plain = _plain(word)
-        near = [leaf for leaf in leaves if len(plain) >= SHORTEST and plain in _plain(leaf)][:1]
+        plain = _letters_and_digits(word)
+        near = [
+            leaf for leaf in leaves if len(plain) >= SHORTEST and plain in _letters_and_digits(leaf)
+        ][:1]
     return f"did you mean {leaves[near[0]]!r}?" if near else None
 
 
-def _plain(word: str) -> str:
+def _letters_and_digits(word: str) -> str:
     """Letters and digits of a word in lower case."""
     return "".join(ch for ch in word.lower() if ch.isalnum())

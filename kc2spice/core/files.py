@@ -88,12 +88,12 @@ def _publish(work: Path, out: Path) -> None:
             _record_hashes(work, files)
         stale = earlier(out) - set(map(str, files))
         for name in files:
-            if _rank(name) >= 0:
+            if _entry_rank(name) >= 0:
                 (out / name).unlink(missing_ok=True)
         for old in stale:
             with contextlib.suppress(OSError):
                 (out / old).unlink()
-        for name in sorted(files, key=lambda path: (_rank(path), path)):
+        for name in sorted(files, key=lambda path: (_entry_rank(path), path)):
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(work / name, out / name)
 
@@ -110,11 +110,13 @@ def _record_hashes(work: Path, files: list[Path]) -> None:
         return  # no record of a run
     if not isinstance(record, dict):
         return
-    record["sha256"] = {str(name): _hash(work / name) for name in files if name != Path(RESULT)}
+    record["sha256"] = {
+        str(name): _hash_file(work / name) for name in files if name != Path(RESULT)
+    }
     path.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
 
-def _hash(path: Path) -> str:
+def _hash_file(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -140,10 +142,10 @@ def earlier(out: Path) -> set[str]:
         return set()
     plain = filter(_PLAIN.fullmatch, hashes)
     present = (name for name in plain if (out / name).is_file() and not (out / name).is_symlink())
-    return {RESULT, *(name for name in present if hashes[name] == _hash(out / name))}
+    return {RESULT, *(name for name in present if hashes[name] == _hash_file(out / name))}
 
 
-def _rank(path: Path) -> int:
+def _entry_rank(path: Path) -> int:
     """Position among the files that are opened first; -1 for all others."""
     return next((rank for rank, end in enumerate(ENTRIES) if path.name.endswith(end)), -1)
 

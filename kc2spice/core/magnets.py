@@ -51,7 +51,7 @@ class Piecewise(EqualByContent):
         """Slopes; what jumps at the knots is that of the cell above."""
         return Piecewise(self.knots, self.c[1:] * np.arange(1, self.c.shape[0])[:, None, None])
 
-    def raised(self, by: np.ndarray) -> Piecewise:
+    def add_constant(self, by: np.ndarray) -> Piecewise:
         """The same functions plus the constants ``by`` (m,)."""
         return Piecewise(self.knots, np.concatenate([self.c[:1] + by, self.c[1:]]))
 
@@ -147,10 +147,10 @@ class Coenergy:
 
     def inductances(self, y: Any) -> np.ndarray:
         """Symmetric L (..., 2, 2) [H]. Raises as :meth:`inside`."""
-        return _quadratic(self.terms(self.inside(y, "catch")))
+        return _current_hessian(self.terms(self.inside(y, "catch")))
 
 
-def _quadratic(p: np.ndarray) -> np.ndarray:
+def _current_hessian(p: np.ndarray) -> np.ndarray:
     """Second derivatives (..., 2, 2) of ``p . products`` by the currents."""
     return np.stack([2 * p[..., 3], p[..., 4], p[..., 4], 2 * p[..., 5]], -1).reshape(
         *p.shape[:-1], 2, 2
@@ -173,14 +173,14 @@ class EMTable(EqualByContent):
     B_y > 0 on the axis; the sphere's moment points to +y.
     """
 
-    def magnetised(self, remanence: float, shift: float) -> EMTable:
+    def scale_magnets(self, remanence: float, shift: float) -> EMTable:
         """Table for magnets with ``remanence`` times the remanence, ``shift`` [m] higher.
 
         In linear materials the pull between the magnets grows with the square of the remanence,
         what a current adds in proportion, and what currents do alone not at all.
         """
         magnets = remanence ** np.array([2, 1, 1, 0, 0, 0])
-        coarser = None if self.coarser is None else self.coarser.magnetised(remanence, shift)
+        coarser = None if self.coarser is None else self.coarser.scale_magnets(remanence, shift)
         return replace(
             self,
             y=self.y + shift,
@@ -220,7 +220,7 @@ class EMTable(EqualByContent):
             [self.flux0, half[:, 0, 0], self.inductance[:, 0, 1], half[:, 1, 1]],
         )
         offset = np.mean(nodes - integrals(self.y)[:, 1:], axis=0)
-        return Coenergy(integrals.raised(np.concatenate([[0.0], offset])))
+        return Coenergy(integrals.add_constant(np.concatenate([[0.0], offset])))
 
     @cached_property
     def facts(self) -> dict[str, float]:

@@ -21,26 +21,26 @@ def available_bytes(root: Path = Path("/")) -> float:
 
     It is that of the machine if the system states no other limit. Files below ``root`` are read.
     """
-    known = [*_of_machine(root), *_of_groups(root), *_of_limits(root)]
-    return max(min(known), 0.0) if known else _of_pages()
+    known = [*_free_of_machine(root), *_free_of_groups(root), *_free_below_limits(root)]
+    return max(min(known), 0.0) if known else _free_pages()
 
 
-def _of_pages() -> float:
+def _free_pages() -> float:
     return float(os.sysconf(PAGE)) * os.sysconf("SC_PHYS_PAGES")
 
 
-def _of_machine(root: Path) -> Iterator[float]:
-    free = _field(root / "proc/meminfo", "MemAvailable:")
+def _free_of_machine(root: Path) -> Iterator[float]:
+    free = _read_field(root / "proc/meminfo", "MemAvailable:")
     if free is not None:
         yield 1024.0 * free
 
 
-def _of_groups(root: Path) -> Iterator[float]:
+def _free_of_groups(root: Path) -> Iterator[float]:
     """Free memory of each control group of this process.
 
     File pages that can be reclaimed are free.
     """
-    for line in _text(root / "proc/self/cgroup").splitlines():
+    for line in _read_text(root / "proc/self/cgroup").splitlines():
         number, _, rest = line.partition(":")
         controllers, _, path = rest.partition(":")
         if number == "0" and not controllers:
@@ -52,15 +52,19 @@ def _of_groups(root: Path) -> Iterator[float]:
             continue
         here = Path(path.lstrip("/"))
         for folder in (here, *here.parents):  # a container may not see its own path
-            limit, used = (_number(mount / folder / name) for name in names)
+            limit, used = (_read_number(mount / folder / name) for name in names)
             if limit is None or used is None or limit >= UNLIMITED:
                 continue
             stat = mount / folder / "memory.stat"
-            files = _field(stat, "inactive_file") or _field(stat, "total_inactive_file") or 0.0
+            files = (
+                _read_field(stat, "inactive_file")
+                or _read_field(stat, "total_inactive_file")
+                or 0.0
+            )
             yield limit - used + files
 
 
-def _of_limits(root: Path) -> Iterator[float]:
+def _free_below_limits(root: Path) -> Iterator[float]:
     """Memory below the limits of address space and data segment (``ulimit``)."""
     try:
         import resource
@@ -69,26 +73,26 @@ def _of_limits(root: Path) -> Iterator[float]:
     status = root / "proc/self/status"
     for kind, field in (("RLIMIT_AS", "VmSize:"), ("RLIMIT_DATA", "VmData:")):
         limit = resource.getrlimit(getattr(resource, kind))[0]
-        used = _field(status, field)
+        used = _read_field(status, field)
         if limit != resource.RLIM_INFINITY and used is not None:
             yield limit - 1024.0 * used
 
 
-def _field(path: Path, name: str) -> float | None:
+def _read_field(path: Path, name: str) -> float | None:
     """The number behind a name in a file of lines ``NAME NUMBER``."""
-    for line in _text(path).splitlines():
+    for line in _read_text(path).splitlines():
         words = line.split()
         if len(words) > 1 and words[0] == name:
             return float(words[1])
     return None
 
 
-def _number(path: Path) -> float | None:
-    text = _text(path).strip()
+def _read_number(path: Path) -> float | None:
+    text = _read_text(path).strip()
     return float(text) if text.isdigit() else None
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="ascii")
     except (OSError, UnicodeDecodeError):

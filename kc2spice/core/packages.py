@@ -63,7 +63,7 @@ def install_command(*packages: str) -> str:
     >>> install_command("ngspice").endswith("ngspice")
     True
     """
-    command = _command(sys.platform, _os_release())
+    command = _find_command(sys.platform, _read_os_release())
     names = _NAMES.get(command, {})
     if command == _COMMANDS["debian"]:
         names = dict(zip(packages, packages, strict=True))
@@ -72,7 +72,7 @@ def install_command(*packages: str) -> str:
     return f"install the package that Debian calls {', '.join(packages)}"
 
 
-def _command(platform: str, release: str) -> str:
+def _find_command(platform: str, release: str) -> str:
     """First words of the install command of a system; empty if it is unknown."""
     systems = [platform]
     if platform == "linux":
@@ -81,7 +81,7 @@ def _command(platform: str, release: str) -> str:
     return next(filter(None, map(_COMMANDS.get, systems)), "")
 
 
-def _os_release() -> str:
+def _read_os_release() -> str:
     """Text of /etc/os-release, empty on systems without that file."""
     try:
         return _OS_RELEASE.read_text(encoding="utf-8")

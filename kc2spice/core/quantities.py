@@ -60,7 +60,7 @@ def describe_invalid(
         below = tuple(int(step) if step.isdecimal() else step for step in key.split("."))
         path, typed = (*path, *below), _value_at(typed, below, None)
     full_path, kind = (*at, *path), result["type"]
-    message, expected, hint = _words(result, schema, full_path, also)
+    message, expected, hint = _explain(result, schema, full_path, also)
     # If keys contradict each other, the message contains the reason.
     contradicts = kind == "value_error" and isinstance(typed, Mapping)
     got = None if contradicts or kind in ("extra_forbidden", "missing") else display_text(typed)
@@ -81,20 +81,20 @@ def _value_at(table: object, path: KeyPath, converted: Any) -> Any:
     return table
 
 
-def _words(
+def _explain(
     details: ErrorDetails, schema: type[BaseModel], full_path: KeyPath, also: Sequence[str]
 ) -> tuple[str, str | None, str | None]:
     path, context = details["loc"], details.get("ctx", {})
     match details["type"]:
         case "extra_forbidden":
-            table_schema = _table(schema, path)
+            table_schema = _schema_at(schema, path)
             fields = [*table_schema.model_fields, *(also if len(path) == 1 else ())]
             word, every = str(path[-1]), (dotted(item) for item, _ in entries(schema))
             near = did_you_mean(word, fields) or did_you_mean(word, every)
-            near = _hints_of(table_schema).get(word) or _other_word(word, fields) or near
+            near = _hints_of(table_schema).get(word) or _suggest_other_word(word, fields) or near
             return "unknown key", "one of " + candidates(word, fields, _key_list(schema)), near
         case "missing":
-            return (f"{dotted(full_path)} is missing", *_missing(schema, path, full_path))
+            return (f"{dotted(full_path)} is missing", *_explain_missing(schema, path, full_path))
         case "string_pattern_mismatch":
             expected = "a letter, then letters, digits and _, at most 64 in all"
             if full_path[0] in (
@@ -161,7 +161,7 @@ _OTHER_WORDS = {
 }
 
 
-def _other_word(word: str, fields: Sequence[str]) -> str | None:
+def _suggest_other_word(word: str, fields: Sequence[str]) -> str | None:
     """Suggest the key that the table has for the meaning of ``word``."""
     key, hint = _OTHER_WORDS.get(word.lower(), ("", ""))
     return hint if key in fields else None
@@ -172,7 +172,7 @@ def _hints_of(table: type[BaseModel]) -> Mapping[str, str]:
     return getattr(table, "absent", {})
 
 
-def _missing(
+def _explain_missing(
     schema: type[BaseModel], path: KeyPath, full_path: KeyPath
 ) -> tuple[str | None, str | None]:
     """Return the values that a missing key accepts, and the line to add."""
@@ -199,7 +199,7 @@ def _key_list(schema: type[BaseModel]) -> str | None:
     return getattr(schema, "listed", None)
 
 
-def _table(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
+def _schema_at(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
     """Return the innermost schema that contains ``path``."""
     for step in path[:-1]:
         if step in schema.model_fields:
@@ -261,17 +261,19 @@ def dotted(path: KeyPath) -> str:
 def display_text(value: Any) -> str:
     """Format a value as TOML, or describe a number of too many digits."""
     try:
-        return clipped(_as_toml(value))
+        return clipped(_format_toml(value))
     except ValueError:
         return f"a {type(value).__name__} that is too long to print"
 
 
-def _as_toml(value: Any) -> str:
+def _format_toml(value: Any) -> str:
     """Format tables and lists as in a scene file, and other values by ``repr``."""
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {_as_toml(item)}" for key, item in value.items()) + " }"
+        return (
+            "{ " + ", ".join(f"{key} = {_format_toml(item)}" for key, item in value.items()) + " }"
+        )
     if isinstance(value, list):
-        return "[" + ", ".join(map(_as_toml, value)) + "]"
+        return "[" + ", ".join(map(_format_toml, value)) + "]"
     return repr(value)
 
 
@@ -309,7 +311,7 @@ _SPELLINGS = str.maketrans({"\u2126": "Ohm", "Ω": "Ohm", "²": "2", "³": "3", 
 _LONGEST = 200  # characters; nothing sensible comes near it
 
 
-def _symbol(text: str) -> tuple[int, ...] | None:
+def _look_up_unit(text: str) -> tuple[int, ...] | None:
     """Look up a unit with or without prefix.
 
     A unit without prefix has precedence: ``m`` is metre, ``T`` tesla.
@@ -334,7 +336,7 @@ def _parse_unit(text: str) -> tuple[int, ...] | None:
     for product, sign in ((top, 1), (below, -1)):
         for factor in product.split():
             match = _FACTOR.fullmatch(factor)
-            unit = _symbol(match[1]) if match else None
+            unit = _look_up_unit(match[1]) if match else None
             if match is None or unit is None or (factor == "1" and factor != product.strip()):
                 return None
             power = sign * int(match[2] or 1)
@@ -342,7 +344,7 @@ def _parse_unit(text: str) -> tuple[int, ...] | None:
     return tuple(result)
 
 
-def _from_text(text: str, si: str) -> float:
+def _parse_text(text: str, si: str) -> float:
     """Parse a number with a unit; the message of a ValueError describes the fault."""
     match = _NUMBER.fullmatch(text) if len(text) <= _LONGEST else None
     if match is not None and match[2].startswith(","):
@@ -374,7 +376,7 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
     expected = f'a number in {si}, or a string with a unit such as "1 {si}"'
     try:
         if isinstance(value, str):
-            result = _from_text(value, si)
+            result = _parse_text(value, si)
         elif isinstance(value, Real) and not isinstance(value, bool):
             result = float(value)
         else:
@@ -396,7 +398,7 @@ def _correct_spelling(value: object, si: str) -> str | None:
         return None
     for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):
         with contextlib.suppress(ValueError):
-            _from_text(text, si)
+            _parse_text(text, si)
             number, unit = _NUMBER.fullmatch(text).groups()  # type: ignore[union-attr]
             return f'write  "{f"{number} {unit}".strip()}"'
     return None
@@ -410,20 +412,20 @@ def refused(
     return PydanticCustomError("quantity", "{reason}", context)
 
 
-def _number(si: str, value: object) -> float:
+def _parse_number(si: str, value: object) -> float:
     try:
         return quantity(value, si)
     except UsageError as error:
         raise refused(error.message, error.expected, hint=error.hint) from None
 
 
-def _number_with_unit(si: str, value: object) -> float:
+def _parse_number_with_unit(si: str, value: object) -> float:
     if not isinstance(value, str):
         raise refused("needs its unit", f'a string such as "1 {si}"')
-    return _number(si, value)
+    return _parse_number(si, value)
 
 
-def _rings(value: object) -> object:
+def _require_rings(value: object) -> object:
     if value in ("needed", "all") or (type(value) is int and value >= 1):
         return value
     raise refused("no such choice", "needed, all, or a whole number from 1 on")
@@ -439,7 +441,7 @@ class ScalePlace(float):
 SCALE_UNITS = ("Hz", "s", *dict.fromkeys(d.quantity(side).unit for d, side in QUANTITIES.values()))
 
 
-def _place(value: object) -> ScalePlace:
+def _parse_place(value: object) -> ScalePlace:
     if isinstance(value, ScalePlace):
         return value
     for unit in SCALE_UNITS:
@@ -452,7 +454,7 @@ def _place(value: object) -> ScalePlace:
     raise refused("no place on the scale", 'such as "46 Hz" or "2 ms"')
 
 
-def _mounting(value: object) -> object:
+def _parse_mounting(value: object) -> object:
     known = ("roller", "glued", "free")
     try:
         if value in known or 0 < quantity(value, "N/m3") < float("inf"):
@@ -465,7 +467,7 @@ def _mounting(value: object) -> object:
 
 def si(unit: str) -> BeforeValidator:
     """Mark a number in ``unit`` that may be a string with any other unit."""
-    return BeforeValidator(partial(_number, unit))
+    return BeforeValidator(partial(_parse_number, unit))
 
 
 @dataclass(frozen=True)
@@ -511,11 +513,11 @@ Charge = Annotated[float, si("C")]
 Slew = Annotated[float, si("V/s")]
 Ratio = Annotated[float, si("")]
 Count = Annotated[int, Strict()]
-Place = Annotated[float, PlainValidator(_place)]
-Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_rings)]
-Mounting = Annotated[Literal["roller", "glued", "free"] | float, BeforeValidator(_mounting)]
-GateLength = Annotated[float, BeforeValidator(partial(_number_with_unit, "m"))]
-GateTime = Annotated[float, BeforeValidator(partial(_number_with_unit, "s"))]
+Place = Annotated[float, PlainValidator(_parse_place)]
+Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_require_rings)]
+Mounting = Annotated[Literal["roller", "glued", "free"] | float, BeforeValidator(_parse_mounting)]
+GateLength = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "m"))]
+GateTime = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "s"))]
 
 
 @dataclass(frozen=True)

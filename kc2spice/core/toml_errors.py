@@ -68,13 +68,15 @@ def invalid_toml(text: str, error: ValueError, label: str) -> UsageError:
     # of long lines a part: patterns take time with the square of the length
     lines = [line[:LONGEST_LINE] for line in lines_of(text)] or [""]
     number = min(number, len(lines))
-    known = _duplicate(lines, number, str(error), label) or _several_lines(lines, number, label)
+    known = _duplicate_name(lines, number, str(error), label) or _table_on_several_lines(
+        lines, number, label
+    )
     if known is not None:
         return known
-    reached = _position(text, str(error))
+    reached = _error_position(text, str(error))
     for propose in _PROPOSALS:
         for repair in propose(lines, number):
-            if _reach(lines, repair) > reached:
+            if _parser_position(lines, repair) > reached:
                 return UsageError(
                     repair.problem,
                     where=f"{label}, line {repair.number}",
@@ -90,7 +92,7 @@ def invalid_toml(text: str, error: ValueError, label: str) -> UsageError:
     )
 
 
-def _header_of(line: str) -> tuple[str, str]:
+def _parse_header(line: str) -> tuple[str, str]:
     """Return opening brackets and name of a table's header; empty of other lines."""
     header = _HEADER.fullmatch(line) if len(line) <= LONGEST_LINE else None
     return ("", "") if header is None else (header[1], header[2].strip())
@@ -101,7 +103,7 @@ def _quote_line(lines: Sequence[str], number: int) -> str:
     return line if len(line) <= 120 else line[:120] + " …"
 
 
-def _position(text: str, message: str) -> tuple[float, float]:
+def _error_position(text: str, message: str) -> tuple[float, float]:
     """Line and column at which the parser stopped."""
     if match := re.search(r"at line (\d+), column (\d+)\)", message):
         return float(match[1]), float(match[2])
@@ -117,14 +119,14 @@ def _line_number(text: str, message: str) -> int | None:
     return None
 
 
-def _reach(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
+def _parser_position(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
     """Return the position that the parser reaches with the repaired line."""
     changed = [*lines[: repair.number - 1], repair.line, *lines[repair.number :]]
     text = "\n".join(changed) + "\n"
     try:
         parse_toml(text)
     except ValueError as error:
-        line, column = _position(text, str(error))
+        line, column = _error_position(text, str(error))
         # within the same line every repair moves the columns
         return (line, column) if line > repair.number else (0.0, column)
     return math.inf, math.inf
@@ -137,7 +139,7 @@ def _mask_strings(line: str) -> str:
     return masked if comment < 0 else masked[:comment] + " " * (len(masked) - comment)
 
 
-def _as_typed(value: str) -> str:
+def _guess_value(value: str) -> str:
     """A value that is no TOML as what it most likely means."""
     if value.lower() in ("true", "false"):
         return value.lower()
@@ -154,60 +156,60 @@ def _is_value(text: str) -> bool:
         return False
 
 
-def _write(line: str) -> str:
+def _suggest_line(line: str) -> str:
     return f"write  {line.strip()}"
 
 
-def _without_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+def _repair_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     """Text, quantities and numbers that TOML does not read without quotes."""
     line = lines[number - 1]
     bare = [m for m in _BARE_VALUE.finditer(_mask_strings(line)) if not _is_value(m[1])]
     repaired = line
     for match in reversed(bare):
         start, end = match.span(1)
-        repaired = repaired[:start] + _as_typed(line[start:end]) + repaired[end:]
+        repaired = repaired[:start] + _guess_value(line[start:end]) + repaired[end:]
     if bare:
-        quoted = '"' in "".join(_as_typed(match[1]) for match in bare)
+        quoted = '"' in "".join(_guess_value(match[1]) for match in bare)
         problem = "text without quotes" if quoted else "a value that TOML does not read"
-        yield _Repair(problem, number, repaired, _write(repaired))
+        yield _Repair(problem, number, repaired, _suggest_line(repaired))
 
 
-def _lone_quote(line: str) -> str:
+def _find_lone_quote(line: str) -> str:
     """Find the quote that opens no string or closes none; empty without one."""
     masked = _STRING.sub(lambda found: "_" * len(found[0]), line)
     lone = [mark for mark in "\"'" if masked.count(mark) == 1]
     return lone[0] if len(lone) == 1 else ""
 
 
-def _missing_quote(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+def _repair_lone_quote(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     """A quote that opens no string or closes none."""
     # the parser finds the missing end of 'text at the next apostrophe or at the end of the file
-    above = (at for at, line in enumerate(lines[:number], start=1) if _lone_quote(line))
+    above = (at for at, line in enumerate(lines[:number], start=1) if _find_lone_quote(line))
     for at in (number, next(above, number)):
         line = lines[at - 1]
-        mark = _lone_quote(line)
+        mark = _find_lone_quote(line)
         if not mark:
             continue
         opening = re.sub(rf"=(\s*)([^{mark}=]+{mark}\s*)$", rf"=\1{mark}\2", line)
         if opening != line:
-            yield _Repair("missing opening quote", at, opening, _write(opening))
+            yield _Repair("missing opening quote", at, opening, _suggest_line(opening))
         body = line.rstrip()
         inside = body.rstrip(" ]},")
         for closing in (inside + mark + body[len(inside) :], body + mark):
-            yield _Repair("missing closing quote", at, closing, _write(closing))
+            yield _Repair("missing closing quote", at, closing, _suggest_line(closing))
 
 
-def _header(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+def _repair_header(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     """The header of a table whose brackets do not match."""
-    brackets, name = _header_of(lines[number - 1])
+    brackets, name = _parse_header(lines[number - 1])
     if not name:
         return
     # no key at the top of a scene is a list of tables
     header = f"[[{name}]]" if brackets == "[[" and "." in name else f"[{name}]"
-    yield _Repair("the brackets of a table do not match", number, header, _write(header))
+    yield _Repair("the brackets of a table do not match", number, header, _suggest_line(header))
 
 
-def _close_brackets(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+def _repair_brackets(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     """A list or table between brackets that lacks its end."""
     for opening in range(number, max(0, number - MOST_LINES), -1):
         masked = _mask_strings(lines[opening - 1])
@@ -223,24 +225,24 @@ def _close_brackets(lines: Sequence[str], number: int) -> Iterator[_Repair]:
             return
 
 
-def _backslash(lines: Sequence[str], number: int) -> Iterator[_Repair]:
+def _repair_backslash(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     """A backslash that begins no escape sequence, as in a path of Windows."""
     line = lines[number - 1]
     plain = re.sub(r'"([^"\']*)"', r"'\1'", line)
     if "\\" in line and plain != line:
-        yield _Repair("a backslash between double quotes", number, plain, _write(plain))
+        yield _Repair("a backslash between double quotes", number, plain, _suggest_line(plain))
 
 
 _PROPOSALS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
-    _header,
-    _without_quotes,
-    _missing_quote,
-    _close_brackets,
-    _backslash,
+    _repair_header,
+    _repair_quotes,
+    _repair_lone_quote,
+    _repair_brackets,
+    _repair_backslash,
 )
 
 
-def _several_lines(lines: Sequence[str], number: int, label: str) -> UsageError | None:
+def _table_on_several_lines(lines: Sequence[str], number: int, label: str) -> UsageError | None:
     """The error of an inline table { } that does not end on its line."""
     if not 1 <= number <= len(lines) or "=" not in lines[number - 1]:
         return None
@@ -259,17 +261,19 @@ def _several_lines(lines: Sequence[str], number: int, label: str) -> UsageError 
         "a table between { and } must be on one line",
         where=f"{label}, line {number}",
         got=_quote_line(lines, number),
-        hint=_write(joined),
+        hint=_suggest_line(joined),
     )
 
 
-def _duplicate(lines: Sequence[str], number: int, message: str, label: str) -> UsageError | None:
+def _duplicate_name(
+    lines: Sequence[str], number: int, message: str, label: str
+) -> UsageError | None:
     """The error of a table or key that the file has twice."""
     twice = "Cannot declare" in message or "Cannot overwrite" in message
     if not twice:
         return None
     line = _quote_line(lines, number)
-    _, header = _header_of(line)
+    _, header = _parse_header(line)
     name = f"[{header}]" if header else line.partition("=")[0].strip()
     first = _first_line(lines, number, name)
     before = "" if first is None else f" is on line {first} already"
@@ -292,7 +296,7 @@ def _first_line(lines: Sequence[str], number: int, name: str) -> int | None:
     """
     for at in range(number - 1, 0, -1):
         line = lines[at - 1].strip()
-        _, header = _header_of(line)
+        _, header = _parse_header(line)
         stated = f"[{header}]" if header else line.partition("=")[0].strip()
         if stated == name:
             return at

@@ -299,7 +299,7 @@ def in_child(
                 process.stdin.flush()  # left open: its end is what tells the child that we ended
             code = process.wait()
         if code != 0:
-            raise _reason(folder / REASON, code, memory)
+            raise _explain_exit(folder / REASON, code, memory)
         try:
             return read_archive(
                 folder / ANSWER, lambda _: True, entries=lambda _: MAX_ENTRIES, total=MAX_ANSWER
@@ -308,7 +308,7 @@ def in_child(
             raise ValueError(f"its answer cannot be read: {error}") from None
 
 
-def _reason(path: Path, code: int, memory: int) -> Exception:
+def _explain_exit(path: Path, code: int, memory: int) -> Exception:
     try:
         kind, attributes = json.loads(path.read_bytes())
     except (OSError, ValueError):
@@ -323,7 +323,7 @@ def _reason(path: Path, code: int, memory: int) -> Exception:
     return NotImplementedError(text) if kind == "NotImplementedError" else ValueError(text)
 
 
-def _main(function: str, memory: str, seconds: str) -> None:
+def _run_in_child(function: str, memory: str, seconds: str) -> None:
     line = b""
     while not line.endswith(b"\n"):
         more = os.read(0, 1 << 16)
@@ -334,7 +334,7 @@ def _main(function: str, memory: str, seconds: str) -> None:
     try:
         module, _, name = function.partition(":")
         call = getattr(import_module(module), name)
-        _limit(int(memory), int(seconds))
+        _limit_resources(int(memory), int(seconds))
         np.savez(ANSWER, **call(**json.loads(line)))
     except Exception as error:  # a damaged file makes a parser raise nearly anything
         text = " ".join(str(error).split())[:300] or type(error).__name__
@@ -351,7 +351,7 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _limit(memory: int, seconds: int) -> None:
+def _limit_resources(memory: int, seconds: int) -> None:
     with contextlib.suppress(ImportError):  # not a POSIX system
         import resource
 
@@ -367,4 +367,4 @@ def _limit(memory: int, seconds: int) -> None:
 
 
 if __name__ == "__main__":
-    _main(*sys.argv[1:])
+    _run_in_child(*sys.argv[1:])

@@ -73,7 +73,7 @@ def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path)
     save_arrays(waves, directory / "waveforms.npz")
     columns = dict[str, np.ndarray]()
     for name, values in waves.data.items():
-        columns.update(_columns(name, values, units.get(name) or SCALES.get(name, "")))
+        columns.update(_split_columns(name, values, units.get(name) or SCALES.get(name, "")))
     head, table = ",".join(map(plain_cell, columns)), np.column_stack(list(columns.values()))
     np.savetxt(directory / "waveforms.csv", table, "%.10g", ",", header=head, comments="")
     return ["waveforms.npz", "waveforms.csv"]
@@ -84,7 +84,7 @@ def save_arrays(waves: Waveforms, path: Path) -> None:
     np.savez_compressed(path, **waves.data)  # type: ignore[arg-type]
 
 
-def _columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[str, np.ndarray]]:
+def _split_columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[str, np.ndarray]]:
     """Yield heads and columns of one array.
 
     A complex array has a real and an imaginary part.
@@ -197,7 +197,7 @@ class Waveform:
         times, values = np.array(self.points, dtype=float).T
         return times, values
 
-    def _folded(self, t: Any) -> np.ndarray:
+    def _fold_time(self, t: Any) -> np.ndarray:
         """Map instants to the first period."""
         t, first = np.asarray(t, dtype=float), self.points[0][0]
         if self.period is None:
@@ -206,10 +206,10 @@ class Waveform:
 
     def __call__(self, t: Any) -> Any:
         if self.straight:
-            return np.interp(self._folded(t), *self._corners)
-        return self._turned(t, t, 0)
+            return np.interp(self._fold_time(t), *self._corners)
+        return self._evaluate_sine(t, t, 0)
 
-    def _turned(self, t: Any, within: Any, order: int) -> Any:
+    def _evaluate_sine(self, t: Any, within: Any, order: int) -> Any:
         w = 2 * np.pi * self.frequency
         turned = np.sin(w * (np.asarray(t) - self.start) + 0.5 * np.pi * order)
         return (np.asarray(within) > self.start) * self.amplitude * w**order * turned
@@ -217,10 +217,10 @@ class Waveform:
     def rate(self, t: Any, within: Any, order: int = 1) -> Any:
         """Compute time derivatives at ``t``, of the smooth pieces that contain ``within``."""
         if not self.straight:
-            return self._turned(t, within, order)
+            return self._evaluate_sine(t, within, order)
         times, values = self._corners
         slopes = np.concatenate(([0.0], np.diff(values) / np.diff(times), [0.0]))
-        piece = np.searchsorted(times, self._folded(within))
+        piece = np.searchsorted(times, self._fold_time(within))
         return slopes[piece] * (order == 1) + 0.0 * np.asarray(t)
 
     def knots(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
@@ -248,15 +248,15 @@ class Waveform:
         """
         if not self.straight:
             numbers = (0.0, scale * self.amplitude, self.frequency, self.start)
-            return f"SIN({' '.join(map(_number, numbers))})"
+            return f"SIN({' '.join(map(_format_number, numbers))})"
         if len(self.points) == 1:
-            return f"DC {_number(scale * self.points[0][1])}"
+            return f"DC {_format_number(scale * self.points[0][1])}"
         pulse = self._pulse(scale)
         if pulse is not None:
             return pulse
         times, values = self._corners
         corners = np.column_stack([times, scale * values]).ravel().tolist()
-        return f"PWL({' '.join(map(_number, corners))})"
+        return f"PWL({' '.join(map(_format_number, corners))})"
 
     def _pulse(self, scale: float) -> str | None:
         """Format a trapezoid with a flat top, or triangles without end, as a ``PULSE``."""
@@ -264,16 +264,20 @@ class Waveform:
             return None
         (t0, v0), (t1, v1), *_, (t2, v2), (last, end) = self.points[:2] + self.points[-2:]
         if len(self.points) == 3 and self.period is not None:
-            rise = _span(t0, t1)
+            rise = _shortest_difference(t0, t1)
             top = TOP * rise  # a width of zero means "until the end"
-            fall = _span(t1, last) - top
+            fall = _shortest_difference(t1, last) - top
         elif len(self.points) == 4 and v0 == end and v1 == v2:
-            rise, fall, top = _span(t0, t1), _span(t2, last), _span(t1, t2)
+            rise, fall, top = (
+                _shortest_difference(t0, t1),
+                _shortest_difference(t2, last),
+                _shortest_difference(t1, t2),
+            )
         else:
             return None
         period = NEVER if self.period is None else self.period
         numbers = (scale * v0, scale * v1, t0, rise, fall, top, period)
-        return f"PULSE({' '.join(map(_number, numbers))})"
+        return f"PULSE({' '.join(map(_format_number, numbers))})"
 
 
 def constant(value: float) -> Waveform:
@@ -360,7 +364,7 @@ class Recorded(EqualByContent):
 Function = Waveform | Recorded
 
 
-def _span(first: float, last: float) -> float:
+def _shortest_difference(first: float, last: float) -> float:
     """Compute ``last - first`` with as few digits as the rounding of both allows."""
     exact = last - first
     slack = 2 * np.spacing(max(abs(first), abs(last)))
@@ -368,7 +372,7 @@ def _span(first: float, last: float) -> float:
     return next((value for value in rounded if abs(value - exact) <= slack), exact)
 
 
-def _number(value: float) -> str:
+def _format_number(value: float) -> str:
     """Format a number with 15 digits if it equals these but for the rounding of a sum."""
     short = float(f"{value:.15g}")
     return repr(short if abs(short - value) <= 4 * np.spacing(abs(value)) else float(value))
@@ -378,16 +382,16 @@ def write_record(
     record: Mapping[str, Any], directory: Path, name: str = "result.json"
 ) -> dict[str, Any]:
     """Write a JSON file, non-finite numbers as null, and return its content."""
-    result: dict[str, Any] = _plain(record)
+    result: dict[str, Any] = _to_json(record)
     (directory / name).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result
 
 
-def _plain(value: Any) -> Any:
+def _to_json(value: Any) -> Any:
     """Convert a value to types of JSON."""
     value = value.item() if isinstance(value, np.generic) else value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    return list(map(_plain, value)) if isinstance(value, (list, tuple)) else value
+        return {key: _to_json(item) for key, item in value.items()}
+    return list(map(_to_json, value)) if isinstance(value, (list, tuple)) else value

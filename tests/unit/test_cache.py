@@ -222,7 +222,7 @@ def keys(*overrides):
     scene = load_scene("kick_and_catch", [*SMALL, *overrides])
     parts = scene.parts
     found = {name: parts[name].type.model_key(parts[name], scene) for name in ("kick", "catch")}
-    return json.dumps(found, sort_keys=True, default=cache._plain)
+    return json.dumps(found, sort_keys=True, default=cache._to_json)
 
 
 @pytest.mark.parametrize("override", MATTERS)

@@ -367,7 +367,7 @@ class RingMagnetCoils(Touching[Coils]):
                 return catch_table(unit, key["radius"], share)
 
         table = cached("catch", key, build, classes=(EMTable,), sources=SOURCES)
-        return table.magnetised(keys.remanence, keys.shift)
+        return table.scale_magnets(keys.remanence, keys.shift)
 
     def library(self, part: Part[Coils], scene: Scene) -> str:
         return "coil" if _apart(part, scene) and part.name == "catch" else part.name
@@ -455,7 +455,7 @@ class RingMagnetCoils(Touching[Coils]):
                 return catch_table(unit, key["radius"], share)
 
         fine = cached("catch", key, finer, classes=(EMTable,), sources=SOURCES)
-        fine = fine.magnetised(keys.remanence, keys.shift)
+        fine = fine.scale_magnets(keys.remanence, keys.shift)
         step = (table.y.size - 1) // (fine.y.size - 1)
         current = largest_current(part, build.scene) or USUAL_CURRENT
         pulls = [_pulls(item, current) for item in (table.coefficients[::step], fine.coefficients)]
