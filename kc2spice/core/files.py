@@ -86,7 +86,7 @@ def _publish(work: Path, out: Path) -> None:
         files = [path.relative_to(work) for path in sorted(work.rglob("*")) if path.is_file()]
         if Path(RESULT) in files:
             _record_hashes(work, files)
-        stale = earlier(out) - set(map(str, files))
+        stale = list_earlier_files(out) - set(map(str, files))
         for name in files:
             if _entry_rank(name) >= 0:
                 (out / name).unlink(missing_ok=True)
@@ -121,7 +121,7 @@ def _hash_file(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def earlier(out: Path) -> set[str]:
+def list_earlier_files(out: Path) -> set[str]:
     """Names of unchanged files that an earlier run wrote into ``out``.
 
     ``result.json`` of that run contains their hashes. Ignored are

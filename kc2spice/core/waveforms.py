@@ -96,7 +96,7 @@ def _split_columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[s
         yield (f"{name} [{unit}]" if unit else name), values
 
 
-def running(values: np.ndarray, over: np.ndarray) -> np.ndarray:
+def running_integral(values: np.ndarray, over: np.ndarray) -> np.ndarray:
     """Compute the running trapezoidal integral (..., n) of ``values`` d ``over``.
 
     It is zero at the first point.

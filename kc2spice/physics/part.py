@@ -9,7 +9,7 @@ import numpy as np
 
 from kc2spice.core import laws
 from kc2spice.core.domains import SIGNALS, TRANSLATION, VELOCITY
-from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.netlist.circuit import Circuit, Item, Param, Pin
 from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.library import Subcircuit
@@ -346,7 +346,9 @@ def energies(
         if b in moved:
             forces.append((pins, np.diff(recorded[b.name])))
             continue
-        increase = np.diff(over_time(d.storage(b))) + np.diff(running(over_time(d.direct(b)), time))
+        increase = np.diff(over_time(d.storage(b))) + np.diff(
+            running_integral(over_time(d.direct(b)), time)
+        )
         middle = (recorded[b.name][1:] + recorded[b.name][:-1]) / 2
         brought = brought + middle * _integrated(pins, time, increase)
     brought = brought + _work(forces, rise + heat - brought, jumps=bool(massless))

@@ -14,7 +14,7 @@ from typing import Any
 
 from kc2spice.core.domains import ELECTRICAL, SIGNAL
 from kc2spice.core.errors import UsageError
-from kc2spice.core.files import earlier
+from kc2spice.core.files import list_earlier_files
 from kc2spice.core.progress import Clock
 from kc2spice.equations.scene_laws import with_laws
 from kc2spice.netlist.circuit import Element, Item
@@ -436,7 +436,7 @@ def spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
         return path.read_text(encoding="utf-8", errors="replace")
 
     others = {path.name: path for path in out.glob("*.cir") if path.is_file()}
-    for key in sorted(others.keys() - files.keys() - earlier(out)):
+    for key in sorted(others.keys() - files.keys() - list_earlier_files(out)):
         for card in statements(text(others[key]), key, title=True):
             name = card.words[-1].strip("\"'") if card.keyword in INCLUDES else ""
             if name not in files or not (out / name).is_file():

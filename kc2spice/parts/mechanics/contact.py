@@ -13,7 +13,7 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, time_axis
 from kc2spice.core.progress import Clock
-from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import PATCH, Pair, busy_until, pair_of, separation
 from kc2spice.physics import Declaration, DeclaredPart
@@ -322,12 +322,12 @@ def _balance(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Balanc
         x = closing - pair.gaps[: len(ports), None]
         elastic, energy = normal.force(x), normal.energy(x)
     resting, gained = float(energy.max()), energy - energy[:, :1]
-    missing = (running(elastic, closing) - gained).sum(axis=0)
+    missing = (running_integral(elastic, closing) - gained).sum(axis=0)
     entries = {"stored in the contact": float(energy[:, -1].sum())}
     if (before := float(energy[:, 0].sum())) > 0.0:
         entries["stored in the contact at the start"] = before
     if normal.damping or normal.pace:
-        damped = running(force - elastic, closing)[:, -1]
+        damped = running_integral(force - elastic, closing)[:, -1]
         entries["damped in the contact"] = float(damped.sum())
     v, other = waves.data.get(f"{pair.b.part}.v"), pair.scene.parts.get(pair.b.part)
     mass = getattr(other.keys, "mass", 0.0) if other else 0.0

@@ -14,7 +14,7 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import AIR_DENSITY, Density, Length, Section, Velocity
-from kc2spice.core.waveforms import Waveforms, running
+from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.fem.materials import Material, material
 from kc2spice.netlist.circuit import positive
 from kc2spice.parts.control._pid_keys import Control
@@ -258,7 +258,7 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
             if (name, pin) not in acting:
                 return
             forces[name] = acting[name, pin]
-        work = {name: running(f * v, t) for name, f in forces.items()}
+        work = {name: running_integral(f * v, t) for name, f in forces.items()}
         kinetic = mass * (v**2 - v[0] ** 2) / 2
         turnover = sum(float(np.trapezoid(np.abs(f * v), t)) for f in forces.values())
         entries = {f"work of the {name}": float(w[-1]) for name, w in work.items()}
