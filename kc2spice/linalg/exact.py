@@ -1,4 +1,4 @@
-"""Products and solutions of dense matrices beyond double precision, at the speed of BLAS.
+"""Products and solutions of dense matrices beyond double precision, by BLAS.
 
 What a badly conditioned matrix says of its slow motions is the small difference of large numbers.
 Residuals in extended precision find it, so that results are those of the matrix that was given.
@@ -22,7 +22,10 @@ ENOUGH, LOST = 1e-8, 1e-3  # relative corrections: the next is rounding, and non
 
 
 class ExactMatrix:
-    """A real matrix whose products have 18 digits of their largest terms, whatever cancels."""
+    """Real matrix whose products have 18 digits of their largest terms.
+
+    Cancellation of terms does not reduce this accuracy.
+    """
 
     def __init__(self, matrix: np.ndarray) -> None:
         self.shape = matrix.shape
@@ -44,8 +47,11 @@ class ExactMatrix:
 
 
 def _slices(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
-    """Parts of P of so few bits below the largest entry of each column that sums of products of two
-    of them are exact in double precision."""
+    """Split P into parts of few bits, so that their products are exact.
+
+    The bits are those below the largest entry of each column. Sums of products of two parts are
+    exact in double precision.
+    """
     for _ in range(SLICES):
         top = np.abs(P).max(axis=0, initial=0.0).astype(float)
         if not top.any():
@@ -57,7 +63,7 @@ def _slices(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
 
 
 class RefinedSolver:
-    """Solves with ``A + s E`` at any s, refined until all digits of the given entries count."""
+    """Solver for ``A + s E`` at any s, refined until all digits of the entries count."""
 
     def __init__(self, A: np.ndarray, E: np.ndarray) -> None:
         self._plain = A, E

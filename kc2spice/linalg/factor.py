@@ -1,5 +1,6 @@
-"""Direct solution of sparse symmetric systems with a checked residual, and the refusal of a model
-whose factors would not fit into memory before they are begun.
+"""Direct solution of sparse symmetric systems with a checked residual.
+
+A model whose factors exceed the memory is refused before the factorisation begins.
 """
 
 from __future__ import annotations
@@ -104,9 +105,10 @@ class Factor:
         return float(abs(self.matrix).sum(axis=0).max(initial=0.0))
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Solve ``A x = rhs`` for one (n,) or several (n, k) right-hand sides; with fewer rows than
-        A, which count as zero behind those, for as many unknowns (a model's, before eliminated
-        ones).
+        """Solve ``A x = rhs`` for one (n,) or several (n, k) right-hand sides.
+
+        Missing rows of a right-hand side are zero. The solution then contains as many unknowns as
+        the right-hand side has rows, which are those of a model before the eliminated ones.
 
         Raises
         ------
@@ -139,8 +141,9 @@ class Factor:
 
 
 def supernodal(matrix: scipy.sparse.csc_array, order: np.ndarray | None = None) -> Inverse:
-    """Solutions with ``A[p][:, p] = L L'`` of a real matrix by CHOLMOD in cvxopt, in the order
-    ``p``, None for that of minimum degree.
+    """Factorise ``A[p][:, p] = L L'`` of a real matrix by CHOLMOD in cvxopt.
+
+    The order ``p`` is that of minimum degree if it is None.
 
     Raises
     ------
@@ -204,8 +207,9 @@ def factorise(
 
 
 def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> tuple[Factor, Factor]:
-    """Factors of a sparse matrix and of its transpose; without pivoting first where that keeps the
-    fill of a symmetric matrix.
+    """Factorise a sparse matrix and its transpose.
+
+    The first attempt is without pivoting if this keeps the fill of a symmetric matrix.
 
     A trial solution shows whether that is accurate, and partial pivoting follows where it is not
     (indefinite matrices, saddle points).
@@ -238,7 +242,10 @@ def _factor_banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
 
 
 def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inverse, Inverse]:
-    """Solutions with the matrix and with its transpose; ``symmetric`` skips pivoting for size."""
+    """Factorise a matrix for solutions with the matrix and with its transpose.
+
+    ``symmetric`` skips pivoting for size.
+    """
     from scipy.sparse.linalg import splu
 
     order = _find_order(matrix) if symmetric else None
@@ -261,9 +268,10 @@ def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inve
 
 
 def _find_order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
-    """Order ``p`` (n,) in which factors of ``matrix[p][:, p]`` stay sparse, by nested dissection of
-    METIS in gmsh; None, which leaves the order to the solver, of small matrices and, with a
-    warning, where gmsh is missing.
+    """Find an order ``p`` (n,) in which factors of ``matrix[p][:, p]`` are sparse.
+
+    It is that of nested dissection by METIS in gmsh. The result is None for small matrices and,
+    with a warning, without gmsh. The solver then determines the order.
 
     Unknowns whose columns have the same pattern (those of one node) are kept together, so that the
     graph is that of the mesh. Only time and memory depend on the order, never a result's accuracy.
@@ -303,7 +311,10 @@ def _nested_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
 
 
 def _group_unknowns(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndarray]:
-    """Group of every unknown and the first unknown of each, by a hash of the columns' patterns."""
+    """Group unknowns by a hash of the patterns of their columns.
+
+    The results are the group of every unknown and the first unknown of each group.
+    """
     words = np.random.default_rng(0).integers(0, 2**63, matrix.shape[0], dtype=np.uint64)
     total = np.r_[np.uint64(0), np.cumsum(words[matrix.indices], dtype=np.uint64)]
     mark = total[matrix.indptr[1:]] - total[matrix.indptr[:-1]]

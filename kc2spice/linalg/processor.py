@@ -22,7 +22,7 @@ _CPU_INFO = Path("/proc/cpuinfo")  # of Linux; elsewhere OpenBLAS decides
 
 
 def kernels_of(flags: set[str]) -> str | None:
-    """Return the fastest kernels for these instructions of a processor, None for none of them.
+    """Return the fastest kernels for these instructions, None without any.
 
     Examples
     --------
@@ -33,7 +33,7 @@ def kernels_of(flags: set[str]) -> str | None:
 
 
 def processor_flags() -> set[str]:
-    """Return the instructions that the processor and the system support; none where not known."""
+    """Return the instructions that processor and system support, none if unknown."""
     try:
         lines = _CPU_INFO.read_text(encoding="ascii", errors="replace").splitlines()
     except OSError:
@@ -43,7 +43,7 @@ def processor_flags() -> set[str]:
 
 @contextmanager
 def fast_kernels() -> Iterator[None]:
-    """Let a library that is imported within this context use kernels for this processor.
+    """Let a library that is imported in this context use kernels of the processor.
 
     A choice of the user in the environment has priority.
     """

@@ -1,4 +1,4 @@
-"""The band of a reduction: prescribed, or from the lowest natural frequencies of the model."""
+"""The band of a reduction: prescribed, or from the lowest natural frequencies."""
 
 from __future__ import annotations
 
@@ -25,8 +25,10 @@ CLOSE = 1e-9  # relative error of eigenvalues of the shifted inverse
 
 
 def natural_band(pencil: Pencil) -> tuple[float, float]:
-    """``(0, f)`` [Hz], f a little above the fifth lowest undamped natural frequency (second order)
-    or corner frequency (first order) of the full model. Rigid-body modes do not count.
+    """Choose the band ``(0, f)`` [Hz] from the fifth lowest natural frequency.
+
+    It ends a little above the undamped natural frequency (second order) or corner frequency (first
+    order) of the full model. Rigid-body modes do not count.
 
     Raises
     ------
@@ -55,8 +57,10 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
 
 
 def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
-    """The ``count`` lowest squared natural frequencies [1/s2] of a symmetric model of second order,
-    without its rigid-body modes; all where there are fewer.
+    """Compute the ``count`` lowest squared natural frequencies [1/s2].
+
+    The model is symmetric and of second order. Rigid-body modes do not count. The result contains
+    all modes if there are fewer.
 
     Modes of ``K + sigma M`` with a small sigma > 0, which needs no support. A mode whose energy
     ``x'Kx`` is no more than rounding of the entries of K leaves is one of a rigid body.
@@ -92,8 +96,7 @@ def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
 
 
 def _rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
-    """Rayleigh quotients ``x'Kx / x'Mx`` of modes, in ascending order, those of rigid bodies left
-    out."""
+    """Rayleigh quotients ``x'Kx / x'Mx`` of elastic modes, in ascending order."""
     energy = np.einsum("ij,ij->j", X, K @ X)
     mass = np.einsum("ij,ij->j", X, M @ X)
     noise = FREE * np.finfo(float).eps * np.einsum("ij,ij->j", abs(X), magnitudes(K) @ abs(X))
@@ -103,8 +106,10 @@ def _rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
 
 
 def band_end(pencil: Pencil, count: int, high: float) -> float:
-    """Frequency [Hz] of the ``count``-th lowest natural mode, at most ``high``; ``high`` where
-    there are fewer, or they cannot be computed. Rigid-body modes do not count."""
+    """Frequency [Hz] of the ``count``-th lowest elastic mode, at most ``high``.
+
+    It is ``high`` if there are fewer modes, or if they cannot be computed.
+    """
     pencil = reduced_form(pencil)
     if pencil.degree != 2 or not pencil.symmetric or pencil.size <= count + 2:
         return high
@@ -138,7 +143,7 @@ def _compute_lowest_rates(pencil: Pencil) -> np.ndarray:
 def frequency_band(
     band: tuple[float | str, float | str] | None,
 ) -> tuple[float, float] | None:
-    """Return a band of numbers or texts such as ``(0, "20 kHz")`` in Hz; None stays None.
+    """Return a band such as ``(0, "20 kHz")`` in Hz; None stays None.
 
     Raises
     ------

@@ -32,10 +32,11 @@ SAME = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class BlockModel(EqualByContent):
-    """``z' = diag(blocks) z + B u + F w``, ``y = C z + D u + R w`` with real square blocks of any
-    size and ``coupled`` signals w of no state of their own, ``0 = P z + Q u + S w``: what closes
-    loops around blocks that are few entries each without them, as waves at the ports of a measured
-    multiport do. ``loops`` is ``(F, P, Q, R, S)``, None where there are none.
+    """Model ``z' = diag(blocks) z + B u + F w``, ``y = C z + D u + R w``.
+
+    The real square blocks have any size. The ``coupled`` signals w have no states: ``0 = P z + Q u
+    + S w``. They close loops around blocks that have few entries without them, such as waves at the
+    ports of a measured multiport. ``loops`` is ``(F, P, Q, R, S)``, None without loops.
     """
 
     blocks: tuple[np.ndarray, ...]
@@ -128,7 +129,10 @@ def decouple_states(
 def _split_schur_form(
     T: np.ndarray, Z: np.ndarray, growth: float
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
-    """Split the real Schur form from the top, taking in the nearest pole where splitting costs."""
+    """Split the real Schur form from the top.
+
+    A block takes in the nearest pole if a split would be inaccurate.
+    """
     X, inverse, blocks, n = Z.copy(), Z.T.copy(), [], len(T)
     start = 0
     while start < n:
@@ -156,7 +160,7 @@ def _split_schur_form(
 
 
 def _list_blocks(T: np.ndarray, start: int = 0) -> Iterator[tuple[int, int]]:
-    """Where each diagonal block of a real Schur form begins from ``start`` on, and its size."""
+    """Yield start and size of each diagonal block of a real Schur form."""
     while start < len(T):
         size = 2 if start + 1 < len(T) and T[start + 1, start] != 0 else 1
         yield start, size
@@ -168,7 +172,7 @@ def _block_size(T: np.ndarray, start: int) -> int:
 
 
 def _poles(T: np.ndarray) -> np.ndarray:
-    """Eigenvalues in the upper half plane of a real Schur form, in the order of its blocks."""
+    """Eigenvalues of a real Schur form in the upper half plane, by its blocks."""
     result = []
     for i, size in _list_blocks(T):
         product = T[i, i + 1] * T[i + 1, i] if size == 2 else 0.0

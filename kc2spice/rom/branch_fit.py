@@ -1,4 +1,4 @@
-"""A measured one-port as a passive circuit: resonances, losses and inductances behind leads.
+"""A measured one-port as a passive circuit of branches behind leads.
 
 With s = j w, and no amplitude below zero, so that no choice of the others gives power::
 
@@ -61,9 +61,11 @@ LARGEST_Q = 1e7  # Q factor of a resonance whose loss the samples do not show
 def one_port(
     f: np.ndarray, Y: np.ndarray, noise: float, conductance: float | None = None
 ) -> tuple[LinearModel | None, float]:
-    """The circuit of admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz] as a model with one electrical
-    port, ``anode``, and the relative deviation (rms) that it leaves; no model where that exceeds
-    :data:`POOR`. The error of its certificate is the largest relative deviation from the samples.
+    """Fit a circuit to admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz].
+
+    The model has one electrical port, ``anode``. The other result is its relative deviation (rms).
+    There is no model if this exceeds :data:`POOR`. The error in the certificate is the largest
+    relative deviation from the samples.
 
     Parameters
     ----------
@@ -93,8 +95,10 @@ def one_port(
 
 
 def _network(elements: Elements) -> ParallelBranches:
-    """The circuit of a sum of elements: resonances by their frequency, then the others. Leads of a
-    single branch are a part of it."""
+    """Make the circuit of a sum of elements.
+
+    Resonances come first, by their frequency. Leads of a single branch are a part of this branch.
+    """
     capacitance = sum(float(np.exp(e.logs[0])) for e in elements if e.form == "capacitance")
     order = sorted(
         (e for e in elements if e.in_parallel and e.form != "capacitance"),
@@ -145,15 +149,21 @@ def _count_parameters(elements: Elements) -> int:
 
 
 def _select_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
-    """The first of the sums whose criterion is as good as the least: rounding chooses none."""
+    """Select the first of the sums whose criterion is as good as the least.
+
+    Rounding of the criterion then has no effect.
+    """
     values = list(map(samples.criterion, ends))
     good = (end for end, value in zip(ends, values, strict=True) if value < min(values) + AS_GOOD)
     return next(good)
 
 
 def _limit_element(element: FitElement, slowest: float) -> FitElement:
-    """The element with a time of at most ``slowest`` (logarithm of s) and a Q factor of at most
-    :data:`LARGEST_Q`: what the samples do not determine, with the Y in the band that they do."""
+    """Limit the time of an element to ``slowest``, and its Q to :data:`LARGEST_Q`.
+
+    ``slowest`` is the logarithm of a time in s. The samples do not determine larger values. They
+    determine the Y in the band, which remains.
+    """
     amplitude, *others = element.logs
     excess = _log_time(element) - slowest if others else 0.0
     if element.form == "resonant":
@@ -167,7 +177,10 @@ def _limit_element(element: FitElement, slowest: float) -> FitElement:
 
 
 def _select_outside_band(samples: Samples, elements: Elements) -> Elements:
-    """Elements whose frequencies lie outside of the band, where simpler ones have their Y."""
+    """Select the elements with frequencies outside of the band.
+
+    Simpler elements have the same Y in the band.
+    """
     low = np.log(2 * np.pi * samples.f[0] / OUTSIDE)
     high = np.log(2 * np.pi * samples.f[-1] * OUTSIDE)
     timed = [e for e in elements if len(e.logs) > 1]
@@ -180,8 +193,10 @@ def _log_time(element: FitElement) -> float:
 
 
 def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
-    """Whether every element exceeds what is left at more samples than it has parameters: one that
-    describes the noise of one sample does not."""
+    """Whether each element exceeds the deviation at more samples than parameters.
+
+    An element that describes the noise of one sample does not.
+    """
     left = -np.expm1(-samples.rms(elements))  # relative to Y
     return all(
         np.count_nonzero(np.abs(by_amplitude) > left) > len(others) + 1
@@ -190,8 +205,7 @@ def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
 
 
 def _simplify(samples: Samples, elements: Elements, doubtful: Elements) -> Elements:
-    """The elements, of which the ``doubtful`` are left out or replaced by simpler ones if the
-    criterion falls."""
+    """Leave out or simplify ``doubtful`` elements if the criterion falls."""
     value = samples.criterion(elements)
     for element in doubtful:
         for fewer in _propose_simpler(samples, elements, element):
@@ -204,7 +218,10 @@ def _simplify(samples: Samples, elements: Elements, doubtful: Elements) -> Eleme
 def _propose_simpler(
     samples: Samples, elements: Elements, element: FitElement
 ) -> Iterable[Elements]:
-    """Sums in which one element is absent, or has a simpler form with its Y in the band."""
+    """Yield sums without an element, or with simpler elements in its place.
+
+    The simpler elements have the same Y in the band.
+    """
     others = tuple(e for e in elements if e is not element)
     if any(e.in_parallel for e in others):
         yield others
@@ -220,7 +237,9 @@ def _propose_simpler(
 
 
 def _replace_by_leads(element: FitElement, others: Elements) -> Iterable[Elements]:
-    """Sums in which leads of the whole capacitance C0 have the effect of a branch above the band::
+    """Yield sums in which leads replace a branch above the band.
+
+    Leads of the whole capacitance C0 have the same effect::
 
     s C0 / (1 + s R C0 + s^2 L C0) = s C0 - s^2 R C0^2 - s^3 L C0^2 + ...
     s c w^2 / (s^2 + d s + w^2) = s c - s^2 c d / w^2 - s^3 c / w^2 + ...
@@ -246,7 +265,7 @@ def _is_capacitance(element: FitElement) -> bool:
 
 
 def _convert_form(element: FitElement, form: str) -> FitElement:
-    """An element of a form with one or two parameters and the time constant of another element."""
+    """Make an element of a simpler form with the time constant of another element."""
     if form in ("conductance", "capacitance"):
         return FitElement(form, (0.0,))
     log_t = element.logs[2] - 2 * element.logs[1]  # d / w^2, the product R C of the branch
@@ -264,8 +283,10 @@ def _propose_starts(samples: Samples, elements: Elements) -> list[Elements]:
 
 
 def _fit_peak(samples: Samples, elements: Elements) -> Elements:
-    """The elements and the resonance of the largest conductance that they leave, of its height and
-    its width at half of that; a capacitance beside them where there is none."""
+    """Add a resonance at the largest conductance that the elements leave.
+
+    It has the height and the width at half of the height. A capacitance is added if there is none.
+    """
     missing = samples.missing(elements)
     top = int(np.argmax(missing.real))
     if missing.real[top] <= 0:

@@ -1,4 +1,4 @@
-"""Certificates of reduced-order models: error estimate, stability and passivity in one record."""
+"""Certificates of reduced-order models: error estimate, stability and passivity."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Piezoelectric bodies by complex material constants (IEEE Std 176-1987), as passive models.
+"""Piezoelectric bodies by complex material constants, as passive models.
+
+Source: IEEE Std 176-1987.
 
 The losses of a ceramic are stated as complex compliances ``s^E (1 - j / Q)``, real d and complex
 permittivities ``eps^T (1 - j tan delta)``, constant over frequency: Q is the same for all modes. In
@@ -138,7 +140,7 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
     motional, clamped = shares.T @ shares, model.D[np.ix_(ports, ports)]
 
     def sensitivity(f: np.ndarray) -> np.ndarray:
-        """Q from the lowest resonance on, where a change of stiffness shifts resonances; else 1."""
+        """Q from the lowest resonance on, because stiffness shifts resonances; else 1."""
         lowest = BELOW * model.omega.min() / (2 * np.pi)
         return np.where(f > lowest, max(1.0, 1 / max(losses.loss_factor, 1e-12)), 1.0)
 
@@ -199,8 +201,10 @@ def _largest_error(
     electrical: np.ndarray,
     band: tuple[float, float],
 ) -> float:
-    """Largest relative difference of the model to the exact response in the band, relative to
-    :data:`FLOOR` of an entry's peak at least."""
+    """Largest relative difference of the model to the exact response in the band.
+
+    It is relative to at least :data:`FLOOR` of an entry's peak.
+    """
     low, high = max(band[0], 1e-4 * band[1]), band[1]
     resonances = modes.omega / (2 * np.pi)
     near = resonances[:, None] * (1 + 0.5 * losses.loss_factor * np.array(CLUSTER))
@@ -218,8 +222,10 @@ def _largest_error(
 
 
 def _sample_minima(f: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Frequencies about the local minima of every entry (n, ports, ports): antiresonances, where
-    relative errors are largest."""
+    """Sample around the local minima of every entry (n, ports, ports).
+
+    Relative errors are largest at these antiresonances.
+    """
     curves = size.reshape(len(f), -1)
     inner = (curves[1:-1] <= curves[:-2]) & (curves[1:-1] <= curves[2:])
     lowest = np.flatnonzero(inner.any(axis=1)) + 1

@@ -48,8 +48,11 @@ NEGLIGIBLE = 1e-10  # relative size of a term that is zero but for rounding
 
 
 def eliminate_constraints(pencil: Pencil) -> Pencil:
-    """The model without constraints that Lagrange multipliers enforce; the same pencil if there are
-    none, or if its response contains derivatives of its input."""
+    """Eliminate the constraints that Lagrange multipliers enforce.
+
+    The result is the same pencil if there are none, or if its response contains derivatives of its
+    input.
+    """
     rest, *others = pencil.coefficients
     if pencil.degree != 2 or isinstance(rest, Schur) or pencil.rayleigh is not None:
         return pencil
@@ -77,7 +80,7 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
 
 
 def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
-    """Unknowns without inertia and damping whose own stiffness is zero, and that of all pairs."""
+    """Find unknowns without inertia, damping and stiffness, also among each other."""
     result = ~has_entries(others) & (rest.diagonal() == 0)
     indices = np.flatnonzero(result)
     if indices.size:
@@ -87,7 +90,9 @@ def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
 
 
 def null_basis(G: Matrix) -> tuple[scipy.sparse.csc_array, int]:
-    """Sparse Z (n, n - rank) with ``G Z = 0``, and the rank: some unknowns follow the others.
+    """Compute a sparse Z (n, n - rank) with ``G Z = 0``, and the rank.
+
+    Some unknowns follow the others.
 
     Examples
     --------
@@ -123,8 +128,10 @@ def _insert_multipliers(
     L: Matrix,
     Z: Matrix,
 ) -> Pencil:
-    """With outputs that see multipliers, ``l = S^-1 L'M^-1 (B u - E x' - K x)``, ``S = L'M^-1 L``;
-    first order if these depend on velocities."""
+    """Add outputs of multipliers ``l = S^-1 L'M^-1 (B u - E x' - K x)``.
+
+    ``S = L'M^-1 L``. The model is of first order if the multipliers depend on velocities.
+    """
     K, E, M = map(dense, parts)
     L, Z = dense(L), dense(Z)
     try:
@@ -144,8 +151,11 @@ def _insert_multipliers(
 
 
 def deflate_infinite_poles(pencil: Pencil) -> Pencil:
-    """A descriptor model of first order without infinite poles; the same pencil if E is regular, if
-    the model is too large, or if its response contains derivatives of its input."""
+    """Remove the infinite poles of a descriptor model of first order.
+
+    The result is the same pencil if E is regular, if the model is too large, or if its response
+    contains derivatives of its input.
+    """
     if pencil.degree != 1 or pencil.size > DENSE or pencil.free:
         return pencil
     full = pencil.dense()
@@ -180,8 +190,10 @@ def deflate_infinite_poles(pencil: Pencil) -> Pencil:
 def _eliminate_index_two(
     E: np.ndarray, P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, n: int
 ) -> Pencil | None:
-    """Without the constraints behind the first n equations; None where the index is higher, or the
-    response contains derivatives of the input."""
+    """Eliminate the constraints behind the first n equations.
+
+    The result is None if the index is higher, or if the response contains derivatives of the input.
+    """
     L, G, B3, C3 = P[:n, n:], P[n:, :n], B[n:], C[:, n:]
     P, B, C = P[:n, :n], B[:n], C[:, :n]
     try:
@@ -226,7 +238,10 @@ def _is_singular(matrix: np.ndarray) -> bool:
 def _split_by_rank(
     matrix: np.ndarray, symmetric: bool, scale: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Orthogonal U and V and the rank: ``U'PV`` is regular in front, and zero elsewhere."""
+    """Compute orthogonal U and V and the rank of a matrix P.
+
+    ``U'PV`` is regular in front, and zero elsewhere.
+    """
     if symmetric and np.abs(matrix - matrix.T).max(initial=0.0) <= 1e-12 * largest(matrix):
         values, U = np.linalg.eigh(0.5 * (matrix + matrix.T))
         order = np.argsort(-np.abs(values))
@@ -266,8 +281,10 @@ def _symmetrise(P: Matrix, symmetric: bool) -> Matrix:
 
 
 def reduced_form(pencil: Pencil) -> Pencil:
-    """The equivalent model that a reduction starts from: without constraints, unknowns without
-    inertia and damping, and infinite poles."""
+    """Transform a model to the equivalent form from which a reduction starts.
+
+    It is the model without constraints, infinite poles and unknowns without inertia and damping.
+    """
     try:
         pencil = deflate_infinite_poles(eliminated(eliminate_constraints(pencil)))
     except (SimulationError, np.linalg.LinAlgError):

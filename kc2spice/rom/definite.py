@@ -17,7 +17,7 @@ def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 
 
 def expects_cholesky(pencil: Pencil) -> bool:
-    """Whether a Cholesky factor is all that a reduction needs, if the stiffness is definite."""
+    """Whether a reduction needs a Cholesky factor alone if K is definite."""
     form = has_definite_form(pencil, undamped_too=True)
     return form and not isinstance(pencil.coefficients[0], Schur)
 
@@ -37,8 +37,11 @@ def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 
 
 def _is_free(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
-    """Whether the softest motion, ``y = K^-1 load`` of a random load, has no more energy than the
-    rounding of K itself, which may give a body that is free to move a factor."""
+    """Whether the softest motion has no more energy than rounding errors of K.
+
+    The motion is ``y = K^-1 load`` of a random load. Because of such errors, the factor of a free
+    body may exist.
+    """
     size = magnitudes(K)
     rounding = FREE * np.finfo(float).eps * np.sum(abs(y) * (size @ abs(y)))
     soft = bool(np.sum(y * load) < rounding)

@@ -1,4 +1,4 @@
-"""Elements behind leads, and the least squares that fit their sum to measured admittances.
+"""Elements behind leads, and the fit of their sum to measured admittances.
 
 Admittances ``Y_k`` of elements in parallel and impedances ``Z_l`` of leads make
 
@@ -94,8 +94,10 @@ SIMPLER = {
 
 @dataclass(frozen=True)
 class FitElement:
-    """One summand of the parallel admittance or of the impedance of the leads: its form and the
-    logarithms of its parameters, the amplitude first."""
+    """Summand of the admittance in parallel, or of the impedance of the leads.
+
+    It has a form and the logarithms of its parameters, the amplitude first.
+    """
 
     form: str
     logs: Logs
@@ -146,8 +148,10 @@ Elements = tuple[FitElement, ...]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz], and the ``conductance`` [S] at zero frequency
-    where the user states it."""
+    """Admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz], and a ``conductance`` [S].
+
+    The conductance is that at zero frequency, if the user states it.
+    """
 
     f: np.ndarray
     Y: np.ndarray
@@ -160,8 +164,10 @@ class Samples:
 
     @property
     def conducting(self) -> bool:
-        """Whether direct current flows: it is stated, or else the mean phase at the lowest
-        frequencies is not that of a capacitor."""
+        """Whether direct current flows: stated, or by the phase at low frequencies.
+
+        The mean phase at the lowest frequencies is then not that of a capacitor.
+        """
         if self.conductance is not None:
             return self.conductance > 0
         low = np.mean(self.Y[:LOWEST] / np.abs(self.Y[:LOWEST]))
@@ -169,15 +175,20 @@ class Samples:
 
     @cached_property
     def tolerance(self) -> np.ndarray:
-        """Relative deviation (n,) that shows no further element: :data:`ENOUGH`, and the effect of
-        frequencies that a file rounds."""
+        """Relative deviation (n,) below which there is no further element.
+
+        It is :data:`ENOUGH`, and the effect of frequencies that a file rounds.
+        """
         by_frequency = np.abs(np.gradient(self.Y, self.f) / self.Y)
         return np.asarray(
             np.hypot(ENOUGH, ABOVE_ROUNDING * frequency_rounding(self.f) * by_frequency)
         )
 
     def described(self, elements: Elements) -> bool:
-        """Whether a sum of elements differs from the samples by no more than the tolerance, rms."""
+        """Whether a sum of elements differs from the samples by at most the tolerance.
+
+        The difference is the rms value.
+        """
         return bool(np.mean(np.abs(self.misfit(elements) / self.tolerance) ** 2) < 1)
 
     @cached_property
@@ -227,8 +238,10 @@ class Samples:
         return float(np.sqrt(np.mean(np.abs(self.misfit(elements)) ** 2)))
 
     def criterion(self, elements: Elements) -> float:
-        """Bayesian information criterion of a fit, with :data:`FLOOR` as noise beside that of the
-        samples."""
+        """Compute the Bayesian information criterion of a fit.
+
+        :data:`FLOOR` is noise in addition to that of the samples.
+        """
         count = 2 * len(self.f)
         parameters = sum(len(e.logs) for e in elements)
         return float(
@@ -236,14 +249,20 @@ class Samples:
         )
 
     def _rows(self, x: np.ndarray, dc: float) -> np.ndarray:
-        """Numbers (n,) as real rows; below them the share of ``dc`` in the stated conductance."""
+        """Convert numbers (n,) to real rows, and append the share of ``dc``.
+
+        The share is that in the stated conductance.
+        """
         if not self._dc_weight or self.conductance is None:
             return np.concatenate([x.real, x.imag])
         return np.concatenate([x.real, x.imag, [self._dc_weight * dc / self.conductance]])
 
     def amplitudes(self, elements: Elements) -> tuple[Elements, float]:
-        """The elements with the best non-negative amplitudes behind the leads among them, those of
-        zero left out, and the norm of the rows that they leave, linear in the admittance."""
+        """Fit the non-negative amplitudes of elements behind the leads among them.
+
+        Elements with an amplitude of zero are left out. The other result is the norm of the
+        residual, which is linear in the admittance.
+        """
         leads = tuple(e for e in elements if not e.in_parallel)
         elements = tuple(e for e in elements if e.in_parallel)
         share = 1 - self._sums(leads)[1] * self.Y
@@ -261,7 +280,7 @@ class Samples:
         return ((*positive, *leads) if positive else ()), float(left)
 
     def polished(self, elements: Elements, evaluations: int = TRIAL) -> Elements:
-        """The nearest least squares of all parameters, or what ``evaluations`` reach of it."""
+        """Fit all parameters by nonlinear least squares, at most ``evaluations``."""
         if not elements:
             return elements
         ends = np.cumsum([len(e.logs) for e in elements])[:-1]
@@ -304,8 +323,10 @@ class Samples:
 
 
 def frequency_rounding(f: np.ndarray) -> float:
-    """Rounding error (rms) [Hz] of frequencies ``f`` (n,): their difference to equal steps, linear
-    or logarithmic, where half of their last decimal digit explains it; else 0.
+    """Estimate the rounding error (rms) [Hz] of frequencies ``f`` (n,).
+
+    It is the difference to equal linear or logarithmic steps, if half of the last decimal digit
+    explains the difference, and otherwise 0.
 
     Examples
     --------
@@ -336,7 +357,7 @@ def conductance(elements: Elements) -> float:
 
 
 def _conductance_slope(elements: Elements, element: FitElement) -> float:
-    """Derivative of :func:`conductance` by the logarithm of the amplitude of an element."""
+    """Derivative of :func:`conductance` by the logarithm of an amplitude."""
     if element.form == "lead resistance":
         return -(conductance(elements) ** 2) * lead_resistance((element,))
     parallel = sum(e.conductance for e in elements)

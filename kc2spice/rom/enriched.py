@@ -1,4 +1,4 @@
-"""Errors of reduced models in time: how far models of more states answer the same loads otherwise.
+"""Errors of reduced models in time, by models of more states.
 
 A certificate is pointwise in frequency: beside a sharp resonance a shift by a thousandth of the
 frequency counts as an error of 100 %, whatever the loads of a run excite. Here the recorded loads
@@ -59,7 +59,7 @@ class Orders:
         return krylov_space(self._pencil) if definite else None
 
     def reduce(self, order: int, band: tuple[float, float], norm: Norm) -> LinearModel:
-        """Reduce to an order as :func:`kc2spice.rom.reduce.reduce_model` does for contacts."""
+        """Reduce to an order as :func:`reduce_model` does for contacts."""
         target = Target(None, order, band, norm, contact=True, method=None, space=self._space)
         return reduce_to(self.model, target)
 
@@ -81,7 +81,7 @@ class Orders:
 
 
 def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray | None:
-    """Outputs (n, outputs) of ``model`` over the times ``t`` (n,) by a ``load`` (n, inputs).
+    """Compute outputs (n, outputs) over times ``t`` (n,) for a ``load`` (n, inputs).
 
     The load is linear between the times; the model starts in equilibrium with ``load[0]``. None
     where no modes give the response: the model is free to move, or its eigenvectors are defective.
@@ -124,7 +124,7 @@ def _select_modes(modal: Resonators, rows: slice) -> Resonators:
 
 
 def last_change(load: np.ndarray) -> int:
-    """Index of the last time point of a ``load`` (n, inputs) at which one of its inputs changes."""
+    """Find the last time point at which an input of ``load`` (n, inputs) changes."""
     step = np.abs(np.diff(load, axis=0)) > CONSTANT * np.abs(load).max(axis=0)
     changes = np.flatnonzero(step.any(axis=1))
     return int(changes[-1]) + 1 if changes.size else 0
@@ -137,7 +137,9 @@ def time_errors(
     load: np.ndarray,
     groups: Sequence[np.ndarray],
 ) -> Mapping[str, float] | None:
-    """Rms difference of the answers of two models to a ``load`` (n, inputs), by output.
+    """Rms difference of the responses of two models to a ``load``, by output.
+
+    The load is (n, inputs).
 
     Each is relative to the largest rms change that the load of one of the ``groups`` (masks of
     inputs), the direct term D or all loads together make of that output: loads that cancel, as a

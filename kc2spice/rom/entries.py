@@ -1,4 +1,4 @@
-"""Sizes that errors of a transfer function's entries are relative to, and entries that are zero.
+"""Scales of errors of a transfer function's entries, and entries that are zero.
 
 A structure with a mirror plane has entries that are zero by symmetry: a force along y moves nothing
 along z. Solutions leave rounding errors there, whose quotient means nothing. Errors of such an
@@ -43,8 +43,11 @@ class Entries:
     def of(
         cls, H: np.ndarray, peak: np.ndarray | None = None, zero: np.ndarray | bool = False
     ) -> Entries:
-        """Entries of the response H (frequencies, outputs, inputs), whose ``peak`` may be known, as
-        may be that an entry is ``zero`` though rounding exceeds the limit at a resonance."""
+        """Make the entries of the response H (frequencies, outputs, inputs).
+
+        The ``peak`` may be known, or that an entry is ``zero`` although rounding exceeds the limit
+        at a resonance.
+        """
         size = np.abs(H)
         peak = size.max(axis=0, initial=0.0) if peak is None else np.asarray(peak, dtype=float)
         rows, columns = balance(peak)
@@ -65,14 +68,19 @@ class Entries:
         return np.asarray(np.maximum(size, share * self.peak))
 
     def negligible(self, H: np.ndarray) -> np.ndarray:
-        """Where the response H (..., outputs, inputs) is below ``ZERO`` of its row and column."""
+        """Mask of values of the response H that are below ``ZERO`` of row and column.
+
+        H is (..., outputs, inputs).
+        """
         scale = self.rows[:, None] * self.columns
         mean = _geometric_mean(np.abs(H), self.rows, self.columns)
         return np.asarray(np.abs(H) <= ZERO * np.maximum(mean, scale))
 
     def relative(self, difference: np.ndarray, H: np.ndarray, share: float = FLOOR) -> np.ndarray:
-        """Sizes of a ``difference`` to the response H (..., outputs, inputs), relative to
-        :meth:`base`; zero where that is zero."""
+        """Sizes of a ``difference`` to the response H, relative to :meth:`base`.
+
+        Both are (..., outputs, inputs). The result is zero if the base is zero.
+        """
         base = self.base(H, share)
         return np.asarray(
             np.divide(np.abs(difference), base, out=np.zeros_like(base), where=base > 0)
@@ -80,8 +88,10 @@ class Entries:
 
 
 def balance(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Factors of rows and columns that leave ``size / (rows columns)`` with a largest entry of one
-    in each row and each column that is not zero."""
+    """Compute factors that scale the largest entry of each row and column to one.
+
+    They are those of ``size / (rows columns)``. Rows and columns of zeros are ignored.
+    """
     rows, columns = np.ones(size.shape[0]), np.ones(size.shape[1])
     for _ in range(BALANCING_STEPS if size.size > 1 else 1):
         left = size / (rows[:, None] * columns)
@@ -92,7 +102,10 @@ def balance(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _geometric_mean(size: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Geometric mean of the largest entry of each row and each column (..., outputs, inputs)."""
+    """Geometric mean of the largest entries of row and column.
+
+    The result is (..., outputs, inputs).
+    """
     left = size / (rows[:, None] * columns)
     across = left.max(axis=-1, keepdims=True, initial=0.0)
     down = left.max(axis=-2, keepdims=True, initial=0.0)

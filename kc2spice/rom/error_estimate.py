@@ -1,4 +1,4 @@
-"""Estimates of the error of reduced-order models, which do not depend on the method of reduction.
+"""Error estimates of reduced-order models, for any method of reduction.
 
 The estimate is the largest relative difference to a more accurate model, at frequencies that are
 refined where the difference is largest.
@@ -42,8 +42,11 @@ SPREAD = 6  # frequencies at which a model is looked at first, and those at whic
 def adaptive_frequencies(
     response: Response, band: tuple[float, float], static: bool, norm: Norm = "pointwise"
 ) -> np.ndarray:
-    """Frequencies [Hz] at which relative errors show: a grid, every resonance with its flanks, and
-    *pointwise* every deep notch of any entry, found by zooming in."""
+    """Choose frequencies [Hz] at which relative errors are large.
+
+    They are a grid, every resonance with its flanks, and *pointwise* every deep notch of any entry,
+    which repeated refinement finds.
+    """
     near = 0.9 * band[0], 1.1 * band[1]
     at, ratio = response.within(near)
     frequency = np.union1d(grid(band, GRID, static), sample_resonances(at, ratio))
@@ -76,9 +79,12 @@ def adaptive_frequencies(
 
 
 def _minima_near_zeros(H: np.ndarray) -> np.ndarray:
-    """Sizes of the inner minima of responses ``H`` with a peak of 1 that may lead to a deeper one,
-    infinite elsewhere: a neighbour is much larger, or the straight line to it passes much nearer
-    to zero. Errors count against the floor where a notch is deeper: those are found."""
+    """Sizes of inner minima of responses ``H`` that may lead to a deeper minimum.
+
+    H has a peak of 1. Other values are infinite. At such a minimum a neighbour is much larger, or
+    the straight line to the neighbour passes much nearer to zero. Minima below the floor of errors
+    are left out.
+    """
     size = np.abs(H)
     step = np.diff(H, axis=0)
     share = -(np.conj(step) * H[:-1]).real / (np.abs(step) ** 2 + np.finfo(float).tiny)
@@ -90,8 +96,11 @@ def _minima_near_zeros(H: np.ndarray) -> np.ndarray:
 
 
 def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """``ZOOM`` frequencies from each ``known[low]`` to ``known[high]`` that are not ``known``, each
-    once: of two that rounding sets apart, one would hide a maximum that lies beside the other."""
+    """Place ``ZOOM`` frequencies from each ``known[low]`` to ``known[high]``.
+
+    Frequencies that are ``known`` are left out, and each of the others occurs once. Of two that
+    differ by rounding, one would hide a maximum next to the other.
+    """
     points = np.unique(np.linspace(known[low], known[high], ZOOM))
     points = points[np.r_[True, np.diff(points) > SAME * points[1:]]]
     at = np.searchsorted(known, points)
@@ -103,7 +112,10 @@ def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> n
 
 @dataclass(frozen=True)
 class ErrorEstimator:
-    """Judges models by the ``exact`` one, which has a ``static`` answer or none, over the band."""
+    """Estimator of errors of models over a band, by an ``exact`` model.
+
+    ``static`` states whether the exact model has a static response.
+    """
 
     exact: Response
     band: tuple[float, float]
@@ -128,28 +140,35 @@ class ErrorEstimator:
 
     @cached_property
     def _counted(self) -> np.ndarray:
-        """Which entries are not what cancellation of their terms leaves; those that are zero by
-        symmetry count against their row and column."""
+        """Mask of entries that are more than the cancellation of their terms.
+
+        Entries that are zero by symmetry count relative to their row and column.
+        """
         return np.asarray(
             ~self.exact.cancelled(2j * np.pi * self.frequency) | self.reference[1].zero
         )
 
     @cached_property
     def failed(self) -> dict[float, np.ndarray]:
-        """Frequencies [Hz] at which models were furthest off, the last ones last, with the exact
-        response: the next that is not good enough shows there first. A few over the band to begin
-        with."""
+        """Frequencies [Hz] of the largest errors so far, with the exact response.
+
+        The latest are the last. The next inaccurate model is likely to fail at these first. At
+        first they are a few over the band.
+        """
         sample = slice(None, None, max(1, len(self.frequency) // SPREAD))
         return dict(zip(self.frequency[sample].tolist(), self.reference[0][sample], strict=True))
 
     def sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
-        """Largest error (..., frequencies) of any entry, for differences to the response H."""
+        """Largest error (..., frequencies) of any entry for differences to H."""
         base = self.reference[1].base(H, self.share) + np.finfo(float).tiny
         return np.asarray((np.abs(difference) / base * self._counted).max(axis=(-2, -1)))
 
     def error(self, reduced: Response, limit: float = np.inf) -> float:
-        """:func:`relative_error` over the band, in the ``norm``: at ``frequency``, then closer and
-        closer around where it is largest. Above ``limit`` any error that shows it is enough."""
+        """Estimate :func:`relative_error` over the band in the ``norm``.
+
+        The frequencies are ``frequency``, and then those around the largest errors. Above ``limit``
+        the first error found is sufficient.
+        """
         for last, H in reversed(self.failed.items()):
             try:  # other coordinates are faster only for many frequencies
                 ours = reduced.pencil.transfer(np.array([2j * np.pi * last]))[0]
@@ -183,8 +202,11 @@ class ErrorEstimator:
 def errors_above_band(
     ports: Sequence[Port], exact: Response, reduced: Response, band: tuple[float, float]
 ) -> tuple[tuple[float, float], ...]:
-    """``above`` of a :class:`Certificate`: the largest relative difference of any mechanical port's
-    own response, at ``ABOVE`` times the band's end; nothing where no port is mechanical."""
+    """Errors ``above`` the band of a :class:`Certificate`.
+
+    They are the largest relative differences of any mechanical port's own response at ``ABOVE``
+    times the band's end. There are none without a mechanical port.
+    """
     columns = [port for port in ports if port.kind != "output"]
     rows = [port for port in ports if port.kind != "input"]
     moved = [port for port in ports if port.moving]
@@ -198,8 +220,10 @@ def errors_above_band(
 
 
 def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
-    """Largest error of all entries and frequencies relative to the entry, or to ``FLOOR`` of its
-    peak; see :class:`kc2spice.rom.entries.Entries` for entries that are zero.
+    """Largest error of all entries and frequencies, relative to the entry.
+
+    It is relative to at least ``FLOOR`` of the entry's peak. See
+    :class:`kc2spice.rom.entries.Entries` for entries that are zero.
 
     Arrays are (frequencies, outputs, inputs), or (frequencies,) and (frequencies, entries) of
     entries that are independent of each other.
@@ -215,8 +239,11 @@ def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
 def relative_size(
     difference: np.ndarray, reference: np.ndarray, entries: Entries | None = None
 ) -> np.ndarray:
-    """Errors (..., outputs, inputs) by :meth:`kc2spice.rom.entries.Entries.relative`, whose
-    ``entries`` are those of the reference itself by default."""
+    """Errors (..., outputs, inputs) relative to entries.
+
+    See :meth:`kc2spice.rom.entries.Entries.relative`. The ``entries`` are those of the reference by
+    default.
+    """
     entries = entries or Entries.of(reference)
     return entries.relative(difference, reference)
 

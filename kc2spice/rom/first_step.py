@@ -1,4 +1,4 @@
-"""The first step of a reduction: an intermediate model that is far more accurate than the result.
+"""First step of a reduction: an intermediate model of very high accuracy.
 
 * Small models: all of it, in dense form.
 * Definite models with proportional or no damping: :mod:`kc2spice.rom.reductors.definite_krylov`.
@@ -96,7 +96,10 @@ def intermediate_model(
 def _restore_units(
     pencil: Pencil, band: tuple[float, float], result: IntermediateModel
 ) -> IntermediateModel:
-    """An intermediate model of ``pencil.scaled(...)`` with a basis in the units of the pencil."""
+    """Convert the basis of a scaled model to the units of the pencil.
+
+    The intermediate model is that of ``pencil.scaled(...)``.
+    """
     if result.basis is None:
         return result
     units = pencil.units(2 * np.pi * band[1])
@@ -167,7 +170,10 @@ def _keep_full_order(
 
 
 def _undamped_modes(full: Pencil) -> np.ndarray | None:
-    """Modes (n, n) of symmetric, definite K and M of a model of moderate size, else None."""
+    """Compute the modes (n, n) of symmetric, definite K and M of moderate size.
+
+    The result is None for other models.
+    """
     if full.degree == 1 or full.size > EXTENDED:
         return None
     K, _, M = full.coefficients
@@ -181,7 +187,7 @@ def _undamped_modes(full: Pencil) -> np.ndarray | None:
 
 
 def _solution_error(response: Response, band: tuple[float, float]) -> float:
-    """How far direct solutions in two orders of elimination, and the modes', are apart."""
+    """Compare direct solutions in two orders of elimination, and those of modes."""
     full = response.pencil
     at, ratio = response.visible(band)
     sharpest = at[np.argsort(ratio)[:1]] * (1 + FLANK * (ratio.min(initial=1.0) < FLANK))

@@ -81,7 +81,7 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
 
 
 def _has_negative_stiffness(pencil: Pencil) -> bool:
-    """Whether a symmetric model of definite mass has a motion of negative elastic energy."""
+    """Whether a symmetric model with definite mass has a negative elastic energy."""
     K, _, M = pencil.coefficients
     x = _find_highest_energy(-K)
     if x is None:
@@ -91,8 +91,10 @@ def _has_negative_stiffness(pencil: Pencil) -> bool:
 
 
 def _find_highest_energy(P: Matrix) -> np.ndarray | None:
-    """The direction of the largest energy of a symmetric P, rows scaled alike; None
-    where it is not found."""
+    """Find the direction of the largest energy of a symmetric P with scaled rows.
+
+    The result is None if it is not found.
+    """
     size = np.asarray(abs(P).sum(axis=1)).ravel()
     if not size.any():
         return None
@@ -115,7 +117,10 @@ def _typical_rate(pencil: Pencil) -> float:
 
 
 def _find_growing_poles(pencil: Pencil, rate: float) -> np.ndarray:
-    """Growing poles [1/s], proven by their residuals, by the Cayley transform with c = ``rate``."""
+    """Find growing poles [1/s] by the Cayley transform with c = ``rate``.
+
+    Their residuals prove them.
+    """
     solve = pencil.solver(rate)[0].solve
     n, degree = pencil.size, pencil.degree
     inertia, *loss = pencil.coefficients[:0:-1]

@@ -1,4 +1,4 @@
-"""The intermediate model of a two-step reduction: small, and far more accurate than the result."""
+"""Intermediate model of a two-step reduction: small and very accurate."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class IntermediateModel:
 
     @property
     def poles(self) -> np.ndarray | None:
-        """Poles of the full-order model [1/s]; None if this model does not contain all of them."""
+        """Poles of the full-order model [1/s]; None if some of them are missing."""
         known = self.complete and not self.pencil.free and not self.response.decoupled
         return self.response.poles if known else None
 

@@ -1,5 +1,7 @@
-"""Models as files: reduced ones with their certificate (one ``.npz``, a Matrix Market family), and
-Matrix Market files of others, read so that no damage in them can reach further than an error.
+"""Models as files: reduced models with certificates, and Matrix Market files.
+
+A reduced model is one ``.npz``, or a Matrix Market family. Damaged Matrix Market files of others
+cause nothing but an error.
 
 scipy's ``mmread`` (1.17) silently reads Fortran's ``1.5D+3`` as 1.5, doubles a symmetric matrix of
 which both triangles are stored, and fills a symmetric array that is not square with numbers that
@@ -119,7 +121,7 @@ def _read_array(rows: int, columns: int, symmetry: str, values: np.ndarray) -> M
 
 
 def parse_numbers(text: bytes) -> np.ndarray:
-    """All numbers of ``text``, separated by blanks or commas, in time linear in its length.
+    """Parse all numbers of a text between blanks or commas, in linear time.
 
     Fortran's ``1.5D+3`` is a number.
 
@@ -189,8 +191,9 @@ def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
 
 
 def read_rom(path: Path | str) -> LinearModel:
-    """Read back what :func:`write_rom` wrote: the ``.npz``, or the ``.json`` or any matrix file of
-    the Matrix Market family.
+    """Read a reduced model that :func:`write_rom` wrote.
+
+    The path is that of the ``.npz``, of the ``.json``, or of any matrix file of the family.
 
     Raises
     ------
