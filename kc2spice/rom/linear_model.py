@@ -1,4 +1,6 @@
-"""The linear model: operators with named, typed ports. Full and reduced models are this class.
+"""The linear model: operators with named, typed ports.
+
+Full and reduced models are of this class.
 
 A reductor maps one :class:`LinearModel` to a smaller one and attaches a :class:`Certificate`.
 Circuits are built from its state-space matrices, which other libraries read too.
@@ -91,7 +93,10 @@ class Port:
 
     @property
     def loaded(self) -> bool:
-        """Whether its input flows through its pin, such as a force, and its output is across."""
+        """Whether the input is a through quantity, such as a force.
+
+        The output is then an across quantity.
+        """
         return self.domain is not None and self.domain.driven == "through"
 
     @property
@@ -109,7 +114,9 @@ class Port:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Error of a reduced model with respect to the *full* model, with its band and its proofs.
+    """Error of a reduced model with respect to the *full* model, and its proofs.
+
+    It is stated with its band.
 
     ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``, in
     the ``norm`` *pointwise* (relative at every frequency, or to a millionth of the entry's peak
@@ -146,9 +153,11 @@ class Certificate:
 
 @dataclass(frozen=True, repr=False, eq=False, kw_only=True)
 class LinearModel:
-    """``M x'' + E x' + K x = B u``, ``y = C x + D u`` (second order, ``A`` is None), or
-    ``E x' = A x + B u``, ``y = C x + D u`` (first order, ``M`` and ``K`` are None). Given as
-    ``E x' + K x = B u``, as heat is written, ``A`` becomes ``-K``.
+    """Linear model ``M x'' + E x' + K x = B u``, ``y = C x + D u`` with ports.
+
+    In this form of second order, ``A`` is None. In the first order, ``E x' = A x + B u``, ``y = C x
+    + D u``, ``M`` and ``K`` are None. ``E x' + K x = B u``, the usual form of heat, becomes first
+    order with ``A = -K``.
 
     ``M``, ``E``, ``K``, ``A`` (n, n) are sparse or dense, ``B`` (n, inputs), ``C`` (outputs, n) and
     ``D`` (outputs, inputs) dense. All values are SI and of the *whole* device. A missing ``C`` is
@@ -307,7 +316,7 @@ class LinearModel:
         return pencil.transfer(2j * np.pi * np.atleast_1d(np.asarray(frequency, dtype=float)))
 
     def reconstruct(self, states: np.ndarray) -> np.ndarray:
-        """Return the unknowns of the full-order model for states of this reduced-order model.
+        """Return unknowns of the full-order model for states of this reduced one.
 
         Parameters
         ----------
@@ -351,7 +360,9 @@ class LinearModel:
         return np.asarray(np.tensordot(self.basis, states, axes=1))
 
     def poles(self) -> np.ndarray:
-        """All finite poles [1/s], complex; dense work, for models up to a few thousand unknowns.
+        """Compute all finite poles [1/s], complex.
+
+        The work is dense, for models of up to a few thousand unknowns.
 
         Structural damping has none and is left out.
         """
@@ -507,7 +518,10 @@ def with_potentials(
 
 
 def model_of(pencil: Pencil, ports: Sequence[Port], **labels: Any) -> LinearModel:
-    """Return the linear model with the matrices of a pencil and the ``labels`` of its fields."""
+    """Return the linear model with the matrices of a pencil.
+
+    ``labels`` are its other fields.
+    """
     parts = pencil.coefficients
     matrices = {"A": negated(parts[0]), "E": parts[1]}
     if pencil.degree == 2:
@@ -526,7 +540,7 @@ LOSS_FACTOR = 1e-9  # deviation, relative to K, up to which the imaginary part i
 
 
 def _set_structural(model: LinearModel) -> None:
-    """Split a complex K of the model into its real part and its loss, and check the latter."""
+    """Split a complex K into its real part and its loss, and check the loss."""
     put, K, where = object.__setattr__, model.K, model.name
     if K is not None and not isinstance(K, Schur) and np.iscomplexobj(K):
         if model.structural:
@@ -549,8 +563,10 @@ def _set_structural(model: LinearModel) -> None:
 
 
 def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
-    """The imaginary part of a stiffness stored as K is, None where it is a multiple of K; and that
-    multiple, its loss factor."""
+    """Return the imaginary part of a stiffness and its loss factor.
+
+    The part is stored as K is. It is None if it is a multiple of K, which is the loss factor.
+    """
     if isinstance(K, Schur) or K is None or K.shape != loss.shape:
         raise _structural_loss_error(where, "a loss that does not belong to K")
     if isinstance(K, np.ndarray):
@@ -583,8 +599,10 @@ def _structural_loss_error(where: str, got: str, what: str = "matrix K") -> Usag
 
 
 def _require_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) -> None:
-    """Refuse a square C of an undamped second-order model that may be its damping matrix: one with
-    coupled rows."""
+    """Refuse a square C of an undamped model that may be its damping matrix.
+
+    The model is of second order, and rows of C are coupled.
+    """
     if C is None or C.shape != (n, n) or n == 1 or np.array_equal(C, B.T):
         return
     if (np.count_nonzero(C, axis=1) > 1).any():
@@ -665,7 +683,10 @@ def _require_heat(model: LinearModel) -> None:
 
 
 def _require_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = True) -> Matrix:
-    """The matrix in numbers, as an array unless it is ``sparse`` and may be; None as it is."""
+    """Convert a matrix to real numbers, as an array unless it may be ``sparse``.
+
+    None remains None.
+    """
     if matrix is None:
         return None
     if isinstance(matrix, Schur):

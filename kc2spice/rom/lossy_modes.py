@@ -109,7 +109,9 @@ def relaxing_oscillator(
 def assemble_oscillators(
     modes: Sequence[Oscillator], damping: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Symmetric K, E, M of oscillators with the viscous ``damping`` (modes, modes) among them.
+    """Assemble symmetric K, E, M of oscillators with a viscous ``damping``.
+
+    The damping is (modes, modes).
 
     Each relaxation is one more unknown without mass, the displacement between its spring and its
     damper; these follow the modes.

@@ -1,5 +1,7 @@
-"""A symmetric model as decoupled resonators, and its modes as an engineer reads them: frequency, Q,
-and how each port sees them; their exact answers to recorded loads.
+"""Symmetric models as decoupled resonators, with their tables of modes.
+
+The table contains frequency, Q and the shares of ports. Exact responses to recorded loads follow
+from the resonators.
 
 Residual modes without inertia
     A reduced model keeps the compliance of its ports exact by some stiff modes far above its band.
@@ -54,8 +56,9 @@ COUPLED_IN = {kind: domain.compliance for kind, domain in PORTS.items() if domai
 
 @dataclass(frozen=True, eq=False)
 class Resonators(EqualByContent):
-    """``m_j z_j'' + damp_j z_j' + omega_j^2 z_j = sum_k gain_jk u_k``,
-    ``y_k = sum_j gain_jk z_j + sum_l D_kl u_l``.
+    """Modes ``m_j z_j'' + damp_j z_j' + omega_j^2 z_j = sum_k gain_jk u_k``.
+
+    The outputs are ``y_k = sum_j gain_jk z_j + sum_l D_kl u_l``.
 
     ``omega`` (q,) in rad/s, ``damp`` (q,) in 1/s, ``gain`` (q, p), ``D`` (p, p). ``m_j`` is one,
     but zero of the last ``massless`` states, which relax within ``damp_j / omega_j^2``. Reciprocal
@@ -73,7 +76,10 @@ class Resonators(EqualByContent):
 
     @property
     def order(self) -> int:
-        """Number of states, each a displacement and its velocity or, without inertia, only that."""
+        """Number of states: a displacement and a velocity for each mode.
+
+        A mode without inertia has a displacement only.
+        """
         return self.omega.size
 
     @property
@@ -95,8 +101,10 @@ class Resonators(EqualByContent):
 
 
 def resonators(rom: LinearModel) -> Resonators | None:
-    """Mass-normalised modes of the symmetric pair (K, M) with damping that they diagonalise; None
-    where M or K is not positive definite, C not B', or damping couples the modes.
+    """Compute mass-normalised modes of the symmetric pair (K, M).
+
+    The result is None if M or K is not positive definite, if C is not B', or if damping couples
+    modes.
 
     Solved as ``M phi = mu K phi`` because K is the better conditioned of the two.
     """
@@ -135,7 +143,9 @@ def resonators(rom: LinearModel) -> Resonators | None:
 
 
 def mode_table(model: LinearModel) -> dict[str, Any] | None:
-    """Modes with all electrodes shorted and no load, up to the end of the certificate's band.
+    """List the modes with all electrodes shorted and no load.
+
+    The table ends at the end of the certificate's band.
 
     ``modes``, each with ``frequency_hz``, ``quality`` (None without damping) and ``couplings`` by
     port, in ``units``. That of an electrical port is the effective factor ``k = sqrt(C_j / (C_j +
@@ -175,7 +185,10 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
 
 
 def _modal_data(model: LinearModel) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """``omega`` and ``damp`` (modes,), shares (modes, ports) and what the ports answer besides."""
+    """Return ``omega`` and ``damp`` (modes,), shares of ports, and the direct term.
+
+    The shares are (modes, ports).
+    """
     result = resonators(model)
     if result is None:
         return _modal_data_by_poles(model)
@@ -188,8 +201,11 @@ def _modal_data(model: LinearModel) -> tuple[np.ndarray, np.ndarray, np.ndarray,
 def _modal_data_by_poles(
     model: LinearModel,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """The same by the poles of ``M x'' + E x' + K x``; ``-2 Re(residue / pole)`` of a port's own
-    transfer function is its share, ``gain^2 / omega^2`` where nothing couples."""
+    """Return the data of :func:`_modal_data` by poles of ``M x'' + E x' + K x``.
+
+    The share of a port is ``-2 Re(residue / pole)`` of its own transfer function, which is ``gain^2
+    / omega^2`` of decoupled modes.
+    """
     if model.first_order or not all(port.conservative for port in model.ports):
         return None
     K, E, M = model.pencil.dense().coefficients
@@ -222,7 +238,9 @@ RANK = 1e-12  # zero singular value, relative: no port moves such a combination 
 
 
 def without_inertia(model: Resonators, tolerance: float | None = None) -> Resonators:
-    """``model`` with its highest modes as states without inertia and its certificate widened.
+    """Replace the highest modes of a model by states without inertia.
+
+    The error in its certificate becomes larger.
 
     The cut: from the highest mode down, as long as the inertia left out changes the answer of every
     mechanical port at the end f of the certificate's band by less than ``AT_REST`` of its static
@@ -340,8 +358,10 @@ def chip_response(
 def integrate_modes(
     omega: np.ndarray, damp: np.ndarray, t: np.ndarray, drive: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacements and rates (n, modes) of ``z'' + damp z' + omega^2 z = drive``, from
-    equilibrium; ``drive`` is linear between the times."""
+    """Integrate ``z'' + damp z' + omega^2 z = drive`` from equilibrium.
+
+    The results are displacements and rates (n, modes). ``drive`` is linear between the times.
+    """
     a, b = _oscillator_roots(omega, damp)
     if (b == a.conj()).all():  # then x_b is the conjugate of x_a
         x_a = integrate_roots(a, t, drive)
@@ -379,7 +399,10 @@ def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.n
 
 
 def _oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Roots of ``s^2 + damp s + omega^2``; equal ones are moved apart by 1e-4 of omega."""
+    """Roots of ``s^2 + damp s + omega^2``.
+
+    Equal roots are separated by 1e-4 of omega.
+    """
     half = np.sqrt(damp.astype(complex) ** 2 / 4 - omega**2)
     half = np.where(np.abs(half) < 1e-4 * omega, 1e-4 * omega, half)
     fast = -damp / 2 - half
@@ -415,7 +438,9 @@ def permittivity(frequency: np.ndarray, tangent: float) -> np.ndarray:
 
 
 def clamped_tangent(tangent: float, ratio: float) -> float:
-    """Tangent of the clamped body whose free capacitance has the loss ``tangent`` at 1 kHz.
+    """Loss tangent of a clamped body whose free capacitance has the ``tangent``.
+
+    Both hold at 1 kHz.
 
     Parameters
     ----------
@@ -447,9 +472,11 @@ def clamped_tangent(tangent: float, ratio: float) -> float:
 def fit_foster_network(
     tangent: float, band: tuple[float, float], error: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Amplitudes ``a`` (k + 1,) and rates ``1/t`` (k,) [1/s] of the sum, and its largest relative
-    difference to :func:`permittivity` in the band: the fewest relaxations within ``error``, or the
-    best there is."""
+    """Fit the fewest relaxations to :func:`permittivity` in the band.
+
+    The results are amplitudes ``a`` (k + 1,), rates ``1/t`` (k,) [1/s], and the largest relative
+    difference. It is at most ``error``, or the least that is possible.
+    """
     low, high = max(band[0], band[1] / 10**DECADES), band[1]
     decades = np.log10(high / low) + 1e-9
     f = np.geomspace(low, high, int(POINTS * decades) + POINTS)
@@ -471,9 +498,11 @@ def fit_foster_network(
 
 
 def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
-    """``model`` whose free body has that loss tangent at 1 kHz, constant in the band of its
-    certificate, which the error of the sum widens. Of several electrodes the motional and the
-    clamped capacitance are the sums over all of them, each with the others shorted.
+    """Add a loss tangent of the free body at 1 kHz to a model.
+
+    It is constant in the band of the certificate, whose error includes that of the sum. The
+    motional and the clamped capacitance of several electrodes are the sums over all of them, each
+    with the others shorted.
 
     Raises
     ------

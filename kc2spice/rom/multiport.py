@@ -54,9 +54,11 @@ INSIDE = 1e-7  # below one, of the largest singular value that counts as passive
 
 
 def multi_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> LinearModel:
-    """The state space of admittances ``Y`` (n, ports, ports) [S] at ``f`` (n,) [Hz], with the
-    electrical ports ``port1`` … against ``ref``. Its certificate is the largest deviation of any
-    entry from the samples, relative to the entry's peak.
+    """Fit a passive state space to admittances ``Y`` (n, ports, ports) [S].
+
+    The frequencies are ``f`` (n,) [Hz]. The electrical ports are ``port1`` … against ``ref``. The
+    error in its certificate is the largest deviation of any entry from the samples, relative to the
+    entry's peak.
 
     ``noise`` is the relative standard deviation of one component of Y.
 
@@ -159,7 +161,9 @@ def _generate_fits(
 
 
 def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
-    """The passive state space of the same poles nearest to the samples; None where there is none.
+    """Find the nearest passive state space with the same poles.
+
+    The result is None if there is none.
 
     Least squares over C and D under the bounded real lemma, a linear matrix inequality in them and
     in a storage function ``x'Px`` (S. Grivet-Talocia, B. Gustavsen, Passive Macromodeling, 2016,
@@ -236,8 +240,10 @@ def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
 
 
 def _scale_to_passive(model: ABCD) -> ABCD | None:
-    """The model with C and D divided by the least of the factors ``1 + ROUNDING 2^k`` that makes it
-    passive, None where that is more than :data:`MOST_SHRUNK`."""
+    """Divide C and D by the least factor that makes the model passive.
+
+    The factors are ``1 + ROUNDING 2^k``. The result is None above :data:`MOST_SHRUNK`.
+    """
     A, B, C, D = model
     excess = 0.0
     while not passive(A, B, C / (1 + excess), D / (1 + excess)):
@@ -259,9 +265,11 @@ def _deviation(one: np.ndarray, other: np.ndarray) -> float:
 def refine_poles(
     f: np.ndarray, S: np.ndarray, poles: np.ndarray, highest: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The stable poles near ``poles`` [rad/s], those in the upper half plane and real ones, with
-    the least squares of ``D + sum_k R_k / (s - p_k) + R_k* / (s - p_k*)``: also residues (poles,
-    ports, ports) and D. Poles turn at ``highest`` times the band's end at most.
+    """Refine stable poles near ``poles`` [rad/s] by nonlinear least squares.
+
+    The poles are those in the upper half plane and real ones. The sum is ``D + sum_k R_k / (s -
+    p_k) + R_k* / (s - p_k*)``, whose residues (poles, ports, ports) and D are results, too. Poles
+    are at most ``highest`` times the band's end.
 
     Residues are linear, and eliminated (variable projection with Kaufman's Jacobian: Golub and
     Pereyra, Inverse Problems 19 (2003) R1). Vector fitting stops where it does no better; the
@@ -320,8 +328,11 @@ def refine_poles(
 
 
 def _columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Real rows of ``1``, ``1 / (s - p) + 1 / (s - p*)`` (half of it of a real pole) and
-    ``j / (s - p) - j / (s - p*)`` of complex ones, scaled to norm 1; their norms."""
+    """Compute the real rows of the terms of a sum, scaled to norm 1, and their norms.
+
+    The terms are ``1``, ``1 / (s - p) + 1 / (s - p*)`` (half of it for a real pole) and ``j / (s -
+    p) - j / (s - p*)`` for complex poles.
+    """
     one, other = 1 / (s[:, None] - p), 1 / (s[:, None] - p.conj())
     sums = np.where(real, one, one + other)
     columns = np.hstack([np.ones((len(s), 1)), sums, 1j * (one - other)[:, ~real]])
@@ -340,7 +351,7 @@ def _residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
 def _pole_derivatives(
     s: np.ndarray, p: np.ndarray, real: np.ndarray, coefficients: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Derivatives (frequencies, entries) of the sum by the logarithms of the poles' parts."""
+    """Derivatives (frequencies, entries) by the logarithms of the poles' parts."""
     residues = _residues(coefficients, real)
     one, other = 1 / (s[:, None] - p) ** 2, 1 / (s[:, None] - p.conj()) ** 2
 
@@ -357,8 +368,10 @@ def _pole_derivatives(
 
 
 def _state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray) -> ABCD:
-    """Real matrices of ``S = D + sum_k R_k / (s - p_k)``, every pole as often as the rank of its
-    residue asks."""
+    """Make real matrices of ``S = D + sum_k R_k / (s - p_k)``.
+
+    Each pole occurs as often as the rank of its residue.
+    """
     ports = len(D)
     blocks, inputs, outputs = [], [], []
     for pole, residue in zip(poles, residues, strict=True):
@@ -383,8 +396,11 @@ def _state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray) -> ABCD
 
 
 def passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bool:
-    """Whether the scattering state space takes power at every frequency: it is stable, D is below
-    one, and the Hamiltonian of a bound just above one has no eigenvalue on the imaginary axis."""
+    """Whether a scattering state space is passive at every frequency.
+
+    It is stable, D is below one, and the Hamiltonian of a bound just above one has no eigenvalue on
+    the imaginary axis.
+    """
     if (np.linalg.eigvals(A).real >= 0).any() or np.linalg.norm(D, 2) >= 1 + INSIDE:
         return False
     g = 1 + 10 * INSIDE
@@ -405,8 +421,10 @@ def passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bool:
 def _admittance(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, R: float
 ) -> LinearModel:
-    """The state space of charges [C] by voltages [V]; waves ``a`` stay signals of their own, so
-    that the poles of the fit stay apart in their blocks::
+    """Make the state space of charges [C] by voltages [V].
+
+    Waves ``a`` remain separate signals, so that the poles of the fit remain separate in their
+    blocks::
 
         x' = A x + B a,    q' = (2 a - v / r) / r,    0 = v / r - C x - (1 + D) a
     """

@@ -1,4 +1,4 @@
-"""Branches of resistors, inductors and capacitors in parallel: a passive one-port by its form.
+"""Parallel branches of resistors, inductors and capacitors: a passive one-port.
 
 Every branch is R, L and C in series, some of them absent. With the charge ``q_k`` of each branch
 beside a capacitance ``C0``, a voltage u and the charge y of the port::
@@ -26,7 +26,7 @@ PORT = Port("anode", ELECTRICAL.port, pins=("anode", "cathode"))
 
 @dataclass(frozen=True)
 class CircuitBranch:
-    """R [Ohm], L [H] and the elastance 1/C [1/F] of elements in series; 0 is an absent element."""
+    """R [Ohm], L [H] and elastance 1/C [1/F] in series; 0 is an absent element."""
 
     resistance: float
     inductance: float = 0.0
@@ -44,8 +44,10 @@ IDEAL_LEAD = CircuitBranch(0.0)
 
 @dataclass(frozen=True)
 class ParallelBranches:
-    """A one-port of ``branches`` beside the ``capacitance`` C0 [F], behind a ``lead`` of R and L
-    in series."""
+    """One-port of ``branches`` and the ``capacitance`` C0 [F] behind a ``lead``.
+
+    The lead is R and L in series.
+    """
 
     capacitance: float
     branches: tuple[CircuitBranch, ...]
@@ -66,8 +68,10 @@ class ParallelBranches:
         return np.asarray(Y / (1 + (self.lead.resistance + s * self.lead.inductance) * Y))
 
     def linear(self, certificate: Certificate | None = None) -> LinearModel:
-        """The network as matrices; :func:`parallel_branches` takes it back, to the bit unless it
-        has a lead."""
+        """Convert the network to a linear model.
+
+        :func:`parallel_branches` restores the network, to the bit without a lead.
+        """
         branches, capacitance = self.branches, self.capacitance
         if self.lead != IDEAL_LEAD and capacitance > 0:
             branches, capacitance = (*branches, CircuitBranch(0.0, elastance=1 / capacitance)), 0.0
@@ -108,8 +112,10 @@ def parallel_branches(model: LinearModel) -> ParallelBranches | None:
 
 
 def _common_value(matrix: np.ndarray) -> float | None:
-    """The value that all entries beside the diagonal have, at most that of each on it; None
-    where there is none that is positive or zero."""
+    """Return the common value of all entries off the diagonal.
+
+    It is positive or zero, and at most each entry on the diagonal. Otherwise the result is None.
+    """
     beside = matrix[~np.eye(len(matrix), dtype=bool)]
     shared = float(beside[0]) if beside.size else 0.0
     if shared < 0 or (beside != shared).any() or (np.diag(matrix) < shared).any():

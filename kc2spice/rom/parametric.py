@@ -42,7 +42,9 @@ Full = Callable[[Values], LinearModel]
 
 @dataclass(frozen=True)
 class ParameterAxis:
-    """A parameter and its range; its coordinate is logarithmic, -1 at ``low``, 1 at ``high``.
+    """Parameter and its range, with a logarithmic coordinate from -1 to 1.
+
+    The coordinate is -1 at ``low`` and 1 at ``high``.
 
     Raises
     ------
@@ -80,7 +82,7 @@ class ParameterAxis:
 
 @dataclass(frozen=True)
 class Loss:
-    """A parameter that multiplies alpha and beta of Rayleigh damping by powers of itself."""
+    """Parameter whose powers multiply alpha and beta of Rayleigh damping."""
 
     axis: ParameterAxis
     alpha: float
@@ -134,8 +136,11 @@ class ParameterPolynomials:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Parametric(ParameterPolynomials):
-    """Reduced models over a box: ``terms`` has for each of M, K, B, D and E (or ``rayleigh``) the
-    coefficients (terms, …) of the polynomials."""
+    """Reduced models over ranges of parameters.
+
+    ``terms`` contains the coefficients (terms, …) of the polynomials of each of M, K, B, D and E
+    (or ``rayleigh``).
+    """
 
     frame: LinearModel
     terms: Mapping[str, np.ndarray]
@@ -235,15 +240,20 @@ def higher_degree(model: Parametric) -> int | None:
 
 
 def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
-    """``H(j 2 pi f)`` (frequencies, outputs, inputs) of a full model by its modes to twice the
-    highest frequency and the static rest: a second where a solution at each takes minutes."""
+    """Compute ``H(j 2 pi f)`` (frequencies, outputs, inputs) by modes.
+
+    They are the modes to twice the highest frequency, and the static remainder. This takes a second
+    for models whose direct solutions take minutes.
+    """
     f = np.asarray(frequency, dtype=float)
     return modal_projection(model, float(f.max())).transfer(2j * np.pi * f)
 
 
 def modal_projection(model: LinearModel, top: float) -> Pencil:
-    """The small pencil of a full model's modes to twice the frequency ``top`` [Hz] and of what
-    they leave of the answers to the ports at rest."""
+    """Project a full model on its modes to twice the frequency ``top`` [Hz].
+
+    The basis contains what the modes lack of static responses, too.
+    """
     return model.pencil.project(
         _orthonormalise([_modes_and_statics(model.pencil, (0.0, top))], model.M)
     )
@@ -252,8 +262,11 @@ def modal_projection(model: LinearModel, top: float) -> Pencil:
 def natural_modes(
     pencil: Pencil, top: float, square: float, inverse: Factor
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Squares (k,) of the natural frequencies below ``top`` [rad/s], of :data:`LEAST` at least, and
-    their M-orthonormal shapes (n, k), by the ``inverse`` of ``K - square M``."""
+    """Compute squared natural frequencies (k,) below ``top`` [rad/s], and modes.
+
+    There are at least :data:`LEAST`. The shapes (n, k) are M-orthonormal. ``inverse`` is that of
+    ``K - square M``.
+    """
     K, M = pencil.coefficients[0], pencil.coefficients[2]
     n = pencil.size
     if n <= DENSE:
@@ -287,7 +300,7 @@ def _require_symmetric(model: LinearModel, frame: LinearModel | None) -> LinearM
 
 
 def _modes_and_statics(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
-    """Modes to above the band, and what they leave of the answers to the ports at rest, nearly."""
+    """Compute modes to above the band, and what they lack of static responses."""
     top, M = 2 * np.pi * band[1], pencil.coefficients[2]
     square = 0.0 if pencil.factorised else -((top / 3) ** 2)  # with a support, K itself
     inverse = pencil.pencil_solver(square)

@@ -1,5 +1,6 @@
-"""A linear model as a polynomial pencil, ``P(s) x = B u``, ``y = C x + D u``: what solvers see; its
-matrices may be applied and solved with, but never formed.
+"""A linear model as a polynomial pencil, ``P(s) x = B u``, ``y = C x + D u``.
+
+Solvers apply its matrices and solve with them, but the matrices need not be formed.
 """
 
 from __future__ import annotations
@@ -49,8 +50,9 @@ class Shared(Generic[T]):
 
 @dataclass(frozen=True, eq=False)
 class Schur:
-    """``uu - up pp^-1 pu``: what is left of a sparse matrix when the unknowns of ``pp`` are
-    eliminated. It is dense, so it lives as its four sparse blocks.
+    """Schur complement ``uu - up pp^-1 pu`` of a sparse matrix.
+
+    It is dense, so it is stored as its four sparse blocks. The unknowns of ``pp`` are eliminated.
 
     Raises
     ------
@@ -112,8 +114,10 @@ class Schur:
 def scaled(
     P: scipy.sparse.sparray, rows: np.ndarray | None = None, columns: np.ndarray | None = None
 ) -> scipy.sparse.csc_array:
-    """``diag(rows) P diag(columns)``, entry by entry: products of sparse matrices take ten times
-    as long."""
+    """Compute ``diag(rows) P diag(columns)`` entry by entry.
+
+    Products of sparse matrices take ten times as long.
+    """
     result = scipy.sparse.csc_array(P, copy=True)
     if rows is not None:
         result.data *= rows[result.indices]
@@ -247,7 +251,9 @@ class Pencil:
         return replace(self, coefficients=parts, rayleigh=None)
 
     def bordered(self, k: complex, e: complex, m: complex) -> Matrix:
-        """``k K + e E + m M`` (first order: ``k (-A) + e E``), eliminated unknowns kept as rows.
+        """Compute ``k K + e E + m M`` with rows for the eliminated unknowns.
+
+        In first order it is ``k (-A) + e E``.
 
         Potentials get a unit that makes both diagonal blocks equally large.
         """
@@ -276,7 +282,10 @@ class Pencil:
         return self.bordered(*powers)
 
     def slope(self, s: complex, x: np.ndarray) -> np.ndarray:
-        """``P'(s) x``, real where ``P(s)`` is: of an undamped model the derivative by ``s^2``."""
+        """Compute ``P'(s) x``, real if ``P(s)`` is real.
+
+        For an undamped model it is the derivative by ``s^2``.
+        """
         if self.undamped:
             return np.asarray(self.coefficients[2] @ x)
         s = complex(s).real if complex(s).imag == 0 else s
@@ -315,8 +324,10 @@ class Pencil:
 
     @property
     def elimination_order(self) -> np.ndarray | None:
-        """Order of elimination of the factor of K, for other matrices of the same unknowns; None
-        if there is none."""
+        """Order of elimination of the factor of K, None if there is none.
+
+        It serves other matrices of the same unknowns.
+        """
         factor = self.factors.known
         order = None if factor is None else factor.order
         return None if order is None else order[order < self.size]
@@ -331,7 +342,9 @@ class Pencil:
         other.factors.join(self.factors)
 
     def project(self, V: np.ndarray, images: tuple[np.ndarray | None, ...] | None = None) -> Pencil:
-        """Congruence ``V'PV``, ``V'B``, ``CV``; ``images`` may contain ``P V`` of each matrix.
+        """Project by the congruence ``V'PV``, ``V'B``, ``CV``.
+
+        ``images`` may contain ``P V`` of each matrix.
 
         Symmetric and skew-symmetric matrices remain exactly so.
         """
@@ -349,8 +362,10 @@ class Pencil:
         return Pencil(reduced, B, B.T.copy() if self.collocated else self.C @ V, self.D)
 
     def project_exactly(self, V: np.ndarray) -> Pencil:
-        """:meth:`project` of a dense pencil with 19 digits in between: soft motions of stiff
-        matrices are small differences of large numbers, which 16 digits lose."""
+        """Project a dense pencil with 19 digits in intermediate results.
+
+        Soft motions of stiff matrices are small differences of large numbers, which 16 digits lose.
+        """
         left, reduced = ExactMatrix(V.T), []
         for P in self.coefficients:
             R = np.asarray(left @ (ExactMatrix(P) @ V), dtype=float)
@@ -474,7 +489,10 @@ def explicit(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> Penc
 
 
 def first_order(pencil: Pencil, omega: float) -> Pencil:
-    """The same model as ``E x' = A x + B u``, without any division; rates per ``omega``."""
+    """Convert a model to ``E x' = A x + B u`` without any division.
+
+    Rates are per ``omega``.
+    """
     if pencil.degree == 1:
         return pencil
     K, E, M = pencil.coefficients
@@ -486,8 +504,10 @@ def first_order(pencil: Pencil, omega: float) -> Pencil:
 
 
 def proportional(pencil: Pencil) -> Pencil:
-    """The same model with ``rayleigh`` where its E is ``alpha M + beta K`` to rounding; with it a
-    definite model is reduced by real solutions."""
+    """Set ``rayleigh`` of a model whose E is ``alpha M + beta K`` to rounding.
+
+    A definite model is then reduced by real solutions.
+    """
     if pencil.degree != 2 or pencil.rayleigh is not None or pencil.undamped:
         return pencil
     K, E, M = pencil.coefficients
@@ -505,7 +525,9 @@ def proportional(pencil: Pencil) -> Pencil:
 
 
 def eliminated(pencil: Pencil) -> Pencil:
-    """Without the unknowns that no inertia and no damping holds: an exact Schur complement.
+    """Eliminate unknowns without inertia and damping by a Schur complement.
+
+    The result is exact.
 
     Potentials of a piezoelectric model, algebraic equations of a first-order one. Where their
     block is singular (index two) or a complement is there already, the pencil stays as it is.

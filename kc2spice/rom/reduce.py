@@ -1,4 +1,6 @@
-"""Reduction of any linear model: a tolerance or an order and a band in, a certified model out.
+"""Reduction of any linear model to a tolerance or an order over a band.
+
+The result is a model with a certificate.
 
 The reduction has two steps. The first one replaces the full-order model by an intermediate model
 that is far more accurate than the tolerance: :mod:`kc2spice.rom.first_step`. The second one builds
@@ -239,7 +241,10 @@ def basis_of_order(
     target: Target,
     bases: dict[str, list[ReducedBasis]] | None = None,
 ) -> tuple[ReducedBasis, int]:
-    """The best basis of a prescribed order, and the order; ``bases`` by name may be known."""
+    """Return the best basis of a prescribed order, and the order.
+
+    ``bases`` by name may be known.
+    """
     assert target.order is not None
     bases = {} if bases is None else bases
     key = reductor_named(target.method).name if target.method is not None else ""

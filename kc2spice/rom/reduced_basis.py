@@ -1,4 +1,4 @@
-"""What a reductor reads and returns: a task, and a basis with reduced-order models of every order.
+"""Tasks of reductors, and their bases with reduced-order models of every order.
 
 A reduction has two steps (Lehner and Eberhard, Multibody Syst. Dyn. 17 (2007) 157). The first step
 makes an intermediate model that is far more accurate than the tolerance. The second step builds a
@@ -36,7 +36,7 @@ DEPENDENT = 1e-10  # distance of a vector from the span of others, relative to i
 
 @dataclass(frozen=True)
 class Task:
-    """A full-order model ``fom`` to be reduced, and the ``intermediate`` model that replaces it.
+    """Full-order model ``fom`` to be reduced, and its ``intermediate`` model.
 
     ``pencil`` is the full-order model without constraints and infinite poles. The ``estimator``
     contains the band and the norm. The ``tolerance`` is None if the order is prescribed.
@@ -82,8 +82,10 @@ class Task:
 
     @property
     def core(self) -> Pencil:
-        """Matrices of the intermediate model without rigid-body modes, unless damping couples
-        these to other motions."""
+        """Matrices of the intermediate model without rigid-body modes.
+
+        These modes remain if damping couples them to other motions.
+        """
         return self.response.core
 
     @property
@@ -98,18 +100,18 @@ class Task:
 
     @cached_property
     def model(self) -> LinearModel:
-        """The :attr:`core` as dense matrices ``M E K B C D``, or ``A E B C D`` of first order."""
+        """The :attr:`core` as dense ``M E K B C D``, in first order ``A E B C D``."""
         return model_of(self.core, ports=self.fom.ports, name=self.fom.name)
 
     @cached_property
     def first_order(self) -> Response:
-        """The :attr:`core` as ``x' = A x + B u`` in units of the highest frequency of the band."""
+        """The :attr:`core` as ``x' = A x + B u`` in units of the band's end."""
         return Response(to_schur_form(self.core, self.band[1]))
 
     def project(
         self, V: np.ndarray, W: np.ndarray | None = None, *, fixed: int = 0
     ) -> ReducedBasis:
-        """Project :attr:`model` on a basis: Galerkin projection, or Petrov-Galerkin with W.
+        """Project :attr:`model` on a basis by Galerkin or, with W, Petrov-Galerkin.
 
         Parameters
         ----------
@@ -157,15 +159,19 @@ class Task:
         return pencil.joined(self.response.pencil.leading(self.response.pencil.free))
 
     def add_rigid_body_vectors(self, V: np.ndarray) -> np.ndarray:
-        """Return vectors V of :attr:`core` as those of the intermediate model, rigid-body modes in
-        front."""
+        """Extend vectors V of :attr:`core` to the intermediate model.
+
+        Rigid-body modes are in front.
+        """
         free = self.response.pencil.size - self.core.size
         return np.asarray(scipy.linalg.block_diag(np.eye(free), V)) if free else V
 
     @cached_property
     def displacements(self) -> np.ndarray | None:
-        """Unknowns of the intermediate model per state of :meth:`from_first_order`; None if they
-        also depend on the input."""
+        """Unknowns of the intermediate model per state of :meth:`from_first_order`.
+
+        The value is None if they depend on the input as well.
+        """
         pencil, free = self.response.pencil, self.response.pencil.size - self.core.size
         parts = [pencil.leading(free), self.core] if free else [self.core]
         rows = []
@@ -187,7 +193,10 @@ class Task:
 
 
 def _select_independent(V: np.ndarray, free: int) -> np.ndarray:
-    """Which columns of V depend on no column before them, without the first ``free`` rows."""
+    """Mask of the columns of V that do not depend on columns before them.
+
+    The first ``free`` rows are ignored.
+    """
     distance = np.abs(np.diag(np.linalg.qr(V[free:], mode="r")))
     result = np.zeros(V.shape[1], dtype=bool)
     result[: distance.size] = distance > DEPENDENT * np.linalg.norm(V, axis=0)[: distance.size]
@@ -224,8 +233,10 @@ class ReducedBasis:
 
     @property
     def relaxing(self) -> bool:
-        """Whether the model is symmetric and of first order, as a network of resistors and
-        capacitors is. A congruence then preserves real poles and passivity."""
+        """Whether the model is symmetric and of first order, as a network of R and C.
+
+        A congruence then preserves real poles and passivity.
+        """
         return self.pencil.degree == 1 and self.pencil.symmetric and self.pencil.collocated
 
     def leading(self, order: int) -> Response:
@@ -240,7 +251,7 @@ class ReducedBasis:
         return {}
 
     def unknowns(self, order: int) -> np.ndarray | None:
-        """Return the unknowns of the full-order model per state of the model of this order.
+        """Return full-order unknowns per state of the model of this order.
 
         The result (n, order) is None if they are not known, or not unknowns of the given model.
         """
@@ -258,7 +269,7 @@ class ReducedBasis:
         return None if frame is None else np.asarray(frame @ V)
 
     def error(self, order: int, limit: float = np.inf) -> float:
-        """Return the estimate of the largest relative error of any transfer function in the band.
+        """Estimate the largest relative error of any transfer function in the band.
 
         Above ``limit`` the result may be any error that exceeds it.
         """
@@ -278,7 +289,9 @@ class ReducedBasis:
         return not self.congruence or self.proof(self.size).stable is not False
 
     def acceptable(self, order: int, tolerance: float) -> bool:
-        """Whether the model of this order is within the tolerance, and as stable as it must be.
+        """Whether the model of this order meets the tolerance, and is stable enough.
+
+        It must be as stable as the intermediate model.
 
         Only a congruence may have a stability that is not known.
         """

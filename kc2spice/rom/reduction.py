@@ -33,7 +33,7 @@ SMALLEST_TOLERANCE = 1e-6  # by default; one more digit costs one or two more so
 
 
 class Reduction:
-    """One basis of a full-order model over a band, from which many reduced-order models follow.
+    """Basis of a full-order model over a band for many reduced-order models.
 
     Factorisations and solutions of the full-order model are made once, for ``tolerance``, the
     smallest one that is needed. A smaller tolerance of :meth:`reduce` extends the basis once more.
@@ -119,14 +119,18 @@ class Reduction:
 
     @property
     def points(self) -> tuple[float, ...]:
-        """Expansion points [Hz] of the basis, in the order of their use; none for a model that is
-        small enough to be used as a whole."""
+        """Expansion points [Hz] of the basis, in the order of their use.
+
+        There are none for a model that is small enough to be used without reduction.
+        """
         return self._intermediate.points
 
     @property
     def basis(self) -> np.ndarray | None:
-        """Basis (n, k): unknowns of the full-order model per unknown of the intermediate one. It is
-        None if constraints or massless unknowns are eliminated first."""
+        """Basis (n, k): full-order unknowns per unknown of the intermediate model.
+
+        It is None if constraints or massless unknowns are eliminated first.
+        """
         return self._intermediate.basis if self._pencil.size == self.model.order else None
 
     @property
@@ -161,7 +165,7 @@ class Reduction:
         order: int | None = None,
         method: str | Reductor | None = None,
     ) -> LinearModel:
-        """Return the smallest model within a tolerance, or the most accurate model of an order.
+        """Return the smallest model within a tolerance, or the best one of an order.
 
         Parameters
         ----------

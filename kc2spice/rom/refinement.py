@@ -1,4 +1,6 @@
-"""Fits that save states of a reduced-order model in the peak norm, once its order is known.
+"""Fits that save states of a reduced-order model in the peak norm.
+
+The order is already known.
 
 Other outputs of a projection, or other rates and gains of a relaxing model, have a smaller largest
 error. Weights follow Lawson's minimax fit: C. L. Lawson, Contributions to the Theory of Linear
@@ -30,7 +32,10 @@ SUFFICIENT = 0.97  # share of the tolerance at which a fit ends; the rest is for
 
 
 def lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Return a basis with a lower order within the tolerance if a fit finds one, else the same."""
+    """Return a basis with a lower order within the tolerance, if a fit finds one.
+
+    Otherwise the basis remains.
+    """
     if basis.task.norm != "peak":
         return basis, order
     if basis.relaxing:
@@ -69,7 +74,7 @@ def fit_outputs(basis: ReducedBasis, order: int, tolerance: float) -> tuple[Redu
 
 
 def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Fit rates and gains of fewer states; the model is passive for all values of these.
+    """Fit rates and gains of fewer states, with which any model is passive.
 
     Models with rigid-body modes or with static responses of conservative ports stay as they are.
     """
@@ -98,7 +103,10 @@ def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[
 
 
 def _least_squares(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Real C with the least squared error of ``C x = y`` over all frequencies and inputs."""
+    """Compute a real C with the least squared error of ``C x = y``.
+
+    The error is that over all frequencies and inputs.
+    """
     left, right = (np.moveaxis(P, 1, 2).reshape(-1, P.shape[1]) for P in (x, y))
     both = [np.vstack([P.real, P.imag]) for P in (left, right)]
     size = np.linalg.norm(both[0], axis=0) + np.finfo(float).tiny

@@ -1,4 +1,4 @@
-"""Relaxing models, as networks of resistors and capacitors are, fitted to a response.
+"""Fit of relaxing models, such as networks of R and C, to a response.
 
 A symmetric model of first order with ``E > 0`` and ``A <= 0`` has real poles and symmetric residues
 of rank one (first Foster form),
@@ -93,7 +93,7 @@ def minimax(
 def _model(
     x: np.ndarray, count: int, s: np.ndarray, upper: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """The entries (n, entries) of the ``upper`` triangle of ``sum_k g_k g_k' / (s + r_k)``."""
+    """Evaluate the ``upper`` triangle (n, entries) of ``sum_k g_k g_k' / (s + r_k)``."""
     rates, gains = np.exp(x[:count]), x[count:].reshape(count, -1)
     products = gains[:, upper[0]] * gains[:, upper[1]]
     return np.asarray((1 / (s[:, None] + rates)) @ products)

@@ -1,4 +1,4 @@
-"""Frequency responses of dense pencils: at which frequencies to look, and how far two differ."""
+"""Frequency responses of dense pencils, and the frequencies that resolve them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,9 @@ Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
 
 class Response:
-    """A dense pencil with coordinates in which it is diagonal, where it has well-conditioned ones.
+    """Dense pencil in coordinates in which it is diagonal.
+
+    The coordinates must be well-conditioned.
 
     ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``.
     ``decoupled`` says that T is a real congruence (``L = T'``). A free motion that is detached is
@@ -103,7 +105,10 @@ class Response:
         return H + self._free.C @ self._free.states(s) if self._free else H
 
     def cancelled(self, s: np.ndarray) -> np.ndarray:
-        """(outputs, inputs) whether an entry is zero at all ``s`` but for rounding of its terms."""
+        """Mask (outputs, inputs) of entries that are only the rounding of their terms.
+
+        It holds at all ``s``.
+        """
         s = s[:: max(1, len(s) // 100)]
         x = self.states(s)
         terms = np.abs(self.pencil.C) @ np.abs(x).max(axis=0) + np.abs(self.pencil.D)
@@ -111,8 +116,10 @@ class Response:
         return np.asarray(size <= CANCELLED * terms)
 
     def peaks(self, frequency: np.ndarray, H: np.ndarray) -> np.ndarray:
-        """Largest size (outputs, inputs) of the response H at ``frequency`` [Hz] without the free
-        motion, which grows without bound towards zero and would hide everything else."""
+        """Largest size (outputs, inputs) of the response H at ``frequency`` [Hz].
+
+        The rigid-body motion is left out, because it grows without bound towards zero.
+        """
         free = free_part(self.pencil, 2 * np.pi * frequency.max())
         if free is not None:
             H = H - (free.transfer(2j * np.pi * frequency) - free.D)
@@ -142,8 +149,10 @@ class Response:
 
     @cached_property
     def _resonant(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Frequency [Hz], damping ratio and mode of the oscillating poles; the modes are -1 where
-        there are none."""
+        """Frequency [Hz], damping ratio and mode of the oscillating poles.
+
+        The modes are -1 if the poles do not belong to modes.
+        """
         if not self.decoupled or self.core.degree == 1:
             result = np.empty(0) if self.decoupled else self._poles
             mode = np.full(len(result), -1)
@@ -171,9 +180,11 @@ class Response:
         return frequency[inside], ratio[inside]
 
     def visible(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-        """The resonances inside the band that show in the response. Zeros cancel all others in
-        every entry: modes that no input excites or no output sees, and rigid-body modes that
-        rounding gives a stiffness."""
+        """Select the resonances in the band that are visible in the response.
+
+        In every entry zeros cancel the others: modes that no input excites or no output measures,
+        and rigid-body modes with a stiffness from rounding.
+        """
         frequency, ratio, mode = self._resonant
         inside = _is_inside(frequency, band)
         frequency, ratio, mode = frequency[inside], ratio[inside], mode[inside]
@@ -194,8 +205,11 @@ class Response:
 
 
 def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
-    """Eigenvectors of ``(P(shift))^-1`` times the inertia, both in first order, which unknowns
-    without inertia have too, if they reproduce direct solutions to rounding."""
+    """Compute eigenvectors of ``(P(shift))^-1`` times the inertia in first order.
+
+    This form includes unknowns without inertia. The result is None unless the eigenvectors
+    reproduce direct solutions to rounding.
+    """
     sizes = largest(pencil.coefficients[0]), largest(pencil.coefficients[-1])
     if not all(sizes):
         return None
@@ -242,7 +256,10 @@ def _is_inside(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
 
 
 def _decouple(pencil: Pencil) -> Modes | None:
-    """Solved as ``M phi = mu K phi`` where K is definite: the better conditioned of the two."""
+    """Decouple a pencil by ``M phi = mu K phi`` if K is definite.
+
+    This problem is better conditioned than that with M as divisor.
+    """
     if not pencil.symmetric or not pencil.size:
         return None
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
@@ -270,7 +287,9 @@ def _decouple(pencil: Pencil) -> Modes | None:
 
 
 def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
-    """Frequencies [Hz] over the band, half linear, half logarithmic over four decades at most.
+    """Frequencies [Hz] over the band, half linear, half logarithmic.
+
+    The logarithmic ones cover at most four decades.
 
     Zero is one of them if the band starts there and the static answer exists.
     """
@@ -301,7 +320,7 @@ def sample_resonances(
 def drop_points_near_poles(
     points: np.ndarray, frequency: np.ndarray, ratio: np.ndarray
 ) -> np.ndarray:
-    """``points`` without those that come closer than ``FLANK`` to an all but undamped resonance."""
+    """Drop points closer than ``FLANK`` to a nearly undamped resonance."""
     sharp = frequency[ratio < SHARPEST]
     if not sharp.size:
         return points
@@ -317,8 +336,10 @@ def sample_band(
     static: bool,
     widths: np.ndarray | tuple[float, ...] = (0.0,),
 ) -> np.ndarray:
-    """Frequencies [Hz] of a grid and on every resonance, at multiples of its half width, inside the
-    band and clear of poles without damping."""
+    """Choose frequencies [Hz] of a grid, and at multiples of half widths.
+
+    The widths are those of resonances inside the band. Poles without damping are avoided.
+    """
     at, ratio = response.within(band)
     points = np.union1d(grid(band, count, static), sample_resonances(at, ratio, np.asarray(widths)))
     points = points[(points >= band[0]) & (points <= band[1])]

@@ -1,4 +1,4 @@
-"""Stability and passivity from the form of the matrices, and free motions with their damping.
+"""Free motions of a model with their damping, and proofs from its form.
 
 Free motions are rigid-body modes and integrators. Their part of a response grows without bound
 towards zero frequency. It is found once,
@@ -30,9 +30,11 @@ Rounding: TypeAlias = tuple[np.ndarray, ...]  # bounds on that of each coefficie
 
 
 class RigidBodySplit(NamedTuple):
-    """A ``pencil`` whose first ``free`` coordinates are its free motion, the columns of all of them
-    in the original, whether all but those have a static answer, and the ``projected`` pencil before
-    the rounding of what is zero was taken out of it, where the form was kept.
+    """A ``pencil`` whose first ``free`` coordinates are its rigid-body motion.
+
+    ``columns`` are those of all coordinates in the original. ``static`` states whether the other
+    coordinates have a static response. ``projected`` is the pencil before rounding noise was set to
+    zero, if its form is preserved.
     """
 
     pencil: Pencil
@@ -44,8 +46,9 @@ class RigidBodySplit(NamedTuple):
 def split_rigid_body(
     pencil: Pencil, omega: float, rounding: Rounding | None = None
 ) -> RigidBodySplit:
-    """A dense pencil in coordinates of which the first ones are its free motion; the pencil itself
-    where none is free.
+    """Transform a dense pencil so that its rigid-body motion comes first.
+
+    The result is the pencil itself if no motion is free.
 
     Where ``K X = 0`` and ``X'K = 0``, as in symmetric and dissipative models, the form is kept:
     ``V'PV`` with the others orthogonal to X in the inertia. Damping may couple both. All other
@@ -75,7 +78,7 @@ def split_rigid_body(
 
 
 def free_part(pencil: Pencil, omega: float) -> Pencil | None:
-    """The free motion alone, whose response is the part without bound; None if there is none."""
+    """Select the rigid-body motion, whose response has no bound; None without one."""
     if pencil.free and not pencil.detached:
         pencil = _project_obliquely(first_order(pencil, omega), omega)[0]
     return pencil.leading(pencil.free) if pencil.free else None
@@ -88,8 +91,10 @@ def _bound_rounding(pencil: Pencil) -> Rounding:
 
 
 def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
-    """Orthonormal columns that K takes to zero but for ``rounding`` of each of its entries, however
-    stiff others are."""
+    """Compute orthonormal columns that K maps to zero within ``rounding``.
+
+    The rounding is that of each entry, so that stiff entries do not hide soft ones.
+    """
     rows = rounding.max(axis=1)
     rows = 1 / np.where(rows > 0, rows, 1.0)[:, None]
     columns = (rows * rounding).max(axis=0)
@@ -193,8 +198,10 @@ def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndar
 def project_with_rigid_body(
     pencil: Pencil, V: np.ndarray, free: int, rounding: Rounding | None = None
 ) -> tuple[Pencil, Pencil]:
-    """``V'PV`` of a dense pencil, the first columns of V being ``free`` motions, without the
-    rounding of what is zero, and with it."""
+    """Project a dense pencil on V, whose first columns are ``free`` motions.
+
+    The results are ``V'PV`` without the rounding noise of zero entries, and with it.
+    """
     result, parts = pencil.project_exactly(V), []
     for P, noise in zip(result.coefficients, rounding or _bound_rounding(pencil), strict=True):
         zero = np.abs(P) <= np.abs(V).T @ (noise @ np.abs(V))
@@ -206,8 +213,11 @@ def project_with_rigid_body(
 
 
 def _project_obliquely(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray]:
-    """``W'PV`` with the right and left invariant subspaces of the poles near zero in front, there
-    in coordinates that show the chains of integrators."""
+    """Project obliquely on invariant subspaces, poles near zero first.
+
+    The subspaces are the right and the left one. The coordinates in front show chains of
+    integrators.
+    """
     rest, inertia = pencil.coefficients
     try:
         X, Y = (
@@ -235,7 +245,10 @@ def _project_obliquely(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray
 
 
 def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> np.ndarray:
-    """Orthonormal basis of the invariant subspace of poles that are zero, or real and slow."""
+    """Compute an orthonormal basis of the subspace of zero or slow real poles.
+
+    The subspace is invariant.
+    """
     shifted = np.linalg.solve(rest + omega * inertia, omega * inertia)
 
     def chosen(x: float, y: float) -> bool:
@@ -247,8 +260,10 @@ def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> 
 
 
 def _order_chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """``Q'AQ`` with Q orthogonal, block triangular with exact zeros: first what does not move, then
-    what moves that at a constant rate, and so on."""
+    """Rotate A to ``Q'AQ``, block triangular with exact zeros.
+
+    The first coordinates do not move. The next ones move the first at a constant rate, and so on.
+    """
     A, Q, start = A.copy(), np.eye(len(A)), 0
     while start < len(A):
         _, size, Vt = np.linalg.svd(A[start:, start:])

@@ -1,4 +1,4 @@
-"""Effects of rounding: how far the last digits of a model's entries change its response."""
+"""Effects of rounding of a model's entries on its response."""
 
 from __future__ import annotations
 
@@ -37,11 +37,13 @@ def uncertainty(
     dual: np.ndarray | None = None,
     zero: np.ndarray | bool = False,
 ) -> np.ndarray:
-    """How far the last digits of a dense model's entries move its response (relative) at each
-    ``frequency`` [Hz].
+    """Estimate the relative change of a response by rounding of the entries.
+
+    The model is dense. The result is that at each ``frequency`` [Hz].
 
     ``states`` x (frequencies, n, inputs), and those of the ``dual``, may be known better than from
-    solutions here. Entries that are ``zero`` by symmetry count against their row and column."""
+    solutions here. Entries that are ``zero`` by symmetry count against their row and column.
+    """
     x = pencil.states(2j * np.pi * frequency) if states is None else states
     H = pencil.C @ x + pencil.D
     size = relative_size(rounding_of(pencil, frequency, x, dual), H, Entries.of(H, zero=zero))
@@ -51,7 +53,7 @@ def uncertainty(
 def rounding_of(
     pencil: Pencil, frequency: np.ndarray, x: np.ndarray, dual: np.ndarray | None = None
 ) -> np.ndarray:
-    """Change of a response by rounding errors of the entries (frequencies, outputs, inputs).
+    """Change (frequencies, outputs, inputs) of a response by rounding of entries.
 
     It is the root of the sum of squares of ``eps |y_i P_ij x_j|`` with states ``x``
     (frequencies, n, inputs), and ``y`` of the ``dual``.
@@ -70,9 +72,12 @@ def rounding_of(
 def zero_entries(
     pencil: Pencil, V: np.ndarray, response: Response, band: tuple[float, float]
 ) -> np.ndarray | bool:
-    """Entries (outputs, inputs) of a model that are zero by symmetry, from the ``response`` of its
-    projection on V: faint nearly everywhere in the band, and no more than what rounding of the
-    model's own entries makes of them where they are not, on sharp resonances of equal modes."""
+    """Find the entries (outputs, inputs) of a model that are zero by symmetry.
+
+    They are negligible nearly everywhere in the band in the ``response`` of the projection on V. On
+    sharp resonances of equal modes they may be larger, up to the effect of rounding of the model's
+    entries.
+    """
     at, ratio = response.visible(band)
     chosen = np.union1d(np.argsort(at)[:RESONANCES], np.argsort(ratio)[:RESONANCES])
     peaks = at[chosen] * (1 + FLANK * (ratio[chosen] < SHARPEST))
@@ -118,7 +123,7 @@ def uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
 
 
 def removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
-    """Change of the response by the stiffness that rounding errors add to a free motion.
+    """Change of the response by rounding stiffness of a rigid-body motion.
 
     It is evaluated at the lowest relevant frequency, where it is largest.
     """

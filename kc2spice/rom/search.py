@@ -1,4 +1,4 @@
-"""The least order whose error estimate is within a tolerance, for bases of any method."""
+"""Search for the least order within a tolerance, for bases of any method."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -
 
 
 def of_order(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
-    """Return the basis whose model of a prescribed order has the smallest error estimate.
+    """Return the basis whose model of an order has the smallest error estimate.
 
     Raises
     ------
@@ -56,7 +56,9 @@ def of_order(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
 def fewest_states(
     task: Task, reductors: Sequence[Reductor], tolerance: float, *, tighten: bool, keep_form: bool
 ) -> tuple[ReducedBasis, int]:
-    """Return the basis and the order of the fewest states, with a preference for congruences.
+    """Return the basis and the order of the fewest states.
+
+    Congruences are preferred.
 
     A congruence preserves the form of definite matrices, and with it passive resonators. Other
     projections replace it only if all ports are signals and they save a tenth of the states. They
@@ -95,8 +97,11 @@ def fewest_states(
 
 
 def _prove_form(task: Task) -> StabilityProof | None:
-    """Stability and passivity of the intermediate model, None if a congruence preserves nothing:
-    a model of first order that is not symmetric."""
+    """Prove stability and passivity of the intermediate model.
+
+    The result is None if a congruence preserves nothing: the model is of first order and not
+    symmetric.
+    """
     pencil = task.response.pencil
     if pencil.degree == 2 or (pencil.symmetric and pencil.collocated):
         return prove_stability(pencil, task.band)
@@ -126,8 +131,10 @@ def _select_fewest(
 def _select_congruence(
     task: Task, reductors: Sequence[Reductor], tolerance: float, states: float, optional: bool
 ) -> tuple[Reductor, ReducedBasis, int | None]:
-    """The reductor of the least order, its basis and the order; an order of None if none is
-    acceptable and the result is ``optional``."""
+    """Select the reductor of the least order, its basis and the order.
+
+    The order is None if none is acceptable and the result is ``optional``.
+    """
     bases = [(item, item.basis(task)) for item in reductors if item.applies_to(task)]
     rows = [(item, basis) for item, basis in bases if basis is not None]
     orders = [least_order(basis, tolerance, states) for _, basis in rows]

@@ -1,4 +1,4 @@
-"""Proofs of stability and passivity, from the form of the matrices or from all poles.
+"""Proofs of stability and passivity, from the form of matrices or all poles.
 
 They apply to full-order and reduced-order models and do not depend on the method of reduction.
 """
@@ -30,9 +30,11 @@ DENSE = 1200  # first-order states up to which all poles of a full model are com
 
 @dataclass(frozen=True)
 class StabilityProof:
-    """``stable``: no pole right of the imaginary axis, so no growing motion (a free rigid body
-    drifts, it does not grow exponentially), None where that is not known. ``passive``: it is shown
-    that the ports cannot deliver net energy. ``proof`` says what either rests on.
+    """Stability and passivity of a model, and what they follow from.
+
+    ``stable`` means that no pole is right of the imaginary axis, so that no motion grows
+    exponentially; a free rigid body drifts. It is None if unknown. ``passive`` means that the ports
+    are proven to deliver no net energy. ``proof`` states the basis of both.
     """
 
     stable: bool | None
@@ -43,7 +45,9 @@ class StabilityProof:
 def prove_stability(
     pencil: Pencil, band: tuple[float, float], poles: np.ndarray | None = None
 ) -> StabilityProof:
-    """Stability and passivity of a full or reduced model, from its form where that shows it.
+    """Prove stability and passivity of a full or reduced model.
+
+    The proof is from the form of the matrices if possible.
 
     Second order with M, K symmetric positive semi-definite and ``E + E' >= 0`` (gyroscopic terms
     are skew) loses energy at most; with ``C = B'`` and D >= 0 it is passive between force and
@@ -82,8 +86,10 @@ def prove_stability(
 
 
 def _poles(pencil: Pencil, omega: float) -> np.ndarray:
-    """All poles, those of a free motion from that alone: rounding moves the pair of a rigid body by
-    half of the digits."""
+    """Compute all poles, those of a rigid-body motion separately.
+
+    Rounding changes the pair of poles of a rigid body by half of the digits.
+    """
     result = pencil if pencil.free else split_rigid_body(pencil.scaled(omega).dense(), omega).pencil
     if not result.detached:
         return pencil.poles(omega)
@@ -93,7 +99,7 @@ def _poles(pencil: Pencil, omega: float) -> np.ndarray:
 
 
 def dissipative(pencil: Pencil) -> bool:
-    """Whether the form of a model shows an energy that nothing but its ports can add to."""
+    """Whether the form shows an energy that only the ports can increase."""
     rest, *others = pencil.coefficients
     order = pencil.elimination_order
     if not semidefinite(others[-1], order):
@@ -108,8 +114,10 @@ def dissipative(pencil: Pencil) -> bool:
 
 
 def semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
-    """Symmetric without an eigenvalue below zero, but for rounding; an ``order`` of elimination of
-    sparse matrices may be known."""
+    """Whether a matrix is symmetric with no eigenvalue below zero, but for rounding.
+
+    The ``order`` of elimination of sparse matrices may be known.
+    """
     if isinstance(matrix, Schur):
         if not matrix.symmetric:
             return False
@@ -128,7 +136,9 @@ def semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
 
 
 def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bool:
-    """Whether Lanczos steps show that all eigenvalues are above zero, but for ``empty`` rows.
+    """Whether Lanczos steps prove that all eigenvalues are positive.
+
+    Rows that are ``empty`` are ignored.
 
     The least Ritz value x after k steps from a random vector of n numbers exceeds the least
     eigenvalue by more than ``e spread`` with a probability below ``1.648 sqrt(n) exp(-sqrt(e) (2 k

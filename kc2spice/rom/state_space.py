@@ -1,4 +1,4 @@
-"""State-space matrices of linear models, without a matrix in front of the derivatives."""
+"""State-space matrices of linear models without a matrix E."""
 
 from __future__ import annotations
 
@@ -62,7 +62,10 @@ def _unit_mass(pencil: Pencil) -> Pencil:
 
 
 def _modal(pencil: Pencil, omega: float) -> ABCD:
-    """States ``w z`` and ``z'`` of mass-normalised coordinates; modes of a symmetric K."""
+    """Compute states ``w z`` and ``z'`` of mass-normalised coordinates.
+
+    They are modes if K is symmetric.
+    """
     K, E, M = pencil.coefficients
     T, stiffness = _mass_normal(M, K)
     K, E, B, C = T.T @ K @ T, T.T @ E @ T, T.T @ pencil.B, pencil.C @ T
@@ -97,7 +100,10 @@ def _mass_normal(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray |
 
 
 def _without_static(pencil: Pencil) -> Pencil:
-    """Without the coordinates that have neither mass nor damping; the others without mass last."""
+    """Eliminate the coordinates that have neither mass nor damping.
+
+    Other coordinates without mass come last.
+    """
     K, E, M = pencil.coefficients
     mass, V = scipy.linalg.eigh(M)
     none = mass <= MASSLESS * mass[-1]
@@ -117,8 +123,10 @@ def _without_static(pencil: Pencil) -> Pencil:
 def _condensed(
     P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int, why: str
 ) -> ABCD:
-    """``P x = B u``, ``y = C x + D u`` without the unknowns from the r-th on; refused for the
-    reason ``why`` where these are not determined."""
+    """Eliminate the unknowns from the r-th on from ``P x = B u``, ``y = C x + D u``.
+
+    Undetermined unknowns are refused for the reason ``why``.
+    """
     if r == len(P):
         return P, B, C, D
     if _singular(P[r:, r:], P):
@@ -134,7 +142,10 @@ def _condensed(
 
 
 def _energy_states(pencil: Pencil) -> ABCD:
-    """Energy coordinates of a symmetric positive definite E, algebraic equations eliminated."""
+    """Compute energy coordinates of a symmetric positive definite E.
+
+    Algebraic equations are eliminated.
+    """
     rest, E = pencil.coefficients
     A, B, C, D = -rest, pencil.B, pencil.C, pencil.D
     if semidefinite(E) and np.linalg.eigvalsh(E)[0] > MASSLESS * largest(E):
@@ -165,8 +176,10 @@ def _improper_error(why: str) -> UsageError:
 
 
 def to_schur_form(pencil: Pencil, top: float) -> Pencil:
-    """``x' = A x + B u`` with rates per rad at ``top`` [Hz] and A in real Schur form, with which
-    Gramians and eigenvectors begin."""
+    """Convert a model to ``x' = A x + B u`` with A in real Schur form.
+
+    Rates are per rad at ``top`` [Hz]. Gramians and eigenvectors start from this form.
+    """
     omega = 2 * np.pi * top
     A, B, C, D = state_space(pencil, top)
     T, Z = scipy.linalg.schur(A / omega, output="real")

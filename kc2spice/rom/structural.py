@@ -125,8 +125,11 @@ class _Search:
     norm: Norm
 
     def reduce(self, within: float) -> float:
-        """Reduce with viscous damping, again where resonances of the structural one are lower than
-        those that the reduction saw, and return the error of viscous modes."""
+        """Reduce with viscous damping, and return the error of viscous modes.
+
+        The reduction is repeated if resonances of the structural model are lower than those that
+        the reduction evaluated.
+        """
         self._reduce(within)
         if self.raised > 1:
             self._reduce(max(within / self.raised, LOWEST))
@@ -242,7 +245,7 @@ class _Search:
         return max(self.raised, 1.0) * known.error_estimate + SAFETY * self.deviation(modes)
 
     def verified_error(self, result: LinearModel) -> float:
-        """Largest relative difference between ``result`` and direct solutions of the full model."""
+        """Largest relative difference to direct solutions of the full model."""
         low, high = self.band
         sharp = np.sort(Response(result.pencil.dense()).within(self.band)[0])[:DIRECT]
         frequencies = np.r_[low + (high - low) * (np.arange(DIRECT) + 0.4) / DIRECT, sharp]
@@ -252,8 +255,7 @@ class _Search:
         return float(off.max())
 
     def _comparison_response(self, modes: Sequence[Oscillator]) -> tuple[np.ndarray, np.ndarray]:
-        """Frequencies [Hz] at which errors of a model show, and there the response with structural
-        damping."""
+        """Frequencies [Hz] that show errors, and the structural response there."""
         response = Response(self.model(modes).pencil.dense())
         frequency = adaptive_frequencies(response, self.band, False, self.norm)
         frequency = frequency[frequency > 0]
@@ -262,8 +264,10 @@ class _Search:
         return frequency, self.lossy.transfer(2j * np.pi * frequency)
 
     def _peak_amplification(self) -> float:
-        """How many times larger the peaks that the reduction saw are, where errors count against
-        peaks."""
+        """Ratio of peaks in the reduction to those with structural damping.
+
+        Errors count relative to these peaks.
+        """
         if self.norm == "pointwise":
             return 1.0
         frequency, exact = self._comparison_response(self.viscous)
@@ -277,8 +281,10 @@ NONE = np.empty(0), np.empty(0)  # amplitudes and rates
 
 
 def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tuple[float, float]]:
-    """Replace structural damping H by viscous damping ``beta H``; return the model and the shares
-    of M and K in its other damping."""
+    """Replace structural damping H by viscous damping ``beta H``.
+
+    The results are the model, and the shares of M and K in its other damping.
+    """
     if model.first_order:
         raise UsageError("structural damping is of second-order models", where=model.name)
     plain = replace(model, loss_factor=0.0, loss=None)
@@ -312,7 +318,10 @@ def first_order_model(
     tolerance: float,
     norm: Norm,
 ) -> LinearModel:
-    """A passive model of first order, if ``reduced_model`` has real poles only and more states."""
+    """Return a passive model of first order, if the poles are real.
+
+    It needs fewer states than ``reduced_model``.
+    """
     known = reduced_model.certificate
     if known is None or any(port.domain is ACCELERATION for port in model.ports):
         return reduced_model

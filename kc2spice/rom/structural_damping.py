@@ -1,4 +1,4 @@
-"""Constant loss factors as passive models: relaxing stiffness for structural damping.
+"""Passive models of constant loss factors: relaxing stiffness.
 
 Structural damping ``K (1 + j eta)`` loses the same share of energy at every frequency. No causal
 model has exactly that: by the relation of Kramers and Kronig a constant loss factor makes the
@@ -43,7 +43,7 @@ DENSEST, FEWEST = 6, 8  # relaxations a decade, and beside these, at most
 
 @dataclass(frozen=True, eq=False)
 class RelaxingStiffness(EqualByContent):
-    """``chi(s) = constant + sum_k amplitudes_k s / (s + rates_k)``, a factor of stiffness.
+    """Factor ``chi(s) = constant + sum_k amplitudes_k s / (s + rates_k)`` of stiffness.
 
     Attributes
     ----------
@@ -217,7 +217,7 @@ def _corner(inner: int) -> np.ndarray:
 
 
 def _springs(stiffness: RelaxingStiffness) -> np.ndarray:
-    """(1 + k, 1 + k) springs between a displacement and its inner ones, of unit stiffness."""
+    """Springs (1 + k, 1 + k) of unit stiffness to the inner displacements."""
     result = np.diag(np.r_[stiffness.instantaneous, np.ones(stiffness.rates.size)])
     result[0, 1:] = result[1:, 0] = -np.sqrt(stiffness.amplitudes)
     return result

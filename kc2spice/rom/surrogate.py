@@ -18,7 +18,9 @@ CHECKS = 10  # direct solutions that measure a surrogate
 def surrogate(
     model: LinearModel, band: tuple[float, float], *, blocks: int = 10
 ) -> tuple[LinearModel, float]:
-    """A projected model that equals the full one over ``band``, and its largest measured error.
+    """Make a projected model that equals the full one over ``band``.
+
+    The other result is its largest measured error.
 
     The basis is built at s = 0 alone; ``CHECKS`` direct solutions of the full model, spread over
     the band so that none repeats a sampling frequency, are compared in all port pairs.
@@ -46,9 +48,11 @@ def surrogate(
 
 
 def _solution_rounding(pencil: Pencil, frequency: float, exact: np.ndarray) -> float:
-    """Largest relative change of a direct solution ``exact`` (outputs, inputs) in other units of
-    the unknowns, which change nothing but rounding: thin bodies answer with the small difference
-    of large forces."""
+    """Estimate rounding errors of a direct solution ``exact`` (outputs, inputs).
+
+    The result is the largest relative change in other units of the unknowns. Responses of thin
+    bodies are small differences of large forces.
+    """
     rng, s = np.random.default_rng(0), np.array([2j * np.pi * frequency])
     trials = map(pencil.in_units, rng.uniform(1.0, 2.0, (TRIALS, pencil.size)))
     return SPREAD * max(relative_error(again.transfer(s), exact[None]) for again in trials)

@@ -1,4 +1,6 @@
-"""Decoupled resonators whose frequencies, gains and capacitances are polynomials over a box.
+"""Decoupled resonators with polynomials of parameters as coefficients.
+
+The coefficients are frequencies, gains and capacitances over ranges of the parameters.
 
 A :class:`~kc2spice.rom.parametric.Parametric` model is small, but dense. At many points of its box
 this takes its modes up to above the band and, orthogonal to them, the Ritz vectors of what the
@@ -63,7 +65,9 @@ NOTCH = 1e-2  # factor of FINE with transfers between ports: large terms cancel 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Varying(ParameterPolynomials):
-    """``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` with ``E = alpha + beta L L'``.
+    """Resonators ``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` over ranges.
+
+    ``E = alpha + beta L L'``.
 
     With ``T`` (terms,) the products of polynomials, ``exp(T diagonal)`` (q,) is the diagonal of L
     and ``T below`` (q, q) what is below it, in blocks of the sizes ``blocks``; ``T gain`` (q,
@@ -133,7 +137,9 @@ def reduce_over_ranges(
     progress: Callable[[int, int], None] = lambda done, of: None,
     norm: Norm = "pointwise",
 ) -> Varying:
-    """The models ``full(values)`` over the box of ``axes`` with a certificate for all of it.
+    """Reduce the models ``full(values)`` over the ranges of ``axes``.
+
+    The certificate holds for all values in the ranges.
 
     The certified error is the largest relative difference, in the ``norm``, to full models at
     :data:`CHECKS` points and a corner of the box that nothing was made from, and to the dense model
@@ -182,7 +188,9 @@ def _certify(
     progress: Callable[[int, int], None],
     norm: Norm,
 ) -> tuple[Varying, float]:
-    """The resonators, and :data:`SAFETY` times their largest difference to full models.
+    """Return the resonators, and :data:`SAFETY` times their largest error.
+
+    The error is the difference to full models.
 
     Polynomials of a higher degree, from more full models, follow if the dense model differs too
     much from full models, or if its resonators do. Each degree has full models of its own to be
@@ -226,7 +234,10 @@ def _difference(
 def _interpolate_facts(
     model: Varying, known: Sequence[tuple[dict[str, float], Mapping[str, float]]]
 ) -> dict[str, np.ndarray]:
-    """Polynomials of what all full models state, of as high a degree as their number allows."""
+    """Interpolate the common facts of full models by polynomials.
+
+    Their degree is the highest that the number of models allows.
+    """
     x = [[axis.coordinate(values[axis.name]) for axis in model.axes] for values, _ in known]
     total = model.exponents.sum(axis=1, initial=0)
     used = np.array([(total <= degree).sum() for degree in total]) <= max(1, len(known) // 2)
@@ -241,7 +252,9 @@ def _interpolate_facts(
 def varying(
     dense_model: Parametric, band: tuple[float, float], tolerance: float, norm: Norm = "pointwise"
 ) -> tuple[Varying, float]:
-    """Resonators of ``dense_model`` over its box, and their largest difference at draws of it.
+    """Make resonators of ``dense_model`` over its ranges.
+
+    The other result is their largest difference at random values.
 
     The fewest Ritz vectors, the smallest blocks and the lowest degree that meet the tolerance.
 
@@ -297,8 +310,10 @@ def _values_at(box: Mapping[str, ParameterAxis], x: np.ndarray) -> dict[str, flo
 def _check_points(
     dense_model: Parametric, band: tuple[float, float], norm: Norm
 ) -> Iterator[tuple[np.ndarray, ErrorEstimator]]:
-    """Points of the box with estimators by the dense model: the middle, all corners, where
-    polynomials     deviate most, and random points."""
+    """Yield points of the ranges with estimators by the dense model.
+
+    They are the middle, all corners, points of large polynomial deviations, and random points.
+    """
     count = len(dense_model.box)
     draws = scipy.stats.qmc.Sobol(count, seed=3).random(DRAWS) * 2 - 1
     corners = sorted(product((1.0, -1.0), repeat=count), key=lambda x: abs(sum(x)), reverse=True)
@@ -317,8 +332,10 @@ class _DenseModes:
 
 
 class _ModesOverRanges:
-    """Modes of a dense model over its box; ``count`` of them, all in the band, are modes of what is
-    made from it."""
+    """Modes of a dense model over its ranges.
+
+    ``count`` is the number of modes in the band, which are modes of the result as well.
+    """
 
     def __init__(self, dense_model: Parametric, band: tuple[float, float]) -> None:
         self.dense_model, self.band, self.axes, self.free = (
@@ -363,8 +380,11 @@ class _ModesOverRanges:
 
 
 class _ReducedSpace:
-    """The modes that are kept and Ritz vectors of what loads do besides: ``sum_i phi_i phi_i' B /
-    (w_i^2 - s)^j`` over the others, j to ``moments``, s half of the squared end of the band."""
+    """Space of selected modes and Ritz vectors of the other modes.
+
+    The vectors are ``sum_i phi_i phi_i' B / (w_i^2 - s)^j`` over the other modes, j up to
+    ``moments``, with s half of the squared end of the band.
+    """
 
     def __init__(self, modes: _ModesOverRanges, moments: int) -> None:
         self.modes, self.moments = modes, moments
@@ -405,8 +425,11 @@ class _ReducedSpace:
         return replace(p.model, M=np.eye(len(w2)), K=np.diag(w2), B=B, C=B.T)
 
     def _block(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Stiffness (points, n, n) and gain (points, n, ports) of the states a to b - 1 in frames
-        nearest to that of the middle; None where one has turned too far from it."""
+        """Compute stiffness (points, n, n) and gain (points, n, ports) of a block.
+
+        The block contains the states a to b - 1 in frames nearest to that of the middle. The result
+        is None if a frame has turned too far from it.
+        """
         if (a, b) not in self._known:
             M, first, rows = self.modes.points[0].model.M, self.Z[0][:, a:b], []
             for p, w2, Z in zip(self.modes.points, self.w2, self.Z, strict=True):
@@ -420,8 +443,11 @@ class _ReducedSpace:
         return self._known[a, b]
 
     def fitted(self, gap: float, degree: int, tolerance: float) -> Varying | None:
-        """Polynomials of the data of blocks that stay apart by ``gap``, the least logarithm of the
-        ratio of squared frequencies; None where a block has no smooth frame."""
+        """Fit polynomials to the data of blocks that are separated by ``gap``.
+
+        The gap is the least logarithm of the ratio of squared frequencies. The result is None if a
+        block has no smooth frame.
+        """
         modes, dense_model = self.modes, self.modes.dense_model
         apart = np.log(self.w2[:, 1:] / self.w2[:, :-1]).min(axis=0) > gap
         ends = [0, *(np.flatnonzero(apart) + 1), self.w2.shape[1]]

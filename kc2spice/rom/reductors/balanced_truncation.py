@@ -78,8 +78,11 @@ class BalancedTruncation(Reductor):
 
 
 def hankel_singular_values(task: Task) -> np.ndarray | None:
-    """Return the Hankel singular values of the intermediate model, in descending order; None if it
-    is not strictly stable or too large."""
+    """Return the Hankel singular values in descending order.
+
+    They are those of the intermediate model. The result is None if the model is not strictly stable
+    or too large.
+    """
     if not has_gramians(task):
         return None
     model = task.first_order.pencil
@@ -90,8 +93,11 @@ def hankel_singular_values(task: Task) -> np.ndarray | None:
 def _gramian_roots(
     model: Pencil, rows: np.ndarray, columns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Roots of both Gramians with outputs and inputs divided by ``rows`` and ``columns``; None if
-    the model is not strictly stable."""
+    """Compute roots of both Gramians with scaled outputs and inputs.
+
+    They are divided by ``rows`` and ``columns``. The result is None if the model is not strictly
+    stable.
+    """
     A = -model.coefficients[0]
     if np.linalg.eigvals(A).real.max() > -STRICTLY_STABLE:
         return None
@@ -100,8 +106,10 @@ def _gramian_roots(
 
 
 def has_gramians(task: Task) -> bool:
-    """Whether the model is stable at rest, without rigid-body modes that damping couples to other
-    motions, and small enough for dense Gramians."""
+    """Whether dense Gramians exist and are small enough.
+
+    The model is stable at rest, and no damping couples rigid-body modes to other motions.
+    """
     return not no_gramians(task)
 
 
@@ -115,7 +123,7 @@ def no_gramians(task: Task) -> str:
 
 
 def too_large(states: int, largest: int) -> str:
-    """Return the reason that an intermediate model of so many states is too large, or ""."""
+    """Return the reason that a model of so many states is too large, or ""."""
     if states <= largest:
         return ""
     return f"the intermediate model has {states} first-order states, more than {largest}"
@@ -148,7 +156,9 @@ def balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _gramian_root(T: np.ndarray, Q: np.ndarray, left: str, right: str) -> np.ndarray:
-    """R with ``X = R R'``, ``T X + X T' = -Q Q'``, or with T transposed (T in real Schur form).
+    """Compute R with ``X = R R'`` of ``T X + X T' = -Q Q'``, or of T transposed.
+
+    T is in real Schur form.
 
     Rounding may leave X slightly indefinite.
     """

@@ -12,7 +12,7 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 
 
 class Reductor(ABC):
-    """A method of reduction: it builds a basis whose leading vectors give reduced-order models.
+    """Method of reduction: a basis whose leading vectors give reduced-order models.
 
     A subclass has a ``name``, a literature ``reference`` and the method :meth:`basis`. The choice
     of the order, the error estimate and the proofs of stability and passivity are the same for all
@@ -50,7 +50,10 @@ class Reductor(ABC):
         return ""
 
     def applies_to(self, task: Task) -> bool:
-        """Return whether the method applies to this model: by default, if nothing prevents it."""
+        """Return whether the method applies to this model.
+
+        By default it applies if there is no obstacle.
+        """
         return not self.obstacle(task)
 
     @abstractmethod
@@ -68,7 +71,10 @@ class Reductor(ABC):
     def tighten(
         self, basis: ReducedBasis, order: int, tolerance: float
     ) -> tuple[ReducedBasis, int]:
-        """Return a better basis and a lower order within the tolerance; by default the same."""
+        """Return a better basis and a lower order within the tolerance.
+
+        By default both remain.
+        """
         return basis, order
 
 

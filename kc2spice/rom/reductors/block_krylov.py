@@ -29,7 +29,7 @@ Operator = Callable[[np.ndarray], np.ndarray]
 
 
 class BlockKrylov(Reductor):
-    """Block Krylov vectors at zero frequency, by block Arnoldi with K as inner product.
+    """Block Krylov vectors at zero by block Arnoldi with K as inner product.
 
     ``span{X, A X, A^2 X, ...}`` with ``X = K^-1 B`` and ``A = K^-1 M`` (equations 6 and 7 of the
     reference). The model has a definite K and proportional damping or none.
@@ -79,14 +79,19 @@ def krylov_space(pencil: Pencil) -> BlockArnoldi:
 
 
 def krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
-    """Return so many block Krylov vectors of a definite model at zero, or all that exist."""
+    """Return so many block Krylov vectors of a definite model, or all that exist.
+
+    They are those at zero frequency.
+    """
     return krylov_space(pencil).vectors(count)
 
 
 def nested_model(
     pencil: Pencil, order: int, space: BlockArnoldi | None = None
 ) -> IntermediateModel:
-    """Return the Krylov model of two blocks more than ``order``, which estimates the error.
+    """Return the Krylov model of two blocks more than ``order``.
+
+    It estimates the error.
 
     ``space`` is the Krylov space of the model, if it is known.
     """
@@ -99,7 +104,9 @@ def nested_model(
 def block_arnoldi(
     stiffness: Operator, solve: Operator, mass: Operator, B: np.ndarray, order: int
 ) -> np.ndarray:
-    """Basis V (n, q) of ``span{X, AX, A^2 X, ...}``, ``X = K^-1 B``, ``A = K^-1 M``, ``V'KV = 1``.
+    """Compute a basis V (n, q) of ``span{X, AX, A^2 X, ...}``, ``V'KV = 1``.
+
+    ``X = K^-1 B`` and ``A = K^-1 M``.
 
     It has ``order`` columns, see :class:`BlockArnoldi`.
     """
@@ -107,7 +114,9 @@ def block_arnoldi(
 
 
 class BlockArnoldi:
-    """Nested bases V of ``span{X, AX, A^2 X, ...}``, ``X = K^-1 B``, ``A = K^-1 M``, ``V'KV = 1``.
+    """Nested bases V of ``span{X, AX, A^2 X, ...}`` with ``V'KV = 1``.
+
+    ``X = K^-1 B`` and ``A = K^-1 M``.
 
     Column by column in port order, so bases are nested: the first q columns are the basis of
     order q, the last block being cut after the ports that still fit. The first block holds the
@@ -134,7 +143,9 @@ class BlockArnoldi:
 def extend(
     basis: np.ndarray, images: np.ndarray, candidates: np.ndarray, stiffness: Operator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Columns (v, K v) that the candidates add to a K-orthonormal basis with images K V.
+    """Extend a K-orthonormal basis by the columns (v, K v) of candidates.
+
+    ``K V`` are the images of the basis.
 
     The images make every inner product an ordinary one. Dependent candidates are deflated.
     """

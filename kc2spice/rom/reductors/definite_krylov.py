@@ -30,8 +30,10 @@ NEAREST = 1e-3  # least distance of two points, relative to the end of the band
 def definite_krylov_model(
     pencil: Pencil, band: tuple[float, float], target: float, limit: float
 ) -> IntermediateModel:
-    """Return a model within ``target`` over ``band`` [Hz], or within ``limit`` if rounding prevents
-    more. The error is the change by the last two blocks.
+    """Return a definite model within ``target`` over ``band`` [Hz].
+
+    It is within ``limit`` if rounding prevents more. The error is the change by the last two
+    blocks.
 
     Raises
     ------

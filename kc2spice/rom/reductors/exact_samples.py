@@ -68,7 +68,10 @@ class ExactSamples:
         self._left = np.hstack([self._left, *real_parts(y / np.linalg.norm(y, axis=0))])
 
     def model(self) -> tuple[Pencil, float]:
-        """The oblique projection that reproduces the samples best, and its largest error there."""
+        """Make the oblique projection that best reproduces the samples.
+
+        The other result is its largest error at the samples.
+        """
         W, P = self._left, self.pencil
         U, size, Vt = np.linalg.svd(W.T @ (self._E @ self._right))
         inner = W.T @ self._images
@@ -143,7 +146,10 @@ def sampled_model(
 
 
 def _remove_growing_poles(small: Pencil) -> Pencil:
-    """In real blocks of its poles, without those that grow: of a stable model they are noise."""
+    """Remove the growing poles, which are noise of a stable model.
+
+    The result is in real blocks of its poles.
+    """
     from kc2spice.rom.blocks import decouple_states
 
     blocks, X, inverse = decouple_states(-small.coefficients[0])

@@ -71,8 +71,12 @@ class GreedyBasis:
         return float(error.max()), self.basis.shape[1] > before
 
     def next_point(self) -> complex:
-        """The candidate, not used before, of the largest residual; every second time that where
-        the last point changed the response most."""
+        """Choose the next candidate: that of the largest residual.
+
+        Every second time it is the one at which the last point changed the response most.
+
+        Every second time it is the one near which the last point changed the response most.
+        """
         points = self._candidates()
         s = 2j * np.pi * points
         result = self.response.transfer(s)
@@ -107,7 +111,10 @@ class GreedyBasis:
         return True
 
     def solve(self, s: complex) -> tuple[np.ndarray, ...]:
-        """``x = P(s)^-1 B`` and ``-x'(s)``; where the output side differs, ``P(s)^-T C'`` too."""
+        """Solve for ``x = P(s)^-1 B`` and ``-x'(s)``.
+
+        If outputs differ from inputs, the result contains ``P(s)^-T C'``, too.
+        """
         forward, backward = self.pencil.solver(s)
         self.points += 1
         x = forward.solve(self.pencil.B)
@@ -139,8 +146,11 @@ class GreedyBasis:
         )
 
     def _split_rigid_body(self, small: Pencil) -> tuple[Pencil, np.ndarray]:
-        """The rigid-body motion of the projected model, within rounding of the full one's entries;
-        where the model has a static answer, no input moves it, and it is left out."""
+        """Split the rigid-body motion off the projected model.
+
+        It is that within rounding errors of the full model's entries. If the model has a static
+        response, no input excites this motion, and it is left out.
+        """
         V, coefficients = self.modal, self.pencil.coefficients
         sizes, eps = list(map(magnitudes, coefficients)), np.finfo(float).eps
         bound = FREE * eps * (np.abs(V).T @ (sizes[0] @ np.abs(V)))
@@ -171,7 +181,7 @@ class GreedyBasis:
 
 
 class _Sketch:
-    """Residual norms of ``P(s) V x(s) = b`` from a few random combinations of its rows."""
+    """Residual norms of ``P(s) V x(s) = b`` from random combinations of its rows."""
 
     def __init__(self, sketch: np.ndarray, coefficients: tuple[Any, ...], b: np.ndarray) -> None:
         self._rows = [np.asarray((P.T @ sketch.T).T) for P in coefficients]
@@ -192,7 +202,10 @@ class _Sketch:
 
 
 def _modes(pencil: Pencil) -> np.ndarray:
-    """Undamped modes of a small symmetric pencil of second order, the unit matrix of any other."""
+    """Undamped modes of a small symmetric pencil of second order.
+
+    The result is the unit matrix for other pencils.
+    """
     if pencil.degree == 2 and pencil.symmetric:
         K, _, M = pencil.coefficients
         try:
@@ -203,7 +216,10 @@ def _modes(pencil: Pencil) -> np.ndarray:
 
 
 def _independent(basis: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Orthonormal directions of ``new`` outside ``basis``; what is dependent is deflated."""
+    """Compute orthonormal directions of ``new`` outside ``basis``.
+
+    Dependent directions are deflated.
+    """
     result = np.empty((basis.shape[0], 0))
     for column in new.T:
         length = np.linalg.norm(column)

@@ -1,4 +1,4 @@
-"""Iterative rational Krylov algorithm: models that are locally optimal in the H2 norm."""
+"""Iterative rational Krylov algorithm for locally H2-optimal models."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HOPELESS = 10.0
 
 
 class Irka(Reductor):
-    """Tangential interpolation at the mirror images of the poles of the reduced-order model.
+    """Tangential interpolation at mirror images of the reduced model's poles.
 
     The model of order q with poles ``l_i`` and residues ``c_i b_i'`` has the projection
     ``V = [(-l_i - A)^-1 B b_i]`` and ``W = [(-l_i - A)^-T C' c_i]``, iterated from balanced
@@ -59,8 +59,10 @@ class Irka(Reductor):
         return no_gramians(task)
 
     def basis(self, task: Task) -> ReducedBasis | None:
-        """Return the models of all orders, each computed when it is needed; None if the model is
-        not strictly stable."""
+        """Return the models of all orders, each computed when it is needed.
+
+        The result is None if the model is not strictly stable.
+        """
         start = BalancedTruncation(scaled=False).basis(task)
         if start is None:
             return None
@@ -69,8 +71,10 @@ class Irka(Reductor):
 
 @dataclass(frozen=True)
 class OptimalModels(ReducedBasis):
-    """Models that are locally optimal in the H2 norm. ``pencil`` is balanced: its leading parts are
-    the starts of the iteration."""
+    """Models that are locally optimal in the H2 norm.
+
+    ``pencil`` is balanced: its leading parts are the starts of the iteration.
+    """
 
     def leading(self, order: int) -> Response:
         """Return the response of the optimal model of this order."""
@@ -124,7 +128,10 @@ class OptimalModels(ReducedBasis):
 
 
 def residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return poles (q,), and left (q, outputs) and right (q, inputs) directions of residues."""
+    """Return poles (q,), and left and right directions of residues.
+
+    They are (q, outputs) and (q, inputs).
+    """
     poles, X = np.linalg.eig(-pencil.coefficients[0])
     return poles, (pencil.C @ X).T, np.linalg.solve(X, pencil.B.astype(complex))
 
@@ -135,7 +142,7 @@ def mirrored_poles(poles: np.ndarray) -> np.ndarray:
 
 
 def interpolated(full: Response, shifts: np.ndarray, left: np.ndarray, right: np.ndarray) -> Pencil:
-    """Return the model that interpolates ``full`` at the shifts in the tangential directions."""
+    """Return the model that interpolates ``full`` at shifts along directions."""
     V = _real_basis(shifts, full.states(shifts) @ right[:, :, None])
     W = _real_basis(shifts, full.dual.states(shifts) @ left[:, :, None])
     pencil, inner = full.pencil, W.T @ V

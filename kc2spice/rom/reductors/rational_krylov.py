@@ -1,4 +1,4 @@
-"""Rational Krylov subspaces: solutions and derivatives at several expansion points in the band."""
+"""Rational Krylov subspaces: solutions and derivatives at several points."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ BASIS_SHARE = 0.01  # share of the tolerance at which a basis of the method ends
 
 
 class RationalKrylov(Reductor):
-    """Solutions ``P(s)^-1 B`` and their derivatives by s at greedily chosen points ``s = j w``.
+    """Solutions ``P(s)^-1 B`` and their derivatives at greedily chosen points.
+
+    The points are ``s = j w``.
 
     The projection interpolates the response and its slope at each point. An unsymmetric model adds
     solutions of the dual model. Vectors are in the order of their points: first the static
@@ -104,8 +106,9 @@ def _frequencies(points: Sequence[float]) -> np.ndarray:
 def rational_krylov_model(
     pencil: Pencil, band: tuple[float, float], target: float, limit: float, most: int
 ) -> IntermediateModel:
-    """Return a model within ``target`` over ``band`` [Hz], or within ``limit`` if rounding prevents
-    more, with at most so many factorisations.
+    """Return a model within ``target`` over ``band`` [Hz].
+
+    It is within ``limit`` if rounding prevents more, and needs at most so many factorisations.
 
     The error is that of the projection at the last points, before they joined the basis.
 

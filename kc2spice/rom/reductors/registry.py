@@ -28,7 +28,7 @@ _reductors: dict[str, Reductor] = {reductor.name: reductor for reductor in _BUIL
 
 
 def register_reductor(reductor: Reductor) -> Reductor:
-    """Register a method of reduction under its name, for ``method=`` of :func:`kc2spice.reduce`.
+    """Register a method of reduction, for ``method=`` of :func:`kc2spice.reduce`.
 
     A second method of the same name replaces the first one. Without ``method=`` only built-in
     methods are tried: response POD and the variants of balanced truncation.
@@ -112,7 +112,7 @@ def reductor_named(method: str | Reductor) -> Reductor:
 
 
 def suited_reductors(task: Task) -> list[Reductor]:
-    """Return the methods to try if none is prescribed: response POD and balanced truncation.
+    """Return the default methods: response POD and balanced truncation.
 
     Congruences come first. Balancing over the band sees notches, which count in the pointwise norm
     only.

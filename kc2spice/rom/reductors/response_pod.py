@@ -109,12 +109,17 @@ class ResponsePod(Reductor):
 
 
 def _has_loaded_port(task: Task) -> bool:
-    """Whether loads act on a port, such as forces or heat, so its static response stays exact."""
+    """Whether a port has loads such as forces or heat.
+
+    Its static response then remains exact.
+    """
     return any(port.loaded for port in task.fom.ports)
 
 
 def _static_responses(task: Task, response: Response) -> np.ndarray:
-    """Orthonormal vectors (n, k) of the static responses, without unknowns of rigid-body modes.
+    """Compute orthonormal vectors (n, k) of the static responses.
+
+    Unknowns of rigid-body modes are left out.
 
     The loads include those of rigid-body modes that damping couples to other motions. Signals need
     static responses only in a band from zero.
@@ -143,15 +148,19 @@ def _weighted_states(
 
 
 def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Real and imaginary parts of states (n, 2 frequencies inputs), times a factor of each
-    frequency."""
+    """Multiply states by a factor of each frequency, and split their parts.
+
+    The real and imaginary parts are (n, 2 frequencies inputs).
+    """
     inputs = states.shape[1] // (2 * len(factors))
     return np.asarray(states * np.tile(np.repeat(factors, inputs), 2))
 
 
 def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
-    """Coordinates in which the elastic energy is a sum of squares, otherwise the energy at
-    ``omega``; the unit matrix if none is definite.
+    """Compute coordinates in which the elastic energy is a sum of squares.
+
+    If it is not definite, the energy is that at ``omega``. If none is definite, the result is the
+    unit matrix.
 
     A model that is not ``static`` has no elastic energy at rest, although rounding of K may give it
     a Cholesky factor.
@@ -172,7 +181,10 @@ def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
 
 
 def _orthonormalise(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Orthonormal vectors: ``first``, then the principal directions of the other columns."""
+    """Return ``first`` and the principal directions of the other columns.
+
+    All vectors are orthonormal.
+    """
     for _ in range(2):  # once leaves rounding of the projection
         columns = columns - first @ (first.T @ columns)
     return np.asarray(np.linalg.qr(np.hstack([first, _principal_directions(columns)[0]]))[0])

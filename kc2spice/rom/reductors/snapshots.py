@@ -1,4 +1,4 @@
-"""Snapshots of a frequency response: at which frequencies they are taken, and their weights.
+"""Snapshots of a frequency response: frequencies and weights.
 
 A body that touches others is excited above the band too. A basis fitted to the band alone has large
 errors there, so mechanical ports add snapshots above the band, with a small weight: the *tail*.
@@ -30,7 +30,10 @@ LEAST_SHARE = {"pointwise": 1e-6, "peak": 1.0}
 
 
 class Snapshots(NamedTuple):
-    """Frequencies [Hz] in the band, frequencies above it, and the weights of the latter."""
+    """Frequencies [Hz] in the band, frequencies above it, and their weights.
+
+    The weights are those of frequencies above the band.
+    """
 
     inside: np.ndarray
     above: np.ndarray
@@ -42,7 +45,7 @@ class Snapshots(NamedTuple):
         return np.asarray(2j * np.pi * np.r_[self.inside, self.above])
 
     def weights(self, inside: np.ndarray | float = 1.0, above: float = 1.0) -> np.ndarray:
-        """Return the weights of all snapshots for given ones in the band and a factor above it."""
+        """Return all weights from those in the band and a factor above it."""
         weight = np.broadcast_to(inside, self.inside.shape)
         return np.asarray(np.r_[weight, above * self.above_weight])
 
@@ -72,7 +75,9 @@ def snapshots(
 def weighted_states(
     response: Response, s: np.ndarray, weight: np.ndarray, complete: np.ndarray, norm: Norm
 ) -> np.ndarray:
-    """Return real and imaginary parts of the states, with weights for a relative error.
+    """Return weighted real and imaginary parts of the states.
+
+    The weights are those of a relative error.
 
     The square of a state is an energy if ports exchange energy, so each state is divided by the
     root of its port's response. Other states are divided by their length. The response of the
@@ -92,7 +97,10 @@ def weighted_states(
 
 
 def _lengths(x: np.ndarray, H: np.ndarray, complete: np.ndarray, norm: Norm) -> np.ndarray:
-    """Lengths (frequencies, inputs) of states x whose response H is a part of ``complete``."""
+    """Lengths (frequencies, inputs) of states x in the units of a response.
+
+    The response H of the states is a part of ``complete``.
+    """
     size = np.linalg.norm(x, axis=1)
     if norm == "peak":
         size = np.maximum(size, size.max(axis=0))

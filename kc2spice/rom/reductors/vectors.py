@@ -96,7 +96,7 @@ def _matrix(value: Any, where: str, rows: int) -> np.ndarray:
 
 
 def _dependent(V: np.ndarray) -> int | None:
-    """The first column that is a combination of those before it, None if there is none."""
+    """Find the first column that depends on the columns before it, or None."""
     norms = np.linalg.norm(V, axis=0)
     distance = np.zeros(V.shape[1])
     diagonal = np.abs(np.diag(np.linalg.qr(V / np.where(norms > 0, norms, 1.0), mode="r")))
