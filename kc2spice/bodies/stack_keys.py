@@ -30,7 +30,10 @@ PAPER = "THP51"  # the ceramic of the paper's chip
 
 
 class ChipMesh(Section):
-    """In-plane polar mesh; ``refine`` splits every cell edge, layers included, into that many."""
+    """In-plane polar mesh of a stack.
+
+    ``refine`` divides every edge of a cell, also along the height, into that many.
+    """
 
     refine: Count = Field(
         1, ge=1, le=6, description="Factor by which the cells along each edge are multiplied"

@@ -114,7 +114,7 @@ class Damping(Section):
         return 0.01 if self.ratio is None else self.ratio
 
     def frequency(self, resonance_hz: float | None) -> float | None:
-        """Frequency [Hz] of the damping ratio :attr:`zeta`: ``at``, or the body's resonance."""
+        """Frequency [Hz] of the ratio :attr:`zeta`: ``at``, or the body's resonance."""
         return resonance_hz if self.at is None else float(np.min(self.at))
 
     def rayleigh(self, resonance_hz: float) -> tuple[float, float]:

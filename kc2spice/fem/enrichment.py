@@ -1,4 +1,6 @@
-"""Shape functions of one degree more than the quadratic ones of a solid, on the same mesh.
+"""Shape functions of one degree more than the quadratic ones of a solid.
+
+The mesh is the same.
 
 The functions are hierarchical: with those of the solid they span the cubic polynomials on triangles
 and tetrahedra, and the products of cubic polynomials on quadrilaterals. Each belongs to an edge, a
@@ -38,7 +40,9 @@ AFFINE = 1e-9  # relative change of the derivatives within an element that count
 
 
 class ShapeFunction(NamedTuple):
-    """A function on the reference element, with values (points,) and gradients (d, points).
+    """Function on the reference element with values (points,) and gradients.
+
+    The gradients are (d, points).
 
     ``corners`` are the two of an edge, in its direction, the three of a triangle or the four of a
     quadrilateral.
@@ -81,7 +85,7 @@ class Enrichment:
 
 @dataclass(frozen=True, eq=False)
 class EnrichedOperators:
-    """Matrices between selected functions, and between these and all nodes of the solid.
+    """Matrices between selected functions, and between these and all nodes.
 
     ``K`` belongs to displacements of functions, ``C`` to these and potentials of functions, ``P``
     to potentials; ``M`` is the mass. ``K_nodes``, ``C_nodes`` and ``M_nodes`` have displacements
@@ -106,7 +110,7 @@ class EnrichedOperators:
 
 def enrich(solid: Solid) -> Enrichment:
     """The functions of one degree more on the mesh of a solid."""
-    functions = shape_functions(solid, _rule(solid, np.array([0])).X)
+    functions = shape_functions(solid, _make_rule(solid, np.array([0])).X)
     numbers, signs = _number_functions(solid, functions)
     return Enrichment(solid, functions, _entity_nodes(solid, functions), numbers, signs)
 
@@ -114,24 +118,31 @@ def enrich(solid: Solid) -> Enrichment:
 def assemble_enrichment(
     enrichment: Enrichment, free: np.ndarray, live: np.ndarray
 ) -> EnrichedOperators:
-    """Integrate the matrices of displacements ``free`` (count, d) and potentials ``live``
-    (count,) of functions, both masks."""
+    """Integrate the matrices of selected displacements and potentials of functions.
+
+    Masks select the displacements ``free`` (count, d) and the potentials ``live`` (count,).
+    """
     solid, d = enrichment.solid, enrichment.solid.components
     nodes, size = solid.basis(1).element_dofs, solid.places.shape[1]
     unknowns = {
         ("nodes", 0): np.arange(size * d).reshape(size, d),
         ("nodes", 1): np.arange(size)[:, None],
-        ("functions", 0): _consecutive(free),
-        ("functions", 1): _consecutive(live[:, None]),
+        ("functions", 0): _number_selected(free),
+        ("functions", 1): _number_selected(live[:, None]),
     }
     local = {"nodes": slice(len(nodes)), "functions": slice(len(nodes), None)}
     parts = slice(d), slice(d, None)
     sums = {
-        (i, group, j): _Sum((unknowns["functions", i].max() + 1, unknowns[group, j].max() + 1))
+        (i, group, j): _SparseSum(
+            (unknowns["functions", i].max() + 1, unknowns[group, j].max() + 1)
+        )
         for i, group, j in product((0, 1), local, (0, 1))
     }
-    masses = {"nodes": _Sum((enrichment.count, size)), "functions": _Sum((enrichment.count,) * 2)}
-    table = _table(solid, _rule(solid, np.array([0])).X, enrichment.functions)
+    masses = {
+        "nodes": _SparseSum((enrichment.count, size)),
+        "functions": _SparseSum((enrichment.count,) * 2),
+    }
+    table = _tabulate_functions(solid, _make_rule(solid, np.array([0])).X, enrichment.functions)
     for material, cells in _chunks(solid, len(table), len(enrichment.functions)):
         S, M = _element_matrices(solid, material, cells, table, len(nodes))
         numbers, sign = enrichment.numbers[:, cells].T, enrichment.signs[:, cells].T
@@ -144,8 +155,8 @@ def assemble_enrichment(
         for (i, group, j), total in sums.items():
             part = S[:, :, parts[i], local[group], parts[j]]
             if part.size:
-                rows = _unknowns_of(unknowns["functions", i], numbers)
-                columns = _unknowns_of(unknowns[group, j], here[group])
+                rows = _look_up_unknowns(unknowns["functions", i], numbers)
+                columns = _look_up_unknowns(unknowns[group, j], here[group])
                 total.add(part.reshape(*rows.shape, -1), rows, columns)
     K, C, P = (sums[i, "functions", j].matrix for i, j in ((0, 0), (0, 1), (1, 1)))
     K_nodes, C_nodes, D_nodes, P_nodes = (
@@ -160,14 +171,16 @@ def assemble_enrichment(
     )
 
 
-def _rule(solid: Solid, cells: np.ndarray) -> skfem.Basis:
+def _make_rule(solid: Solid, cells: np.ndarray) -> skfem.Basis:
     if isinstance(solid.mesh, MeshTet):
         return solid.basis(quadrature=_conical_product(ORDER), elements=cells)
     return solid.basis(ORDER, elements=cells)
 
 
 def _conical_product(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points (3, points) and weights on a tetrahedron: a product of Gauss-Jacobi rules.
+    """Points (3, points) and weights on a tetrahedron, by Gauss-Jacobi rules.
+
+    They are a product of these rules.
 
     The rules of scikit-fem for tetrahedra are exact up to order 4 only. Source: A. H. Stroud,
     Approximate Calculation of Multiple Integrals (1971), section 2.5.
@@ -181,7 +194,10 @@ def _conical_product(order: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shape_functions(solid: Solid, X: np.ndarray) -> list[ShapeFunction]:
-    """The functions of one degree more, at points ``X`` (d, points) of the reference element."""
+    """Evaluate the functions of one degree more at points of the reference element.
+
+    The points are ``X`` (d, points).
+    """
     on_element = _on_quadrilateral if isinstance(solid.mesh, MeshQuad) else _on_simplex
     return on_element(np.asarray(solid.element.refdom.p, float), X)
 
@@ -224,8 +240,11 @@ def _on_quadrilateral(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]
 def _number_functions(
     solid: Solid, functions: Sequence[ShapeFunction]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers and signs (local functions, elements); functions of neighbours on one edge or face
-    share a number."""
+    """Number the functions of all elements, and determine their signs.
+
+    Both results are (local functions, elements). Functions of neighbours on one edge or face share
+    a number.
+    """
     corners = solid.basis(1).element_dofs[: solid.mesh.t.shape[0]]
     element = np.arange(corners.shape[1])
     keys, signs = [], []
@@ -252,9 +271,13 @@ def _entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list[np.n
     return result
 
 
-def _table(solid: Solid, X: np.ndarray, functions: Sequence[ShapeFunction]) -> np.ndarray:
-    """Gradients on the reference element and values (local functions, d + 1, points), those of the
-    nodes first."""
+def _tabulate_functions(
+    solid: Solid, X: np.ndarray, functions: Sequence[ShapeFunction]
+) -> np.ndarray:
+    """Tabulate gradients on the reference element and values of all functions.
+
+    The result is (local functions, d + 1, points). The functions of nodes are first.
+    """
     element, rows = solid.element, []
     for i in range(len(element.doflocs)):
         value, gradient = element.lbasis(X, i)
@@ -275,13 +298,15 @@ def _chunks(solid: Solid, local: int, more: int) -> Iterator[tuple[Material, np.
 def _element_matrices(
     solid: Solid, material: Material, cells: np.ndarray, table: np.ndarray, n: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """S (elements, more functions, fields, functions, fields) and M (elements, more functions,
-    functions) of elements of one material, from products of gradients on the reference element;
-    the n functions of nodes come first.
+    """Compute the matrices S and M of elements of one material.
+
+    S is (elements, more functions, fields, functions, fields), and M is (elements, more functions,
+    functions). Both are from products of gradients on the reference element. The n functions of
+    nodes are first.
 
     Without coupling and permittivity the fields are the displacements only.
     """
-    rule = _rule(solid, cells)
+    rule = _make_rule(solid, cells)
     weights, radius = rule.dx, np.asarray(rule.global_coordinates())[0]
     if solid.axisymmetric:
         weights = 2 * np.pi * weights * radius
@@ -312,8 +337,11 @@ def _reference_tensor(
     constants: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
     radius: np.ndarray,
 ) -> np.ndarray:
-    """Second derivatives of the energy (elements, points, field, m, field, m) by the gradients m of
-    each field on the reference element; of axisymmetric solids the value comes last."""
+    """Compute second derivatives of the energy by gradients on the reference element.
+
+    The result is (elements, points, field, m, field, m) with the gradients m of each field. For
+    axisymmetric solids the value is last.
+    """
     d = solid.components
     field = material.piezoelectric or material.dielectric
     kinds = d + 1 if solid.axisymmetric else d
@@ -345,18 +373,20 @@ def _reference_tensor(
     return result
 
 
-def _consecutive(mask: np.ndarray) -> np.ndarray:
+def _number_selected(mask: np.ndarray) -> np.ndarray:
     """Consecutive numbers of what a mask selects, -1 elsewhere."""
     return np.where(mask, np.cumsum(mask).reshape(mask.shape) - 1, -1)
 
 
-def _unknowns_of(unknowns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Unknowns (elements, local functions times components) of functions by their numbers; -1
-    where there is none."""
+def _look_up_unknowns(unknowns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Look up the unknowns of functions by their numbers; -1 is none.
+
+    The result is (elements, local functions times components).
+    """
     return unknowns[numbers].reshape(len(numbers), -1).astype(np.int32)
 
 
-class _Sum:
+class _SparseSum:
     """Sparse matrix that sums matrices of elements."""
 
     def __init__(self, shape: tuple[int, int]) -> None:

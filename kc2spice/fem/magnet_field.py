@@ -72,7 +72,10 @@ def catch_table(
 
 
 def count_compared_positions(count: int) -> int:
-    """Choose how many of ``count`` equally spaced heights, five at least, are spaced equally."""
+    """Choose a number of heights for the comparison with a coarser mesh.
+
+    At least five of ``count`` equally spaced heights are chosen, which are equally spaced as well.
+    """
     return next((n for n in range(COMPARED, count) if (count - 1) % (n - 1) == 0), count)
 
 
@@ -146,13 +149,19 @@ class FieldEquations:
         return a
 
     def force(self, a: np.ndarray) -> np.ndarray:
-        """Compute the form (k, k) [N] of the force ``q' form q`` by amplitudes q of fields a."""
+        """Compute the form (k, k) [N] of the force by fields ``a`` (n, k).
+
+        The force for amplitudes q is ``q' form q``.
+        """
         near = a[self.mover]
         return -0.5 * near.T @ (self.stretch @ near)
 
 
 def assemble_heights(catch: Catch, radius: float) -> Iterator[tuple[int, FieldEquations]]:
-    """Yield index and equations of each height; heights on one lattice share their meshes."""
+    """Yield index and equations of each height.
+
+    Heights on one lattice share their meshes.
+    """
     y = sphere_heights(catch)
     pitch = lattice_pitch(catch, radius, (y[-1] - y[0]) / (y.size - 1))
     offset = np.round((y - y[0]) / pitch, 6) % 1.0
@@ -166,7 +175,10 @@ def assemble_heights(catch: Catch, radius: float) -> Iterator[tuple[int, FieldEq
 
 @dataclass(frozen=True, eq=False)
 class ElementMatrices:
-    """Element matrices of one mesh: ``local[:, e]`` goes to ``rows[:, e]``, ``cols[:, e]``."""
+    """Element matrices of one mesh with the rows and columns of their entries.
+
+    ``local[:, e]`` goes to ``rows[:, e]``, ``cols[:, e]``.
+    """
 
     points: np.ndarray  # (2, n): places of the unknowns [m]
     rows: np.ndarray
@@ -248,7 +260,10 @@ def _assemble_mesh(
     magnet: np.ndarray,
     sources: dict[int, tuple[LinearForm, float, np.ndarray]],
 ) -> ElementMatrices:
-    """Assemble a mesh with a ``magnet`` and its ``sources`` by column: form, size, elements."""
+    """Assemble a mesh with a ``magnet`` and its ``sources`` by column.
+
+    A source is a form, a size, and elements.
+    """
     basis = _make_basis(mesh)
     loads = np.zeros((basis.N, 4))
     for column, (form, size, inside) in sources.items():
@@ -261,7 +276,10 @@ def _assemble_mesh(
 
 
 def _make_basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:
-    """Make a basis that integrates polynomials of degree 5 on straight triangles exactly."""
+    """Make a basis that integrates polynomials of degree 5 exactly.
+
+    This is the degree of the integrands on straight triangles.
+    """
     return Basis(mesh, ElementTriP2(), intorder=6, elements=elements)
 
 
@@ -274,7 +292,7 @@ def _stiffness(u: Any, v: Any, w: Any) -> np.ndarray:
 
 @BilinearForm
 def _stretch(u: Any, v: Any, w: Any) -> np.ndarray:
-    """Derivative of the stiffness when points move by g in y and carry their values along."""
+    """Derivative of the stiffness when points move by g in y with their values."""
     r, (g_r, g_y) = w.x[0], w.g.grad
     bu, bv = 2 * u + r * u.grad[0], 2 * v + r * v.grad[0]
     shear = g_r * r * (u.grad[1] * bv + bu * v.grad[1])
@@ -290,7 +308,10 @@ def _remanence(v: Any, w: Any) -> np.ndarray:
 
 @LinearForm
 def _current(v: Any, w: Any) -> np.ndarray:
-    """``int A_phi 2 pi r dr dy``: the load of 1 A/m^2, and the flux that one turn/m^2 links."""
+    """Load of 1 A/m^2, ``int A_phi 2 pi r dr dy``.
+
+    It is the flux linkage of one turn/m^2 as well.
+    """
     return 2 * pi * w.x[0] ** 2 * v
 
 
@@ -344,7 +365,7 @@ def lattice_pitch(catch: Catch, radius: float, spacing: float) -> float:
 
 
 def bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: float) -> Bore:
-    """Make the lattice whose outermost centres of the sphere are ``lowest`` and ``highest``.
+    """Make the lattice for centres of the sphere from ``lowest`` to ``highest``.
 
     Raises
     ------
@@ -367,7 +388,7 @@ def bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: floa
 
 
 def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
-    """Mesh the half plane without a sphere by free triangles around the bore's lattice."""
+    """Mesh the half plane without a sphere by triangles around the lattice."""
     top = bore.bottom + bore.rows * bore.pitch
     boxes = list(map(rectangle, parts(catch)))
     shapes = [air(catch), (0.0, bore.bottom, bore.wall, top), *boxes]
@@ -397,7 +418,9 @@ def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
 
 
 def mover_mesh(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
-    """Mesh a box around a sphere at the origin; return a mask of triangles inside the sphere, too.
+    """Mesh a box around a sphere at the origin.
+
+    The other result is a mask of the triangles inside the sphere.
 
     Edges of the sphere's surface are arcs: their mid-nodes lie on the circle.
     """

@@ -1,4 +1,7 @@
-"""Keys of the catch actuator: ring magnet, two coils, air box (paper tables 1 and A1)."""
+"""Keys of the catch actuator: ring magnet, two coils and air box.
+
+Source: paper tables 1 and A1.
+"""
 
 from __future__ import annotations
 

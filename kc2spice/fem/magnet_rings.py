@@ -1,4 +1,4 @@
-"""A conducting body of revolution in the field of coaxial coils: rings, and few modes of them.
+"""A conducting body of revolution between coaxial coils, as rings and few modes.
 
 The body is divided into rings of rectangular section, thin ones below its surfaces where the skin
 depth is small: ``L di/dt + R i = -d/dt m j`` for the currents i of the rings and j of the coils. L
@@ -57,7 +57,7 @@ def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Rings with rectangular sections, ``wide`` (n,) along the radius and ``tall`` (n,) [m].
+    """Rings with rectangular sections, ``wide`` (n,) times ``tall`` (n,) [m].
 
     The middles of the sections are at ``r`` (n,) and ``z`` (n,). The shares ``filled`` (n,) of the
     sections carry current.
@@ -110,7 +110,7 @@ class Cells:
 def _mean_mutual(
     r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray, logs: np.ndarray
 ) -> np.ndarray:
-    """Compute :func:`mutual` (n, m) with ``logs`` instead of the logarithm of the distance."""
+    """Compute :func:`mutual` (n, m) with mean ``logs`` of the distances."""
     r, z = r[:, None], z[:, None]
     same = (r == other) & (z == height)
     distance = np.where(same, 1.0, np.hypot(r - other, z - height))
@@ -122,7 +122,9 @@ def _mean_mutual(
 def _mean_log(
     x: np.ndarray, y: np.ndarray, a: np.ndarray, c: np.ndarray, b: np.ndarray, d: np.ndarray
 ) -> np.ndarray:
-    """Compute the mean logarithm of the distance of two rectangles at the distances x and y.
+    """Compute the mean logarithm of the distance of two rectangles.
+
+    Their middles are the distances ``x`` and ``y`` apart.
 
     The rectangles are ``a`` times ``b`` and ``c`` times ``d``. The mean is the fourth difference of
     an integral of ``ln(x^2 + y^2) / 2``.
@@ -181,7 +183,9 @@ def _middles(edges: np.ndarray) -> np.ndarray:
 
 
 def _divide_length(length: float, side: float, thinnest: float, surfaces: int) -> np.ndarray:
-    """Divide a length into cells of about ``side``, and layers that grow below the surfaces.
+    """Divide a length into cells of about ``side``, and layers below surfaces.
+
+    The layers become thicker with their depth.
 
     There are layers if the cells are thicker than ``thinnest``, the thickness of the first layer.
     They are below the upper one of the ``surfaces``, or below both.
@@ -201,7 +205,7 @@ def _divide_length(length: float, side: float, thinnest: float, surfaces: int) -
 
 @dataclass(frozen=True)
 class Winding:
-    """Winding whose ``turns`` fill a rectangle about the mean ``radius`` and the height ``y``."""
+    """Winding with uniform ``turns`` in a rectangle about ``radius`` and ``y``."""
 
     radius: float
     width: float
@@ -221,7 +225,7 @@ class Winding:
         return Cells(r, z, self.width / parts[0] * even, self.height / parts[1] * even, even)
 
     def coupling(self, r: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Compute the mutual inductance [H] with circles (...), by Gauss points of the section."""
+        """Compute the mutual inductance [H] with circles (...) by Gauss points."""
         sides = np.array([self.width, self.height])
         counts = np.maximum(3, np.round(POINTS * sides / sides.max())).astype(int)
         (x, p), (y, q) = map(np.polynomial.legendre.leggauss, counts)
@@ -230,7 +234,9 @@ class Winding:
         return np.asarray(self.turns * np.einsum("...ij,i,j->...", result, p / 2, q / 2))
 
     def through(self, sheet: Winding, heights: np.ndarray) -> np.ndarray:
-        """Compute mutual inductances [H] (n,) with a sheet that is moved up by ``heights`` (n,).
+        """Compute mutual inductances [H] (n,) with a sheet at several heights.
+
+        The sheet is moved up by ``heights`` (n,).
 
         The sheet is a winding without width, integrated by Gauss points along it.
         """
@@ -239,7 +245,9 @@ class Winding:
         return np.asarray(sheet.turns * self.coupling(np.full_like(z, sheet.radius), z) @ p / 2)
 
     def with_other(self, other: Winding) -> float:
-        """Compute the mutual inductance [H] with another winding, or the inductance of this one.
+        """Compute the mutual inductance [H] with another winding.
+
+        With itself it is the inductance.
 
         The inductance of a sheet without width: L. Lorenz, Ann. Phys. 7 (1879) 161.
         """
@@ -308,7 +316,7 @@ class CurrentEffect(EqualByContent):
     slope: np.ndarray
 
     def largest_difference(self, exact: CurrentEffect) -> float:
-        """Largest difference of flux, slope, and loss of any coil, relative to the largest."""
+        """Largest relative difference of flux, slope, and loss of any coil."""
         pairs = [(self.flux, exact.flux), (self.slope, exact.slope)]
         coils = np.arange(len(self.flux))
         pairs.append((self.flux[coils, coils].imag, exact.flux[coils, coils].imag))
@@ -322,7 +330,7 @@ def roughness(
     magnets: Sequence[Winding],
     conductivity: float,
 ) -> float:
-    """Compare the loops ``ladder`` with a direct solution of the rings of another ``body``.
+    """Compare loops with a direct solution of the rings of another ``body``.
 
     The result is the largest relative difference up to the frequency of the loops, see
     :meth:`CurrentEffect.largest_difference`.
@@ -348,7 +356,7 @@ def roughness(
 def _couplings(
     body: Cells, coils: Sequence[Winding], magnets: Sequence[Winding], heights: np.ndarray
 ) -> np.ndarray:
-    """Mutual inductances (c, y, n) [H] of the rings with each coil, and with all magnets."""
+    """Mutual inductances (c, y, n) [H] of rings with each coil, and all magnets."""
     at = body.r, body.z + heights[:, None]
     m = [coil.coupling(*at) for coil in coils]
     if magnets:
@@ -366,7 +374,9 @@ def ladder(
     frequency: float,
     tolerance: float,
 ) -> Ladder:
-    """Reduce a ``body`` to loops at the heights ``low`` to ``high`` [m] up to ``frequency`` [Hz].
+    """Reduce a ``body`` to loops at heights up to a ``frequency`` [Hz].
+
+    The heights are ``low`` to ``high`` [m].
 
     The turns of ``magnets`` are amperes on their surfaces, and their coupling to the loops is a
     flux [Wb]. The subspace of the body's currents contains the responses to each coil, and to the
@@ -401,7 +411,9 @@ def current_body(
     high: float,
     tolerance: float,
 ) -> Ladder:
-    """Make one loop of a body with the constant currents of ``sheets``; see :func:`ladder`.
+    """Make one loop of a body with the constant currents of ``sheets``.
+
+    See :func:`ladder` for the other arguments.
 
     Raises
     ------
@@ -432,7 +444,9 @@ def _coil_inductance(coils: Sequence[Winding]) -> np.ndarray:
 def _compute_subspace(
     rates: np.ndarray, mutual: np.ndarray, speeds: np.ndarray, nodes: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float]:
-    """Compute an orthonormal basis of the currents, and its largest error at all frequencies.
+    """Compute an orthonormal basis of the currents, and its largest error.
+
+    The error is that at all frequencies.
 
     The basis contains the responses to the couplings ``mutual`` (c, y, n) of coils at every other
     one of the angular frequencies ``speeds``.

@@ -1,4 +1,4 @@
-"""Materials: a library with sources, tables of the user, and tensors rotated to any poling.
+"""Materials: a library with sources, tables of the user, and rotated tensors.
 
 Interface::
 
@@ -158,7 +158,7 @@ class Material(EqualByContent):
 
     @property
     def twists(self) -> bool:
-        """Whether motion in a plane through z causes motion or polarisation out of this plane.
+        """Whether motion in a plane through z causes motion or polarisation out of it.
 
         The material then has a component that changes its sign in the mirror of the plane.
         """
@@ -186,7 +186,9 @@ class Material(EqualByContent):
 
     @property
     def indentation_modulus(self) -> float:
-        """Modulus [Pa] of a half-space pressed along z, fields zero; E / (1 - nu^2) if isotropic.
+        """Modulus [Pa] of a half-space pressed along z without fields.
+
+        It is E / (1 - nu^2) if the material is isotropic.
 
         Of a material that is isotropic about z. Source: Delafargue and Ulm, Int. J. Solids
         Structures 41 (2004), eq. 13.
@@ -217,7 +219,7 @@ class Material(EqualByContent):
         )
 
     def poled(self, direction: Sequence[float]) -> Material:
-        """Rotate the z axis (poling of a ceramic) to a ``direction`` in the axes of the body.
+        """Rotate the z axis, the poling of a ceramic, to a ``direction`` of the body.
 
         The rotation is the smallest one; for -z it is half a turn about x.
         """
@@ -232,7 +234,7 @@ _PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 def bond(R: np.ndarray) -> np.ndarray:
-    """Bond matrix (…, 6, 6) of rotations (…, 3, 3): ``T' = M T`` for stresses in Voigt order.
+    """Bond matrix (…, 6, 6) of rotations (…, 3, 3): ``T' = M T`` for Voigt stresses.
 
     Column J is the Voigt vector of ``R T_J R'``, with T_J the symmetric tensor of unit vector J.
     """
@@ -247,7 +249,10 @@ def bond(R: np.ndarray) -> np.ndarray:
 
 
 def _components(unit: str) -> BeforeValidator:
-    """Validate a tensor of named components or nested lists, each number with or without unit."""
+    """Validate a tensor of named components or nested lists.
+
+    Each number may have a unit.
+    """
     return BeforeValidator(partial(_convert, unit))
 
 
@@ -268,7 +273,9 @@ _Modulus: TypeAlias = float | list[float]
 
 
 class MaterialTable(Section):
-    """Constants of a material in a scene or the library; :meth:`build` makes the tensors.
+    """Constants of a material in a scene or the library.
+
+    :meth:`build` makes the tensors.
 
     Elasticity, one of: ``youngs_modulus`` and ``poisson_ratio`` (isotropic, or orthotropic with
     three moduli, ``nu_xy nu_yz nu_xz`` and ``shear_modulus``); ``stiffness`` ``c11``…;

@@ -58,7 +58,9 @@ _STEP_TEXT = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 
 @dataclass(frozen=True, eq=False)
 class Group(EqualByContent):
-    """One named set: elements (``codimension`` 0), facets (1) or nodes (2, 3) of the mesh.
+    """Named set of elements, facets or nodes of the mesh.
+
+    ``codimension`` is 0 for elements, 1 for facets, and 2 or 3 for nodes.
 
     ``shares`` of nodes are their parts of the length of a curve, equal for points.
     """
@@ -76,7 +78,9 @@ class GroupedMesh:
     groups: Mapping[str, Group]
 
     def group(self, name: str, where: str, *codimensions: int) -> Group:
-        """Return a group of one of these codimensions; ``where`` is the key that needs the group.
+        """Return a group of one of these codimensions, which a key needs.
+
+        ``where`` is this key.
 
         Raises
         ------
@@ -158,7 +162,7 @@ def read_mesh(
 
 
 def length_unit(path: Path, unit: str | None) -> float:
-    """Determine the unit of length [m] of a file from its format, or from the key ``unit``.
+    """Determine the unit of length [m] of a file by its format, or by ``unit``.
 
     Raises
     ------
@@ -180,7 +184,9 @@ def length_unit(path: Path, unit: str | None) -> float:
 
 
 def extent(path: Path) -> np.ndarray:
-    """Measure the sides (3,) of the bounding box of a file, in its unit (mm of STEP files).
+    """Measure the sides (3,) of the bounding box of a file, in its unit.
+
+    The unit of STEP files is mm.
 
     Raises
     ------
@@ -205,7 +211,9 @@ def _ask_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[st
 
 
 def require_format(path: Path, head: bytes | None = None) -> None:
-    """Check that a file has the format of its suffix: gmsh runs unknown files as scripts.
+    """Check that a file has the format of its suffix.
+
+    gmsh runs unknown files as scripts.
 
     ``head`` are the first bytes of the file, which are read by default. A missing file passes.
 
@@ -316,7 +324,9 @@ def _assemble_mesh(
 def merge_nodes(
     points: np.ndarray, blocks: Sequence[np.ndarray], corners: int, distance: float
 ) -> np.ndarray:
-    """Number (n,) the nodes so that nodes of elements at most ``distance`` [m] apart become one.
+    """Number the nodes (n,) so that nodes at most ``distance`` [m] apart are one.
+
+    They are the nodes of elements.
 
     Raises
     ------
@@ -359,7 +369,9 @@ def require_joined(
     owners: Mapping[str, np.ndarray],
     where: str,
 ) -> None:
-    """Refuse solids that touch and share no nodes, because nothing would hold them together.
+    """Refuse solids that touch and share no nodes.
+
+    Nothing would hold such solids together.
 
     ``points`` (n, d) [m], ``blocks`` of elements (k, nodes) with ``corners`` each, ``owners`` the
     numbers of the elements of each named group.
@@ -416,7 +428,9 @@ def _nodes_on_other_pieces(
 
 
 def _on_simplex(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
-    """Mask of the ``places`` (n, d) that lie within ``near`` of their simplex (n, corners, d).
+    """Mask of the ``places`` (n, d) within ``near`` of their simplex.
+
+    The simplices are (n, corners, d).
 
     The foot of the perpendicular is ``s_0 + J t`` with ``J'J t = J'(x - s_0)``.
     """
@@ -458,7 +472,9 @@ def _format_length(length: float) -> str:
 def _make_quadratic(
     points: np.ndarray, blocks: list[np.ndarray], corners: int
 ) -> tuple[Mesh, np.ndarray]:
-    """Make the mesh with the mid-edge nodes of the file, or with straight edges without them.
+    """Make a quadratic mesh with the mid-edge nodes of the file.
+
+    Edges without such nodes are straight.
 
     The second result is the number of each of the file's nodes in the mesh, -1 if no corner.
     """
@@ -484,7 +500,10 @@ def _edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
 
 
 def _find_columns(simplices: np.ndarray, corners: np.ndarray, vertices: int) -> np.ndarray:
-    """Find the columns of ``simplices`` (corners, n) with these corners (k, corners), or -1."""
+    """Find the columns of ``simplices`` (corners, n) with these corners, or -1.
+
+    The corners are (k, corners).
+    """
     base = vertices ** np.arange(len(simplices))
     keys, corner_keys = base @ np.sort(simplices, axis=0), np.sort(corners, axis=1) @ base
     order = np.argsort(keys)
@@ -495,7 +514,10 @@ def _find_columns(simplices: np.ndarray, corners: np.ndarray, vertices: int) -> 
 def _measure_shares(
     mesh: Mesh, ends: np.ndarray, length: np.ndarray, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the nodes on points (k, 1) or lines (k, 2), and their shares of the whole length."""
+    """Find the nodes on points (k, 1) or lines (k, 2), and their shares.
+
+    The shares are those of the whole length.
+    """
     nodes, weights = ends.ravel(), np.ones(len(ends))
     if ends.shape[1] == 2:
         middle = _edge_nodes(mesh, ends)
@@ -528,7 +550,9 @@ Picks = Mapping[str, Mapping[str, Any]]
 def extract_mesh(
     file: str, name: str, size: float | None, dimension: int, picks: Picks, splits: int
 ) -> dict[str, np.ndarray]:
-    """Extract nodes, elements and physical groups of ``file``, which the user calls ``name``.
+    """Extract nodes, elements and physical groups of a file.
+
+    The user calls the file ``name``.
 
     A CAD file is meshed with elements of a ``size`` (in the file's unit). ``picks`` are its groups
     by name: ``dimension``, points ``at``, corners of a ``box``.
@@ -553,7 +577,10 @@ def extract_mesh(
 
 
 def measure_box(file: str) -> dict[str, np.ndarray]:
-    """Measure the ``box`` (2, 3): lowest and highest coordinates of ``file`` in its unit."""
+    """Measure the lowest and highest coordinates, ``box`` (2, 3), of a file.
+
+    They are in the unit of the file.
+    """
     with gmsh_session() as gmsh:
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
         gmsh.merge(file)
@@ -607,7 +634,10 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
 
 
 def _mesh_cad(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
-    """Join the solids of a CAD file, name its groups, and mesh it with quadratic elements."""
+    """Join the solids of a CAD file, name its groups, and mesh it.
+
+    The elements are quadratic.
+    """
     bodies = gmsh.model.getEntities(dimension)
     if not bodies:
         problem = f"the CAD file contains no {DIMENSION[dimension]}"
@@ -652,7 +682,7 @@ def _select_entities(
     at: Sequence[Sequence[float]],
     box: Sequence[Sequence[float]] | None,
 ) -> list[int]:
-    """Select the entities that contain the points ``at``, and those inside the ``box``."""
+    """Select the entities that contain points ``at``, and those inside ``box``."""
     everything = gmsh.model.getBoundingBox(-1, -1)
     near = TOUCHING * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
     result: list[int] = []
@@ -678,7 +708,10 @@ def _select_entities(
 
 
 def _contains(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:
-    """Whether an entity, and not only its continuation, passes within ``near`` of a point."""
+    """Whether an entity itself passes within ``near`` of a point.
+
+    Its continuation does not count.
+    """
     box = np.array(gmsh.model.getBoundingBox(d, tag))
     if np.any(point < box[:3] - near) or np.any(point > box[3:] + near):
         return False

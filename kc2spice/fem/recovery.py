@@ -38,7 +38,9 @@ ELSEWHERE = 0.5  # squared distance from a patch's middle, in its own size, that
 
 @dataclass(frozen=True, eq=False)
 class EnergyProducts:
-    """Energy products (k, k) of k solutions (``solution``) and of their errors (``error``).
+    """Energy products (k, k) of k solutions and of their errors.
+
+    They are ``solution`` and ``error``.
 
     ``spread`` sums the absolute contributions of the elements to ``error``.
     """
@@ -60,7 +62,7 @@ def energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> EnergyProdu
         basis = solid.basis(elements=cells)
         places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
         energy = np.zeros((len(cells), k, k))
-        hats = _hats(basis.X)
+        hats = _linear_shape_functions(basis.X)
         points = zip(
             _evaluate_fields(solid, basis, cells, u, phi),
             _energy_matrices(solid, basis, cells),
@@ -84,7 +86,9 @@ def _chunks(count: int) -> Iterator[np.ndarray]:
 def _evaluate_fields(
     solid: Solid, basis: skfem.Basis, cells: np.ndarray, u: np.ndarray, phi: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Yield strains and fields (elements, 9, k) at each point of ``basis`` on elements ``cells``.
+    """Yield strains and fields (elements, 9, k) at each point of ``basis``.
+
+    The elements are ``cells``.
 
     Fields are multiplied by the factor of their material.
     """
@@ -96,7 +100,7 @@ def _evaluate_fields(
 
 
 def _coupling_factors(solid: Solid) -> np.ndarray:
-    """Coupling of each material (materials,) in units of that of the first one of its name."""
+    """Coupling (materials,) relative to the first material of the same name."""
     first = {material.name: material.e for material in reversed(solid.materials)}
     pairs = [(material.e, first[material.name]) for material in solid.materials]
     return np.array([np.sum(e * e0) / np.sum(e0 * e0) if e.any() else 1.0 for e, e0 in pairs])
@@ -126,14 +130,14 @@ def _energy_matrices(solid: Solid, basis: skfem.Basis, cells: np.ndarray) -> Ite
         yield H
 
 
-def _hats(X: np.ndarray) -> np.ndarray:
-    """Linear shape functions (points, corners) at points ``X`` (d, points) of the element."""
+def _linear_shape_functions(X: np.ndarray) -> np.ndarray:
+    """Linear shape functions (points, corners) at points ``X`` (d, points)."""
     element = skfem.ElementHex1()
     return np.array([element.lbasis(X, i)[0] for i in range(len(element.doflocs))]).T
 
 
 def _monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Monomials (…, terms) of coordinates ``x`` (…, d) up to a degree, and the degree of each."""
+    """Monomials (…, terms) of coordinates ``x`` (…, d), and their degrees."""
     dimensions = range(x.shape[-1])
     powers = list[tuple[int, ...]]()
     for total in range(degree + 1):
@@ -144,7 +148,9 @@ def _monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """Fitted polynomials: ``coefficients`` (patches, terms, 9 k) in ``(x - middle) / size``.
+    """Polynomials that are fitted to the fields in patches of elements.
+
+    Their ``coefficients`` (patches, terms, 9 k) are those in ``(x - middle) / size``.
 
     ``number`` (elements, corners) is the patch of each corner of each element.
     """
@@ -169,7 +175,9 @@ class _Patches:
         return _Patches(number, middle, size, coefficients, degree)
 
     def evaluate(self, cells: np.ndarray, at: np.ndarray, hats: np.ndarray) -> np.ndarray:
-        """Evaluate strains and fields (elements, 9, k) at one point ``at`` (elements, d) of each.
+        """Evaluate strains and fields (elements, 9, k) at one point of each element.
+
+        The points are ``at`` (elements, d).
 
         The linear shape functions of the elements at these points are ``hats`` (corners,).
         """
@@ -185,7 +193,10 @@ class _Patches:
 def _sample_fields(
     solid: Solid, u: np.ndarray, phi: np.ndarray, order: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the places (elements, points, d) and values (elements, points, 9 k) to be fitted."""
+    """Compute places (elements, points, d) and values to be fitted.
+
+    The values are (elements, points, 9 k).
+    """
     places, values = [], []
     for cells in _chunks(solid.mesh.nelements):
         basis = solid.basis(order, elements=cells)
@@ -196,7 +207,10 @@ def _sample_fields(
 
 
 def _number_corners(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
-    """Number the corners (elements, corners) of pieces of one material, and find their places."""
+    """Number the corners (elements, corners) of pieces of one material.
+
+    The other result are the places of the corners.
+    """
     first, second = solid.mesh.f2t[:, solid.mesh.f2t[1] >= 0]
     names = np.array([material.name for material in solid.materials])
     label = solid.owner if solid.order == 2 else names[solid.owner]
@@ -210,7 +224,7 @@ def _number_corners(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _patch_elements(number: np.ndarray, count: int) -> sparse.csr_array:
-    """Incidence matrix (patches, elements) of the elements that meet in the corner of a patch."""
+    """Incidence matrix (patches, elements) of elements at the corner of a patch."""
     elements = np.repeat(np.arange(len(number)), number.shape[1])
     ones = np.ones(number.size)
     result = sparse.csr_array((ones, (number.ravel(), elements)), shape=(count, len(number)))
@@ -225,7 +239,7 @@ def _normal_equations(
     samples: np.ndarray,
     degree: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute the size (patches, d) of each patch, and its sums over points with monomials p.
+    """Compute sizes (patches, d) of patches, and sums over points with monomials p.
 
     The sums are ``sum p p'`` (patches, terms, terms) and ``sum p values`` (patches, terms, 9 k).
     """
@@ -248,7 +262,7 @@ def _normal_equations(
 def _widen_patches(
     members: sparse.csr_array, number: np.ndarray, middle: np.ndarray, places: np.ndarray
 ) -> sparse.csr_array:
-    """Add to each patch the elements of the neighbour that is most central to the patch."""
+    """Add the elements of the most central neighbour to each patch."""
     use = _choose_patches(number, members, middle, places)
     index = np.arange(len(use))
     other = use != index
@@ -264,7 +278,7 @@ def _widen_patches(
 def _choose_patches(
     number: np.ndarray, members: sparse.csr_array, middle: np.ndarray, places: np.ndarray
 ) -> np.ndarray:
-    """Choose the patch that each corner (patches,) uses: its own or that of a neighbour.
+    """Choose the patch of each corner (patches,): its own or a neighbour's.
 
     The corner of the chosen patch is closer to the middle of the points of this patch. Corners at
     edges of the body are far from the middle of their own points.

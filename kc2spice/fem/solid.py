@@ -1,5 +1,6 @@
-"""Piezoelectric solids on any mesh of scikit-fem: tetrahedra, hexahedra, axisymmetric
-triangles and quadrilaterals.
+"""Piezoelectric solids on any mesh of scikit-fem.
+
+The elements are tetrahedra, hexahedra, or axisymmetric triangles and quadrilaterals.
 
 Weak form of ``rho u'' = div T``, ``div D = 0`` with ``T = C S - e' E``, ``D = e S + eps E`` and
 ``E = -grad phi``, for a displacement u and a potential phi on the nodes of one scalar element:
@@ -36,10 +37,11 @@ FLAT = np.array([0, 2])  # the coordinates of a meridian plane among x, y, z
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A mesh whose element ``k`` is made of ``materials[owner[k]]`` (already poled), with shape
-    functions of ``order`` (1 on hexahedra only). Materials of one name are one in reports.
-    ``numbers`` (l, elements) are those of each element's nodes where they are not scikit-fem's:
-    nodes of collapsed edges and faces share one.
+    """Mesh whose element ``k`` consists of ``materials[owner[k]]``, already poled.
+
+    The shape functions have the ``order`` (1 on hexahedra only). Materials with one name are one in
+    reports. ``numbers`` (l, elements) are those of each element's nodes if they differ from
+    scikit-fem's: nodes of collapsed edges and faces share one.
 
     Raises
     ------
@@ -139,8 +141,10 @@ class Operators:
 def strains(
     solid: Solid, basis: skfem.Basis
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """At each point of ``basis``: values N (elements, l), strain operator B (elements, 6, l d)
-    and gradient G (elements, 3, l) of the l local shape functions.
+    """Yield values and strain operators at each point of ``basis``.
+
+    They are the values N (elements, l), the strain operator B (elements, 6, l d) and the gradient G
+    (elements, 3, l) of the l local shape functions.
     """
     local = [function[0] for function in basis.basis]
     d = solid.components
@@ -165,8 +169,11 @@ def strains(
 def tensors(
     solid: Solid, basis: skfem.Basis, material: Material
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """At each point of ``basis`` stiffness, coupling and permittivity of the ``material`` in the
-    axes of the solid, (elements or 1, …); of an axisymmetric solid these are cylindrical."""
+    """Yield stiffness, coupling and permittivity at each point of ``basis``.
+
+    They are those of the ``material`` in the axes of the solid, (elements or 1, …). The axes of an
+    axisymmetric solid are cylindrical.
+    """
     places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
     for q in range(places.shape[1]):
         if solid.axisymmetric:
@@ -176,7 +183,10 @@ def tensors(
 
 
 def _chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
-    """Yield materials with at most ``CHUNK`` of their elements; ``only`` selects one material."""
+    """Yield materials with at most ``CHUNK`` of their elements.
+
+    ``only`` selects one material.
+    """
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.owner == number)
         if only in (None, number):
@@ -185,8 +195,9 @@ def _chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarr
 
 
 def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
-    """Matrices of the solid; coupling and permittivity only where it is piezoelectric or
-    dielectric.
+    """Assemble the matrices of a solid.
+
+    Coupling and permittivity are those of piezoelectric or dielectric materials.
 
     ``only`` is the number of the one material that is taken.
     """
@@ -217,7 +228,7 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
             parts[3].append((p, nodes, nodes))
     n = solid.places.shape[1]
     shapes = ((n, n), (d * n, d * n), (d * n, n), (n, n))
-    m, K_uu, K_up, K_pp = (_gather(p, s) for p, s in zip(parts, shapes, strict=True))
+    m, K_uu, K_up, K_pp = (_sum_matrices(p, s) for p, s in zip(parts, shapes, strict=True))
     M = sparse.csc_array(sparse.kron(_symmetric(m), np.eye(d)))
     return Operators(M, _symmetric(K_uu), K_up, _symmetric(K_pp))
 
@@ -225,8 +236,10 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
 def _stress_stiffness(
     solid: Solid, material: Material, N: np.ndarray, B: np.ndarray, G: np.ndarray
 ) -> np.ndarray:
-    """``grad v . sigma0 grad u`` of each component, (elements, l d, l d): how a stress at rest
-    stiffens. A turning of the hoop direction adds ``sigma0_y v_r u_r / r^2``."""
+    """Stiffness (elements, l d, l d) by a stress at rest: ``grad v . sigma0 grad u``.
+
+    It is that of each component. Rotation of the hoop direction adds ``sigma0_y v_r u_r / r^2``.
+    """
     d, sigma = solid.components, np.array(material.residual_stress)
     item = G.transpose(0, 2, 1) @ (sigma[:, None] * G)
     result = np.einsum("eab,ij->eaibj", item, np.eye(d))
@@ -236,7 +249,9 @@ def _stress_stiffness(
     return np.asarray(result.reshape(len(result), item.shape[1] * d, -1))
 
 
-def _gather(parts: Sequence[tuple[np.ndarray, ...]], shape: tuple[int, int]) -> sparse.csc_array:
+def _sum_matrices(
+    parts: Sequence[tuple[np.ndarray, ...]], shape: tuple[int, int]
+) -> sparse.csc_array:
     total = sparse.csc_array(shape)
     for values, rows, columns in parts:
         i = np.broadcast_to(rows[:, :, None], values.shape).ravel()
