@@ -19,7 +19,7 @@ from scipy.linalg import block_diag, eigh, lapack, schur
 from kc2spice.core.equality import EqualByContent
 from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.pencil import explicit, largest
+from kc2spice.rom.pencil import explicit_pencil, largest
 
 # Bounds of a decoupling transformation: the first costs three digits, others what is measured.
 GROWTH = 1e3
@@ -65,8 +65,10 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
         blocks, X, inverse = decouple_states(A, growth)
         result = BlockModel(blocks, inverse @ B, C @ X, D)
         if best is not None and s.size:
-            exact = exact if exact.size else explicit(A, B, C, D).transfer(s)
-            block_diagonal = explicit(block_diag(*result.blocks), result.B, result.C, result.D)
+            exact = exact if exact.size else explicit_pencil(A, B, C, D).transfer(s)
+            block_diagonal = explicit_pencil(
+                block_diag(*result.blocks), result.B, result.C, result.D
+            )
             if relative_error(block_diagonal.transfer(s), exact) > limit:
                 break
         best = result

@@ -31,11 +31,11 @@ from kc2spice.rom.pencil import (
     Pencil,
     Schur,
     dense,
-    eliminated,
+    detect_rayleigh,
+    eliminate_massless,
     first_order,
     has_entries,
     largest,
-    proportional,
 )
 
 DEPENDENT = 1e-12  # size of a dependent constraint, relative to the largest
@@ -286,7 +286,7 @@ def reduced_form(pencil: Pencil) -> Pencil:
     It is the model without constraints, infinite poles and unknowns without inertia and damping.
     """
     try:
-        pencil = deflate_infinite_poles(eliminated(eliminate_constraints(pencil)))
+        pencil = deflate_infinite_poles(eliminate_massless(eliminate_constraints(pencil)))
     except (SimulationError, np.linalg.LinAlgError):
-        pencil = eliminated(pencil)
-    return proportional(pencil)
+        pencil = eliminate_massless(pencil)
+    return detect_rayleigh(pencil)

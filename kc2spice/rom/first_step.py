@@ -32,7 +32,7 @@ from kc2spice.rom.rounding import (
     uncertainty_note,
     zero_entries,
 )
-from kc2spice.rom.stability import dissipative
+from kc2spice.rom.stability import is_dissipative
 
 # Unknowns up to which a model is turned into its modes with 19 digits: a limit of the work.
 EXTENDED = 500
@@ -64,7 +64,7 @@ def intermediate_model(
             inaccurate = error
         sound = complete is not None and complete.response.diagonal
         # Without an energy a congruence needs well-conditioned modes to converge.
-        if pencil.degree == 1 and not sound and not dissipative(full):
+        if pencil.degree == 1 and not sound and not is_dissipative(full):
             try:
                 return sampled_model(full, band, target, limit)
             except SimulationError:

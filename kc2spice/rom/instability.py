@@ -24,7 +24,7 @@ from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, magnitudes
-from kc2spice.rom.stability import dissipative, semidefinite
+from kc2spice.rom.stability import is_dissipative, is_semidefinite
 
 POLES, VECTORS, RESTARTS = 4, 40, 12  # settings of the Arnoldi method
 LANCZOS = 6  # restarts of the Lanczos method, of twenty vectors each
@@ -66,7 +66,7 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
         if pencil.undamped or (pencil.rayleigh is not None and min(pencil.rayleigh) >= 0):
             return None  # with definite K no other pole grows
     require_factors(pencil.bordered(1.0, 1.0, 1.0))
-    if dissipative(pencil):
+    if is_dissipative(pencil):
         return None
     rates = [2 * np.pi * band[1]] if band else []
     for rate in [*rates, _typical_rate(pencil)]:
@@ -87,7 +87,7 @@ def _has_negative_stiffness(pencil: Pencil) -> bool:
     if x is None:
         return False
     noise = ROUNDING * np.finfo(float).eps * float(np.abs(x) @ (magnitudes(K) @ np.abs(x)))
-    return bool(x @ (K @ x) < -noise) and semidefinite(M)
+    return bool(x @ (K @ x) < -noise) and is_semidefinite(M)
 
 
 def _find_highest_energy(P: Matrix) -> np.ndarray | None:

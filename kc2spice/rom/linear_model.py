@@ -20,7 +20,7 @@ from kc2spice.core.domains import ELECTRICAL, PORTS, THERMAL, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, largest, symmetric
-from kc2spice.rom.stability import semidefinite
+from kc2spice.rom.stability import is_semidefinite
 from kc2spice.rom.state_space import ABCD, state_space
 
 if TYPE_CHECKING:
@@ -580,7 +580,7 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
     eta = product / square
     if eta >= 0 and largest(loss - eta * K) <= LOSS_FACTOR * scale:
         return None, eta
-    if not symmetric(loss) or not semidefinite(loss):
+    if not symmetric(loss) or not is_semidefinite(loss):
         raise _structural_loss_error(
             where, "an imaginary part that is not symmetric and positive semi-definite"
         )

@@ -29,7 +29,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.extras import import_optional
 from kc2spice.linalg.processor import fast_kernels
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.pencil import explicit
+from kc2spice.rom.pencil import explicit_pencil
 from kc2spice.rom.state_space import ABCD
 
 ITERATIONS = 6  # iterations of vector fitting; more amplify rounding, so least squares continue
@@ -254,7 +254,7 @@ def _scale_to_passive(model: ABCD) -> ABCD | None:
 
 
 def _transfer(model: ABCD, f: np.ndarray) -> np.ndarray:
-    return explicit(*model).transfer(2j * np.pi * f)
+    return explicit_pencil(*model).transfer(2j * np.pi * f)
 
 
 def _deviation(one: np.ndarray, other: np.ndarray) -> float:

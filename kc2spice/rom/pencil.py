@@ -483,7 +483,7 @@ class Pencil:
         return np.asarray(omega * values[np.isfinite(values) & (np.abs(values) < INFINITE)])
 
 
-def explicit(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> Pencil:
+def explicit_pencil(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> Pencil:
     """``x' = A x + B u``, ``y = C x + D u``."""
     return Pencil((-A, np.eye(len(A))), B, C, D)
 
@@ -503,7 +503,7 @@ def first_order(pencil: Pencil, omega: float) -> Pencil:
     return Pencil((rest, inertia), B, np.hstack([pencil.C, np.zeros((len(pencil.C), n))]), pencil.D)
 
 
-def proportional(pencil: Pencil) -> Pencil:
+def detect_rayleigh(pencil: Pencil) -> Pencil:
     """Set ``rayleigh`` of a model whose E is ``alpha M + beta K`` to rounding.
 
     A definite model is then reduced by real solutions.
@@ -524,7 +524,7 @@ def proportional(pencil: Pencil) -> Pencil:
     return replace(pencil, rayleigh=rayleigh)
 
 
-def eliminated(pencil: Pencil) -> Pencil:
+def eliminate_massless(pencil: Pencil) -> Pencil:
     """Eliminate unknowns without inertia and damping by a Schur complement.
 
     The result is exact.

@@ -36,7 +36,7 @@ from kc2spice.rom.reductors.base import Reductor, require_basis
 from kc2spice.rom.reductors.block_krylov import BlockArnoldi, nested_model
 from kc2spice.rom.reductors.registry import BLOCK_KRYLOV, reductor_named, suited_reductors
 from kc2spice.rom.refinement import lower_order
-from kc2spice.rom.search import fewest_states, of_order, require_order
+from kc2spice.rom.search import require_order, select_basis, select_fewest_states
 from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.structural import approximate_causally, first_order_model
 
@@ -163,20 +163,20 @@ class Target:
 def _reduce(fom: LinearModel, target: Target) -> LinearModel:
     """Reduce a model with viscous damping."""
     pencil = reduced_form(fom.pencil)
-    band = band_of(fom, pencil, target.band)
+    band = choose_band(fom, pencil, target.band)
     intermediate, full_order_proof = verified_first_step(pencil, band, target)
     task = Task.of(fom, pencil, intermediate, band, target.norm, target.tolerance)
-    reductors = methods_of(task, target)
+    reductors = list_methods(task, target)
     if target.tolerance is None:
-        basis, order = basis_of_order(task, reductors, target)
+        basis, order = find_basis_of_order(task, reductors, target)
     else:
-        basis, order = basis_within(task, reductors, target)
+        basis, order = find_basis_within(task, reductors, target)
     rom = certify(basis, order)
     warn_of_rounding(rom, intermediate.floor, target.tolerance)
     return with_full_order(rom, full_order_proof)
 
 
-def band_of(
+def choose_band(
     fom: LinearModel, pencil: Pencil, band: tuple[float, float] | None
 ) -> tuple[float, float]:
     """The band [Hz] that is prescribed, that of the model, or the default one."""
@@ -226,7 +226,7 @@ def verified_first_step(
     return result, proof
 
 
-def methods_of(task: Task, target: Target) -> list[Reductor]:
+def list_methods(task: Task, target: Target) -> list[Reductor]:
     """The method that is prescribed, otherwise all that suit the model."""
     if target.method is not None:
         return [reductor_named(target.method)]
@@ -235,7 +235,7 @@ def methods_of(task: Task, target: Target) -> list[Reductor]:
     return suited_reductors(task)
 
 
-def basis_of_order(
+def find_basis_of_order(
     task: Task,
     reductors: Sequence[Reductor],
     target: Target,
@@ -254,10 +254,10 @@ def basis_of_order(
         else:
             candidates = (item.basis(task) for item in reductors if item.congruence)
             bases[key] = [basis for basis in candidates if basis is not None]
-    return of_order(bases[key], target.order), target.order
+    return select_basis(bases[key], target.order), target.order
 
 
-def basis_within(
+def find_basis_within(
     task: Task, reductors: Sequence[Reductor], target: Target
 ) -> tuple[ReducedBasis, int]:
     """The basis of the fewest states within the tolerance, and the order."""
@@ -267,7 +267,7 @@ def basis_within(
     tolerance = without_rounding if enough else target.tolerance
     if target.method is not None:
         return require_order([_prescribed(task, reductors[0])], tolerance)
-    basis, order = fewest_states(
+    basis, order = select_fewest_states(
         task, reductors, tolerance, tighten=not target.contact, keep_form=target.keep_form
     )
     return (basis, order) if target.contact else lower_order(basis, order, tolerance)

@@ -16,10 +16,10 @@ from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.reduce import (
     LARGEST_SHARE,
     Target,
-    band_of,
-    basis_of_order,
-    basis_within,
-    methods_of,
+    choose_band,
+    find_basis_of_order,
+    find_basis_within,
+    list_methods,
     require_valid,
     verified_first_step,
     warn_of_rounding,
@@ -105,7 +105,7 @@ class Reduction:
         require_valid(self._target)
         self.model, self.norm = model, self._target.norm
         self._pencil = reduced_form(model.pencil)
-        self.band = band_of(model, self._pencil, frequency_band(band))
+        self.band = choose_band(model, self._pencil, frequency_band(band))
         self._bases: dict[str, list[ReducedBasis]] = {}
         self._prepare(self._target)
 
@@ -196,7 +196,7 @@ class Reduction:
             if not self._serves(tolerance):
                 self._prepare(target)
             task = replace(self._task, tolerance=tolerance)
-            basis, order = basis_within(task, methods_of(task, target), target)
+            basis, order = find_basis_within(task, list_methods(task, target), target)
         rom = certify(basis, order)
         warn_of_rounding(rom, self._intermediate.floor, tolerance)
         return with_full_order(rom, self._proof)
@@ -210,7 +210,9 @@ class Reduction:
 
     def _of_order(self, target: Target) -> tuple[ReducedBasis, int]:
         """The best basis of a prescribed order, and the order."""
-        return basis_of_order(self._task, methods_of(self._task, target), target, self._bases)
+        return find_basis_of_order(
+            self._task, list_methods(self._task, target), target, self._bases
+        )
 
     def _serves(self, tolerance: float) -> bool:
         """Whether the basis is accurate enough for a tolerance."""

@@ -21,7 +21,7 @@ CHEAP = 200
 FORM_SHARE = 0.91
 
 
-def least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
+def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
     """Return the least acceptable order of fewer than so many first-order ``states``.
 
     The result is None if there is none. Orders are tried upwards, because the error is not
@@ -32,7 +32,7 @@ def least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -
     return next((order for order in orders if basis.acceptable(order, tolerance)), None)
 
 
-def of_order(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
+def select_basis(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
     """Return the basis whose model of an order has the smallest error estimate.
 
     Raises
@@ -53,7 +53,7 @@ def of_order(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
     return min(candidates, key=lambda basis: basis.error(order))
 
 
-def fewest_states(
+def select_fewest_states(
     task: Task, reductors: Sequence[Reductor], tolerance: float, *, tighten: bool, keep_form: bool
 ) -> tuple[ReducedBasis, int]:
     """Return the basis and the order of the fewest states.
@@ -86,7 +86,7 @@ def fewest_states(
         return _with_origin(other, text)
     if tighten:
         basis, order = reductor.tighten(basis, order, tolerance)
-        order = least_order(basis, tolerance, basis.states(order)) or order
+        order = find_least_order(basis, tolerance, basis.states(order)) or order
     states = basis.states(order)
     if other is None and (signals or basis.states(basis.size) <= CHEAP):
         other = _select_fewest(task, others, tolerance, int(np.ceil(share * states)))
@@ -119,7 +119,7 @@ def _select_fewest(
     best = None
     for reductor in reductors:
         basis = reductor.basis(task) if reductor.applies_to(task) else None
-        order = least_order(basis, tolerance, states) if basis else None
+        order = find_least_order(basis, tolerance, states) if basis else None
         if basis is None or order is None:
             continue
         best, states = (replace(basis, origin=reductor.name), order), basis.states(order)
@@ -137,7 +137,7 @@ def _select_congruence(
     """
     bases = [(item, item.basis(task)) for item in reductors if item.applies_to(task)]
     rows = [(item, basis) for item, basis in bases if basis is not None]
-    orders = [least_order(basis, tolerance, states) for _, basis in rows]
+    orders = [find_least_order(basis, tolerance, states) for _, basis in rows]
     acceptable = [(order, k) for k, order in enumerate(orders) if order is not None]
     if not acceptable:
         if not optional:
@@ -160,7 +160,7 @@ def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[Redu
     ------
     SimulationError : no model of any order is acceptable.
     """
-    orders = [(least_order(basis, tolerance), basis) for basis in bases]
+    orders = [(find_least_order(basis, tolerance), basis) for basis in bases]
     acceptable = [(order, basis) for order, basis in orders if order is not None]
     if not acceptable:
         raise tolerance_error(bases, tolerance)

@@ -57,7 +57,7 @@ def prove_stability(
     ``poles`` [1/s] spare their computation.
     """
     try:
-        dissipates = dissipative(pencil)
+        dissipates = is_dissipative(pencil)
     except MemoryError:
         warnings.warn(
             "memory does not hold the factor that proves stability and passivity: both are not "
@@ -66,7 +66,7 @@ def prove_stability(
         )
         return StabilityProof(None, False, "nothing: memory does not hold another factor")
     if dissipates:
-        passive = pencil.collocated and semidefinite(pencil.D + pencil.D.T)
+        passive = pencil.collocated and is_semidefinite(pencil.D + pencil.D.T)
         return StabilityProof(True, passive, FORM)
     states = pencil.degree * pencil.size
     if states > DENSE and poles is None:
@@ -98,22 +98,22 @@ def _poles(pencil: Pencil, omega: float) -> np.ndarray:
     )
 
 
-def dissipative(pencil: Pencil) -> bool:
+def is_dissipative(pencil: Pencil) -> bool:
     """Whether the form shows an energy that only the ports can increase."""
     rest, *others = pencil.coefficients
     order = pencil.elimination_order
-    if not semidefinite(others[-1], order):
+    if not is_semidefinite(others[-1], order):
         return False
     if pencil.rayleigh is None or min(pencil.rayleigh) < 0:  # else from mass and stiffness
         loss = others[0] if others[1:] else rest
-        if not semidefinite(loss if isinstance(loss, Schur) else loss + loss.T, order):
+        if not is_semidefinite(loss if isinstance(loss, Schur) else loss + loss.T, order):
             return False
     # a factor of K that solutions were made with shows it as well
     definite = pencil.factorised and pencil.symmetric and not isinstance(rest, Schur)
-    return pencil.degree == 1 or definite or semidefinite(rest)
+    return pencil.degree == 1 or definite or is_semidefinite(rest)
 
 
-def semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
+def is_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     """Whether a matrix is symmetric with no eigenvalue below zero, but for rounding.
 
     The ``order`` of elimination of sparse matrices may be known.
@@ -121,10 +121,10 @@ def semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     if isinstance(matrix, Schur):
         if not matrix.symmetric:
             return False
-        if semidefinite(-matrix.pp):  # potentials add stiffness
-            return semidefinite(matrix.uu)
+        if is_semidefinite(-matrix.pp):  # potentials add stiffness
+            return is_semidefinite(matrix.uu)
         blocks = [[matrix.uu, matrix.up], [matrix.pu, matrix.pp]]
-        return semidefinite(scipy.sparse.csc_array(scipy.sparse.block_array(blocks)))
+        return is_semidefinite(scipy.sparse.csc_array(scipy.sparse.block_array(blocks)))
     if not isinstance(matrix, np.ndarray):
         return _is_factorisable(scipy.sparse.csc_array(matrix), order)
     if matrix.size == 0:

@@ -6,8 +6,8 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.pencil import Pencil, explicit, first_order, largest
-from kc2spice.rom.stability import semidefinite
+from kc2spice.rom.pencil import Pencil, explicit_pencil, first_order, largest
+from kc2spice.rom.stability import is_semidefinite
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 # Masses and algebraic parts this far below the largest are zero.
@@ -34,7 +34,7 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     K, _, M = pencil.coefficients
     top = largest(K) / largest(M) if largest(K) and largest(M) else 1.0
     omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
-    if semidefinite(M):
+    if is_semidefinite(M):
         for item in (pencil, pencil.scaled(omega)):  # a free motion's units may hide an inertia
             mass = np.linalg.eigvalsh(item.coefficients[2])
             if mass[0] > MASSLESS * mass[-1]:
@@ -148,7 +148,7 @@ def _energy_states(pencil: Pencil) -> ABCD:
     """
     rest, E = pencil.coefficients
     A, B, C, D = -rest, pencil.B, pencil.C, pencil.D
-    if semidefinite(E) and np.linalg.eigvalsh(E)[0] > MASSLESS * largest(E):
+    if is_semidefinite(E) and np.linalg.eigvalsh(E)[0] > MASSLESS * largest(E):
         T = scipy.linalg.solve_triangular(scipy.linalg.cholesky(E), np.eye(len(E)))
         inner = T.T @ A @ T
         if largest(A - A.T) <= COUPLING * largest(A):
@@ -183,7 +183,7 @@ def to_schur_form(pencil: Pencil, top: float) -> Pencil:
     omega = 2 * np.pi * top
     A, B, C, D = state_space(pencil, top)
     T, Z = scipy.linalg.schur(A / omega, output="real")
-    return explicit(T, Z.T @ B / omega, C @ Z, D)
+    return explicit_pencil(T, Z.T @ B / omega, C @ Z, D)
 
 
 def to_hertz(pencil: Pencil, top: float) -> Pencil:

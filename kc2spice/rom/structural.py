@@ -37,7 +37,7 @@ from kc2spice.rom.lossy_modes import (
 )
 from kc2spice.rom.pencil import Pencil, Schur, largest
 from kc2spice.rom.response import Response, grid
-from kc2spice.rom.stability import prove_stability, semidefinite
+from kc2spice.rom.stability import is_semidefinite, prove_stability
 
 Reductor = Callable[[LinearModel, float, tuple[float, float]], LinearModel]
 
@@ -333,7 +333,7 @@ def first_order_model(
     if pencil.degree != 2 or not (pencil.symmetric and pencil.collocated):
         return reduced_model
     K, E, _ = pencil.coefficients
-    if isinstance(K, Schur) or not semidefinite(E) or _singular(E):
+    if isinstance(K, Schur) or not is_semidefinite(E) or _singular(E):
         return reduced_model
     light = LinearModel(
         A=-K, E=E, B=pencil.B, C=pencil.C, D=pencil.D, ports=model.ports, name=model.name
@@ -366,4 +366,4 @@ def _singular(E: np.ndarray) -> bool:
     if diagonal.min(initial=np.inf) <= MASSLESS * diagonal.max(initial=0.0):
         return True
     matrix = E - MASSLESS * largest(E) * scipy.sparse.eye_array(E.shape[0], format="csc")
-    return not semidefinite(np.asarray(matrix) if isinstance(E, np.ndarray) else matrix)
+    return not is_semidefinite(np.asarray(matrix) if isinstance(E, np.ndarray) else matrix)

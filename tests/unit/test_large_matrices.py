@@ -31,9 +31,9 @@ def no_factors(monkeypatch):
 
 def test_a_mass_matrix_is_shown_to_be_definite_without_a_factor(no_factors):
     """It is definite, as the product of three definite matrices of lines."""
-    assert stability.semidefinite(mass())
+    assert stability.is_semidefinite(mass())
     rows = sparse.block_diag([mass(), sparse.csc_array((500, 500))], format="csc")
-    assert stability.semidefinite(rows)  # massless unknowns are left out
+    assert stability.is_semidefinite(rows)  # massless unknowns are left out
 
 
 @pytest.mark.parametrize("depth", [1e-6, 1e-2, 1.0])
@@ -46,7 +46,7 @@ def test_a_matrix_with_one_negative_eigenvalue_is_not(depth):
     column = sparse.csc_array(x[:, None])
     wrong = sparse.csc_array(M - (energy * (1 + depth)) * (column @ column.T) * 1.2)
     assert float(x @ (wrong @ x)) < 0
-    assert not stability.semidefinite(wrong)
+    assert not stability.is_semidefinite(wrong)
 
 
 def test_a_singular_matrix_needs_its_factor():
@@ -59,7 +59,7 @@ def test_a_singular_matrix_needs_its_factor():
     D = sparse.diags_array(1 / np.sqrt(line.diagonal()))
     scaled = sparse.csc_array(D @ line @ D)
     assert not stability._lanczos_is_positive(scaled, np.zeros(n, dtype=bool), 2.0)
-    assert stability.semidefinite(line)
+    assert stability.is_semidefinite(line)
 
 
 def test_kernels_follow_the_processor_and_the_user(monkeypatch):

@@ -65,7 +65,7 @@ def test_a_proof_without_memory_leaves_stability_open(monkeypatch):
     def full(*_):
         raise MemoryError
 
-    monkeypatch.setattr(proofs, "semidefinite", full)
+    monkeypatch.setattr(proofs, "is_semidefinite", full)
     n = 12
     K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     model = LinearModel(M=np.eye(n), K=K, B=np.eye(n)[:, [0]], rayleigh=(0.0, 1e-2))

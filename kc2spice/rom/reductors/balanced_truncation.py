@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from kc2spice.rom.pencil import Pencil, explicit
+from kc2spice.rom.pencil import Pencil, explicit_pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 
@@ -138,7 +138,9 @@ def balanced_basis(
     V = controllable @ Zt[:count].T / np.sqrt(hankel[:count])
     W = observable @ U[:, :count] / np.sqrt(hankel[:count])
     A = -model.coefficients[0]
-    balanced = task.from_first_order(explicit(W.T @ A @ V, W.T @ model.B, model.C @ V, model.D))
+    balanced = task.from_first_order(
+        explicit_pencil(W.T @ A @ V, W.T @ model.B, model.C @ V, model.D)
+    )
     vectors = scipy.linalg.block_diag(np.eye(balanced.free), V)
     return ReducedBasis(
         task, balanced, balanced.free, congruence=False, vectors=vectors, coordinates="first order"

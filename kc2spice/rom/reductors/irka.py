@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kc2spice.rom.pencil import Pencil, explicit
+from kc2spice.rom.pencil import Pencil, explicit_pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.balanced_truncation import NOT_STABLE, BalancedTruncation, no_gramians
 from kc2spice.rom.reductors.base import Reductor
@@ -117,7 +117,7 @@ class OptimalModels(ReducedBasis):
             if change <= CONVERGED:
                 break
             former = poles
-            reduced = interpolated(full, mirrored_poles(poles), left, right)
+            reduced = interpolate_response(full, mirrored_poles(poles), left, right)
         else:
             warnings.warn(
                 f"IRKA of order {order} has not converged: its poles still change by {change:.1e} "
@@ -141,13 +141,15 @@ def mirrored_poles(poles: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(poles.real) - 1j * poles.imag)
 
 
-def interpolated(full: Response, shifts: np.ndarray, left: np.ndarray, right: np.ndarray) -> Pencil:
+def interpolate_response(
+    full: Response, shifts: np.ndarray, left: np.ndarray, right: np.ndarray
+) -> Pencil:
     """Return the model that interpolates ``full`` at shifts along directions."""
     V = _real_basis(shifts, full.states(shifts) @ right[:, :, None])
     W = _real_basis(shifts, full.dual.states(shifts) @ left[:, :, None])
     pencil, inner = full.pencil, W.T @ V
     A = np.linalg.solve(inner, W.T @ -pencil.coefficients[0] @ V)
-    return explicit(A, np.linalg.solve(inner, W.T @ pencil.B), pencil.C @ V, pencil.D)
+    return explicit_pencil(A, np.linalg.solve(inner, W.T @ pencil.B), pencil.C @ V, pencil.D)
 
 
 def _real_basis(shifts: np.ndarray, vectors: np.ndarray) -> np.ndarray:
