@@ -1,8 +1,8 @@
-"""A solid with supports, electrodes and ports becomes a :class:`LinearModel`.
+"""Finite-element models of solids with supports, electrodes and ports.
 
-Constraints are prolongations: ``u = P z`` from the free displacements and the six motions of each
-rigid face, ``phi = Q p + R V`` from the free potentials (floating electrodes are one each) and
-the voltages of the driven electrodes. With shapes S of the forces,
+Constraints are prolongations. ``u = P z`` follows from the free displacements and the six motions
+of each rigid face. ``phi = Q p + R V`` follows from the free potentials, one for each floating
+electrode, and from the voltages of the driven electrodes. With shapes S of the forces,
 
     P'MP z'' + P'K_uu P z + P'K_up Q p + P'K_up R V = P'S f
                      Q'K_up'P z - Q'K_pp Q p - Q'K_pp R V = 0
@@ -10,13 +10,11 @@ the voltages of the driven electrodes. With shapes S of the forces,
 
 of which :func:`kc2spice.rom.linear_model.with_potentials` eliminates p exactly.
 
-Bodies made of blocks that are bonded where they touch: layers, rings, beams.
-
-Blocks are boxes along the axes, of a body of revolution in the plane (radius, height), on one grid
-of quadratic quadrilaterals or hexahedra, whose lines run through every edge of a block, an
-electrode, a support or a port. :mod:`kc2spice.fem.solid` does the rest: the potential lives in
-piezoelectric blocks only, conductors and electrodes are equipotentials, other insulators carry no
-field.
+:class:`Bonded` bodies consist of blocks that are bonded where they touch: layers, rings, beams.
+Blocks are boxes along the axes, in a body of revolution in the plane (radius, height). They are on
+one grid of quadratic quadrilaterals or hexahedra. Its lines contain every edge of a block, an
+electrode, a support or a port. The potential exists in piezoelectric blocks only, conductors and
+electrodes are equipotentials, and other insulators carry no field (:mod:`kc2spice.fem.solid`).
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""Corrections of a body's answers by shape functions of one degree more.
+"""Corrections of a body's responses by shape functions of one degree more.
 
 The model ``S w = f``, ``S = [[K, C], [C', -P]]`` of displacements u and potentials p, gets the
-functions of :mod:`kc2spice.fem.enrichment`. A static answer w of the mesh leaves the residual
-``r = f - S w``, and the solution of ``S e = r`` is its correction. With those of the answers v to
-a voltage and p to a force,
+functions of :mod:`kc2spice.fem.enrichment`. A static response w of the mesh leaves the residual
+``r = f - S w``, and the solution of ``S e = r`` is its correction. With the corrections of the
+responses v to a voltage and p to a force,
 
     dC = e_v' S e_v,    d(stroke) = e_p' S e_v,    d(compliance) = e_p' S e_p,
 
-and a mode gets the nearest eigenvalue. All corrections are sought in one space of few vectors
-(Galerkin, Rayleigh-Ritz), to which the residuals add in turn their solutions for the additional
+and a mode gets the nearest eigenvalue. All corrections are in one space of few vectors (Galerkin,
+Rayleigh-Ritz). The residuals extend this space alternately by solutions for the additional
 functions alone and for the mesh alone. Supports and electrodes fix the functions of edges and faces
 all of whose nodes they fix. Loads on the functions themselves are neglected. Sources: R. E. Bank
 and R. K. Smith, SIAM J. Numer. Anal. 30 (1993) 921; R. Becker and R. Rannacher, Acta Numerica 10

@@ -1,8 +1,9 @@
 """Stress and electric field in a body under the port waveforms of a run.
 
-A run knows what the ports did. The body's own motion under these inputs follows from a projection
-of the full model on a Krylov basis V, whose modes are integrated exactly for inputs that are
-linear between samples: whatever simulator made the waveforms, z = V x is the full model's answer.
+A run computes the waveforms of the ports. The body's own motion under these inputs follows from a
+projection of the full model on a Krylov basis V. Its modes are integrated exactly for inputs that
+are linear between samples. Thus z = V x is the response of the full model, for the waveforms of any
+simulator.
 
 With the displacement u and the potential phi of the full model, element by element,
 

@@ -1,14 +1,15 @@
 """Values of an impedance analyser: f_s, f_p, Q, coupling, capacitance, BVD model.
 
-The Butterworth-Van Dyke circuit is a capacitor C0 beside a series branch R, L, C; with s = j w
+The Butterworth-Van Dyke circuit is a capacitor C0 in parallel to a branch of R, L, C in series.
+With s = j w,
 
     Y(s) = s C0 + s C / (1 + s R C + s^2 L C),
 
 f_s = 1/(2 pi sqrt(L C)), f_p = f_s sqrt(1 + C/C0), Q = sqrt(L/C)/R and the effective coupling
 ``k^2 = 1 - (f_s/f_p)^2 = C/(C + C0)`` (IEEE Std 177-1966, IEEE Std 176-1987). Multiplied by its
-denominator the circuit is linear in its coefficients; they are fitted to the samples around the
-resonance with weights renewed a few times (Sanathanan and Koerner, IEEE Trans. Autom. Control 8
-(1963) 56), so that f_s is not tied to the sample frequencies.
+denominator, the circuit is linear in its coefficients. They are fitted to the samples around the
+resonance, and a few iterations update the weights (Sanathanan and Koerner, IEEE Trans. Autom.
+Control 8 (1963) 56). Therefore f_s may lie between the frequencies of the samples.
 """
 
 from __future__ import annotations

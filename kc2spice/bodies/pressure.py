@@ -1,37 +1,38 @@
 """Pressure on the top of a stack: a contact port that converges with the mesh.
 
 A force on a circle of the mesh's nodes is a line load, whose indentation grows without limit as the
-mesh gets finer. Here pressures are piecewise linear in the radius (P1), with the displacements
-averaged by the same basis functions. The mesh of the whole stack is too coarse for them; only a
-patch of them is a port of it, loaded as by a flat punch: with the shares
-``w = S^-1 1 / (1' S^-1 1)`` of the basis functions, S (n, n) their static compliance, each of them
-moves by the same ``S w = s 1``. Then
+mesh is refined. Here pressures are piecewise linear in the radius (P1), and displacements are
+averages by the same basis functions. The mesh of the whole stack is too coarse for these functions.
+Its port is a patch that is loaded as by a flat punch. With the static compliance S (n, n) of the
+basis functions their shares are ``w = S^-1 1 / (1' S^-1 1)``, and each function moves by the same
+``S w = s 1``. Then
 
     u_i = u_patch + sum_j (S - s_patch 1 1')_ij F_j,     F_patch = sum_j F_j,
 
-where S is that of a round stack of the same layers on a graded axisymmetric mesh and ``s_patch``
-that of the patch on the coarse mesh of the same round stack: what the coarse mesh has too little is
-put back where it is missing. What differs between the round stack and the real one is smooth, thus
-the same for all of the basis, and dynamic: the patch has it. The matrix is positive semi-definite
-because ``S - s 1 1'`` is (s is the least compliance of all shares) and a coarse mesh is too stiff.
+where S is that of a round stack of the same layers on a graded axisymmetric mesh. ``s_patch`` is
+that of the patch on the coarse mesh of the same round stack. The sum restores the compliance that
+the coarse mesh lacks. The difference between the round stack and the real one is smooth, and thus
+the same for all basis functions, and dynamic: the patch contains it. The matrix is positive
+semi-definite because ``S - s 1 1'`` is (s is the least compliance of all shares), and because a
+coarse mesh is too stiff.
 
-The local compliance answers at once, as residual modes do (:mod:`kc2spice.rom.modal`): its own
-modes lie above the sound's frequency over the patch, ten megahertz. Nothing but the depth x of
-a sphere's indentation beyond the patch's motion sets the forces therefore, and their sum is one law
-of one depth (:func:`indentation_law`), which a circuit evaluates at the cost of one spring.
+The local compliance has no dynamics, as residual modes (:mod:`kc2spice.rom.modal`): its own modes
+are above the sound's frequency over the patch, ten megahertz. Therefore only the depth x of a
+sphere's indentation beyond the patch's motion determines the forces. Their sum is one law of one
+depth (:func:`indentation_law`), and a circuit evaluates this law like one spring.
 
 The other side may be a free elastic :class:`IsotropicSphere` under the same basis, on
 quadrilaterals that grow away from its lowest point. The conformal map ``zeta = w / (1 - i w / 2R)``
 of ``zeta = r + i h`` takes the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc, h
-the height above the pole: a grid of the angles x, along the surface, and y, along the axis, has
-right angles everywhere and, at the pole, the lines of the basis. The other pole lies at infinity;
-there a pit of ``R / 30`` is left out, 1e-5 of the mass.
+the height above the pole. A grid of the angles x, along the surface, and y, along the axis, has
+right angles everywhere and, at the pole, the lines of the basis. The other pole is at infinity. A
+pit of ``R / 30`` is left out there, 1e-5 of the mass.
 
-Its displacements are relative to the centre of mass. With the motion t (n,) of the whole along the
-axis and the mass ``m = t' M t``, forces F at the ports B act with the inertia that balances them,
-``B - M t t' B / m``, and so do not move the whole; a spring ``(M t) (M t)' w^2 / m`` on it, as one
-unknown that is eliminated, makes K definite and is neither moved nor seen. Any uniform force, such
-as weight, adds nothing.
+Displacements of the sphere are relative to its centre of mass. Its motion along the axis is t (n,),
+its mass ``m = t' M t``. Forces F at the ports B act together with the inertia that balances them,
+``B - M t t' B / m``, and so do not move the centre. A spring ``(M t) (M t)' w^2 / m`` on the
+motion, as one unknown that is eliminated, makes K definite. No force moves this spring, and no
+output measures it. A uniform force, such as weight, has no effect.
 """
 
 from __future__ import annotations

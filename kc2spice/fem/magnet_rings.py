@@ -1,10 +1,10 @@
 """A conducting body of revolution between coaxial coils, as rings and few modes.
 
-The body is divided into rings of rectangular section, thin ones below its surfaces where the skin
-depth is small: ``L di/dt + R i = -d/dt m j`` for the currents i of the rings and j of the coils. L
-and R are constant in the body's frame; only the mutual inductances m depend on its height y. In the
-modes of ``R v = rate L v`` with ``v' L v = 1`` the body is a set of loops of 1 H and ``rate`` Ohm,
-coupled to the coils by ``v' m(y)`` alone.
+The body is divided into rings of rectangular section, which are thin below its surfaces if the skin
+depth is small. For the currents i of the rings and j of the coils, ``L di/dt + R i = -d/dt m j``.
+L and R are constant in the body's frame. Only the mutual inductances m depend on its height y. With
+the modes of ``R v = rate L v``, ``v' L v = 1``, the body is a set of loops of 1 H and ``rate`` Ohm.
+Their coupling to the coils is ``v' m(y)``.
 """
 
 from __future__ import annotations

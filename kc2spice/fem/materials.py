@@ -275,15 +275,17 @@ _Modulus: TypeAlias = float | list[float]
 class MaterialTable(Section):
     """Constants of a material in a scene or the library.
 
-    :meth:`build` makes the tensors.
+    :meth:`build` makes the tensors. The elasticity is one of
 
-    Elasticity, one of: ``youngs_modulus`` and ``poisson_ratio`` (isotropic, or orthotropic with
-    three moduli, ``nu_xy nu_yz nu_xz`` and ``shear_modulus``); ``stiffness`` ``c11``…;
-    ``compliance`` ``s11``…; each as components under a ``symmetry`` or as a full 6 by 6 list.
-    Piezoelectricity: ``stress_coupling`` ``e31``… or ``strain_coupling`` ``d31``…, or 3 by 6.
-    ``permittivity`` is relative, ``eps11`` ``eps22`` ``eps33`` or 3 by 3, at constant ``stress``
-    or ``strain``, which a piezoelectric material must say. What is ``like`` a material of the
-    library has its constants but for those that are given.
+    * ``youngs_modulus`` and ``poisson_ratio``: isotropic, or orthotropic with three moduli, ``nu_xy
+      nu_yz nu_xz`` and ``shear_modulus``,
+    * ``stiffness`` ``c11``…, as components under a ``symmetry`` or as a full 6 by 6 list,
+    * ``compliance`` ``s11``…, in the same forms.
+
+    Piezoelectricity is ``stress_coupling`` ``e31``… or ``strain_coupling`` ``d31``…, or 3 by 6.
+    ``permittivity`` is relative, ``eps11`` ``eps22`` ``eps33`` or 3 by 3. A piezoelectric material
+    must state whether it is that at constant ``stress`` or ``strain``. A material that is ``like``
+    one of the library has all other constants of that one.
     """
 
     like: str | None = Field(

@@ -1,12 +1,12 @@
 """Meshes and CAD files of the user, read by gmsh, with named groups.
 
-``.msh`` files bring elements and physical groups. ``.step`` and ``.brep`` files are meshed here;
-their solids are first made to share faces. Their groups are the labels of the file and what a
-:func:`read_mesh` picks.
+``.msh`` files contain elements and physical groups. ``.step`` and ``.brep`` files are meshed here.
+Their solids are first modified to share faces. Their groups are the labels of the file, and the
+picks of :func:`read_mesh`.
 
-gmsh runs in a separate process (:mod:`kc2spice.core.untrusted_files`), on a copy whose name and
-format were chosen and checked: it decides by extension and content what it reads, runs any file
-that it does not know as a script, and has no option that keeps scripts from starting programs.
+gmsh decides by extension and content of a file what it reads, and runs unknown files as scripts. No
+option of gmsh prevents scripts from starting programs. Therefore gmsh runs in a separate process
+(:mod:`kc2spice.core.untrusted_files`), on a copy with a safe name and a checked format.
 """
 
 from __future__ import annotations
@@ -124,11 +124,12 @@ def read_mesh(
 ) -> GroupedMesh:
     """Read a mesh, or mesh a CAD file.
 
-    ``unit`` is the file's unit of length [m], ``size`` the largest edge of the elements of a CAD
-    file [m], ``splits`` how often every edge is halved. ``picks`` are groups of a CAD file by name:
-    entities of a ``dimension`` (0 to 3: points, curves, faces, solids) that contain one of the
-    points ``at`` (n, 3), or that lie in a ``box`` of two corners, all in the file's unit. Nodes at
-    most ``merge`` [m] apart become one; 0 accepts solids that touch and share no nodes.
+    ``unit`` is the file's unit of length [m]. ``size`` is the largest edge of the elements of a CAD
+    file [m]. ``splits`` is the number of times that every edge is halved. ``picks`` are groups of a
+    CAD file by name: entities of a ``dimension`` (0 to 3: points, curves, faces, solids). They
+    contain one of the points ``at`` (n, 3), or lie in a ``box`` of two corners, all in the file's
+    unit. Nodes at most ``merge`` [m] apart become one; 0 accepts solids that touch and share no
+    nodes.
 
     Raises
     ------

@@ -116,15 +116,14 @@ class Port:
 class Certificate:
     """Error of a reduced model with respect to the *full* model, and its proofs.
 
-    It is stated with its band.
-
-    ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``, in
-    the ``norm`` *pointwise* (relative at every frequency, or to a millionth of the entry's peak
-    where that is more) or *peak* (relative to the entry's largest value in the band).
-    ``method`` names the estimator. ``above`` is what contact sees beyond the band and nothing
-    bounds: frequency [Hz] and the largest relative difference there of a mechanical port's own
-    compliance to the larger model that the estimate compares with. ``stable`` holds for the full
-    model and the reduced one, None where nothing proves it; ``passive`` where both show it.
+    ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``. In
+    the ``norm`` *pointwise* it is relative to the entry at every frequency, or to at least a
+    millionth of the entry's peak. In the norm *peak* it is relative to the entry's largest value in
+    the band. ``method`` names the estimator. ``above`` states differences beyond the band, which
+    contact excites and nothing bounds. It contains the frequency [Hz] and the largest relative
+    difference of a mechanical port's own compliance to a larger model. ``stable`` holds for the
+    full model and the reduced one, None without a proof. ``passive`` means that both are proven
+    passive.
     """
 
     band_hz: tuple[float, float]
@@ -162,18 +161,18 @@ class LinearModel:
     ``M``, ``E``, ``K``, ``A`` (n, n) are sparse or dense, ``B`` (n, inputs), ``C`` (outputs, n) and
     ``D`` (outputs, inputs) dense. All values are SI and of the *whole* device. A missing ``C`` is
     ``B'``, a missing ``D`` zero, a missing ``E`` zero in second order and one in first order.
-    ``rayleigh = (alpha, beta)`` stands for ``E = alpha M + beta K`` and leaves ``E`` out.
-    ``K`` (or ``A``) may be a :class:`kc2spice.rom.pencil.Schur` complement: massless unknowns
-    eliminated exactly, without forming the dense result; see :func:`with_potentials`.
+    ``rayleigh = (alpha, beta)`` replaces ``E`` by ``alpha M + beta K``. ``K`` (or ``A``) may be a
+    :class:`kc2spice.rom.pencil.Schur` complement, which eliminates massless unknowns exactly
+    without the dense result; see :func:`with_potentials`.
 
-    ``ports`` lists conservative ports and signals in the order of the columns of B; the rows of C
-    follow the same order (an input has no row, an output no column). Without, they are signals
+    ``ports`` lists conservative ports and signals in the order of the columns of B. The rows of C
+    follow the same order (an input has no row, an output no column). The default are signals
     ``u1``..., ``y1``.... Symmetric models with conservative ports only have ``C = B'``.
 
-    A complex K is structural damping: K is its real part. ``loss_factor`` is eta of
-    ``K (1 + j eta)``, and may be given instead; ``loss`` is the imaginary part of any other, that
-    of several materials, symmetric and positive semi-definite. Such a model has a response, and
-    becomes a circuit by :func:`kc2spice.reduce` only.
+    A complex K is structural damping: K is its real part. ``loss_factor`` is eta of ``K (1 + j
+    eta)``, and may be stated instead. ``loss`` is any other imaginary part, such as that of several
+    materials, symmetric and positive semi-definite. Such a model has a response, and only
+    :func:`kc2spice.reduce` makes a circuit of it.
 
     ``facts`` are characteristic numbers of the body (``mass_kg``, ``unknowns``,
     ``capacitance_free_f``, …). ``band`` [Hz] is the frequency range that the author of the model

@@ -145,18 +145,17 @@ def resonators(rom: LinearModel) -> Resonators | None:
 def mode_table(model: LinearModel) -> dict[str, Any] | None:
     """List the modes with all electrodes shorted and no load.
 
-    The table ends at the end of the certificate's band.
+    The table ends at the end of the certificate's band. Each of ``modes`` has ``frequency_hz``,
+    ``quality`` (None without damping) and ``couplings`` by port, in ``units``.
 
-    ``modes``, each with ``frequency_hz``, ``quality`` (None without damping) and ``couplings`` by
-    port, in ``units``. That of an electrical port is the effective factor ``k = sqrt(C_j / (C_j +
-    C_above))``, where ``C_j = gain_j^2 / omega_j^2`` [F] is what the mode adds to the static
-    capacitance and ``C_above`` what all higher ones and the clamped body have (``k^2 = 1 - (f_r /
-    f_a)^2`` of a mode far from others); of any other port it is the same static share ``gain_j^2 /
-    omega_j^2``.
+    The coupling of an electrical port is the effective factor ``k = sqrt(C_j / (C_j + C_above))``.
+    The mode adds ``C_j = gain_j^2 / omega_j^2`` [F] to the static capacitance, and ``C_above`` is
+    that of all higher modes and of the clamped body. For a mode far from others, ``k^2 = 1 - (f_r /
+    f_a)^2``. The coupling of any other port is the static share ``gain_j^2 / omega_j^2``.
 
-    Modes that damping couples are those of the poles, ``omega_j`` their distance from zero. Motions
-    without stiffness are none of them. None for a model in first order, or without conservative
-    ports alone.
+    Modes that damping couples are those of the poles, and ``omega_j`` is their distance from zero.
+    Motions without stiffness are left out. The result is None for a model of first order, and for a
+    model with signals as ports.
     """
     result = _modal_data(model)
     if result is None:
@@ -240,15 +239,17 @@ RANK = 1e-12  # zero singular value, relative: no port moves such a combination 
 def without_inertia(model: Resonators, tolerance: float | None = None) -> Resonators:
     """Replace the highest modes of a model by states without inertia.
 
-    The error in its certificate becomes larger.
+    The error in its certificate becomes larger. Modes are replaced from the highest one down, as
+    long as
 
-    The cut: from the highest mode down, as long as the inertia left out changes the answer of every
-    mechanical port at the end f of the certificate's band by less than ``AT_REST`` of its static
-    compliance, ``sum_j (g_j / w_j)^2 (f / f_j)^2`` (``RINGING_SHARE`` where the lowest of these
-    modes would ring), and the certified error stays within ``tolerance``. Statics stay exact, the
-    form stays passive. Modes that relax at one pace, as all do under damping proportional to
-    stiffness, become as many states as ports move independently. An acceleration port does not see
-    these states.
+    * the inertia that is left out changes the response of every mechanical port at the end f of the
+      certificate's band by less than ``AT_REST`` of its static compliance, ``sum_j (g_j / w_j)^2 (f
+      / f_j)^2`` (``RINGING_SHARE`` if the lowest of these modes would ring),
+    * and the error estimate is within ``tolerance``.
+
+    The static response remains exact, and the model passive. Modes with one relaxation time, as all
+    modes with damping proportional to stiffness, become as many states as ports move independently.
+    These states have no effect on an acceleration port.
     """
     certificate = model.certificate
     if certificate is None:

@@ -1,14 +1,14 @@
-"""Damping that polynomials in s do not have, and inertia that does nothing.
+"""Structural damping, which polynomials in s lack, and inertia without effect.
 
 Structural damping ``K + j H``, of one material ``K (1 + j eta)``, loses the same share of energy at
-every frequency. No causal model does that in a band without a change of stiffness, so a circuit has
-a passive one near it: each mode gets the viscous damping ``h_j / w_j``, which is exact at its
-resonance, and relaxations where these come nearer, see :mod:`kc2spice.rom.lossy_modes`. What
-differs is part of the error estimate. The losses of several materials couple modes; that part is
+every frequency. In a band no causal model does that without a change of stiffness. A circuit is
+therefore a passive model close to it. Each mode gets the viscous damping ``h_j / w_j``, which is
+exact at its resonance, and relaxations if these are closer (:mod:`kc2spice.rom.lossy_modes`). The
+difference is part of the error estimate. The losses of several materials couple modes; that part is
 viscous damping ``h_ij / (w_i w_j)^(1/2)``.
 
-An RC ladder or an overdamped chain has real poles only. Where its inertia changes nothing in the
-band, ``E x' + K x = B u`` has half of the states per unknown, and is passive as well.
+An RC ladder or an overdamped chain has real poles only. If its inertia changes nothing in the band,
+``E x' + K x = B u`` has half of the states per unknown, and is passive as well.
 
 Sources: S. H. Crandall, J. Sound Vib. 11 (1970) 3; D. J. Ewins, Modal Testing (2000), 2.4.
 """

@@ -1,17 +1,18 @@
 """Decoupled resonators with polynomials of parameters as coefficients.
 
-The coefficients are frequencies, gains and capacitances over ranges of the parameters.
+The coefficients are frequencies, gains and capacitances over ranges of the parameters. A
+:class:`~kc2spice.rom.parametric.Parametric` model is small, but dense. At many points of its ranges
+this module computes its modes up to above the band and, orthogonal to them, the Ritz vectors of
+other responses to the ports' loads.
 
-A :class:`~kc2spice.rom.parametric.Parametric` model is small, but dense. At many points of its box
-this takes its modes up to above the band and, orthogonal to them, the Ritz vectors of what the
-ports' loads do besides. Modes that come close to each other anywhere in the box stay together as a
-block in a frame that turns smoothly with the parameters (the one nearest to that of the middle), so
-that nothing jumps where they cross or repel; all others are resonators of their own. The stiffness
-of a block is ``L L'``, and polynomials give the logarithms of the diagonal of L, of the clamped
-capacitances' Cholesky factor and of the damping: masses, stiffness and damping are positive
-everywhere in the box, and the model is passive by its form.
-(Nearest frame: P. H. Schoenemann, Psychometrika 31 (1966) 1. Invariant subspaces are analytic where
-a gap stays: T. Kato, Perturbation Theory for Linear Operators, II.4.)
+Modes that come close to each other anywhere in the ranges form a block. Its frame turns smoothly
+with the parameters, because it is the one nearest to that of the middle. Thus nothing jumps if
+frequencies cross or repel. All other modes are separate resonators. The stiffness of a block is ``L
+L'``. Polynomials give the logarithms of the diagonal of L, of the clamped capacitances' Cholesky
+factor and of the damping. Masses, stiffness and damping are therefore positive everywhere in the
+ranges, and the form of the model proves it passive. (Nearest frame: P. H. Schoenemann,
+Psychometrika 31 (1966) 1. Invariant subspaces are analytic where a gap stays: T. Kato, Perturbation
+Theory for Linear Operators, II.4.)
 """
 
 from __future__ import annotations
@@ -139,12 +140,10 @@ def reduce_over_ranges(
 ) -> Varying:
     """Reduce the models ``full(values)`` over the ranges of ``axes``.
 
-    The certificate holds for all values in the ranges.
-
-    The certified error is the largest relative difference, in the ``norm``, to full models at
-    :data:`CHECKS` points and a corner of the box that nothing was made from, and to the dense model
-    at others, times :data:`SAFETY` for what lies between them. ``facts`` of the full models are
-    kept.
+    The certificate holds for all values in the ranges. Its error is the largest relative
+    difference, in the ``norm``, times :data:`SAFETY` for points in between. It is the difference to
+    full models at :data:`CHECKS` points and a corner that the model was not made from, and to the
+    dense model at other points. ``facts`` of the full models remain.
 
     Raises
     ------

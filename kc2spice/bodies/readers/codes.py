@@ -1,26 +1,27 @@
-"""Matrices that FE codes write, in the form of each.
+"""Readers of the matrix formats of FE codes.
 
-Abaqus' ``JOB_STIF2.mtx``, ``JOB_MASS2.mtx`` ... of ``*MATRIX GENERATE``, each a text file of one
-triangle, have, by ``FORMAT=MATRIX INPUT`` (or ``LABELS``), ``node, dof, node, dof, value``; by
-``FORMAT=COORDINATE`` ``row column value`` of both triangles, without the names of the rows. A
-freedom that a boundary condition of the step holds has 1e36 on the diagonal of the stiffness.
+Abaqus writes ``JOB_STIF2.mtx``, ``JOB_MASS2.mtx`` ... of ``*MATRIX GENERATE``. With ``FORMAT=MATRIX
+INPUT`` (or ``LABELS``) such a text file contains ``node, dof, node, dof, value`` of one triangle.
+With ``FORMAT=COORDINATE`` it contains ``row column value`` of both triangles, without the names of
+the rows. A freedom that a boundary condition of the step fixes has 1e36 on the diagonal of the
+stiffness.
 
-CalculiX' ``JOB.sti``, ``JOB.mas`` and ``JOB.dof`` of ``*FREQUENCY, SOLVER=MATRIXSTORAGE`` have
-``row column value``, and one ``node.direction`` per row: 1 to 6, and 0 for temperature.
+CalculiX writes ``JOB.sti``, ``JOB.mas`` and ``JOB.dof`` of ``*FREQUENCY, SOLVER=MATRIXSTORAGE``.
+They contain ``row column value``, and one ``node.direction`` per row: 1 to 6, and 0 for
+temperature.
 
-Ansys writes the binary ``.full`` file, read through its makers' ansys-mapdl-reader, and by
-``HBMAT`` Harwell-Boeing files with the mapping beside them, of which scipy's ``hb_read`` refuses
-the symmetric ones. Fields have a fixed width and may touch, so they are cut by the widths that the
-header states (Duff, Grimes, Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix Collection,
-1992).
+Ansys writes the binary ``.full`` file, which the ansys-mapdl-reader of its makers reads. ``HBMAT``
+writes Harwell-Boeing files with the mapping beside them. scipy's ``hb_read`` refuses the symmetric
+ones. Fields have a fixed width and may touch, so the widths in the header separate them (Duff,
+Grimes, Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix Collection, 1992).
 
-Nastran has DMIG cards of a punch file, and OUTPUT4 files, read through pyyeti. ``K...`` is the
-stiffness, ``K4...`` its structural damping, ``M...`` the mass, ``B...`` the viscous damping, unless
-the sidecar's ``matrices`` names others. DMIG: MSC Nastran Quick Reference Guide; large, small and
+Nastran writes DMIG cards of a punch file, and OUTPUT4 files, which pyyeti reads. ``K...`` is the
+stiffness, ``K4...`` its structural damping, ``M...`` the mass and ``B...`` the viscous damping. The
+sidecar's ``matrices`` may name others. DMIG: MSC Nastran Quick Reference Guide; large, small and
 free fields.
 
-Structural damping is the imaginary part H of a complex stiffness ``K + j H``: that of a complex
-matrix, or a matrix of its own, Nastran's ``K4...`` and Abaqus' ``JOB_DMPS2.mtx``.
+Structural damping is the imaginary part H of a complex stiffness ``K + j H``. It is that of a
+complex matrix, or a matrix of its own: Nastran's ``K4...`` and Abaqus' ``JOB_DMPS2.mtx``.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
 """Complex responses from columns, and their admittances.
 
 In: tables of a file, or vectors with titles. Out: a :class:`MeasuredResponse`. A file that allows
-two readings is refused with both of them.
+two readings is refused, and the error states both.
 
 The gain through a shunt is measured with a resistor R in series with the part. It is the voltage
 across the shunt relative to that of the source::
 
     g = R / (Z + R)        Z = R (1 / g - 1)        Y = (1 / R) g / (1 - g)
 
-which is the admittance of the reflection ``S = 1 - 2 g`` with the reference resistance R. The gain
-of a passive part is at most 1; the inverse ratio is at least 1.
+This is the admittance of the reflection ``S = 1 - 2 g`` with the reference resistance R. The gain
+of a passive part is at most 1, and its inverse is at least 1.
 """
 
 from __future__ import annotations

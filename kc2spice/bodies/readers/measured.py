@@ -1,11 +1,11 @@
 """Measured responses from Touchstone files, tables and MATLAB files.
 
-A table has titles that say what its columns are (:mod:`kc2spice.bodies.readers.meanings`), in any
-order: frequency, and the columns of one combination. Fields lie between semicolons, tabs, commas or
-blanks; a decimal comma is read where commas do not separate.
+A table has titles of its columns in any order (:mod:`kc2spice.bodies.readers.meanings`). It
+contains a frequency and the columns of one combination. Semicolons, tabs, commas or blanks separate
+fields. Commas are decimal if they do not separate.
 
-Variables of a MATLAB file are named as columns are; a complex one is ``z``, ``y`` or ``s``, of n
-frequencies or (ports, ports, n) as MATLAB has it, ``s`` with its resistance ``z0`` beside it.
+Variables of a MATLAB file have the same names as columns. A complex variable is ``z``, ``y`` or
+``s``, of n frequencies or of the shape (ports, ports, n). ``z0`` is the resistance of ``s``.
 """
 
 from __future__ import annotations

@@ -1,19 +1,19 @@
 """Content of a matrix file: matrices by letter, and names of their rows.
 
-Every reader refuses bad sizes and indices here, before it allocates memory.
+The functions of this module refuse bad sizes and indices before they allocate memory. They read
+``.npz`` archives, of which nothing is unpickled, and MATLAB files.
 
-Files with many arrays: ``.npz`` archives, of which nothing is unpickled, and MATLAB files.
+An archive contains dense arrays of the names ``M``, ``E``, ``K``, ``A``, ``B``, ``C``, ``D``, or
+the parts of a sparse matrix. The parts have the names of ``scipy.sparse.save_npz`` behind the
+letter and a dot (``K.format``, ``K.shape``, ``K.data``, ``K.indices``, ``K.indptr``; coo has
+``K.row``, ``K.col``). ``nodes`` (n,) and ``dofs`` (n,), integers, may name the rows. Readers in a
+separate process return the same form. The reader of MATLAB files is one, because scipy's may crash
+on a corrupt file.
 
-An archive has dense arrays of the names ``M``, ``E``, ``K``, ``A``, ``B``, ``C``, ``D``, or the
-parts of a sparse matrix as ``scipy.sparse.save_npz`` names them behind the letter and a dot
-(``K.format``, ``K.shape``, ``K.data``, ``K.indices``, ``K.indptr``; coo has ``K.row``, ``K.col``).
-``nodes`` (n,) and ``dofs`` (n,), integers, may name the rows. Readers in a process of their own, as
-that of MATLAB files is, since scipy's may crash on a corrupt one, hand over the same form.
-
-A MATLAB file has variables of these names, or one struct as COMSOL's ``mphmatrix`` and ``mphstate``
-return it. It writes ``E u'' + D u' + K u = L``, so its ``E`` is our mass, its ``D`` our damping,
-its ``L`` our ``B``; the eliminated ``Ec``, ``Dc``, ``Kc``, ``Lc`` are taken where they exist.
-``mphstate`` gives ``Mc x' = MA x + MB u`` (or ``A``, ``B``) and ``y = C x + D u``.
+A MATLAB file contains variables of these names, or one struct of COMSOL's ``mphmatrix`` or
+``mphstate``. COMSOL writes ``E u'' + D u' + K u = L``: its ``E`` is our mass, its ``D`` our
+damping, and its ``L`` our ``B``. The eliminated ``Ec``, ``Dc``, ``Kc``, ``Lc`` are used if they
+exist. ``mphstate`` returns ``Mc x' = MA x + MB u`` (or ``A``, ``B``) and ``y = C x + D u``.
 """
 
 from __future__ import annotations

@@ -43,10 +43,9 @@ HALF_TURN = 180.0  # degrees, the largest size of a phase
 class TextTable(EqualByContent):
     """Columns of ``numbers`` (n,) under ``titles``.
 
-    The titles are None if no line contains as many.
-
-    ``lines`` are the first and the last line of the numbers, from 1; ``header`` is the last line
-    above them, ``comments`` are all lines above them; ``notes`` are assumptions of the reader.
+    The titles are None if no line contains as many. ``lines`` are the first and the last line of
+    the numbers, from 1. ``header`` is the last line above them, and ``comments`` are all lines
+    above them. ``notes`` are assumptions of the reader.
     """
 
     titles: tuple[str, ...] | None
