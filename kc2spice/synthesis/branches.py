@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from kc2spice.netlist.circuit import Element, Pin
+from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.elements import Line
-from kc2spice.rom.linear_model import LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
 # Current through the leak at the lowest frequency of the band, relative to that of the part.
@@ -19,11 +19,6 @@ ABOUT = (
 )
 _LEAD = "* R0 and L0: leads, which carry the current of all branches."
 _LEAK = "* Rleak gives a floating pin its operating point; no other direct current flows."
-
-
-def branch_pins(port: Port) -> tuple[Pin, ...]:
-    """The two pins of the ``port``."""
-    return tuple(Pin(pin, port.across, port.flow) for pin in port.terminals)
 
 
 def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:

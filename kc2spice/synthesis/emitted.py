@@ -55,8 +55,8 @@ def circuit_error(
 
     The difference is relative in the ``norm`` of a
     :class:`kc2spice.rom.linear_model.Certificate`. The ports are loaded as in
-    :func:`kc2spice.synthesis.realize.loaded`. An acceleration port is judged by the force that its
-    pin draws.
+    :func:`kc2spice.synthesis.realize.apply_unit_load`. An acceleration port is judged by the force
+    that its pin draws.
 
     Parameters
     ----------

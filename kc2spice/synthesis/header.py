@@ -17,7 +17,7 @@ from kc2spice.netlist.circuit import Circuit, Param, Pin
 from kc2spice.netlist.library import Header, ReductionFacts, Subcircuit, parameter_line, use_line
 from kc2spice.netlist.read import read
 from kc2spice.netlist.spelling import comment, name, number, render, word
-from kc2spice.rom.linear_model import Certificate
+from kc2spice.rom.linear_model import Certificate, Port
 from kc2spice.scene.model import Terminal
 
 SIGN = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
@@ -109,6 +109,12 @@ def part_header(
         lines.append(f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}")
     lines += map(parameter_line, params)
     return tuple(lines)
+
+
+def netlist_pins(port: Port) -> tuple[Pin, ...]:
+    """Return the pins of a port; nothing flows through the pin of a signal."""
+    flow = port.flow if port.conservative else "-"
+    return tuple(Pin(pin, port.across, flow) for pin in port.terminals)
 
 
 def defaults(params: Iterable[Param]) -> dict[str, str]:

@@ -1,18 +1,21 @@
-"""Resonators over a box of parameters as one subcircuit that has the parameters itself.
+"""Resonators that depend on parameters, as one subcircuit with these parameters.
 
-Numbers that depend on them are ``.param`` expressions, evaluated once when a simulator expands the
-subcircuit: in a run it costs what any other resonators cost.
+Their numbers are ``.param`` expressions. A simulator evaluates them once, when it expands the
+subcircuit, so that a run takes no longer than with other resonators.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import chain, product
+from functools import partial
+from itertools import product
+from operator import attrgetter
 
 import numpy as np
 
+from kc2spice.core.domains import ELECTRICAL, ROTATION, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Element, Param, Parameters
 from kc2spice.netlist.elements import Line
@@ -29,19 +32,23 @@ from kc2spice.synthesis.realize import (
     PortTerminal,
     StepWeights,
     Transconductance,
-    conservative,
-    enclosed,
-    input_cards,
-    mode_branch,
-    mode_facts,
+    connect_sources,
+    describe_branch,
+    describe_mode,
+    drive_mode,
+    make_subcircuit,
     model_terminals,
-    scales,
+    port_lines,
+    scale_modes,
     subcircuit_pins,
 )
 
-# Names of our own among parameters.
-_TAKEN = r"[xlkgcfbt]_?\d+(_\d+)*|alpha|beta|damping|inside\d+"
-INSIDE = 6  # random points of the box at which the emitted circuit is compared, beside its corners
+Polynomial = Callable[[np.ndarray], str]  # writes the polynomial with these coefficients
+
+# Names that the subcircuit uses for its own parameters.
+_RESERVED = r"[xlkgcfbt]_?\d+(_\d+)*|alpha|beta|damping|inside\d+"
+# Random points of the parameter range at which the emitted circuit is compared, beside its corners.
+INSIDE = 6
 _ABOUT = """\
 * Resonators whose frequencies, couplings, capacitances and damping depend on the parameters: they
 * are polynomials (Chebyshev's, of the parameters' logarithms) that are evaluated once, when the
@@ -54,6 +61,9 @@ _STOP = """
 * Outside of its range a parameter stops the simulator at these cards: nothing is extrapolated."""
 
 
+_DOMAINS = (ELECTRICAL, TRANSLATION, ROTATION)
+
+
 def parametric_subcircuit(
     model: Varying,
     name: str,
@@ -64,65 +74,73 @@ def parametric_subcircuit(
     rating: str = UNRATED,
     weights: StepWeights = RINGING,
 ) -> Subcircuit:
-    """One ``.subckt`` with the pins of every port and the parameters of the box.
+    """Return one ``.subckt`` with the pins of every port and with parameters.
 
-    ``parameters`` are those of ``model.box`` in its order, each with the name that the netlist has
-    for it, its default, unit, low and high end; scales of states are those of the defaults.
+    ``parameters`` are those of ``model.box`` in its order, with their names in the netlist. States
+    are scaled by the model at the defaults.
 
     Raises
     ------
-    UsageError : a name that the subcircuit has for itself, a port that shakes the frame.
+    UsageError : a name that the subcircuit has for itself, or a port of another domain.
     """
-    values = {key: p.default for key, p in zip(model.box, parameters, strict=True)}
-    rom = model.at(values)
-    shaken = [port.name for port in model.ports if not port.kind.startswith(("e", "m", "r"))]
-    if shaken:
+    defaults = map(attrgetter("default"), parameters)
+    rom = model.at(dict(zip(model.box, defaults, strict=True)))
+    unsupported = [port.name for port in model.ports if port.domain not in _DOMAINS]
+    if unsupported:
         raise UsageError(
             "parameters in the netlist need electrical, mechanical or rotational ports",
             where=name,
-            got=", ".join(shaken),
+            got=", ".join(unsupported),
             hint="leave rom.parameters out, or leave that port open",
         )
-    distinct([p.name for p in parameters], _TAKEN, where=name)
+    distinct(list(map(attrgetter("name"), parameters)), _RESERVED, where=name)
     terminals = model_terminals(rom, rom.D, name)
     pins, base = subcircuit_pins(terminals, name)
     body = [
-        *_expressions(model, parameters),
+        *_parameter_lines(model, parameters),
         _STOP,
-        *_stops(parameters, base),
-        *_cards(model, rom, terminals, base, weights),
+        *_range_stops(parameters, base),
+        *_PortsAndModes(model, rom, terminals, base, weights).lines(),
     ]
     params = (*parameters, *([DAMPING] if any(model.damped) else []))
     words = {"title": title, "rating": rating, "within": ", parameters within their ranges,"}
     words["mesh"] = mesh_entry(rom.facts)
-    head, others = header or Header(model.name, "-"), list(_judged(model, parameters))
-    return enclosed(rom, name, pins, base, params, head, ([_ABOUT], body), others=others, **words)
+    head, others = header or Header(model.name, "-"), list(_sample_range(model, parameters))
+    return make_subcircuit(
+        rom, name, pins, base, params, head, ([_ABOUT], body), others=others, **words
+    )
 
 
-def _judged(
+def _sample_range(
     model: Varying, parameters: Sequence[Param]
 ) -> Iterator[tuple[LinearModel, dict[str, float]]]:
-    """The model at the corners of the box and at random points inside, each with the values of the
-    netlist's parameters."""
-    axes = list(model.box.items())
-    corners = product((-1.0, 1.0), repeat=len(axes))
-    inner = np.random.default_rng(7).uniform(-1.0, 1.0, (INSIDE, len(axes)))
+    """Yield the model at the corners of the parameter range and at random points inside.
+
+    Each model comes with the values of the netlist's parameters.
+    """
+    corners = product((-1.0, 1.0), repeat=len(model.box))
+    inner = np.random.default_rng(7).uniform(-1.0, 1.0, (INSIDE, len(model.box)))
+    names = [p.name.lower() for p in parameters]
     for x in (*corners, *inner):
-        values = {key: axis.value(float(at)) for (key, axis), at in zip(axes, x, strict=True)}
-        names = (p.name.lower() for p in parameters)
-        yield model.at(values), dict(zip(names, values.values(), strict=True))
+        axes = zip(model.box.values(), x, strict=True)
+        values = [axis.value(float(at)) for axis, at in axes]
+        by_name = dict(zip(names, values, strict=True))
+        yield model.at(dict(zip(model.box, values, strict=True))), by_name
 
 
-def _stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
-    """Resistors of an ohm within the ranges, of no number beyond: their names are the message."""
+def _range_stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
+    """Yield resistors that stop the simulator outside the ranges; their names are the message.
+
+    They have an ohm within the range of their parameter, and no number outside.
+    """
     for k, p in enumerate(parameters, 1):
         words = f"{p.name}_must_be_{p.low:.6g}_to_{p.high:.6g}"
         suffix = re.sub(r"\W", lambda c: {".": "p", "-": "m", "+": ""}[c[0]], words)
         yield Element.of(f"R{suffix}", "tick", base, f"{{sqrt(inside{k})}}")
 
 
-def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[Line]:
-    """``.param`` cards: coordinates, polynomials of them, what the cards of states need."""
+def _parameter_lines(model: Varying, parameters: Sequence[Param]) -> Iterator[Line]:
+    """Yield ``.param`` cards: coordinates, their polynomials, and the numbers of the states."""
     axis_parameters = parameters[: len(model.axes)]
     yield "* 1 within the range of a parameter, -1 outside of it"
     for k, p in enumerate(parameters, 1):
@@ -130,64 +148,98 @@ def _expressions(model: Varying, parameters: Sequence[Param]) -> Iterator[Line]:
         low, high = number(p.low - room), number(p.high + room)
         # two factors that are positive inside; || and && are spelled differently elsewhere
         yield _param(f"inside{k}", f"(({p.name}-{low})*({high}-{p.name})>=0 ? 1 : -1)")
-    highest = model.exponents.max(axis=0, initial=0) if len(axis_parameters) else []
-    for k, (p, axis, top) in enumerate(zip(axis_parameters, model.axes, highest, strict=True), 1):
+    yield from _coordinate_cards(model, axis_parameters)
+    terms = []
+    for row in model.exponents:
+        factors = _chebyshev_factors(row)
+        if len(factors) > 1:
+            term = "b_" + "_".join(map(str, row))
+            yield _param(f"{term}", f"{'*'.join(factors)}")
+            factors = [term]
+        terms.append("".join(factors))
+    polynomial = partial(_write_polynomial, terms)
+    yield from _damping_cards(model, parameters[len(axis_parameters) :], polynomial)
+    ends = np.cumsum(model.blocks)
+    for at, end in zip(ends - model.blocks, ends, strict=True):
+        yield from _block_cards(model, range(at, end), polynomial)
+    yield from _capacitance_cards(model, polynomial)
+
+
+def _coordinate_cards(model: Varying, parameters: Sequence[Param]) -> Iterator[Parameters]:
+    """Yield the coordinates x1, x2, ... of the parameters and Chebyshev polynomials of each."""
+    highest = model.exponents.max(axis=0, initial=0) if len(parameters) else []
+    for k, (p, axis, top) in enumerate(zip(parameters, model.axes, highest, strict=True), 1):
         slope = 2 / np.log(axis.high / axis.low)
         yield _param(f"x{k}", f"{number(slope)}*ln({p.name}/{number(axis.middle)})")
         names = ["1", f"x{k}"]
         for power in range(2, int(top) + 1):
             names.append(f"t{k}_{power}")
             yield _param(f"{names[-1]}", f"2*x{k}*{names[-2]}-{names[-3]}")
-    terms = []
-    for row in model.exponents:
-        factors = [f"x{k}" if e == 1 else f"t{k}_{e}" for k, e in enumerate(row, 1) if e]
-        if len(factors) > 1:
-            term = "b_" + "_".join(map(str, row))
-            yield _param(f"{term}", f"{'*'.join(factors)}")
-            factors = [term]
-        terms.append("".join(factors))
 
-    def polynomial(c: np.ndarray) -> str:
-        """Text of the polynomial without its zero terms."""
-        words = [
-            f"{value:+.12g}" + (f"*{term}" if term else "")
-            for value, term in zip(c, terms, strict=True)
-            if value
-        ]
-        return "".join(words).removeprefix("+") or "0"
 
-    losses = {0: "", 1: ""}
-    for loss, p in zip(model.losses, parameters[len(axis_parameters) :], strict=True):
+def _chebyshev_factors(exponents: np.ndarray) -> list[str]:
+    """Return the names of the Chebyshev polynomials whose product has these degrees."""
+    result = []
+    for k in np.flatnonzero(exponents):
+        result.append(f"x{k + 1}" if exponents[k] == 1 else f"t{k + 1}_{exponents[k]}")
+    return result
+
+
+def _write_polynomial(terms: Sequence[str], coefficients: np.ndarray) -> str:
+    """Return the text of a polynomial without its zero terms."""
+    text = ""
+    for value, term in zip(coefficients, terms, strict=True):
+        if value:
+            text += f"{value:+.12g}" + (f"*{term}" if term else "")
+    return text.removeprefix("+") or "0"
+
+
+def _damping_cards(
+    model: Varying, loss_parameters: Sequence[Param], polynomial: Polynomial
+) -> Iterator[Parameters]:
+    """Yield Rayleigh's coefficients with the factors of parameters that are losses."""
+    losses = ["", ""]
+    for loss, p in zip(model.losses, loss_parameters, strict=True):
         for k, share in enumerate((loss.alpha, loss.beta)):
             if share:
                 losses[k] += f"*exp({number(share)}*ln({p.name}/{number(loss.axis.middle)}))"
     for k, word in enumerate(("alpha", "beta")):
         if model.damped[k]:
-            value = f"exp({polynomial(model.rayleigh[:, k])}){losses[k]}"
-            yield _param(f"{word}", f"{value}")
+            yield _param(f"{word}", f"exp({polynomial(model.rayleigh[:, k])}){losses[k]}")
+
+
+def _block_cards(model: Varying, modes: range, polynomial: Polynomial) -> Iterator[Parameters]:
+    """Yield the Cholesky factor l, the stiffness k and the gains g of a block of modes."""
     lower, stiff = _nonzero(model)
-    ends = np.cumsum(model.blocks)
-    for at, end in zip(ends - model.blocks, ends, strict=True):
-        for i in range(at, end):
-            yield _param(f"l{i + 1}_{i + 1}", f"exp({polynomial(model.diagonal[:, i])})")
-            for j in np.flatnonzero(lower[i, :i]):
-                yield _param(f"l{i + 1}_{j + 1}", f"{polynomial(model.below[:, i, j])}")
-        for i in range(at, end):
-            for j in np.flatnonzero(stiff[i, : i + 1]):
-                both = np.flatnonzero(lower[i] & lower[j]) + 1
-                products = [f"l{i + 1}_{n}*l{j + 1}_{n}" for n in both]
-                yield _param(f"k{i + 1}_{j + 1}", f"{'+'.join(products)}")
-        for i in range(at, end):
-            for k in np.flatnonzero(model.gain[:, i].any(axis=0)).tolist():
-                yield _param(f"g{i + 1}_{k + 1}", f"{polynomial(model.gain[:, i, k])}")
-    for k in range(len(model.electrical)):
+    for i in modes:
+        yield _param(f"l{i + 1}_{i + 1}", f"exp({polynomial(model.diagonal[:, i])})")
+        for j in np.flatnonzero(lower[i, :i]):
+            yield _param(f"l{i + 1}_{j + 1}", f"{polynomial(model.below[:, i, j])}")
+    for i in modes:
+        for j in np.flatnonzero(stiff[i, : i + 1]):
+            both = np.flatnonzero(lower[i] & lower[j]) + 1
+            yield _param(f"k{i + 1}_{j + 1}", _write_dot_product(f"l{i + 1}", f"l{j + 1}", both))
+    for i in modes:
+        for k in np.flatnonzero(model.gain[:, i].any(axis=0)).tolist():
+            yield _param(f"g{i + 1}_{k + 1}", f"{polynomial(model.gain[:, i, k])}")
+
+
+def _capacitance_cards(model: Varying, polynomial: Polynomial) -> Iterator[Parameters]:
+    """Yield the Cholesky factor f of the capacitances, then the capacitances c."""
+    electrodes = range(len(model.electrical))
+    for k in electrodes:
         yield _param(f"f{k + 1}_{k + 1}", f"exp({polynomial(model.capacitance[:, k])})")
         for n in range(k):
             yield _param(f"f{k + 1}_{n + 1}", f"{polynomial(model.shared[:, k, n])}")
-    for k in range(len(model.electrical)):
+    for k in electrodes:
         for n in range(k + 1):
-            products = [f"f{k + 1}_{i}*f{n + 1}_{i}" for i in range(1, n + 2)]
-            yield _param(f"c{k + 1}_{n + 1}", f"{'+'.join(products)}")
+            value = _write_dot_product(f"f{k + 1}", f"f{n + 1}", range(1, n + 2))
+            yield _param(f"c{k + 1}_{n + 1}", value)
+
+
+def _write_dot_product(row: str, column: str, indices: Iterable[int]) -> str:
+    """Return the text of the sum of products of two rows of a Cholesky factor."""
+    return "+".join(f"{row}_{n}*{column}_{n}" for n in indices)
 
 
 def _param(name: str, expression: str) -> Parameters:
@@ -195,81 +247,104 @@ def _param(name: str, expression: str) -> Parameters:
 
 
 def _nonzero(model: Varying) -> tuple[np.ndarray, np.ndarray]:
-    """(q, q) which entries of L, and of the stiffness ``L L'``, are not zero."""
+    """Return which entries (q, q) of L, and of the stiffness ``L L'``, are not zero."""
     lower = model.below.any(axis=0) | np.eye(model.order, dtype=bool)
     return lower, lower @ lower.T
 
 
-def _cards(
-    model: Varying,
-    rom: LinearModel,
-    terminals: Sequence[PortTerminal],
-    base: str,
-    weights: StepWeights,
-) -> Iterator[Line]:
-    """Yield the elements of the ports, then those of the states.
+class _PortsAndModes:
+    """Elements of the ports and of the states of a model with parameters.
 
-    ``rom`` is the model of the defaults, by which states are scaled as in
+    ``rom`` is the model at the defaults, by which states are scaled as in
     :func:`kc2spice.synthesis.realize.subcircuit`::
 
         C p_i' = -C / w_i sum_j (s_i / s_j) (k_ij q_j + e_ij w_j p_j) + (C s_i / w_i) sum_k g_ik u_k
     """
-    gain, omega, damp = rom.B, np.sqrt(np.diag(rom.K)), np.diag(rom.E)
-    scale, farad = scales(gain, terminals), weights.farad(omega, omega.min())
-    order = [t for t in terminals if t.port.charged]
 
-    def port_sums(i: int, k: int, label: str) -> list[Transconductance]:
-        """Output of state i at port k."""
-        share = number(MICRO / terminals[k].unit / scale[i - 1])
-        there = model.gain[:, i - 1, k].any()
-        return [Transconductance(label, f"q{i}", base, f"{share}*g{i}_{k + 1}")] if there else []
+    def __init__(
+        self,
+        model: Varying,
+        rom: LinearModel,
+        terminals: Sequence[PortTerminal],
+        base: str,
+        weights: StepWeights,
+    ) -> None:
+        self.model, self.terminals, self.base, self.weights = model, terminals, base, weights
+        self.gain, self.omega, self.damp = rom.B, np.sqrt(np.diag(rom.K)), np.diag(rom.E)
+        self.scale = scale_modes(self.gain, terminals)
+        self.farad = weights.capacitances(self.omega, self.omega.min())
+        self.electrodes = list(filter(attrgetter("port.charged"), terminals))
 
-    def wired(k: int, t: PortTerminal) -> PortTerminal:
+    def lines(self) -> Iterator[Line]:
+        """Yield the elements of the ports, then those of the states."""
+        ports = [self._connect(k, t) for k, t in enumerate(self.terminals)]
+        yield from port_lines(ports, self.base, self.weights.share)
+        at = 0
+        for size in self.model.blocks:
+            yield self._describe_block(at, size)
+            for i in range(at + 1, at + size + 1):
+                yield from self._mode_cards(i)
+            at += size
+
+    def _connect(self, k: int, t: PortTerminal) -> PortTerminal:
+        """Return the port k with the sources of its output."""
         if not t.port.charged:
-            sums = (port_sums(i, k, f"{i}") for i in range(1, model.order + 1))
-            return replace(t, sums=tuple(chain.from_iterable(sums)))
-        n, micro = order.index(t), number(1 / MICRO)
-        shared = tuple(
-            Transconductance(f"u{m + 1}", *o.control(base), f"{micro}*{_capacitance(n, m)}")
-            for m, o in enumerate(order)
-            if o is not t
-        )
-        return replace(t, capacitance=_capacitance(n, n), through=shared)
+            sums = list[Transconductance]()
+            for i in range(1, self.model.order + 1):
+                sums += self._weigh_state(i, k, f"{i}")
+            return replace(t, sums=tuple(sums))
+        n, micro = self.electrodes.index(t), number(1 / MICRO)
+        shared = []
+        for m, other in enumerate(self.electrodes):
+            if m != n:
+                charge = f"{micro}*{_name_capacitance(n, m)}"
+                nodes = other.input_nodes(self.base)
+                shared.append(Transconductance(f"u{m + 1}", *nodes, charge))
+        return replace(t, capacitance=_name_capacitance(n, n), through=tuple(shared))
 
-    yield from conservative([wired(k, t) for k, t in enumerate(terminals)], base, weights.share)
-    at, stiff = 0, _nonzero(model)[1]
-    for size in model.blocks:
-        names = range(at + 1, at + size + 1)
-        if size == 1:
-            facts = mode_facts(omega[at], damp[at])
-            branch = mode_branch(damp[at], omega[at], gain[at], gain, terminals)
-            yield f"\n* Mode {at + 1}, at the defaults: {facts}{branch}"
-        else:
-            hertz = ", ".join(f"{w:.6g}" for w in omega[at : at + size] / (2 * np.pi))
-            yield f"\n* Block of {hertz} Hz at the defaults"
-        at += size
-        for i in names:
-            c, w, s = farad[i - 1], omega[i - 1], scale[i - 1]
-            yield Element.of(f"Cq{i}", f"q{i}", base, c)
-            yield Element.of(f"Cp{i}", f"p{i}", base, c)
-            yield Element.of(f"Gq{i}", base, f"q{i}", f"p{i}", base, c * w)
-            for j in (np.flatnonzero(stiff[i - 1]) + 1).tolist():
-                k, push = f"k{max(i, j)}_{min(i, j)}", c / w * s / scale[j - 1]
-                stiffness = f"{{{number(push)}*{k}}}"
-                yield Element.of(f"Gp{i}_{j}", f"p{i}", base, f"q{j}", base, stiffness)
-                losses = ["alpha"] * (model.damped[0] and i == j) + [f"beta*{k}"] * model.damped[1]
-                if losses:
-                    drag = f"{{damping*{number(push * omega[j - 1])}*({'+'.join(losses)})}}"
-                    yield Element.of(f"Gd{i}_{j}", f"p{i}", base, f"p{j}", base, drag)
-            force = number(c * s / w / MICRO)
-            moved = np.any(model.gain[:, i - 1], axis=0).tolist()
-            row = [f"{force}*g{i}_{n}" if there else "" for n, there in enumerate(moved, 1)]
-            pushes = (card for card in input_cards(i, row, terminals, base) if card.value)
-            yield from (card.onto(base, f"p{i}") for card in pushes)
-            for t in order:
-                charges = port_sums(i, t.column or 0, f"Gc{i}{t.tag}")
-                yield from (card.onto(base, f"charge{t.tag}") for card in charges)
+    def _weigh_state(self, i: int, k: int, label: str) -> Iterator[Transconductance]:
+        """Yield the source of the state i at the port k, none if the gain is zero."""
+        if self.model.gain[:, i - 1, k].any():
+            share = number(MICRO / self.terminals[k].unit / self.scale[i - 1])
+            yield Transconductance(label, f"q{i}", self.base, f"{share}*g{i}_{k + 1}")
+
+    def _describe_block(self, at: int, size: int) -> str:
+        """Return the comment above a block of states."""
+        omega = self.omega[at : at + size]
+        if size > 1:
+            hertz = ", ".join(map("{:.6g}".format, omega / (2 * np.pi)))
+            return f"\n* Block of {hertz} Hz at the defaults"
+        gain, damp = self.gain, self.damp[at]
+        branch = describe_branch(damp, omega[0], gain[at], gain, self.terminals)
+        return f"\n* Mode {at + 1}, at the defaults: {describe_mode(omega[0], damp)}{branch}"
+
+    def _mode_cards(self, i: int) -> Iterator[Line]:
+        """Yield the elements of the mode i and of its effect on charges."""
+        base, damped = self.base, self.model.damped
+        c, w, s = self.farad[i - 1], self.omega[i - 1], self.scale[i - 1]
+        yield Element.of(f"Cq{i}", f"q{i}", base, c)
+        yield Element.of(f"Cp{i}", f"p{i}", base, c)
+        yield Element.of(f"Gq{i}", base, f"q{i}", f"p{i}", base, c * w)
+        stiff = _nonzero(self.model)[1]
+        for j in (np.flatnonzero(stiff[i - 1]) + 1).tolist():
+            k, push = f"k{max(i, j)}_{min(i, j)}", c / w * s / self.scale[j - 1]
+            stiffness = f"{{{number(push)}*{k}}}"
+            yield Element.of(f"Gp{i}_{j}", f"p{i}", base, f"q{j}", base, stiffness)
+            losses = ["alpha"] * (damped[0] and i == j) + [f"beta*{k}"] * damped[1]
+            if losses:
+                drag = f"{{damping*{number(push * self.omega[j - 1])}*({'+'.join(losses)})}}"
+                yield Element.of(f"Gd{i}_{j}", f"p{i}", base, f"p{j}", base, drag)
+        gains = self.model.gain[:, i - 1]
+        row = [""] * gains.shape[1]
+        for n in np.flatnonzero(gains.any(axis=0)):
+            row[n] = f"{number(c * s / w / MICRO)}*g{i}_{n + 1}"
+        drives = filter(attrgetter("value"), drive_mode(i, row, self.terminals, base))
+        yield from connect_sources(drives, base, f"p{i}")
+        for t in self.electrodes:
+            charges = self._weigh_state(i, t.column or 0, f"Gc{i}{t.tag}")
+            yield from connect_sources(charges, base, f"charge{t.tag}")
 
 
-def _capacitance(k: int, n: int) -> str:
+def _name_capacitance(k: int, n: int) -> str:
+    """Return the name of the parameter that is the capacitance between two electrodes."""
     return f"c{max(k, n) + 1}_{min(k, n) + 1}"

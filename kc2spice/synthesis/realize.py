@@ -6,19 +6,13 @@ import hashlib
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, filterfalse
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from kc2spice.core.domains import (
-    ACCELERATION,
-    BASE,
-    ELECTRICAL,
-    PORTS,
-    ROTATION,
-    TRANSLATION,
-    Domain,
-)
+from kc2spice.core.domains import BASE, ELECTRICAL, ROTATION, TRANSLATION, Domain
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.prefix import PREFIXES, prefix_power
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
@@ -30,12 +24,13 @@ from kc2spice.netlist.spelling import name as checked_name
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.network import ParallelBranches, parallel_branches
-from kc2spice.synthesis.branches import ABOUT, branch_cards, branch_pins
-from kc2spice.synthesis.emitted import LOWEST, MICRO, circuit_error
+from kc2spice.synthesis.branches import ABOUT, branch_cards
+from kc2spice.synthesis.emitted import LOWEST, MICRO, accelerates_frame, circuit_error
 from kc2spice.synthesis.header import (
     OUTWARDS,
     defaults,
     mesh_entry,
+    netlist_pins,
     part_header,
     rom_lines,
 )
@@ -44,49 +39,43 @@ from kc2spice.synthesis.heat import heat_cards, heat_modes, is_heat
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel
 
-STATE = 1e-6  # farad of a fast state: one chgtol is then one tolerance of displacement
-SIEMENS = 1.0  # conductance of a massless state; its capacitance is its relaxation time
-ALIKE = 1e-6  # relative difference of the gains of ports that count as equal
+STATE_CAPACITANCE = 1e-6  # F, of a fast state: one chgtol is then one tolerance of displacement
+STATE_CONDUCTANCE = 1.0  # S, of a state without inertia; its capacitance is its relaxation time
+EQUAL_GAIN = 1e-6  # relative difference of the gains of ports that count as equal
 # Damping over frequency of a mode, 1 / Q, below which ngspice (pivrel 1e-3) takes no pivot from the
 # diagonal of an operating point in q and q'/w. It then keeps 80 times as many fill-ins for 178
 # modes and is 100 times slower (tests/spice/test_realize.py counts them).
-LIGHT = 1e-3
-SILENT = 1e-9  # zero share of a mode in every port, relative to the largest
-OPEN_INPUT = 1e-18  # S, of a signal input, so that it is zero where nothing drives it
-FREE_LEAK = 1e-12  # S, of a free integrator: of the conductance of its capacitor at the band's end
-LEAK_POINTS = 60  # frequencies at which the least charge of a bare electrode is looked for
+LIGHT_DAMPING = 1e-3
+NEGLIGIBLE_GAIN = 1e-9  # share of a mode in every port, relative to the largest
+INPUT_LEAK = 1e-18  # S, of a signal input, so that it is zero if nothing drives it
+FREE_LEAK = 1e-12  # S, of a free integrator
+LEAK_POINTS = 60  # frequencies at which the least charge of an electrode is searched
 # A block whose smallest singular value is this far below the band integrates constant inputs.
-FREE = 1e-11
-# Cross terms of D this far below the diagonal are rounding.
-CROSS = 1e-13
-JUMP = 1e-9  # least C B, over its summands, of a rate that jumps with an input
-INNER = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"  # nodes of our own
+INTEGRATING = 1e-11
+# Cross terms of D this far below the diagonal are rounding errors.
+CROSS_ROUNDING = 1e-13
+NEGLIGIBLE_JUMP = 1e-9  # least C B, over its summands, of a rate that jumps with an input
+INNER_NODES = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"
 HEAT_NODES = r"h\d+"
-LOADED = tuple(kind for kind, domain in PORTS.items() if domain.driven == "through")
-FRAMES = tuple(kind for kind, domain in PORTS.items() if domain is ACCELERATION)
-PAIRS = tuple(kind for kind, domain in PORTS.items() if not domain.reference)
-CHARGED = tuple(kind for kind, domain in PORTS.items() if domain.charged)
-# Letter of the cards by which a port drives states: forces, voltages, accelerations.
-_DRIVES = {kind: "f" if kind in LOADED else "s" if kind in FRAMES else "v" for kind in PORTS}
 
 
 @dataclass(frozen=True)
 class StepWeights:
     """Weights of the modes of a body in time step control.
 
-    An error of charge represents an error of motion (:func:`_resonators`).
-
-    Modes below ``full`` times the lowest frequency sit on less than a microfarad by the ``power``
-    of their frequency; a ``share`` of the clamped capacitance is one, whose charge is the modes'.
+    Step control limits the error of charge, which represents an error of motion. A mode at
+    ``full`` times the lowest frequency has a capacitor of 1 uF. The capacitors of slower modes are
+    smaller by the ``power`` of their frequency. A ``share`` of the clamped capacitance is a
+    capacitor, whose charge includes the charge of the modes.
     """
 
     full: float
     power: int
     share: float
 
-    def farad(self, omega: np.ndarray, slowest: float) -> np.ndarray:
-        """On which modes of the frequencies ``omega`` sit."""
-        return STATE * np.minimum(1.0, (omega / (self.full * slowest)) ** self.power)
+    def capacitances(self, omega: np.ndarray, slowest: float) -> np.ndarray:
+        """Return the capacitances [F] of modes at the frequencies ``omega`` [rad/s]."""
+        return STATE_CAPACITANCE * np.minimum(1.0, (omega / (self.full * slowest)) ** self.power)
 
 
 RINGING = StepWeights(3.0, 2, 0.01)  # the body's own ringing is a result
@@ -153,9 +142,9 @@ _NOISE = """\
 * Every loss has the force noise of its temperature, 4 k T times the damping: the voltage noise of a
 * resistor of as many ohms. No other resistor here has noise."""
 DAMPING = Param("damping", 1.0, "-", "scale of the damping of all modes")
-_INNER_FORCE = re.compile(r"noise\d+")
-UNSEEN = 1e-3  # relative to an error estimate: below its three digits
-LOST = 1e-14  # rounding error, relative to the largest loss of a model
+_NOISE_INPUT = re.compile(r"noise\d+")
+NEGLIGIBLE_ERROR = 1e-3  # relative to an error estimate: below its three digits
+NEGLIGIBLE_LOSS = 1e-14  # rounding error, relative to the largest loss of a model
 RATED_BY_HEAT = "not known; keep temperatures within the limits of its materials"
 UNRATED = "not known; keep field and stress within the limits of its materials"
 
@@ -163,12 +152,13 @@ UNRATED = "not known; keep field and stress within the limits of its materials"
 Value: TypeAlias = float | str  # a number, or an expression of the subcircuit's parameters
 
 
-def written(value: Value) -> str:
-    """A value as a word of a card."""
+def write_value(value: Value) -> str:
+    """Return a value as a word of a card."""
     return f"{{{value}}}" if isinstance(value, str) else number(value)
 
 
 def scale_value(factor: float, value: Value) -> Value:
+    """Multiply a value by a number."""
     return f"{number(factor)}*{value}" if isinstance(value, str) else factor * value
 
 
@@ -181,18 +171,27 @@ class Transconductance:
     minus: str
     value: Value
 
-    def onto(self, a: str, b: str, prefix: str = "") -> Element:
-        """The element with its current from ``a`` to ``b``."""
-        value = written(self.value)
+    def between(self, a: str, b: str, prefix: str = "") -> Element:
+        """Return the element with its current from ``a`` to ``b``."""
+        value = write_value(self.value)
         return Element.of(f"{prefix}{self.label}", a, b, self.plus, self.minus, value)
+
+
+def connect_sources(
+    sources: Iterable[Transconductance], a: str, b: str, prefix: str = ""
+) -> Iterator[Element]:
+    """Yield the elements of controlled sources with their currents from ``a`` to ``b``."""
+    for source in sources:
+        yield source.between(a, b, prefix)
 
 
 @dataclass(frozen=True)
 class PortTerminal:
-    """A port as its cards need it: ``column`` of B and ``row`` of C, ``clamped`` farad, or the
-    expression ``capacitance``.
+    """A port with its pins, its ``column`` of B and its ``row`` of C.
 
-    ``sums`` are its output by states, ``through`` by the inputs of ports.
+    ``clamped`` is its clamped capacitance [F], ``capacitance`` an expression that replaces it.
+    The sources ``sums`` add the states to the output of the port, the sources ``through`` add
+    inputs of ports. ``tag`` ends the names of its nodes. ``leak`` is a conductance [S].
     """
 
     port: Port
@@ -204,54 +203,75 @@ class PortTerminal:
     capacitance: str = ""
     sums: tuple[Transconductance, ...] = ()
     through: tuple[Transconductance, ...] = ()
-    leak: float = OPEN_INPUT
+    leak: float = INPUT_LEAK
 
     @property
     def kind(self) -> str:
-        """Kind of its port."""
+        """Kind of the port."""
         return self.port.kind
 
     @property
     def label(self) -> str:
-        """The name of its port."""
+        """Name of the port."""
         return self.port.name
 
     @property
+    def is_frame(self) -> bool:
+        """Whether the port accelerates the frame of the body."""
+        return accelerates_frame(self.port)
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether the input is the force of thermal noise."""
+        return _NOISE_INPUT.fullmatch(self.label) is not None
+
+    @property
+    def drive_letter(self) -> str:
+        """Letter of the cards by which the port drives states."""
+        if self.port.loaded:
+            return "f"
+        return "s" if self.is_frame else "v"
+
+    @property
     def unit(self) -> float:
-        """SI value of 1 V on the node that sums its output."""
+        """SI value of 1 V on the node that sums the output of the port."""
         domain = self.port.domain
         if domain is None:
             return 1.0
-        if self.kind in LOADED:
+        if self.port.loaded:
             return domain.across.factor
         return MICRO * domain.quantity("through").factor
 
     @property
     def input_unit(self) -> float:
-        """SI value of 1 V between the nodes of its input."""
+        """SI value of 1 V between the nodes of the input."""
         domain = self.port.domain
         return 1.0 if domain is None else domain.quantity(domain.driven).factor
 
-    def ends(self, base: str) -> tuple[str, str]:
-        """The pins between which it is driven."""
+    def driven_pins(self, base: str) -> tuple[str, str]:
+        """Return the pins between which the port is driven."""
         return (self.pins[0], self.pins[1]) if self.port.paired else (self.pins[0], base)
 
-    def control(self, base: str) -> tuple[str, str]:
-        """The nodes between which the port's input is a voltage."""
-        return (f"f{self.pins[0]}", base) if self.kind in LOADED else self.ends(base)
+    def input_nodes(self, base: str) -> tuple[str, str]:
+        """Return the nodes between which the port's input is a voltage."""
+        return (f"f{self.pins[0]}", base) if self.port.loaded else self.driven_pins(base)
 
-    def driven(self, label: str, row: np.ndarray | Sequence[Value], base: str) -> Transconductance:
-        """The card of its input, whose weight stands in a ``row`` of inputs."""
+    def weigh_input(
+        self, label: str, row: np.ndarray | Sequence[Value], base: str
+    ) -> Transconductance:
+        """Return the source by the port's input, with its weight in a ``row`` of all inputs."""
         value = row[self.column or 0]
         if self.input_unit != 1.0 and value:
             value = scale_value(self.input_unit, value)
-        return Transconductance(label, *self.control(base), value)
+        return Transconductance(label, *self.input_nodes(base), value)
 
 
 @dataclass(frozen=True, eq=False)
 class _States:
-    """``z' = A z + B u``, ``y = C z + D u``: each state a voltage on its node; y in volts of the
-    ports' sum nodes."""
+    """States ``z' = A z + B u``, ``y = C z + D u``, each of them the voltage of a node.
+
+    y is in volts on the nodes that sum the outputs of the ports.
+    """
 
     nodes: Sequence[str]
     labels: Sequence[str]
@@ -259,13 +279,27 @@ class _States:
     B: np.ndarray
     C: np.ndarray
 
-    def cards(self, row: np.ndarray, base: str) -> tuple[Transconductance, ...]:
-        """The sum of states with the weights ``row``."""
-        return tuple(
-            Transconductance(label, node, base, float(value))
-            for label, node, value in zip(self.labels, self.nodes, row, strict=True)
-            if value
-        )
+    def weigh(self, row: np.ndarray, base: str) -> tuple[Transconductance, ...]:
+        """Return the sources that sum the states with the weights ``row``."""
+        result = []
+        for k in np.flatnonzero(row).tolist():
+            value = float(row[k])
+            result.append(Transconductance(self.labels[k], self.nodes[k], base, value))
+        return tuple(result)
+
+
+def _weigh_inputs(
+    terminals: Iterable[PortTerminal], row: np.ndarray, base: str, *, mark: str = ""
+) -> tuple[Transconductance, ...]:
+    """Return the sources that sum the inputs of ports with the weights ``row``.
+
+    The name of a source is the letter ``mark`` with the number of its input.
+    """
+    result = []
+    for t in terminals:
+        if t.column is not None and row[t.column]:
+            result.append(t.weigh_input(f"{mark}{t.column + 1}", row, base))
+    return tuple(result)
 
 
 def subcircuit(
@@ -353,60 +387,59 @@ def subcircuit(
         rom = rom.select(list(ports))
     network = None if dense else parallel_branches(rom)
     if network is not None:
-        return _network(network, rom, name, header, rating)
+        return _network_subcircuit(network, rom, name, header, rating)
     if is_heat(rom):
-        return _heat(rom, name, header, rating)
-    form = _form(rom, dense)
+        return _heat_subcircuit(rom, name, header, rating)
+    form = _decouple_states(rom, dense)
     if noise and not isinstance(form, Resonators):
-        rom = _with_forces(rom)
-        form = _form(rom, dense)
+        rom = _add_noise_forces(rom)
+        form = _decouple_states(rom, dense)
     terminals = model_terminals(rom, form.D, name)
-    outer = [t for t in terminals if not _INNER_FORCE.fullmatch(t.label)]
-    pins, base = subcircuit_pins(outer, name)
+    pins, base = subcircuit_pins([t for t in terminals if not t.is_noise], name)
     params: tuple[Param, ...] = ()
     if isinstance(form, Resonators):
         params = (DAMPING,) if np.any(form.damp > 0) else ()
-        about, body = _resonators(form, rom, terminals, base, weights, noise)
+        about, body = _resonator_cards(form, rom, terminals, base, weights, noise)
     else:
-        about, body = _blocks(form, rom, terminals, base)
+        about, body = _block_cards(form, rom, terminals, base)
         if base == "ref":
             title = f"reduced linear model, {len(rom.inputs)} inputs, {len(rom.outputs)} outputs"
     if noise:
         about = [*about, *_NOISE.split("\n")]
     cards = about, body
     mesh = mesh_entry(rom.facts)
-    return enclosed(
+    return make_subcircuit(
         rom, name, pins, base, params, header, cards, mesh=mesh, title=title, rating=rating
     )
 
 
-def _network(
+def _network_subcircuit(
     network: ParallelBranches, rom: LinearModel, name: str, header: Header, rating: str
 ) -> Subcircuit:
-    """The subcircuit of the elements of a ``network``, whose matrices ``rom`` has."""
-    pins, cards = branch_pins(rom.ports[0]), (ABOUT, branch_cards(network, rom))
-    distinct([pin.name for pin in pins], INNER, where=checked_name(name))
+    """Return the subcircuit of the elements of a ``network``, whose matrices are in ``rom``."""
+    pins, cards = netlist_pins(rom.ports[0]), (ABOUT, branch_cards(network, rom))
+    _require_distinct(pins, (INNER_NODES,), name)
     title = "passive network of a measured one-port"
-    return enclosed(rom, name, pins, "", (), header, cards, title=title, rating=rating)
+    return make_subcircuit(rom, name, pins, "", (), header, cards, title=title, rating=rating)
 
 
-def _heat(rom: LinearModel, name: str, header: Header, rating: str) -> Subcircuit:
-    """The subcircuit of a heat model."""
+def _heat_subcircuit(rom: LinearModel, name: str, header: Header, rating: str) -> Subcircuit:
+    """Return the subcircuit of a heat model."""
     common = reference_pin(rom.ports)
-    pins = [Pin(port.terminals[0], port.across, port.flow) for port in rom.ports]
-    inner = "|".join([INNER, HEAT_NODES, *(f"[uf]{pin.name.lower()}" for pin in pins)])
-    distinct([*(pin.name for pin in pins), common.name], inner, where=checked_name(name))
+    ends = tuple(chain.from_iterable(map(netlist_pins, rom.ports)))
+    pins = (*ends, common)
+    _require_distinct(pins, (INNER_NODES, HEAT_NODES, *map(_loaded_nodes, ends)), name)
     cards = heat_cards(heat_modes(rom), common.name)
-    base = common.name if len(pins) > 1 else ""  # resistors and capacitors need no pivots
+    base = common.name if len(ends) > 1 else ""  # resistors and capacitors need no pivots
     rating = RATED_BY_HEAT if rating == UNRATED else rating
     title = "reduced heat model"
-    return enclosed(
-        rom, name, (*pins, common), base, (), header, cards, title=title, rating=rating,
+    return make_subcircuit(
+        rom, name, pins, base, (), header, cards, title=title, rating=rating,
         valid="conductivities and heat capacities of its data, whatever the temperature",
     )  # fmt: skip
 
 
-def enclosed(
+def make_subcircuit(
     rom: LinearModel,
     name: str,
     pins: tuple[Pin, ...],
@@ -419,17 +452,19 @@ def enclosed(
     others: Sequence[tuple[LinearModel, Mapping[str, float]]] = (),
     **words: str,
 ) -> Subcircuit:
-    """The subcircuit of ``cards``, comments about them and their lines, under the head of ``rom``;
-    ``words`` are its title and rating. Without ``base``, no pivots: passive cards need none.
+    """Return the subcircuit of a reduced model, under a head with its facts.
 
-    Its error estimate is that of the certificate and of the emitted elements together, these
-    compared with ``rom`` at the defaults and with ``others`` at their values of the parameters.
+    ``cards`` are the comments about it and its elements. Passive elements have no ``base`` and no
+    pivots. ``words`` are the title, the rating and the validity of the head.
+
+    The error estimate adds the error of the elements to that of the certificate. The elements are
+    compared with ``rom`` at the defaults and with ``others`` at their parameters' values.
     """
     certificate, (about, body) = rom.certificate, cards
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
     first = ("", *pivots(base)) if base else ()
     circuit = Circuit(
-        name, tuple(pin.name for pin in pins), defaults(params), noted([*first, *body])
+        name, tuple(map(attrgetter("name"), pins)), defaults(params), noted([*first, *body])
     )
     reduction = None
     if certificate is not None:
@@ -461,20 +496,24 @@ def _reduction(
     certificate: Certificate,
     compared: Iterable[tuple[LinearModel, Mapping[str, float]]],
 ) -> ReductionFacts:
-    """The facts of the reduced model with the error estimate of its emitted circuit, by the models
-    that it should equal at values of its parameters."""
+    """Return the facts of the reduced model with the error estimate of its emitted circuit.
+
+    The circuit is compared with models at values of its parameters.
+    """
     band = certificate.band_hz
     errors = (circuit_error(circuit, pins, m, band, certificate.norm, at) for m, at in compared)
-    worst = max(errors, key=lambda item: item.error)
+    worst = max(errors, key=attrgetter("error"))
     total = certificate.error_estimate
-    total += worst.error if worst.error > UNSEEN * total else 0.0
+    total += worst.error if worst.error > NEGLIGIBLE_ERROR * total else 0.0
     return ReductionFacts(order, band, certificate.norm, total, worst.error, worst.frequency)
 
 
-def _form(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
-    """The model as resonators where it is that, else as blocks, whose D has also what undamped
-    states without inertia yield at once."""
-    modal = None if dense else _modal(rom)
+def _decouple_states(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
+    """Return the model as resonators if possible, otherwise as blocks of states.
+
+    D of the blocks contains the immediate response of undamped states without inertia.
+    """
+    modal = None if dense else _decouple_modes(rom)
     if modal is not None:
         return modal
     from kc2spice.rom.blocks import block_model  # loads what most models do not need
@@ -482,25 +521,43 @@ def _form(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
     return block_model(rom, dense=dense)
 
 
-def _modal(rom: LinearModel) -> Resonators | None:
-    """The model as resonators, None where it is not, or where a port needs the rate of a state
-    that has no inertia, thus no velocity."""
+def _decouple_modes(rom: LinearModel) -> Resonators | None:
+    """Return the model as resonators, or None if it has no such form.
+
+    It has none either if a port needs the velocity of a state without inertia.
+    """
     result = resonators(rom)
-    if result is None or not all(port.conservative for port in rom.ports):
+    if result is None or not _is_conservative(rom):
         return None
-    rates = [
-        port.kind in FRAMES or (port.charged and capacitance <= 0)
-        for port, capacitance in zip(rom.ports, np.diag(rom.D), strict=True)
-    ]
-    relaxing = np.abs(result.gain[result.inertia == 0.0][:, rates])
-    return None if (relaxing > CROSS * np.abs(result.gain).max(initial=0.0)).any() else result
+    frames = list(map(accelerates_frame, rom.ports))
+    unclamped = np.logical_and(_charged(rom), np.diag(rom.D) <= 0)
+    relaxing = np.abs(result.gain[result.inertia == 0.0][:, np.logical_or(frames, unclamped)])
+    return (
+        None if (relaxing > CROSS_ROUNDING * np.abs(result.gain).max(initial=0.0)).any() else result
+    )
+
+
+def _is_conservative(rom: LinearModel) -> bool:
+    """Whether every port of the model exchanges energy."""
+    return all(map(attrgetter("conservative"), rom.ports))
+
+
+def _charged(rom: LinearModel) -> list[bool]:
+    """Return for each port whether it answers with a charge."""
+    return list(map(attrgetter("charged"), rom.ports))
 
 
 # ------------------------------------------------------------------------------- ports and pins
 
 
 def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerminal]:
-    several = sum(port.charged for port in rom.ports) > 1
+    """Return the ports of a model with their pins, and with capacitances of the matrix ``D``.
+
+    Raises
+    ------
+    UsageError : a wrong number of pins, or a negative capacitance.
+    """
+    several = sum(_charged(rom)) > 1
     result, column, row = [], 0, 0
     for port in rom.ports:
         pins = tuple(map(checked_name, port.terminals))
@@ -524,31 +581,33 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
                 expected="a positive capacitance: a positive entry of D",
             )
         tag = f"_{checked_name(port.name)}" if port.charged and several else ""
-        leak = OPEN_INPUT if clamped or not port.charged else _leak(rom, port)
+        leak = INPUT_LEAK if clamped or not port.charged else _leak_conductance(rom, port)
         result.append(PortTerminal(port, pins, tag, into, out, clamped, leak=leak))
     return result
 
 
 def _capacitance(domain: Domain | None, stored: Any) -> float:
-    """Farads between pins of a domain that store in SI what is ``stored`` for each unit across."""
+    """Return the capacitance [F] of pins that store ``stored`` SI units per unit across them."""
     assert domain is not None
     return float(stored) * domain.admittance
 
 
-def _leak(rom: LinearModel, port: Port) -> float:
-    """Conductance [S] across an electrode without capacitance of its own: ``LEAK_RATE`` times the
-    least charge per volt that the electrode has anywhere in the band."""
-    low, high = span(rom)
+def _leak_conductance(rom: LinearModel, port: Port) -> float:
+    """Return the conductance [S] across an electrode without a clamped capacitance.
+
+    It is ``LEAK_RATE`` times the least charge per volt of the electrode in the band.
+    """
+    low, high = model_band(rom)
     frequency = np.geomspace(max(low, LOWEST * high), high, LEAK_POINTS)
     try:
         charge = np.abs(rom.select([port.name]).transfer(frequency))
     except SimulationError:  # a frequency is a pole
-        return OPEN_INPUT
-    return LEAK_RATE * _capacitance(port.domain, charge.min()) or OPEN_INPUT
+        return INPUT_LEAK
+    return LEAK_RATE * _capacitance(port.domain, charge.min()) or INPUT_LEAK
 
 
-def span(rom: LinearModel) -> tuple[float, float]:
-    """The band [Hz] of a model: of its certificate, else of its author, else up to 1 Hz."""
+def model_band(rom: LinearModel) -> tuple[float, float]:
+    """Return the band [Hz] of the certificate or of the model's author, by default up to 1 Hz."""
     return rom.certificate.band_hz if rom.certificate else rom.band or (0.0, 1.0)
 
 
@@ -559,158 +618,192 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
     ------
     UsageError : a name that the subcircuit ``name`` has for itself.
     """
-
-    def of(*kinds: str) -> list[Pin]:
-        return [
-            Pin(pin, t.port.across, t.port.flow if t.port.conservative else "-")
-            for t in terminals
-            if t.kind in kinds
-            for pin in t.pins
-        ]
-
+    paired, moving, signals = list[Pin](), list[Pin](), list[Pin]()
+    inner = [INNER_NODES]
+    for t in terminals:
+        pins = netlist_pins(t.port)
+        if t.port.loaded:
+            inner.append(_loaded_nodes(pins[0]))
+        if t.port.conservative:
+            (paired if t.port.paired else moving).extend(pins)
+        else:
+            signals += pins
+    common = reference_pin(list(map(attrgetter("port"), terminals)))
     # electrical ports against one cathode share its pin
-    electrical, signals = list(dict.fromkeys(of(*PAIRS))), of("input", "output")
-    moving = of(*(kind for kind in PORTS if kind not in PAIRS))
-    common = reference_pin([t.port for t in terminals])
-    pins = (*electrical, *moving, *signals, common)
-    moved = (t.pins[0].lower() for t in terminals if t.kind in LOADED)
-    inner = "|".join([INNER, *(f"[uf]{pin}" for pin in moved)])
-    distinct([pin.name for pin in pins], inner, where=checked_name(name))
-    return pins, common.name
+    result = (*dict.fromkeys(paired), *moving, *signals, common)
+    _require_distinct(result, inner, name)
+    return result, common.name
 
 
-def reference(ports: Sequence[Port]) -> str:
-    """Name of the pin that displacements count from: ``base``, or ``ground`` if a port is that."""
-    return "ground" if any(BASE in port.terminals for port in ports) else BASE
+def _loaded_nodes(pin: Pin) -> str:
+    """Return the pattern of the internal nodes of a port whose input flows through its pin."""
+    return f"[uf]{pin.name.lower()}"
+
+
+def _require_distinct(pins: Iterable[Pin], inner: Iterable[str], name: str) -> None:
+    """Check the names of pins against each other and against patterns of internal nodes."""
+    distinct(list(map(attrgetter("name"), pins)), "|".join(inner), where=checked_name(name))
 
 
 def reference_pin(ports: Sequence[Port]) -> Pin:
-    """The last pin: what the values of pins that are no pairs count from, signals among them.
+    """Return the last pin, from which all values count except those between pairs of pins.
 
-    Displacements count from the base, and all others with them.
+    Displacements count from the base, and so do all other quantities of such a model. The base is
+    called ``ground`` if a port is called ``base``.
     """
-    domains = {port.domain for port in ports if port.domain is not None}
-    others = {domain for domain in domains if domain.reference}
-    if len(others) == 1 and (domain := others.pop()).reference != BASE:
-        return Pin(domain.reference, *domain.units)
+    domains = _port_domains(ports)
+    others = list(filter(attrgetter("reference"), domains))
+    if len(others) == 1 and others[0].reference != BASE:
+        return Pin(others[0].reference, *others[0].units)
     if domains:
-        return Pin(reference(ports), *TRANSLATION.units)
+        terminals = chain.from_iterable(map(attrgetter("terminals"), ports))
+        return Pin("ground" if BASE in terminals else BASE, *TRANSLATION.units)
     return Pin("ref", *ELECTRICAL.units)
 
 
-def _wired(
-    terminals: list[PortTerminal], states: _States, D: np.ndarray, rom: LinearModel, base: str
-) -> list[PortTerminal]:
-    """The terminals with the cards of their outputs.
+def _port_domains(ports: Iterable[Port]) -> list[Domain]:
+    """Return the domains of ports, each once, in the order of the ports."""
+    return list(filter(None, dict.fromkeys(map(attrgetter("domain"), ports))))
 
-    Of y = C z + D u an electrical port without capacitance of its own needs the current
-    y' = C A z + C B u, an acceleration the force m a - y'', y'' = C A^2 z + C A B u, where
-    C B is zero, as of all that has inertia.
 
-    Raises
-    ------
-    UsageError : an acceleration port that takes the rate of an input, an electrode without
-        capacitance of its own that shares charge.
+@dataclass(frozen=True, eq=False)
+class _OutputLaws:
+    """Sources by which states and inputs determine the outputs ``y = C z + D u`` of ports.
+
+    An electrical port without a clamped capacitance needs the current ``y' = C A z + C B u``. An
+    acceleration port needs the force ``m a - y''`` with ``y'' = C A^2 z + C A B u``. There C B is
+    zero because everything that moves has inertia.
     """
 
-    def through(row: np.ndarray) -> tuple[Transconductance, ...]:
-        size = np.abs(row).max(initial=0.0)
-        return tuple(
-            t.driven(f"u{t.column + 1}", row, base)
-            for t in terminals
-            if t.column is not None and abs(row[t.column]) > CROSS * size
-        )
+    terminals: Sequence[PortTerminal]
+    states: _States
+    D: np.ndarray
+    rom: LinearModel
+    base: str
 
-    def wired(t: PortTerminal) -> PortTerminal:
+    def connect(self, t: PortTerminal) -> PortTerminal:
+        """Return the terminal with the sources of its output.
+
+        Raises
+        ------
+        UsageError : an acceleration port that takes the rate of an input, or an electrode without
+            a clamped capacitance that shares charge.
+        """
         if t.row is None:
             return t
-        row, direct = states.C[t.row], D[t.row] / t.unit
-        rate = MICRO * row @ states.A
-        if t.kind in FRAMES:
-            jump = np.abs(row @ states.B) > JUMP * (np.abs(row) @ np.abs(states.B))
-            at_once = np.abs(D[t.row] - rom.D[t.row]) > CROSS * np.abs(D).max()
-            if jump.any() or at_once.any():
-                raise UsageError(
-                    "an acceleration port drives states without inertia: its force needs the rates "
-                    "of what drives them, which no netlist of sources and capacitors has",
-                    where=t.label,
-                    got="C B not zero in its row",
-                    expected="C B = 0 in the row of an acceleration port",
-                    hint="inertia drives with M, so give those states zero rows of B and C there",
-                )
-            force = -(rate @ states.B)
-            mass = rom.facts.get("mass_kg")
-            force[t.column] = 0.0 if mass is None else mass + force[t.column]
-            return replace(t, sums=states.cards(-(rate @ states.A), base), through=through(force))
+        if t.is_frame:
+            return self._connect_frame(t)
+        row, direct = self.states.C[t.row], self.D[t.row] / t.unit
         if t.port.charged:  # the clamped capacitance is a capacitor
-            direct = np.where(np.abs(direct) > CROSS * np.abs(direct).max(), direct, 0.0)
+            direct = np.where(np.abs(direct) > CROSS_ROUNDING * np.abs(direct).max(), direct, 0.0)
             direct[t.column] = 0.0
-            if direct.any() and not t.clamped:
-                raise UsageError(
-                    "an electrode without capacitance of its own shares charge with other ports",
-                    where=t.label,
-                    expected="a positive semi-definite D",
-                )
             if not t.clamped:
-                jumps = through(MICRO * row @ states.B)
-                jumps = tuple(replace(card, label=f"t{card.label}") for card in jumps)
-                return replace(t, sums=states.cards(rate, base) + jumps)
-        return replace(t, sums=states.cards(row, base), through=through(direct))
+                return self._connect_unclamped(t, direct)
+        return replace(t, sums=self._weigh_states(row), through=self._weigh(direct))
 
-    return list(map(wired, terminals))
+    def _connect_frame(self, t: PortTerminal) -> PortTerminal:
+        """Return an acceleration port with the sources of its force."""
+        row, states = self.states.C[t.row], self.states
+        jump = np.abs(row @ states.B) > NEGLIGIBLE_JUMP * (np.abs(row) @ np.abs(states.B))
+        at_once = np.abs(self.D[t.row] - self.rom.D[t.row]) > CROSS_ROUNDING * np.abs(self.D).max()
+        if jump.any() or at_once.any():
+            raise UsageError(
+                "an acceleration port drives states without inertia: its force needs the rates "
+                "of what drives them, which no netlist of sources and capacitors has",
+                where=t.label,
+                got="C B not zero in its row",
+                expected="C B = 0 in the row of an acceleration port",
+                hint="inertia drives with M, so give those states zero rows of B and C there",
+            )
+        rate = MICRO * row @ states.A
+        force = -(rate @ states.B)
+        mass = self.rom.facts.get("mass_kg")
+        force[t.column] = 0.0 if mass is None else mass + force[t.column]
+        sums = self._weigh_states(-(rate @ states.A))
+        return replace(t, sums=sums, through=self._weigh(force))
+
+    def _connect_unclamped(self, t: PortTerminal, direct: np.ndarray) -> PortTerminal:
+        """Return an electrode without a clamped capacitance with the sources of its current."""
+        if direct.any():
+            raise UsageError(
+                "an electrode without capacitance of its own shares charge with other ports",
+                where=t.label,
+                expected="a positive semi-definite D",
+            )
+        row = self.states.C[t.row]
+        jumps = self._weigh(MICRO * row @ self.states.B, mark="tu")
+        return replace(t, sums=self._weigh_states(MICRO * row @ self.states.A) + jumps)
+
+    def _weigh_states(self, row: np.ndarray) -> tuple[Transconductance, ...]:
+        return self.states.weigh(row, self.base)
+
+    def _weigh(self, row: np.ndarray, mark: str = "u") -> tuple[Transconductance, ...]:
+        """Return the sources by inputs, without weights that are rounding errors."""
+        size = np.abs(row).max(initial=0.0)
+        row = np.where(np.abs(row) > CROSS_ROUNDING * size, row, 0.0)
+        return _weigh_inputs(self.terminals, row, self.base, mark=mark)
 
 
-def conservative(terminals: Sequence[PortTerminal], base: str, share: float) -> list[Line]:
-    """Cards of the ports: electrical ones, motions, accelerations of the frame."""
-    order = (CHARGED, LOADED, FRAMES)
-    ports = [t for kinds in order for t in terminals if t.kind in kinds]
-    return [line for t in ports for line in _port(t, base, share)]
+def port_lines(terminals: Sequence[PortTerminal], base: str, share: float) -> Iterator[Line]:
+    """Yield the cards of electrical ports, then of moving ports, then of accelerated frames."""
+    for role in ("port.charged", "port.loaded", "is_frame"):
+        for t in filter(attrgetter(role), terminals):
+            yield from _lines_of_port(t, base, share)
 
 
-def _port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
+def _lines_of_port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
     pin, tag = t.pins[0], t.tag
-    if t.kind in FRAMES:
+    if t.is_frame:
         yield _SHAKEN.format(pin=pin)
-        yield from (card.onto(pin, base, f"Ga{pin}_") for card in t.sums + t.through)
-    elif t.kind in LOADED:
+        yield from connect_sources(t.sums + t.through, pin, base, f"Ga{pin}_")
+    elif t.port.loaded:
         yield (_MOTION if t.port.domain is TRANSLATION else _ROTATION).format(pin=pin)
         yield Element.of(f"Ru{pin}", f"u{pin}", base, "1")
         yield Element.of(f"Gf{pin}", base, f"f{pin}", pin, f"u{pin}", "1")
         yield Element.of(f"Gp{pin}", pin, base, f"f{pin}", base, "1")
-        yield from (card.onto(base, f"u{pin}", f"Gu{pin}_") for card in t.sums)
-        yield from (card.onto(base, f"u{pin}", f"Gt{pin}_") for card in t.through)
+        yield from connect_sources(t.sums, base, f"u{pin}", f"Gu{pin}_")
+        yield from connect_sources(t.through, base, f"u{pin}", f"Gt{pin}_")
     elif t.clamped:
-        words = {"name": f" {t.label}" if tag else "", "farad": t.clamped, "share": share}
-        words["seconds"] = 1 / LEAK_RATE
-        yield (_CLAMPED if t.port.paired else _FILLED).format(**words, **_units(t, base))
-        (a, b), c = t.ends(base), t.capacitance or t.clamped
-        inverse = f"{number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
-        yield Element.of(f"Cclamped{tag}", a, f"inner{tag}", written(scale_value(share, c)))
-        yield Element.of(f"Gmore{tag}", a, b, f"current{tag}", base, 1 - share)
-        yield Element.of(f"Gleak{tag}", a, b, a, f"inner{tag}", written(scale_value(LEAK_RATE, c)))
-        yield Element.of(f"Ginner{tag}", base, f"current{tag}", f"inner{tag}", b, "1")
-        ends = f"current{tag}", f"charge{tag}"
-        yield Element.of(f"Gcharge{tag}", base, *ends, base, written(inverse))
-        yield Element.of(f"Gcurrent{tag}", f"inner{tag}", b, f"current{tag}", base, share)
-        yield Element.of(f"Rcharge{tag}", f"charge{tag}", base, "1")
-        yield from (card.onto(base, f"charge{tag}", f"Gc{tag}_") for card in t.sums + t.through)
+        yield from _clamped_lines(t, base, share)
     else:
-        a, b = t.ends(base)
-        yield (_UNCLAMPED if t.port.paired else _UNFILLED).format(name=t.label, **_units(t, base))
+        a, b = t.driven_pins(base)
+        yield (_UNCLAMPED if t.port.paired else _UNFILLED).format(
+            name=t.label, **_pin_words(t, base)
+        )
         yield Element.of(f"Gleak{tag}", a, b, a, b, t.leak)
-        for card in t.sums:
-            yield replace(card, label=f"{card.label}{tag}").onto(a, b, "Gc")
+        for source in t.sums:
+            yield replace(source, label=f"{source.label}{tag}").between(a, b, "Gc")
 
 
-def _units(t: PortTerminal, base: str) -> dict[str, str]:
-    """Words about a port's pin for a comment."""
+def _clamped_lines(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
+    """Yield the cards of an electrical port with a clamped capacitance."""
+    tag = t.tag
+    words = {"name": f" {t.label}" if tag else "", "farad": t.clamped, "share": share}
+    words["seconds"] = 1 / LEAK_RATE
+    yield (_CLAMPED if t.port.paired else _FILLED).format(**words, **_pin_words(t, base))
+    (a, b), c = t.driven_pins(base), t.capacitance or t.clamped
+    inverse = f"{number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
+    leak = write_value(scale_value(LEAK_RATE, c))
+    yield Element.of(f"Cclamped{tag}", a, f"inner{tag}", write_value(scale_value(share, c)))
+    yield Element.of(f"Gmore{tag}", a, b, f"current{tag}", base, 1 - share)
+    yield Element.of(f"Gleak{tag}", a, b, a, f"inner{tag}", leak)
+    yield Element.of(f"Ginner{tag}", base, f"current{tag}", f"inner{tag}", b, "1")
+    ends = f"current{tag}", f"charge{tag}"
+    yield Element.of(f"Gcharge{tag}", base, *ends, base, write_value(inverse))
+    yield Element.of(f"Gcurrent{tag}", f"inner{tag}", b, f"current{tag}", base, share)
+    yield Element.of(f"Rcharge{tag}", f"charge{tag}", base, "1")
+    yield from connect_sources(t.sums + t.through, base, f"charge{tag}", f"Gc{tag}_")
+
+
+def _pin_words(t: PortTerminal, base: str) -> dict[str, str]:
+    """Return the words about a port's pin that a comment needs."""
     return {"pin": t.pins[0], "base": base, "across": t.port.across, "flow": t.port.flow}
 
 
 # -------------------------------------------------------------------------------- resonators
 
 
-def _resonators(
+def _resonator_cards(
     model: Resonators,
     rom: LinearModel,
     terminals: list[PortTerminal],
@@ -718,7 +811,7 @@ def _resonators(
     weights: StepWeights,
     noise: bool,
 ) -> tuple[list[str], list[Line]]:
-    """Cards of the resonators in modal coordinates.
+    """Return comments and cards of the resonators in modal coordinates.
 
     With ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k`` and ``s_j = max_k |g_jk|`` over the
     mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j = q_j' / w_j`` in um (or, of a
@@ -726,93 +819,99 @@ def _resonators(
 
         C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k
 
-    with ``C = 1 uF min(1, (w / 3 w_1)^2)`` or as ``weights`` says: step control sees an error of
-    charge, ``C`` times that of the displacement, and slow modes decide nothing in a contact, but
-    ring long after it.
-    With a damping below :data:`LIGHT`, ``p_j = q_j + q_j' / w_j``, see :func:`_mode`.
+    with ``C = 1 uF min(1, (w / 3 w_1)^2)`` or by other ``weights``. Step control limits the error
+    of charge, which is ``C`` times the error of displacement. Slow modes have little influence on
+    a contact, but ring long after it.
+    With a damping below :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see :func:`_mode_cards`.
     A state without inertia is q alone, ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` with
     ``C = G d / w^2``.
     """
-    order = _observable(model)
+    order = _order_observable_modes(model)
     omega, damp, gain = model.omega[order], model.damp[order], model.gain[order]
     heavy = model.inertia[order] > 0
-    scale = scales(gain, terminals)[:, None]
+    scale = scale_modes(gain, terminals)[:, None]
     numbers = range(1, len(order) + 1)
     turn = omega * heavy  # the others have no velocity, and no node for it
-    light, losses = (damp < LIGHT * omega) * heavy, damp * heavy
-    rates = [[-turn * light, turn], [-turn - (turn - losses) * light, turn * light - losses]]
+    light, losses = (damp < LIGHT_DAMPING * omega) * heavy, damp * heavy
+    rates = (-turn * light, turn, -turn - (turn - losses) * light, turn * light - losses)
+    qq, qp, pq, pp = map(np.diag, rates)
     drive = heavy[:, None] * scale * gain / (omega[:, None] * MICRO)
+    micro_per_unit = MICRO / np.array(list(map(attrgetter("unit"), terminals)))
     states = _States(
-        [f"{node}{j}" for node in "qp" for j in numbers],
-        [f"{mark}{j}" for mark in ("", "d") for j in numbers],
-        np.block([list(map(np.diag, row)) for row in rates]),
+        [*map("q{}".format, numbers), *map("p{}".format, numbers)],
+        [*map(str, numbers), *map("d{}".format, numbers)],
+        np.block([[qq, qp], [pq, pp]]),
         np.vstack([np.zeros_like(drive), drive]),
-        np.hstack(
-            [(gain / scale).T * [[MICRO / t.unit] for t in terminals], np.zeros_like(gain.T)]
-        ),
+        np.hstack([(gain / scale).T * micro_per_unit[:, None], np.zeros_like(gain.T)]),
     )
-    farad = weights.farad(omega, omega[heavy].min(initial=np.inf))
-    siemens = np.where(heavy, farad * omega, SIEMENS)
+    farad = weights.capacitances(omega, omega[heavy].min(initial=np.inf))
+    siemens = np.where(heavy, farad * omega, STATE_CONDUCTANCE)
     force = siemens * scale[:, 0] / (omega**2 * MICRO)
     drive = force[:, None] * gain
-    about = _about_resonators(terminals, base, weights)
+    about = _describe_resonators(terminals, base, weights)
     if light.any():
-        about += _LIGHT.format(quality=1 / LIGHT).split("\n")
-    wired = _wired(terminals, states, rom.D, rom, base)
-    stored = [replace(t, sums=()) if t.clamped else t for t in wired]
-    body = conservative(stored, base, weights.share)
-    branches = [mode_branch(damp[j], omega[j], gain[j], gain, terminals) for j in range(len(order))]
+        about += _LIGHT.format(quality=1 / LIGHT_DAMPING).split("\n")
+    laws = _OutputLaws(terminals, states, rom.D, rom, base)
+    body: list[Line] = []
+    stored = []
+    for t in map(laws.connect, terminals):
+        stored.append(replace(t, sums=()) if t.clamped else t)  # modes add their charge below
+    body += port_lines(stored, base, weights.share)
     for j in range(len(order)):
-        if heavy[j]:
-            body.append(f"\n* Mode {j + 1}: {mode_facts(omega[j], damp[j])}{branches[j]}")
-            body += _mode(j + 1, omega[j], damp[j], farad[j], base)
-        else:
-            body += _relaxation(j + 1, omega[j], damp[j], base)
         node = f"p{j + 1}" if heavy[j] else f"q{j + 1}"
-        body += [card.onto(base, node) for card in input_cards(j + 1, drive[j], terminals, base)]
+        if heavy[j]:
+            branch = describe_branch(damp[j], omega[j], gain[j], gain, terminals)
+            body.append(f"\n* Mode {j + 1}: {describe_mode(omega[j], damp[j])}{branch}")
+            body += _mode_cards(j + 1, omega[j], damp[j], farad[j], base)
+        else:
+            body += _relaxation_lines(j + 1, omega[j], damp[j], base)
+        body += connect_sources(drive_mode(j + 1, drive[j], terminals, base), base, node)
         if noise and damp[j] > 0:
             loss = f"{{damping*{number(damp[j])}}}"
             body.append(Element.of(f"Rnoise{j + 1}", f"noise{j + 1}", base, loss))
             body.append(Element.of(f"Gn{j + 1}", base, node, f"noise{j + 1}", base, force[j]))
-        body += [
-            Transconductance(
-                f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, gain[j, k] / scale[j, 0] * MICRO / t.unit
-            ).onto(base, f"charge{t.tag}")  # uC per um
-            for k, t in enumerate(terminals)
-            if t.clamped
-        ]
+        for k, t in enumerate(terminals):
+            if t.clamped:
+                charge = gain[j, k] / scale[j, 0] * MICRO / t.unit  # uC per um
+                source = Transconductance(f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, charge)
+                body.append(source.between(base, f"charge{t.tag}"))
     return about, body
 
 
-def _about_resonators(
+def _describe_resonators(
     terminals: Sequence[PortTerminal], base: str, weights: StepWeights
 ) -> list[str]:
-    """Comments about the form of the circuit and its reference pin."""
-    words: dict[str, Any] = {"full": weights.full, "power": weights.power, "silent": SILENT}
+    """Return comments about the form of the circuit and its reference pin."""
+    words: dict[str, Any] = {
+        "full": weights.full,
+        "power": weights.power,
+        "silent": NEGLIGIBLE_GAIN,
+    }
     words["answer"] = "displacement of a port in um"
     words["reference"] = "The base is the mechanical and signal reference"
     lines = list(_OUTWARDS)
-    if _unplaced(terminals):
-        units = dict.fromkeys(t.port.domain.answer_unit for t in terminals if t.port.domain)
+    domains = _port_domains(map(attrgetter("port"), terminals))
+    if _count_from_other_pin(domains):
+        units = dict.fromkeys(map(attrgetter("answer_unit"), domains))
         words["answer"] = f"answer of a port in 1e-6 {' or '.join(units)}"
         words["reference"], lines = f"Values of pins count from {base}", []
     return [*lines, *_RESONATORS.format(**words).split("\n")]
 
 
-def _unplaced(terminals: Sequence[PortTerminal]) -> bool:
-    """Whether values at pins count from another reference than that of displacements."""
-    references = {t.port.domain.reference for t in terminals if t.port.domain} - {""}
+def _count_from_other_pin(domains: Iterable[Domain]) -> bool:
+    """Whether values at pins count from another reference than displacements."""
+    references = set(map(attrgetter("reference"), domains)) - {""}
     return bool(references) and BASE not in references
 
 
-def _mode(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[Line]:
-    """Two integrators of one mode.
+def _mode_cards(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[Line]:
+    """Yield the two integrators of one mode.
 
-    With a damping below :data:`LIGHT` the second one is ``p = q + q' / w``, so that the voltage
-    from p to q is the velocity.
+    With a damping below :data:`LIGHT_DAMPING` the second state is ``p = q + q' / w``. The voltage
+    from p to q is then the velocity.
     """
     q, p, turn, loss = f"q{j}", f"p{j}", farad * omega, farad * damp
-    light = damp < LIGHT * omega
+    light = damp < LIGHT_DAMPING * omega
     velocity = (p, q) if light else (p, base)
     yield Element.of(f"Cq{j}", q, base, farad)
     yield Element.of(f"Cp{j}", p, base, farad)
@@ -824,12 +923,12 @@ def _mode(j: int, omega: float, damp: float, farad: float, base: str) -> Iterato
         yield Element.of(f"Gd{j}", p, base, *velocity, f"{{damping*{number(loss)}}}")
 
 
-def mode_facts(omega: float, damp: float) -> str:
+def describe_mode(omega: float, damp: float) -> str:
     """Return frequency and Q factor of a mode of ``omega`` [rad/s] that loses ``damp`` [1/s].
 
     Examples
     --------
-    >>> mode_facts(2 * np.pi * 41.2e3, 2 * np.pi * 824.0)
+    >>> describe_mode(2 * np.pi * 41.2e3, 2 * np.pi * 824.0)
     '41.2 kHz, Q 50'
     """
     hertz = omega / (2 * np.pi)
@@ -838,75 +937,75 @@ def mode_facts(omega: float, damp: float) -> str:
     return f"{hertz / 10.0**power:.6g} {PREFIXES[power]}Hz, {quality}"
 
 
-def mode_branch(
+def describe_branch(
     damp: float,
     omega: float,
     gain: np.ndarray,
     gains: np.ndarray,
     terminals: Sequence[PortTerminal],
 ) -> str:
-    """Return what a mode is at its port, as words of a comment; "" where it has none.
+    """Return the elements that equal a mode at a port, as words of a comment, or "".
 
     A mode ``z'' + damp z' + omega^2 z = g v`` whose charge is ``g z`` is L = 1/g^2, R = damp/g^2
     and C = g^2/omega^2 in series across an electrical port; by the same law it is the mass
     m = 1/g^2, the damper c = damp/g^2 and the spring k = omega^2/g^2 at a mechanical one. ``gains``
     are those of all modes; rounding is far below the largest of them.
     """
-    largest = np.abs(gains).max(axis=0)
-    for domains, names in (((ELECTRICAL,), "LCR"), ((TRANSLATION, ROTATION), "mck")):
-        shares = [
-            abs(g) if t.port.domain in domains and abs(g) > SILENT * most else 0.0
-            for t, g, most in zip(terminals, gain, largest, strict=True)
-        ]
-        if not any(shares):
+    size = np.abs(gain)
+    size = np.where(size > NEGLIGIBLE_GAIN * np.abs(gains).max(axis=0), size, 0.0)
+    for domains in ((ELECTRICAL,), (TRANSLATION, ROTATION)):
+        shares = size * [t.port.domain in domains for t in terminals]
+        if not shares.any():
             continue
-        port = int(np.argmax(np.array(shares) >= max(shares) * (1 - ALIKE)))
-        m, c, k = (float(value / shares[port] ** 2) for value in (1.0, damp, omega**2))
-        values = (m, 1 / k, c) if names == "LCR" else (m, c, k)
-        words = (f"{n}={rounded(v)}" for n, v in zip(names, values, strict=True))
-        return f", {' '.join(words)} at {terminals[port].pins[0]}"
+        port = int(np.argmax(shares >= shares.max() * (1 - EQUAL_GAIN)))
+        m, c, k = map(float, np.array([1.0, damp, omega**2]) / shares[port] ** 2)
+        if ELECTRICAL in domains:
+            elements = f"L={rounded(m)} C={rounded(1 / k)} R={rounded(c)}"
+        else:
+            elements = f"m={rounded(m)} c={rounded(c)} k={rounded(k)}"
+        return f", {elements} at {terminals[port].pins[0]}"
     return ""
 
 
-def _relaxation(j: int, omega: float, damp: float, base: str) -> Iterator[Line]:
-    """One state without inertia."""
+def _relaxation_lines(j: int, omega: float, damp: float, base: str) -> Iterator[Line]:
+    """Yield the cards of one state without inertia."""
     hertz, time = omega / (2 * np.pi), damp / omega**2
     yield f"\n* Without inertia, from {hertz:.6g} Hz on: relaxes within {time:.6g} s"
     if time > 0:
-        yield Element.of(f"Cq{j}", f"q{j}", base, f"{{damping*{number(SIEMENS * time)}}}")
-    yield Element.of(f"Gq{j}", f"q{j}", base, f"q{j}", base, SIEMENS)
+        yield Element.of(f"Cq{j}", f"q{j}", base, f"{{damping*{number(STATE_CONDUCTANCE * time)}}}")
+    yield Element.of(f"Gq{j}", f"q{j}", base, f"q{j}", base, STATE_CONDUCTANCE)
 
 
-def scales(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarray:
-    """Largest share (q,) of each mode in a displacement, or in any port."""
+def scale_modes(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarray:
+    """Return the largest share (q,) of each mode in a displacement, or in any port."""
     mechanical = [t.port.domain is TRANSLATION for t in terminals]
     scale = np.abs(gain[:, mechanical]).max(axis=1, initial=0.0)
     scale = np.where(scale > 0, scale, np.abs(gain).max(axis=1))
     return np.where(scale > 0, scale, 1.0)
 
 
-def input_cards(
+def drive_mode(
     index: int,
     row: np.ndarray | Sequence[Value],
     terminals: Sequence[PortTerminal],
     base: str,
 ) -> list[Transconductance]:
-    """Cards by which ports drive a mode: forces, voltages, accelerations."""
-
-    def label(t: PortTerminal) -> str:
+    """Return the sources by which ports drive a mode: forces, voltages, accelerations."""
+    result = []
+    for t in sorted(terminals, key=lambda t: "fvs".index(t.drive_letter)):
         suffix = f"{index}{t.tag}" if t.port.paired else f"{t.pins[0]}_{index}"
-        return f"G{_DRIVES[t.kind]}{suffix}"
-
-    ordered = sorted(terminals, key=lambda t: "fvs".index(_DRIVES[t.kind]))
-    return [t.driven(label(t), row, base) for t in ordered]
+        result.append(t.weigh_input(f"G{t.drive_letter}{suffix}", row, base))
+    return result
 
 
-def _observable(model: Resonators) -> np.ndarray:
-    """Modes by their frequency, those without inertia last, without those that no port moves or
-    observes: rounding makes them."""
+def _order_observable_modes(model: Resonators) -> np.ndarray:
+    """Return the indices of the observable modes by frequency, those without inertia last.
+
+    A mode that no port moves or observes is a rounding error.
+    """
     share = np.abs(model.gain) / model.omega[:, None]
     share /= share.max(axis=0, initial=0.0, keepdims=True) + np.finfo(float).tiny
-    observable = share.max(axis=1, initial=0.0) > SILENT
+    observable = share.max(axis=1, initial=0.0) > NEGLIGIBLE_GAIN
     order = np.lexsort((model.omega, model.inertia == 0.0))
     return order[observable[order]] if observable.any() else order
 
@@ -914,61 +1013,53 @@ def _observable(model: Resonators) -> np.ndarray:
 # ------------------------------------------------------------------------------------- blocks
 
 
-def _blocks(
+def _block_cards(
     model: BlockModel, rom: LinearModel, terminals: list[PortTerminal], base: str
 ) -> tuple[list[str], list[Line]]:
-    """The states of every block of :func:`kc2spice.rom.blocks.block_model` are voltages on
+    """Return comments and cards of blocks of states.
+
+    The states of every block of :func:`kc2spice.rom.blocks.block_model` are voltages on
     ``C = 1 / (2 pi f1)``, f1 the end of the band, so that conductances in the band are about 1 S.
     A block is scaled to about 1 V for a constant input of 1 V.
     """
     from scipy.linalg import block_diag  # loads what most models do not need
 
-    farad = 1 / (2 * np.pi * span(rom)[1])
+    farad = 1 / (2 * np.pi * model_band(rom)[1])
     B, C = model.B.copy(), model.C.copy()
     none = np.zeros((len(B), 0)), np.zeros((0, len(B))), B[:0], C[:, :0], B[:0, :0]
-    F, P, Q, R, S = (item.copy() for item in model.loops or none)
+    F, P, Q, R, S = map(np.ndarray.copy, model.loops or none)
     scaled_blocks, integrating, start = [], [], 0
     for block in model.blocks:
         rows = slice(start, start + len(block))
         start += len(block)
-        block, free, scale = _balanced(block, np.hstack([B[rows], F[rows]]), 1 / farad)
+        block, free, scale = _balance_block(block, np.hstack([B[rows], F[rows]]), 1 / farad)
         B[rows] /= scale[:, None]
         F[rows] /= scale[:, None]
         C[:, rows] *= scale
         P[:, rows] *= scale
         scaled_blocks.append(block)
         integrating.append(free)
-    numbers = [f"{k}" for k in range(1, start + len(S) + 1)]
-    units = [[t.unit] for t in terminals if t.row is not None]
+    numbers = list(map(str, range(1, start + len(S) + 1)))
+    units = [t.unit for t in terminals if t.row is not None]
     states = _States(
-        [f"z{k}" for k in numbers],
+        list(map("z{}".format, numbers)),
         numbers,
         np.block([[block_diag(*scaled_blocks), F], [P / farad, S / farad]]),
         np.vstack([B, Q / farad]),
-        np.hstack([C, R]) / np.array(units),
+        np.hstack([C, R]) / np.array(units)[:, None],
     )
-    wired = _wired(terminals, states, model.D, rom, base)
-    ports = [t for t in wired if t.port.conservative]
-    inputs = [t.pins[0] for t in terminals if t.kind == "input"]
-    noise_inputs = list(filter(_INNER_FORCE.fullmatch, inputs))  # forces that are noise
-    inputs = [pin for pin in inputs if pin not in noise_inputs]
-    body: list[Line] = [Element.of(f"R{pin}", pin, base, "1") for pin in noise_inputs]
-    body += ["* An input that is left open is zero."] * bool(inputs)
-    body += [Element.of(f"Gleak{k}", p, base, p, base, OPEN_INPUT) for k, p in enumerate(inputs, 1)]
-    body += conservative(ports, base, RINGING.share)
-    for index, t in enumerate((t for t in wired if t.kind == "output"), 1):
-        body += [
-            f"\n* Output {t.pins[0]}",
-            Element.of(f"E{index}", t.pins[0], base, f"sum{index}", base, "1"),
-            Element.of(f"Rsum{index}", f"sum{index}", base, "1"),
-            *(card.onto(base, f"sum{index}", f"Gc{index}_") for card in t.sums),
-            *(card.onto(base, f"sum{index}", f"Gt{index}_") for card in t.through),
-        ]
+    laws = _OutputLaws(terminals, states, model.D, rom, base)
+    wired = list(map(laws.connect, terminals))
+    body = list(_input_lines(terminals, base))
+    body += port_lines(wired, base, RINGING.share)
+    outputs = (t for t in wired if t.kind == "output")
+    for index, t in enumerate(outputs, 1):
+        body += _output_lines(t, index, base)
     at = 0
     signals: list[tuple[np.ndarray, bool | None]] = [(S, None)] if len(S) else []
     for block, drifts in [*zip(scaled_blocks, integrating, strict=True), *signals]:
         first, at = at, at + len(block)
-        accuracy = _LOOPED if drifts is None else comment(_description(block))
+        accuracy = _LOOPED if drifts is None else comment(_describe_poles(block))
         body.append(f"\n* States {first + 1} to {at}: {accuracy}")
         for k in range(first, at):
             index, node = k + 1, f"z{k + 1}"
@@ -976,28 +1067,49 @@ def _blocks(
                 body.append(Element.of(f"C{node}", node, base, farad))
             if drifts:
                 body += [_FREE_STATE, Element.of(f"G{node}", node, base, node, base, FREE_LEAK)]
-            cards = states.cards(farad * states.A[k], base)
-            body += [card.onto(base, node, f"Ga{index}_") for card in cards]
-            body += [
-                t.driven(f"{t.column + 1}", farad * states.B[k], base).onto(
-                    base, node, f"Gb{index}_"
-                )
-                for t in terminals
-                if t.column is not None and states.B[k, t.column]
-            ]
+            sums = states.weigh(farad * states.A[k], base)
+            inputs = _weigh_inputs(terminals, farad * states.B[k], base)
+            body += connect_sources(sums, base, node, f"Ga{index}_")
+            body += connect_sources(inputs, base, node, f"Gb{index}_")
     about = _STATES.format(farad=number(farad), base=base).split("\n")
-    return ([*_OUTWARDS, *about] if ports and not _unplaced(terminals) else about), body
+    domains = _port_domains(rom.ports)
+    placed = domains and not _count_from_other_pin(domains)
+    return [*_OUTWARDS, *about] if placed else about, body
 
 
-def _with_forces(rom: LinearModel) -> LinearModel:
-    """``rom`` with an input for the force of every loss: ``E`` is the sum of squares of the columns
-    of B of these forces, so that each force has the noise of a loss of one.
+def _input_lines(terminals: Iterable[PortTerminal], base: str) -> Iterator[Line]:
+    """Yield the resistors of noise inputs, then the leaks of signal inputs."""
+    inputs = [t for t in terminals if t.kind == "input"]
+    for t in filter(attrgetter("is_noise"), inputs):
+        yield Element.of(f"R{t.pins[0]}", t.pins[0], base, "1")
+    signals = filterfalse(attrgetter("is_noise"), inputs)
+    for index, t in enumerate(signals, 1):
+        if index == 1:
+            yield "* An input that is left open is zero."
+        yield Element.of(f"Gleak{index}", t.pins[0], base, t.pins[0], base, INPUT_LEAK)
+
+
+def _output_lines(t: PortTerminal, index: int, base: str) -> Iterator[Line]:
+    """Yield the cards of a signal output."""
+    node = f"sum{index}"
+    yield f"\n* Output {t.pins[0]}"
+    yield Element.of(f"E{index}", t.pins[0], base, node, base, "1")
+    yield Element.of(f"Rsum{index}", node, base, "1")
+    yield from connect_sources(t.sums, base, node, f"Gc{index}_")
+    yield from connect_sources(t.through, base, node, f"Gt{index}_")
+
+
+def _add_noise_forces(rom: LinearModel) -> LinearModel:
+    """Return ``rom`` with an input for the force of every loss.
+
+    ``E`` is the sum of squares of the columns of B of these forces. Each force therefore has the
+    noise of a loss of one.
 
     Raises
     ------
     UsageError : losses outside the matrix ``E``.
     """
-    if rom.first_order or not rom.symmetric or not all(port.conservative for port in rom.ports):
+    if rom.first_order or not rom.symmetric or not _is_conservative(rom):
         raise UsageError(
             "the noise of this model is not known",
             where=rom.name,
@@ -1007,7 +1119,7 @@ def _with_forces(rom: LinearModel) -> LinearModel:
         )
     K, E, M = rom.pencil.dense().coefficients
     losses, shapes = np.linalg.eigh(E)
-    lossy = losses > LOST * losses.max(initial=0.0)
+    lossy = losses > NEGLIGIBLE_LOSS * losses.max(initial=0.0)
     forces = shapes[:, lossy] * np.sqrt(losses[lossy])
     ports = tuple(Port(f"noise{k}", "input") for k in range(1, forces.shape[1] + 1))
     D = np.hstack([rom.D, np.zeros((len(rom.D), len(ports)))])
@@ -1015,53 +1127,57 @@ def _with_forces(rom: LinearModel) -> LinearModel:
     return replace(rom, M=M, E=E, K=K, rayleigh=None, B=B, C=rom.C, D=D, ports=every)
 
 
-def _balanced(
+def _balance_block(
     block: np.ndarray, drive: np.ndarray, omega: float
 ) -> tuple[np.ndarray, bool, np.ndarray]:
-    """A block, a complex pair as ``[[a, w], [-w, a]]``; whether it integrates constant inputs; the
-    scale of its states, about 1 for a constant input of 1."""
+    """Return a block, whether it integrates constant inputs, and the scale of its states.
+
+    A complex pair becomes ``[[a, w], [-w, a]]``. States are about 1 for a constant input of 1.
+    """
     scale = np.ones(len(block))
     if len(block) == 2 and block[0, 1] * block[1, 0] < 0:
         scale[1] = np.sqrt(-block[1, 0] / block[0, 1])
     block, drive = block * scale / scale[:, None], drive / scale[:, None]
-    free = bool(np.linalg.svd(block, compute_uv=False)[-1] < FREE * omega)
+    free = bool(np.linalg.svd(block, compute_uv=False)[-1] < INTEGRATING * omega)
     answer = drive / omega if free else np.linalg.solve(block, drive)
     return block, free, scale * (np.abs(answer).max(initial=0.0) or 1.0)
 
 
-def _description(block: np.ndarray) -> str:
-    """Poles of a block in a word for the reader."""
-    result = np.linalg.eigvals(block)
-    texts = [
-        f"{abs(pole) / (2 * np.pi):.6g} Hz, damping ratio {0.0 - pole.real / abs(pole):.6g}"
-        if pole.imag > 0
-        else f"pole {pole.real:.6g} 1/s"
-        for pole in result[result.imag >= 0]
-    ]
+def _describe_poles(block: np.ndarray) -> str:
+    """Return the first poles of a block as words of a comment."""
+    poles = np.linalg.eigvals(block)
+    texts = list(map(_describe_pole, poles[poles.imag >= 0]))
     more = f"; and {len(texts) - 3} more" if len(texts) > 3 else ""
     return "; ".join(texts[:3]) + more
 
 
-def loaded(
+def _describe_pole(pole: complex) -> str:
+    if pole.imag > 0:
+        size = abs(pole)
+        return f"{size / (2 * np.pi):.6g} Hz, damping ratio {0.0 - pole.real / size:.6g}"
+    return f"pole {pole.real:.6g} 1/s"
+
+
+def apply_unit_load(
     model: LinearModel, library: Subcircuit, load: Port, tag: str = ""
 ) -> tuple[list[Element], dict[str, tuple[str, float]]]:
-    """Elements of one copy of the subcircuit of ``model`` under a unit load, and by each port that
-    answers the vector that does and its factor to SI.
+    """Return the elements of one copy of a subcircuit under a unit load, and its responses.
 
-    The other electrodes are shorted, mechanical ports are free, frames stand still, other inputs
-    are zero, as in :meth:`LinearModel.transfer`; an electrode answers with its current, another
-    driven pin with its flow, a frame with its force. ``tag`` is what the copy's names have behind
-    them.
+    A response maps a port to its vector and the factor of the vector to SI. As in
+    :meth:`LinearModel.transfer`, the other electrodes are shorted, mechanical ports are free,
+    frames stand still and other inputs are zero. An electrode responds with its current, another
+    driven pin with its flow, a frame with its force. ``tag`` ends all names of the copy.
     """
     ends = {port.terminals[0].lower() for port in model.ports}
-    names = [pin.name if pin.name.lower() in ends else "" for pin in library.pins]
-    nodes = {name.lower(): f"{name}{tag}" for name in names if name}
-    joined = [f"{name}{tag}" if name else "0" for name in names]
-    cards, result = [Element.of(f"X{library.name}{tag}", *joined, library.name)], {}
+    nodes = {}
+    for pin in library.pins:
+        key = pin.name.lower()
+        nodes[key] = f"{pin.name}{tag}" if key in ends else "0"
+    cards, result = [Element.of(f"X{library.name}{tag}", *nodes.values(), library.name)], {}
     one = 1.0 if load.domain is None else load.domain.quantity(load.domain.driven).factor
     for port in model.ports:
         node, size = nodes[port.terminals[0].lower()], ("AC", "1") if port == load else ()
-        if port.domain is not None and port.kind in LOADED:
+        if port.domain is not None and port.loaded:
             drive = Element.of(f"I{node}", "0", node, "DC", "0", *size)
             cards += [drive.valued(port.domain.value_unit("I"))] if size else []
             result[port.name] = (f"v({node})", port.domain.across.factor / one)

@@ -44,7 +44,7 @@ from kc2spice.rom.stability import DENSE, prove_stability
 from kc2spice.scene.load import gallery, load_scene
 from kc2spice.sim.ngspice import write_files
 from kc2spice.synthesis.emitted import require_circuit
-from kc2spice.synthesis.realize import loaded, subcircuit
+from kc2spice.synthesis.realize import apply_unit_load, subcircuit
 from kc2spice.workflow.decks import spare_other_decks
 
 TOLERANCE = 1e-4
@@ -421,10 +421,10 @@ def export_rom(
 
 def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
     """The response of ``model`` to 1 V, 1 N or one unit at its first port, over its band, with the
-    other ports as :func:`kc2spice.synthesis.realize.loaded` has them."""
+    other ports as :func:`kc2spice.synthesis.realize.apply_unit_load` has them."""
     drivable = [port for port in model.ports if port.kind != "output"]
     driven = min(drivable, key=lambda port: PORT_KINDS.index(port.kind))
-    (instance, *sources), answers = loaded(model, part, driven)
+    (instance, *sources), answers = apply_unit_load(model, part, driven)
     words = {port.name: f".{port.domain.response}" for port in model.ports if port.domain}
     low, high = model.certificate.band_hz if model.certificate else (1.0, 1e6)
     low = max(low, high / 1e3)

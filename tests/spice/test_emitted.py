@@ -128,7 +128,7 @@ def test_parametric_circuits_are_compared_at_corners_and_inside(monkeypatch):
         damped=(False, True), facts={}, certificate=CERTIFICATE,
     )  # fmt: skip
     parameter = Param("length", 1.0, "m", "of it", 0.5, 2.0)
-    points = [at for _, at in parametric_resonators._judged(model, [parameter])]
+    points = [at for _, at in parametric_resonators._sample_range(model, [parameter])]
     assert {0.5, 2.0} <= {at["length"] for at in points}
     assert sum(0.5 < at["length"] < 2.0 for at in points) >= 4
     part = parametric_subcircuit(model, "bar", [parameter])

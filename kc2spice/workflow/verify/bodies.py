@@ -30,7 +30,7 @@ from kc2spice.scene.model import Build, Part
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.synthesis.emitted import accelerates_frame, reaction_mass
 from kc2spice.synthesis.heat import is_heat
-from kc2spice.synthesis.realize import loaded
+from kc2spice.synthesis.realize import apply_unit_load
 
 FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole
 SMALL = 3000  # unknowns up to which all are affordable
@@ -228,7 +228,7 @@ def _deck(
     items: list[Item] = []
     vectors: dict[str, tuple[str, float]] = {}
     for k, load in enumerate(port for port in rom.ports if port.kind != "output"):
-        cards, answers = loaded(rom, library, load, f"_{k}")
+        cards, answers = apply_unit_load(rom, library, load, f"_{k}")
         items += titled(f"load on {load.name}", cards)
         vectors |= {f"{load.name}>{name}": result for name, result in answers.items()}
     return Deck(
