@@ -1,12 +1,20 @@
-"""The one reader: text of users, of templates and of libraries becomes a tree here."""
+"""Reader of netlists of users, templates and libraries into trees."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import accumulate, combinations_with_replacement, count, takewhile
+from functools import cached_property, partial
+from itertools import (
+    accumulate,
+    chain,
+    combinations_with_replacement,
+    count,
+    filterfalse,
+    takewhile,
+)
+from operator import attrgetter
 from typing import Any
 
 from kc2spice.core.errors import UsageError
@@ -38,8 +46,10 @@ _INLINE = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment behind a car
 
 @dataclass(frozen=True, kw_only=True)
 class Statement(Card):
-    """One logical line, ``written`` with its continuation lines joined and without comments;
-    ``line`` counts from 1 and is that of its first physical line."""
+    """One logical line, ``written`` without comments and with its continuation lines.
+
+    ``line`` is the number of its first physical line, from 1.
+    """
 
     line: int
 
@@ -50,14 +60,19 @@ class Statement(Card):
 
     @cached_property
     def words(self) -> list[str]:
-        """Words; brackets and quotes hold together, ``a = b`` is one word ``a=b``."""
+        """Words of the card: text in brackets or quotes is one word, so is ``a = b``."""
         return words(self.written)
+
+    @property
+    def plain_words(self) -> list[str]:
+        """Words without the keyword ``params:``, which some dialects need before parameters."""
+        return [word for word in self.words if word.lower() != "params:"]
 
 
 def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
-    """All statements of a file, in order; the last one may have comments only.
+    """Return all statements of a file, in order; the last one may have comments only.
 
-    ``title``: the first line is the deck's title, whatever it says, and counts as a comment.
+    With ``title`` the first line is the title of a deck and counts as a comment.
     """
     result: list[tuple[int, list[str], list[str]]] = []  # first line, comments above, pieces
     pending: list[str] = []  # comment lines behind the newest statement
@@ -80,20 +95,20 @@ def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
 
 
 def words(text: str) -> list[str]:
-    """Split on blanks outside brackets and quotes; blanks around a bare ``=`` are dropped."""
-    # Only the first of several blanks can begin a match: a run of them is read once.
-    return list(_split(re.sub(r"(?<!\s)\s*(?<![=<>!])=(?!=)\s*", "=", text)))
+    """Split a text at blanks outside of brackets and quotes, without blanks around a bare ``=``."""
+    # Only the first of several blanks can begin a match, so that each is read once.
+    return list(_split_at_blanks(re.sub(r"(?<!\s)\s*(?<![=<>!])=(?!=)\s*", "=", text)))
 
 
 def split_comment(line: str) -> tuple[str, str]:
-    """A line without its comment, and the text of that."""
+    """Return a line without its comment, and the text of the comment."""
     match = _INLINE.search(line)
     if match is None:
         return line.strip(), ""
     return line[: match.start()].strip(), line[match.end() :].strip()
 
 
-def _split(text: str) -> Iterator[str]:
+def _split_at_blanks(text: str) -> Iterator[str]:
     depth, quote, word = 0, "", ""
     for ch in text:
         if quote:
@@ -134,14 +149,14 @@ def tree_of(cards: Iterable[Statement]) -> Circuit:
     ------
     UsageError : a broken card, a subcircuit that does not begin or end.
     """
-    items, notes = _items(iter(cards), None)
+    items, notes = _read_items(iter(cards), None)
     return Circuit(items=items, closing=notes)
 
 
-def _items(
+def _read_items(
     cards: Iterator[Statement], head: Statement | None
 ) -> tuple[tuple[Item, ...], tuple[str, ...]]:
-    """Items up to the ``.ends`` of ``head``, or up to the end of the file, and comments there."""
+    """Return the items up to the ``.ends`` of ``head``, or of the file, and the comments there."""
     result: list[Item] = []
     for s in cards:
         if s.keyword == ".ends" and head is None:
@@ -151,10 +166,11 @@ def _items(
                 return tuple(result), s.notes
             break
         if s.keyword == ".control":
-            block = tuple(c.written for c in takewhile(lambda c: c.keyword != ".endc", cards))
-            result.append(Directive(".control", block, **_origin(s)))
+            block = takewhile(lambda card: card.keyword != ".endc", cards)
+            commands = tuple(map(attrgetter("written"), block))
+            result.append(Directive(".control", commands, **_origin(s)))
         else:
-            result.append(_subckt(s, cards) if s.keyword == ".subckt" else _item(s))
+            result.append(_read_subckt(s, cards) if s.keyword == ".subckt" else _read_card(s))
         if s.keyword == ".end":
             break
     if head is not None:
@@ -162,20 +178,21 @@ def _items(
     return tuple(result), ()
 
 
-def _subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
-    rest = [word for word in s.words[1:] if word.lower() != "params:"]
-    if not rest:
+def _read_subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
+    """Read a subcircuit whose card is ``s`` from the cards that follow."""
+    _, *operands = s.plain_words
+    if not operands:
         raise s.error("subcircuit has no name")
-    pins, assigned = _split_assigned(rest[1:])
+    pins, assigned = _separate_assignments(operands[1:])
     low = list(map(str.lower, pins))
     if len(set(low)) < len(low):
         raise s.error("a pin name stands twice", " ".join(low))
-    defaults = _assignments(assigned, s)
-    items, closing = _items(cards, s)
-    return Circuit(rest[0], tuple(pins), defaults, items, closing, **_origin(s))
+    defaults = _read_assignments(assigned, s)
+    items, closing = _read_items(cards, s)
+    return Circuit(operands[0], tuple(pins), defaults, items, closing, **_origin(s))
 
 
-def _split_assigned(card: Iterable[str]) -> tuple[list[str], list[str]]:
+def _separate_assignments(card: Iterable[str]) -> tuple[list[str], list[str]]:
     """Split the words of a card into names and assignments ``name=value``."""
     names: list[str] = []
     assignments: list[str] = []
@@ -184,88 +201,96 @@ def _split_assigned(card: Iterable[str]) -> tuple[list[str], list[str]]:
     return names, assignments
 
 
-def _item(s: Statement) -> Item:
+def _read_card(s: Statement) -> Item:
+    """Read one card that is neither a subcircuit nor a control block."""
     origin = _origin(s)
     if not s.keyword.startswith("."):
         return parse_element(s)
-    if s.keyword in (".func", ".param", ".params") and (defined := _function(s)):
+    if s.keyword in (".func", ".param", ".params") and (defined := _read_function(s)):
         return defined
     if s.keyword in (".param", ".csparam"):
-        return Parameters(_assignments(s.words[1:], s), s.keyword, **origin)
+        return Parameters(_read_assignments(s.words[1:], s), s.keyword, **origin)
     if s.keyword == ".model":
         if len(s.words) < 3:
             raise s.error("model card is not complete")
         kind, _, inside = " ".join(s.words[2:]).partition("(")
         kind, *more = kind.split() + words(inside.rstrip().removesuffix(")"))
-        pairs = dict((w + "=").split("=", 1) for w in more)
-        parameters = {key: value.removesuffix("=") for key, value in pairs.items()}
-        return Model(s.words[1], kind, parameters, **origin)
+        return Model(s.words[1], kind, dict(map(_split_assignment, more)), **origin)
     return Directive(s.keyword, tuple(s.words[1:]), **origin)
 
 
 def _origin(s: Statement) -> dict[str, Any]:
-    """File and line of a card, its text, and the comments above it."""
+    """Return file and line of a card, its text, and the comments above it."""
     return {"notes": s.notes, "where": s.where, "written": s.written}
 
 
-def _function(s: Statement) -> Function | None:
-    """``.func f(x) {law}`` and ``.param f(x) = {law}``."""
+def _read_function(s: Statement) -> Function | None:
+    """Read ``.func f(x) {law}`` or ``.param f(x) = {law}``; None if the card is neither."""
     name, opening, rest = s.written[len(s.keyword) :].strip().partition("(")
     inside, closing, law = rest.partition(")")
     if not (opening and closing and law.strip() and name.strip().isidentifier()):
         return None
-    arguments = tuple(word.strip() for word in inside.split(",") if word.strip())
+    arguments = tuple(filter(None, map(str.strip, inside.split(","))))
     law = law.strip().removeprefix("=").strip()
     return Function(name.strip(), arguments, law, **_origin(s))
 
 
-def _assignments(items: Sequence[str], s: Statement) -> dict[str, str]:
+def _read_assignments(items: Iterable[str], s: Statement) -> dict[str, str]:
+    """Return the values of assignments ``name=value`` by name, in their order."""
     pairs = {}
-    for word in (item.strip(",") for item in items):
-        if not _assigned(word):
+    for item in items:
+        word = item.strip(",")
+        if not _is_assignment(word):
             raise s.error("not a parameter", word, "name=value")
-        name, _, value = word.partition("=")
+        name, value = _split_assignment(word)
         pairs[name] = value
     return pairs
 
 
-def _assigned(word: str) -> bool:
+def _is_assignment(word: str) -> bool:
     name, equals, _ = word.partition("=")
     return bool(equals) and name.isidentifier()
 
 
+def _split_assignment(word: str) -> tuple[str, str]:
+    """Return name and value of an assignment; a word without a value is a flag."""
+    name, _, value = word.partition("=")
+    return name, value
+
+
 def parse_element(s: Statement) -> Element:
-    """Split one element card; of a letter that we do not know, all words are values."""
+    """Split the card of an element; all words are values if the letter is unknown."""
     kind, origin = s.written[0].lower(), _origin(s)
     if kind == "b":
-        return _behaviour(s)
-    name, *rest = (word for word in s.words if word.lower() != "params:")
+        return _read_behaviour(s)
+    name, *rest = s.plain_words
     if kind == "x":
-        plain, assigned = _split_assigned(rest)
+        plain, assigned = _separate_assignments(rest)
         if not plain:
             raise s.error("instance names no subcircuit")
-        assignments = _assignments(assigned, s)
+        assignments = _read_assignments(assigned, s)
         return Element(kind, name, tuple(plain[:-1]), (), plain[-1], (), assignments, **origin)
     if kind not in NODES:
         return Element(kind, name, (), values=tuple(rest), **origin)
-    count = _count(kind, rest)
+    count = _count_nodes(kind, rest)
     end = count + CONTROLS.get(kind, 0)
     if kind in "fh" and len(rest) > 2 and rest[2].lower().startswith("poly("):
         end = count
     needed = end + (kind in MODELLED or kind not in "vi")
-    if len(rest) < needed or any("=" in w or "(" in w for w in rest[:count]):
+    if len(rest) < needed or not {"=", "("}.isdisjoint("".join(rest[:count])):
         more = ", then a value or model" if kind not in "vi" else ""
         raise s.error("element is not complete", expected=f"{count} nodes{more}")
     nodes, sources, rest = tuple(rest[:count]), tuple(rest[count:end]), rest[end:]
     if kind in "eg" and count == 2:
-        return _controlled(Element(kind, name, nodes, values=tuple(rest), **origin))
+        return _read_controlled_source(Element(kind, name, nodes, values=tuple(rest), **origin))
     model = rest.pop(0) if kind in MODELLED else ""
-    values = tuple(w for w in rest if not _assigned(w))
-    assignments = dict(w.split("=", 1) for w in rest if _assigned(w))
+    values = tuple(filterfalse(_is_assignment, rest))
+    assignments = dict(map(_split_assignment, filter(_is_assignment, rest)))
     return Element(kind, name, nodes, sources, model, values, assignments, **origin)
 
 
-def _count(kind: str, rest: Sequence[str]) -> int:
+def _count_nodes(kind: str, rest: Sequence[str]) -> int:
+    """Return the number of nodes of an element with the words ``rest`` behind its name."""
     if kind in "eg" and len(rest) > 2 and rest[2].lower().startswith(_LAWS):
         word = rest[2].lower().partition("=")[0].partition("(")[0]
         return 2 if word in _LAWS else 4
@@ -276,33 +301,33 @@ def _count(kind: str, rest: Sequence[str]) -> int:
     return NODES[kind]
 
 
-def _behaviour(s: Statement) -> Element:
-    """A B source; its expression runs to the end of the card."""
+def _read_behaviour(s: Statement) -> Element:
+    """Read a B source, whose expression ends with the card."""
     name, *rest = s.written.split(None, 3)
     quantity, _, law = rest[2].partition("=") if len(rest) > 2 else ("", "", "")
     if quantity.strip().upper() not in ("V", "I") or not law.strip():
         raise s.error("behavioural source without a law", expected="I=… or V=expression")
-    origin = _origin(s) | {"quantity": quantity.strip().upper(), "expression": _bare(law)}
+    origin = _origin(s) | {"quantity": quantity.strip().upper(), "expression": _remove_braces(law)}
     return Element("b", name, tuple(rest[:2]), **origin)
 
 
-def _controlled(part: Element) -> Element:
-    """An E or G source with an expression as one, whichever of its spellings it has.
+def _read_controlled_source(part: Element) -> Element:
+    """Return an E or G source with its law as one expression, from any spelling.
 
-    A Laplace transform stays as it is: it is none of time.
+    A Laplace transform remains unchanged, because it is no function of time.
     """
     text = " ".join(part.values)
     keyword = text.lower().partition("=")[0].split()[0].partition("(")[0]
     rest = text[len(keyword) :].lstrip(" =")
-    law = {"poly": _polynomial, "table": _table}.get(keyword, lambda text, _: text)
+    law = {"poly": _read_polynomial, "table": _read_table}.get(keyword, lambda text, _: text)
     if keyword == "laplace" or not (result := law(rest, part.where)):
         return part
     quantity = "V" if part.kind == "e" else "I"
-    return replace(part, values=(), quantity=quantity, expression=_bare(result))
+    return replace(part, values=(), quantity=quantity, expression=_remove_braces(result))
 
 
-def _bare(law: str) -> str:
-    """An expression without the braces around all of it."""
+def _remove_braces(law: str) -> str:
+    """Return an expression without the braces around all of it."""
     law = law.strip()
     inner = law[1:-1]
     depths = accumulate((ch == "{") - (ch == "}") for ch in inner)
@@ -310,9 +335,11 @@ def _bare(law: str) -> str:
     return inner.strip() if enclosed else law
 
 
-def _polynomial(text: str, where: str) -> str:
-    """``(n) a+ a- b+ b- … p0 p1 …``: coefficients by degree, products in the order of their
-    factors."""
+def _read_polynomial(text: str, where: str) -> str:
+    """Return the polynomial ``(n) a+ a- b+ b- … p0 p1 …`` as an expression.
+
+    The coefficients follow each other by degree, the products by the order of their factors.
+    """
     dimension, _, rest = text.removeprefix("(").partition(")")
     tokens = rest.replace("(", " ").replace(")", " ").replace(",", " ").split()
     if not dimension.strip().isdigit() or len(tokens) <= 2 * int(dimension):
@@ -321,12 +348,12 @@ def _polynomial(text: str, where: str) -> str:
     axes = [f"V({a},{b})" for a, b in zip(ends[::2], ends[1::2], strict=True)]
     if len(factors) == 1 and len(axes) == 1:
         factors = ["0", *factors]  # a lone coefficient is the linear one
-    terms = (p for degree in count() for p in combinations_with_replacement(axes, degree))
+    terms = chain.from_iterable(map(partial(combinations_with_replacement, axes), count()))
     return "+".join("*".join((f"({p})", *term)) for p, term in zip(factors, terms, strict=False))
 
 
-def _table(text: str, where: str) -> str:
-    """``{expression} = (x, y) …``, flat beyond its ends."""
+def _read_table(text: str, where: str) -> str:
+    """Return the table ``{expression} = (x, y) …`` as an expression, flat beyond its ends."""
     control, _, rest = text.lstrip("{").partition("}")
     points = rest.translate(str.maketrans("(),=", "    ")).split()
     ends = [literal(points[k], where=where) for k in (0, -2)] if len(points) > 1 else [None]
