@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TypeVar
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.expression import CircuitVariable, Tree, parse, walk
+from kc2spice.netlist.expression import Tree, parse, probed_names
 from kc2spice.netlist.spelling import number
 
 LEAST = 1e-30  # least value of a parameter that must be above zero
@@ -24,19 +24,26 @@ CONTROLS = {"f": 1, "h": 1, "w": 1, "k": 2}  # sources or inductors behind the n
 
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """One statement: the comment and blank lines above it, ``file:line`` of where it stood and how
-    it was written, on one line, for messages, and the ``owner``, the part of a scene that it
-    belongs to."""
+    """One statement with ``notes``, the comment and blank lines above it.
+
+    Messages quote ``where``, its place as ``file:line``, and ``written``, its text on one line.
+    ``owner`` is the part of a scene that it belongs to.
+    """
 
     notes: tuple[str, ...] = ()
     owner: str = field(default="", compare=False)
     where: str = field(default="", compare=False)
     written: str = field(default="", compare=False)
 
+    @property
+    def file(self) -> str:
+        """Name of the file that contains the statement."""
+        return self.where.rpartition(":")[0]
+
     def error(
         self, message: str, got: str = "", expected: str | None = None, hint: str | None = None
     ) -> UsageError:
-        """The error for this element; ``got`` is by default the element as written."""
+        """Return the error for this card; ``got`` is by default the card as written."""
         got = got or self.written[:80]
         return UsageError(message, where=self.where, got=got, expected=expected, hint=hint)
 
@@ -107,12 +114,12 @@ class Element(Card):
     @cached_property
     def ends(self) -> tuple[str, ...]:
         """The nodes in lower case, as simulators compare nodes."""
-        return tuple(node.lower() for node in self.nodes)
+        return tuple(map(str.lower, self.nodes))
 
     @cached_property
     def settings(self) -> dict[str, str]:
         """Parameters of the element by names in lower case."""
-        return {key.lower(): value for key, value in self.parameters.items()}
+        return lower_keys(self.parameters)
 
     @cached_property
     def law(self) -> Tree:
@@ -120,19 +127,17 @@ class Element(Card):
 
         Raises
         ------
-        UsageError : it is none.
+        UsageError : the text is no expression.
         """
         return parse(self.expression, where=self.where)
 
     @property
     def sensed(self) -> frozenset[str]:
-        """Nodes whose voltages its expression reads; none of one that cannot be read."""
+        """Nodes whose voltages the expression reads; none if the expression is broken."""
         try:
-            leaves = tuple(walk(self.law)) if self.quantity else ()
-        except UsageError:  # the linter says it
+            return probed_names(self.law, "v") if self.quantity else frozenset()
+        except UsageError:  # the linter reports it
             return frozenset()
-        probes = (leaf for leaf in leaves if isinstance(leaf, CircuitVariable) and leaf.kind == "v")
-        return frozenset(name.lower() for probe in probes for name in probe.names)
 
 
 @dataclass(frozen=True)
@@ -176,7 +181,7 @@ class Directive(Card):
 
 @dataclass(frozen=True)
 class Circuit(Card):
-    """A subcircuit, or what one file holds (``name == ""``).
+    """A subcircuit, or the content of one file, with an empty ``name``.
 
     ``defaults`` are the parameters that an instance may set, ``closing`` the comments behind the
     last item.
@@ -190,17 +195,23 @@ class Circuit(Card):
 
     @property
     def subcircuits(self) -> tuple[Circuit, ...]:
-        """The subcircuits that it defines."""
+        """The subcircuits that the circuit defines."""
         return items_of(self.items, Circuit)
 
     def changed(self, change: Callable[[Item], Item]) -> Circuit:
-        """The same with every item changed, what stands in subcircuits first."""
+        """Return the same circuit with every item changed, those of subcircuits first."""
         inner = (i.changed(change) if isinstance(i, Circuit) else i for i in self.items)
         return replace(self, items=tuple(map(change, inner)))
 
 
 Item = Element | Model | Parameters | Function | Directive | Circuit
 Kind = TypeVar("Kind")
+Value = TypeVar("Value")
+
+
+def lower_keys(values: Mapping[str, Value]) -> dict[str, Value]:
+    """Return values by their names in lower case, as simulators compare names."""
+    return dict(zip(map(str.lower, values), values.values(), strict=True))
 
 
 def items_of(items: Iterable[object], kind: type[Kind]) -> tuple[Kind, ...]:
@@ -216,6 +227,11 @@ class Pin:
     unit: str
     flow: str
 
+    @property
+    def key(self) -> str:
+        """The name in lower case, as simulators compare names."""
+        return self.name.lower()
+
 
 @dataclass(frozen=True)
 class Param:
@@ -229,6 +245,11 @@ class Param:
     high: float = math.inf
 
 
+def electrical_pins(names: Iterable[str]) -> tuple[Pin, ...]:
+    """Return pins on which a volt is a volt and an ampere is an ampere."""
+    return tuple(Pin(name, "V", "A") for name in names)
+
+
 def positive(name: str, default: float, unit: str, doc: str) -> Param:
-    """A parameter that must stay above zero."""
+    """Return a parameter that must stay above zero."""
     return Param(name, default, unit, doc, low=LEAST)

@@ -1,4 +1,4 @@
-"""A deck as data: instances, options, analysis, results. Its text is made once, from these."""
+"""Decks as data: instances, options, analysis and results, from which the text is made."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
 from kc2spice.core.domains import Power, units_stated
@@ -27,7 +27,7 @@ ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".noise"))
 
 @dataclass(frozen=True)
 class Option:
-    """One ``.options`` entry (``value`` is ``""`` for a flag) and why it is there."""
+    """One ``.options`` entry, with an empty ``value`` for a flag, and its reason."""
 
     key: str
     value: str
@@ -66,7 +66,7 @@ class Command:
 class Measure:
     """A ``.meas`` card of an analysis ``kind``: ``words`` behind its name, and the factor to SI.
 
-    The words of one of an ``op``, which has no such card, are the vector that its deck prints.
+    An ``op`` has no such card: there the only word is the vector that the deck prints.
     """
 
     name: str
@@ -76,7 +76,7 @@ class Measure:
 
     @property
     def cards(self) -> Iterator[Directive]:
-        """The card, and where the vector is not in SI a second one that scales its value."""
+        """The card, and a second one that scales the value if the vector is not in SI."""
         if self.kind == "op":
             return
         if self.factor == 1.0:
@@ -89,8 +89,10 @@ class Measure:
 
 
 class PowerTerm(NamedTuple):
-    """A power [W] as a product of two results by their names: what is ``across`` pins and what
-    flows ``through`` them, by the ``law`` of their domain."""
+    """A power [W] as the product of two results by their names.
+
+    One is ``across`` pins, the other flows ``through`` them, by the ``law`` of their domain.
+    """
 
     across: str
     through: str
@@ -98,25 +100,28 @@ class PowerTerm(NamedTuple):
 
     @property
     def names(self) -> frozenset[str]:
-        """Results that it needs."""
+        """Names of the results in the product."""
         return frozenset({self.through} if self.law == "through" else {self.across, self.through})
 
 
 def transient(stop: float, max_step: float, *, uic: bool) -> Command:
-    """``.tran`` to ``stop`` [s] in steps of ``max_step`` [s] at most."""
+    """Return ``.tran`` to ``stop`` [s] in steps of ``max_step`` [s] at most."""
     step = min(max_step, stop / 1000)
     words = (tidy(step), number(stop), "0", tidy(max_step))
     return Command("tran", (*words, "uic") if uic else words)
 
 
 def ac(start: float, stop: float, points: int, scale: str) -> Command:
-    """``.ac`` at about ``points`` frequencies [Hz], equally spaced on a log or linear scale."""
+    """Return ``.ac`` at about ``points`` frequencies [Hz] on a log or linear scale."""
     return Command("ac", _range(start, stop, points, scale))
 
 
 def noise(output: str, source: str, start: float, stop: float, points: int, scale: str) -> Command:
-    """``.noise`` of the voltage ``output`` at frequencies as :func:`ac` has them, each with what
-    every device adds; the simulator asks for a ``source`` that it could refer the noise to."""
+    """Return ``.noise`` of the voltage ``output`` at the frequencies of :func:`ac`.
+
+    Every point contains the noise of each device. The simulator needs the name of a ``source``, to
+    which it refers the noise.
+    """
     return Command("noise", (output, source, *_range(start, stop, points, scale), "1"))
 
 
@@ -128,7 +133,7 @@ def _range(start: float, stop: float, points: int, scale: str) -> tuple[str, ...
 
 
 def with_frequencies(command: Command, start: float, stop: float, points: int) -> Command:
-    """A small-signal ``command`` at other frequencies [Hz], equally spaced from ``start``."""
+    """Return a small-signal ``command`` at other frequencies [Hz], equally spaced."""
     reference = command.words[:2] if command.kind == "noise" else ()
     last = command.words[6:] if command.kind == "noise" else ()
     words = (*reference, *_range(start, stop, points, "linear"), *last)
@@ -136,14 +141,14 @@ def with_frequencies(command: Command, start: float, stop: float, points: int) -
 
 
 def dc(source: str, first: float, last: float, points: int) -> Command:
-    """``.dc`` of a source, in its own unit.
+    """Return ``.dc`` of a source, in the unit of the source.
 
-    The simulator adds step to step; a quarter of one beyond the end keeps rounding from losing the
-    last point.
+    The simulator adds step to step. The range is a quarter of a step longer, so that rounding does
+    not lose the last point.
 
     Raises
     ------
-    UsageError : a step within what ngspice takes for the end of the range, behind which it goes on.
+    UsageError : a step so small that ngspice goes on beyond the end of the range.
     """
     step = (last - first) / (points - 1)
     if abs(step) < LEAST_STEP:
@@ -204,13 +209,15 @@ class Deck:
     @property
     def saved(self) -> tuple[str, ...]:
         """The ngspice vectors of all results, each once."""
-        result = [v for text, _ in self.vectors.values() for _, v in terms(text)]
-        return tuple(dict.fromkeys(result))
+        result = dict[str, None]()
+        for expression, _ in self.vectors.values():
+            result |= dict.fromkeys(map(itemgetter(1), terms(expression)))
+        return tuple(result)
 
     @property
     def files(self) -> dict[str, str]:
         """``{file name: text}`` of the deck and its libraries."""
-        libraries = {part.filename: part.text for part in self.parts}
+        libraries = dict(map(attrgetter("filename", "text"), self.parts))
         return {self.main: self._main} | libraries | dict(self.more)
 
     @cached_property
@@ -223,7 +230,7 @@ class Deck:
         """
         if self.text is None:
             return self.printed_for(*self._usage)
-        return _inserted(self._read, [*self._option_cards, *self._refinement_cards])
+        return _insert_cards(self._read, [*self._option_cards, *self._refinement_cards])
 
     @cached_property
     def trees(self) -> dict[str, Circuit]:
@@ -234,13 +241,13 @@ class Deck:
         UsageError : a broken card.
         """
         more = {name: read(text, name) for name, text in self.more.items()}
-        libraries = {part.filename: part.circuit for part in self.parts}
+        libraries = dict(map(attrgetter("filename", "circuit"), self.parts))
         return {self.main: self.circuit} | libraries | more
 
     @cached_property
     def located(self) -> Mapping[str, Circuit]:
         """The trees with the place of each card in the files that are written, for errors."""
-        libraries = {part.filename: part.located for part in self.parts}
+        libraries = dict(map(attrgetter("filename", "located"), self.parts))
         main = located(self.circuit, self.main) if self.text is None else self.circuit
         return {**self.trees, **libraries, self.main: main}
 
@@ -256,7 +263,7 @@ class Deck:
 
     @cached_property
     def _read(self) -> Circuit:
-        """The tree of the text that somebody wrote."""
+        """The tree of a deck that somebody wrote."""
         return self.tree or read(self.text or "", self.main, title=True)
 
     @cached_property
@@ -276,9 +283,9 @@ class Deck:
         )
 
     def printed_for(self, *usage: str) -> Circuit:
-        """The tree of the main file whose head says how a program runs it: the lines ``usage``.
+        """Return the tree of the main file with the lines ``usage`` about how to run it.
 
-        A deck that somebody wrote keeps its own head.
+        A deck that somebody wrote keeps its head.
         """
         if self.text is not None:
             return self.circuit
@@ -290,7 +297,8 @@ class Deck:
         yield from usage
         if stated := units_stated(self._pin_units):
             yield f"* Units of the nodes: {stated}."
-        yield from (Directive(".include", (part.filename,)) for part in self.parts)
+        for part in self.parts:
+            yield Directive(".include", (part.filename,))
         yield from self.items
         yield ""
         if self.initial:
@@ -299,10 +307,10 @@ class Deck:
         yield from self._option_cards
         yield self.command.directive
         yield from self._refinement_cards
-        totals = (
-            ("onoise_total",) if self.command.kind == "noise" else ()
-        )  # vector of the second plot
-        yield from (Directive(".save", (vector,)) for vector in (*self.saved, *totals))
+        for vector in self.saved:
+            yield Directive(".save", (vector,))
+        if self.command.kind == "noise":
+            yield Directive(".save", ("onoise_total",))  # vector of the second plot
         yield from self._measured(
             "" if usage != self._usage else ", which ngspice prints without -r"
         )
@@ -327,40 +335,41 @@ class Deck:
         return set(map(attrgetter("unit"), chain(pins, elements)))
 
     @property
-    def _rows(self) -> list[Measure]:
-        """The measures that this analysis has."""
+    def _available_measures(self) -> list[Measure]:
+        """The measures of this kind of analysis."""
         return [measure for measure in self.measures if measure.kind == self.command.kind]
 
     def _measured(self, printed: str) -> Iterator[Line]:
         """The cards of the measures, below a comment that ends with ``printed``."""
-        cards = [card for measure in self._rows for card in measure.cards]
+        cards = list(chain.from_iterable(map(attrgetter("cards"), self._available_measures)))
         if cards:
             yield f"* Main metrics in SI units{printed}"
         yield from cards
 
     @property
     def _printed(self) -> Iterator[Line]:
-        """The card of what ngspice prints: two vectors, and those that an ``op`` is run for."""
-        points = self._rows if self.command.kind == "op" else []
-        for row in points:
+        """The card of what ngspice prints: the measures of an ``op``, and two vectors."""
+        columns = []
+        for row in self._available_measures if self.command.kind == "op" else ():
             yield f"* {row.name} in SI units is {number(row.factor)} times {row.words[0]}"
-        columns = dict.fromkeys((*(row.words[0] for row in points), *self.saved[:2]))
-        yield Directive(".print", (self.command.kind, *columns))
+            columns.append(row.words[0])
+        columns += self.saved[:2]
+        yield Directive(".print", (self.command.kind, *dict.fromkeys(columns)))
 
     def with_command(self, command: Command) -> Deck:
-        """The same deck with this analysis instead of its own and of its refinements."""
+        """Return the same deck with this analysis instead of the former one and its refinements."""
         if self.text is None:
             return replace(self, command=command, refinements=())
         items = self._read.items
-        at = _analysis(items)
+        at = _find_analysis(items)
         if at is None:
             return self
         analysis = replace(command.directive, notes=items[at].notes)
         tree = replace(self._read, items=(*items[:at], analysis, *items[at + 1 :]))
-        return self._rewritten(tree, command=command, refinements=())
+        return self._replace_tree(tree, command=command, refinements=())
 
     def option(self, key: str) -> str | None:
-        """The value of an option, None where the deck says nothing."""
+        """Return the value of an option, None if the deck does not set it."""
         result = None
         for card in items_of(self.circuit.items, Directive):
             for word in card.words if card.keyword in OPTION_CARDS else ():
@@ -370,25 +379,25 @@ class Deck:
         return result
 
     def saving(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
-        """The same deck with these results besides its own."""
+        """Return the same deck with further results."""
         result = replace(self, vectors={**self.vectors, **vectors})
-        if self.text is None or not any(_keyword(item) == ".save" for item in self._read.items):
+        if self.text is None or ".save" not in map(_keyword, self._read.items):
             return result
-        card = Directive(".save", tuple(vector for vector, _ in vectors.values()))
-        return result._rewritten(_inserted(self._read, [card]))
+        card = Directive(".save", tuple(map(itemgetter(0), vectors.values())))
+        return result._replace_tree(_insert_cards(self._read, [card]))
 
-    def _rewritten(self, tree: Circuit, **changes: Any) -> Deck:
-        """The same deck with another main file."""
+    def _replace_tree(self, tree: Circuit, **changes: Any) -> Deck:
+        """Return the same deck with another main file."""
         return replace(self, tree=tree, text=Printer().file(tree), **changes)
 
     def with_options(self, options: Mapping[str, str], reason: str) -> Deck:
-        """The same deck with these options instead of its own."""
+        """Return the same deck with these values of options."""
         unchanged = tuple(option for option in self.options if option.key not in options)
         new = tuple(Option(key, value, reason) for key, value in options.items())
         return replace(self, options=unchanged + new)
 
     def with_steps(self, factor: float) -> Deck:
-        """The same deck with its largest time step times ``factor``."""
+        """Return the same deck with its largest time step times ``factor``."""
         if self.command.kind != "tran" or len(self.command.words) < 4:
             return self
         words = list(self.command.words)
@@ -403,14 +412,14 @@ def _keyword(item: Item) -> str:
     return item.keyword if isinstance(item, Directive) else ""
 
 
-def _analysis(items: Sequence[Item]) -> int | None:
-    """Position of the first analysis."""
+def _find_analysis(items: Sequence[Item]) -> int | None:
+    """Return the position of the first analysis, None if there is none."""
     return next((k for k, item in enumerate(items) if _keyword(item) in ANALYSES), None)
 
 
-def _inserted(tree: Circuit, cards: Sequence[Item]) -> Circuit:
-    """The tree with ``cards`` above its analysis."""
-    at = _analysis(tree.items)
+def _insert_cards(tree: Circuit, cards: Sequence[Item]) -> Circuit:
+    """Return the tree with ``cards`` above its analysis."""
+    at = _find_analysis(tree.items)
     if at is None or not cards:
         return tree
     return replace(tree, items=(*tree.items[:at], *cards, *tree.items[at:]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import Any
@@ -29,7 +29,9 @@ FUNCTIONS = EVERYWHERE.union((
 ))  # fmt: skip
 BUILT_IN = frozenset(("boltz", "e", "gmin", "hertz", "pi", "temp", "temper", "time", "vt"))
 _LEVELS = (("||",), ("&&",), ("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/"))
-_RANK = {op: rank for rank, ops in enumerate(_LEVELS) for op in ops}
+_RANK: dict[str, int] = {}
+for _rank, _operators in enumerate(_LEVELS):
+    _RANK |= dict.fromkeys(_operators, _rank)
 #: Powers of ten of the scale factors behind a number.
 PREFIXES = {"meg": 6, "t": 12, "g": 9, "k": 3, "m": -3, "u": -6, "n": -9, "p": -12, "f": -15, "": 0}
 MIL = 25.4e-6  # m, the one scale factor that is no power of ten
@@ -95,7 +97,7 @@ Tree = Number | Name | CircuitVariable | Call | Unary | Binary | Choice
 
 
 def parse(text: str, *, where: str = "expression") -> Tree:
-    """The tree of ``text``; braces and quotes around it, or around parts of it, mean nothing.
+    """Return the tree of ``text``; braces and quotes around parts of it mean nothing.
 
     Raises
     ------
@@ -105,7 +107,7 @@ def parse(text: str, *, where: str = "expression") -> Tree:
 
 
 def literal(text: str, *, where: str = "expression") -> float | None:
-    """The value of a number with its sign and scale factor, None of any other expression.
+    """Return the value of a number with sign and scale factor, None of any other expression.
 
     Raises
     ------
@@ -118,20 +120,32 @@ def literal(text: str, *, where: str = "expression") -> float | None:
 
 
 def walk(tree: Tree) -> Iterator[Tree]:
-    """The tree and everything below it."""
+    """Yield the tree and all trees below it."""
     yield tree
     for child in children(tree):
         yield from walk(child)
 
 
 def children(tree: Tree) -> tuple[Tree, ...]:
-    """Direct operands of ``tree``."""
+    """Return the direct operands of ``tree``."""
     below = tree.arguments if isinstance(tree, Call) else vars(tree).values()
     return tuple(item for item in below if isinstance(item, Tree))
 
 
+def probed_names(tree: Tree, kind: str) -> frozenset[str]:
+    """Return the nodes whose voltages (``"v"``) an expression reads, in lower case.
+
+    With the ``kind`` ``"i"`` they are the devices whose currents the expression reads.
+    """
+    result = set[str]()
+    for leaf in walk(tree):
+        if isinstance(leaf, CircuitVariable) and leaf.kind == kind:
+            result.update(map(str.lower, leaf.names))
+    return frozenset(result)
+
+
 def rebuilt(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
-    """``tree`` with what stands directly below it changed."""
+    """Return ``tree`` with its direct operands changed."""
     if isinstance(tree, Call):
         return Call(tree.function, tuple(map(change, tree.arguments)))
     kind: Any = type(tree)
@@ -149,8 +163,8 @@ _OPERATORS: dict[str, Callable[[float, float], float]] = {
 }  # fmt: skip
 
 
-def value(tree: Tree, names: Mapping[str, float]) -> float:
-    """The number that an expression of parameters has.
+def evaluate_tree(tree: Tree, names: Mapping[str, float]) -> float:
+    """Return the number that an expression of parameters has.
 
     Parameters
     ----------
@@ -159,11 +173,11 @@ def value(tree: Tree, names: Mapping[str, float]) -> float:
 
     Raises
     ------
-    UsageError : a parameter without a value, or what is no number, such as a voltage.
+    UsageError : a parameter without a value, or an expression of voltages or currents.
 
     Examples
     --------
-    >>> value(parse("{2*k+1}"), {"k": 3.0})
+    >>> evaluate_tree(parse("{2*k+1}"), {"k": 3.0})
     7.0
     """
     match tree:
@@ -172,36 +186,36 @@ def value(tree: Tree, names: Mapping[str, float]) -> float:
         case Name(text) if text.lower() in names:
             return names[text.lower()]
         case Call(function, arguments) if function in _MATH:
-            return float(_MATH[function](*(value(item, names) for item in arguments)))
+            return float(_MATH[function](*(evaluate_tree(item, names) for item in arguments)))
         case Unary("-" | "+" as op, inner):
-            return -value(inner, names) if op == "-" else value(inner, names)
+            return -evaluate_tree(inner, names) if op == "-" else evaluate_tree(inner, names)
         case Binary(op, left, right) if op in _OPERATORS:
-            return float(_OPERATORS[op](value(left, names), value(right, names)))
+            return float(_OPERATORS[op](evaluate_tree(left, names), evaluate_tree(right, names)))
         case Choice(test, yes, no):
-            return value(yes if value(test, names) else no, names)
+            return evaluate_tree(yes if evaluate_tree(test, names) else no, names)
     raise UsageError("not a number", where="expression", got=Writer().write(tree)[:80])
 
 
 def substitute(tree: Tree, values: Mapping[str, Tree]) -> Tree:
-    """``tree`` with trees in place of names."""
+    """Return ``tree`` with trees in place of names."""
     if isinstance(tree, Name):
         return values.get(tree.text, tree)
     return rebuilt(tree, lambda node: substitute(node, values))
 
 
 class Writer:
-    """Writes trees; a dialect overrides the spelling of names and functions, or what it writes."""
+    """Writer of trees; dialects override the spelling of names, functions and operators."""
 
     def name(self, text: str) -> str:
-        """A parameter or keyword."""
+        """Return the spelling of a parameter or keyword."""
         return text
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """A function with its arguments."""
+        """Return the spelling of a function with its arguments."""
         return f"{function}({', '.join(map(self.write, arguments))})"
 
     def write(self, tree: Tree, level: int = 0) -> str:
-        """Text of ``tree``, in parentheses where it binds weaker than its surroundings."""
+        """Return the text of ``tree``, in parentheses if it binds weaker than its surroundings."""
         match tree:
             case Number(text):
                 return text
@@ -285,7 +299,7 @@ class _Parser:
             raise self.error("something expected")
         self.at = match.end()
         if match["number"]:
-            return Number(_plain(match["number"], match["suffix"]))
+            return Number(_remove_scale_factor(match["number"], match["suffix"]))
         if match["name"]:
             return self.name_or_call(match["name"])
         if closing := {"(": ")", "{": "}"}.get(match["op"]):
@@ -303,7 +317,7 @@ class _Parser:
             inside, self.at = self.text[self.at : end], end + 1
             if end < 0 or not inside.strip():
                 raise self.error("a node expected")
-            return CircuitVariable(name.lower(), tuple(n.strip() for n in inside.split(",")))
+            return CircuitVariable(name.lower(), tuple(map(str.strip, inside.split(","))))
         arguments: list[Tree] = []
         if self.accept(")") is None:
             arguments.append(self.choice())
@@ -313,8 +327,8 @@ class _Parser:
         return Call(name.lower(), tuple(arguments))
 
 
-def _plain(literal: str, suffix: str) -> str:
-    """A literal without its scale factor; letters behind the factor mean nothing."""
+def _remove_scale_factor(literal: str, suffix: str) -> str:
+    """Return a literal without its scale factor; letters behind the factor mean nothing."""
     if not suffix:
         return literal
     plain = literal.removesuffix(suffix)
@@ -329,8 +343,10 @@ def _plain(literal: str, suffix: str) -> str:
 
 @dataclass(frozen=True)
 class Trace:
-    """A saved vector: ``quantity`` is ``v`` of one or two nodes (``xa.xb.node``) or ``i`` of the
-    device ``names[0]`` inside of the instances ``path``, by its ``parameter`` where it has one.
+    """A saved vector: the voltage of one or two nodes, or a current of a device.
+
+    ``quantity`` is ``v`` of the nodes ``names``, such as ``xa.xb.node``, or ``i`` of the device
+    ``names[0]`` inside of the instances ``path``. ``parameter`` names the current of the device.
     """
 
     quantity: str
@@ -339,13 +355,13 @@ class Trace:
     parameter: str = ""
 
     def within(self, instance: str) -> Trace:
-        """The same inside of an instance of the circuit."""
+        """Return the vector of an instance of the circuit."""
         if self.quantity == "v":
             return replace(self, names=tuple(f"{instance}.{name}" for name in self.names))
         return replace(self, path=(instance, *self.path))
 
     def __str__(self) -> str:
-        """As ngspice has it: the letter of an inner device stands before its path."""
+        """Return the name in ngspice, with the letter of an inner device before its path."""
         device = ".".join([self.names[0][0], *self.path, *self.names] if self.path else self.names)
         if self.parameter:
             return f"@{device}[{self.parameter}]"
@@ -353,35 +369,35 @@ class Trace:
 
 
 def vector(text: str) -> Trace | None:
-    """``v(node)``, ``v(a,b)``, a bare node, ``i(source)`` or ``@device[parameter]`` as a trace.
+    """Return the vector that a text names, None if it names none.
 
-    None of anything else.
+    It may be ``v(node)``, ``v(a,b)``, a bare node, ``i(source)`` or ``@device[parameter]``.
     """
     text = text.strip("\"'")
     head, _, inside = text.partition("(")
     if text.startswith("@") and text.endswith("]"):
         device, _, parameter = text[1:-1].partition("[")
-        return _device(device, parameter)
+        return _parse_device(device, parameter)
     if not inside:
         return Trace("v", (text,))
     if head.lower() not in ("v", "i") or not inside.endswith(")") or "(" in inside:
         return None
-    names = tuple(name.strip() for name in inside[:-1].split(","))
-    return Trace("v", names) if head.lower() == "v" else _device(names[0], "")
+    names = tuple(map(str.strip, inside[:-1].split(",")))
+    return Trace("v", names) if head.lower() == "v" else _parse_device(names[0], "")
 
 
-def _device(text: str, parameter: str) -> Trace:
+def _parse_device(text: str, parameter: str) -> Trace:
     *path, name = text.split(".")
     inner = path[1:] if path and len(path[0]) == 1 else path
     return Trace("i", (name,), tuple(inner), parameter)
 
 
 def terms(expression: str) -> list[tuple[float, str]]:
-    """Signs and vectors of a sum: ``v(a)-v(b)`` is ``[(1, "v(a)"), (-1, "v(b)")]``."""
+    """Return signs and vectors of a sum: ``v(a)-v(b)`` is ``[(1, "v(a)"), (-1, "v(b)")]``."""
     result = filter(None, expression.replace("-", "+-").split("+"))
     return [(-1.0 if term.startswith("-") else 1.0, term.removeprefix("-")) for term in result]
 
 
-def added(signed: list[tuple[float, str]]) -> str:
-    """The inverse of :func:`terms`."""
+def join_terms(signed: Iterable[tuple[float, str]]) -> str:
+    """Return the sum with these signs and vectors, the inverse of :func:`terms`."""
     return "".join(("-" if sign < 0 else "+") + text for sign, text in signed).removeprefix("+")

@@ -7,12 +7,14 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 
 from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import read_bounded, text_of
-from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
+from kc2spice.netlist.circuit import Circuit, Element, Param, Pin, electrical_pins, items_of
 from kc2spice.netlist.expression import literal
 from kc2spice.netlist.prefixes import with_prefix
 from kc2spice.netlist.printers.ngspice import Printer, located
@@ -33,7 +35,7 @@ class Header:
     scene_hash: str
 
     def origin(self) -> tuple[str, ...]:
-        """Tool version, scene and licence, as comment lines."""
+        """Return tool version, scene and licence as comment lines."""
         return (
             f"* tool: kc2spice {__version__}",
             f"* scene: {comment(self.scene)} hash={comment(self.scene_hash)}",
@@ -60,12 +62,12 @@ class ReductionFacts:
     def summary(self) -> str:
         """The facts on one line, the error estimate rounded upwards."""
         low, high = map(number, self.band_hz)
-        error = number(_upwards(self.error_estimate))
+        error = number(_round_up(self.error_estimate))
         return f"order={self.order} band={low}..{high} Hz norm={self.norm} error={error}"
 
 
-def _upwards(value: float) -> float:
-    """Three digits of it, rounded so that a bound stays one."""
+def _round_up(value: float) -> float:
+    """Round to three digits, upwards, so that an error bound remains a bound."""
     mantissa, _, exponent = f"{value:.2e}".partition("e")
     short = float(f"{mantissa}e{exponent}")
     return short if short >= value else float(f"{float(mantissa) + 0.01:.2f}e{exponent}")
@@ -109,7 +111,7 @@ class Subcircuit:
         return self.circuit if self.source else located(self.circuit, self.filename)
 
     def changed(self, circuit: Circuit) -> Subcircuit:
-        """The same part with another circuit."""
+        """Return the same part with another circuit."""
         return replace(self, circuit=circuit, source="")
 
     def write(self, path: str | Path) -> Path:
@@ -190,21 +192,22 @@ def parameter_line(param: Param) -> str:
 
 
 def subcircuits(text: str, file: str) -> list[Subcircuit]:
-    """The parts in the ``text`` of a library ``file``, as :func:`read_lib` gives them."""
+    """Return the parts in the ``text`` of a library ``file``, as :func:`read_lib` does."""
     library = read(text, file)
-    result = library.subcircuits
-    called = {model.lower() for item in result for model in _called(item)}
-    declared = [item for item in result if any(map(_PIN.match, item.notes))]
-    parts = declared or [item for item in result if item.name.lower() not in called]
-    return [_part(item, library, text, file) for item in parts]
+    parts = list(filter(declared_pins, library.subcircuits))
+    if not parts:
+        inner = set(chain.from_iterable(map(_instantiated_names, library.subcircuits)))
+        parts = [item for item in library.subcircuits if item.name.lower() not in inner]
+    return [_make_part(item, library, text, file) for item in parts]
 
 
-def _called(circuit: Circuit) -> Iterator[str]:
-    for item in circuit.items:
-        if isinstance(item, Circuit):
-            yield from _called(item)
-        elif isinstance(item, Element) and item.kind == "x":
-            yield item.model
+def _instantiated_names(circuit: Circuit) -> Iterator[str]:
+    """Yield the names of the subcircuits that a circuit instantiates, in lower case."""
+    for item in items_of(circuit.items, Element):
+        if item.kind == "x":
+            yield item.model.lower()
+    for inner in circuit.subcircuits:
+        yield from _instantiated_names(inner)
 
 
 def joined_comments(notes: Iterable[str]) -> list[str]:
@@ -213,14 +216,20 @@ def joined_comments(notes: Iterable[str]) -> list[str]:
 
 
 def declared_pins(circuit: Circuit) -> list[Pin]:
-    """The pins that the head of a subcircuit declares."""
+    """Return the pins that the head of a subcircuit declares."""
     return [Pin(*match.groups()) for match in map(_PIN.match, circuit.notes) if match]
 
 
-def _part(circuit: Circuit, library: Circuit, text: str, file: str) -> Subcircuit:
+def _make_part(circuit: Circuit, library: Circuit, text: str, file: str) -> Subcircuit:
+    """Return one subcircuit of a library as a part.
+
+    Raises
+    ------
+    UsageError : the head lists other pins than the subcircuit has.
+    """
     pins = declared_pins(circuit)
-    if pins and [p.name.lower() for p in pins] != [n.lower() for n in circuit.pins]:
-        listed = " ".join(p.name for p in pins)
+    if pins and list(map(attrgetter("key"), pins)) != list(map(str.lower, circuit.pins)):
+        listed = " ".join(map(attrgetter("name"), pins))
         message = "the head does not list the pins of its subcircuit"
         raise circuit.error(message, listed, " ".join(circuit.pins))
     heads = {m[1].lower(): m for m in map(_PARAM.match, joined_comments(circuit.notes)) if m}
@@ -231,7 +240,7 @@ def _part(circuit: Circuit, library: Circuit, text: str, file: str) -> Subcircui
             (head[3], head[6], float(head[4] or "-inf"), float(head[5] or "inf")) if head else ()
         )
         params.append(Param(name, math.nan if value is None else value, *(labels or ("-", ""))))
-    ends = tuple(pins or (Pin(name, "V", "A") for name in circuit.pins))
+    ends = tuple(pins) or electrical_pins(circuit.pins)
     title = joined_comments(text.split("\n"))[0].lstrip("* ")
     return Subcircuit(
         circuit.name, ends, tuple(params), library, title=title, file=file, source=text

@@ -1,4 +1,4 @@
-"""Reads a deck before the simulator does and names what is wired wrongly."""
+"""Check of the wiring of a deck before a simulator reads the deck."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import difflib
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from itertools import chain
+from operator import attrgetter
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Card, Circuit, Directive, Element, Parameters
@@ -22,7 +24,7 @@ from kc2spice.netlist.expression import (
     walk,
 )
 from kc2spice.netlist.library import declared_pins
-from kc2spice.netlist.scope import GROUND, Scope, circuit, inside
+from kc2spice.netlist.scope import GROUND, Scope, circuit, find_instance
 
 _ODD = tuple(map(Number, ("1", "3", "5", "7", "9")))
 # Parasitic settings of elements in LTspice, and the equivalent separate elements.
@@ -34,21 +36,21 @@ _INFIX = re.compile(r"(\d+)([a-df-z][a-z]*)(\d+)", re.IGNORECASE)
 
 
 def lint(deck: Deck) -> None:
-    """Raise the first mistake of ``deck`` as an error that counts the others.
+    """Raise the first wiring mistake of ``deck`` as an error that counts the others.
 
     Raises
     ------
     UsageError : wrong wiring; the message names file, line, what is wrong and what was expected.
     """
-    if result := circuit_problems(deck):
+    if result := find_circuit_problems(deck):
         first = result[0]
         more = f"{len(result) - 1} more after this one" if len(result) > 1 else None
         first.hint = "; ".join(filter(None, (first.hint, more))) or None
         raise first
 
 
-def circuit_problems(deck: Deck) -> list[UsageError]:
-    """All mistakes of ``deck``.
+def find_circuit_problems(deck: Deck) -> list[UsageError]:
+    """Return all wiring mistakes of ``deck``.
 
     Unknown subcircuits, models, parameters, nodes and controlling sources; instances with too many
     or too few pins; two parts with one name in one scope; nodes that one part alone touches.
@@ -58,62 +60,66 @@ def circuit_problems(deck: Deck) -> list[UsageError]:
     UsageError : the text cannot be read at all (missing include, broken card, unclosed subcircuit).
     """
     try:
-        if not _problems(deck, deck.trees, deck.scope):
+        if not _find_problems(deck, deck.trees, deck.scope):
             return []
     except UsageError:  # raised again below, with the place of its card
         pass
-    return _problems(deck, deck.located, circuit(deck.located[deck.main], deck.located, deck.main))
+    top = circuit(deck.located[deck.main], deck.located, deck.main)
+    return _find_problems(deck, deck.located, top)
 
 
-def _problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list[UsageError]:
-    signals = frozenset(_signal_pins(trees.values()))
-    read = _read_inside(deck, top)
+def _find_problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list[UsageError]:
+    signals = frozenset(_list_signal_pins(trees.values()))
+    read = _saved_nodes(deck, top)
     problems: list[UsageError] = []
     for item in top.inwards():
-        problems += _wrong_cards(item)
-        problems += _dangling(item, signals, read.get(id(item), set()))
+        problems += _check_cards(item)
+        problems += _check_connections(item, signals, read.get(id(item), set()))
     return problems
 
 
-def _read_inside(deck: Deck, top: Scope) -> dict[int, set[str]]:
-    """Nodes of subcircuits that the deck saves, such as ``v(x1.p)``, by the identity of the scope:
-    a node that is read is not one that somebody forgot to wire."""
+def _saved_nodes(deck: Deck, top: Scope) -> dict[int, set[str]]:
+    """Return the nodes of subcircuits that the deck saves, such as ``v(x1.p)``.
+
+    The keys are identities of scopes. A node that is saved needs no second connection.
+    """
     result: dict[int, set[str]] = {}
     for text in deck.saved:
         for name in text.lower().partition("(")[2].removesuffix(")").split(","):
             *path, node = name.strip().split(".")
-            scope = inside(top, tuple(path)) if path else None
+            scope = find_instance(top, tuple(path)) if path else None
             if scope is not None:
                 result.setdefault(id(scope), set()).add(node)
     return result
 
 
-def _signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
+def _list_signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
     for item in circuits:
-        signals = (pin.name.lower() for pin in declared_pins(item) if pin.flow == "-")
-        yield from ((item.name.lower(), name) for name in signals)
-        yield from _signal_pins(item.subcircuits)
+        for pin in declared_pins(item):
+            if pin.flow == "-":
+                yield item.name.lower(), pin.key
+        yield from _list_signal_pins(item.subcircuits)
 
 
-def _wrong_cards(scope: Scope) -> Iterator[UsageError]:
-    first: dict[str, Element] = {}
+def _check_cards(scope: Scope) -> Iterator[UsageError]:
     for part in scope.elements:
-        if first.setdefault(part.key, part) is not part:
-            other = f"another name; the first {part.key} is in {first[part.key].where}"
+        first = scope.elements_by_key[part.key]
+        if first is not part:
+            other = f"another name; the first {part.key} is in {first.where}"
             yield part.error("two parts have one name", part.name, other)
-    nodes = {n for part in scope.elements for n in part.ends}.union(scope.pins, GROUND)
-    kinds = {"v": nodes, "i": {e.key for e in scope.elements if e.kind in "vlehb"}}
+    kinds = {"v": scope.nodes | GROUND, "i": scope.elements_of("vlehb").keys()}
     for card in (*scope.commands, *scope.elements):
         if isinstance(card, Element):
-            yield from _instance(card, scope) if card.kind == "x" else _references(card, scope)
+            check = _check_instance if card.kind == "x" else _check_references
+            yield from check(card, scope)
         for text in _expressions(card):
-            yield from _misread(card, text, scope, kinds)
+            yield from _check_expression(card, text, scope, kinds)
 
 
-def _instance(part: Element, scope: Scope) -> Iterator[UsageError]:
+def _check_instance(part: Element, scope: Scope) -> Iterator[UsageError]:
     called = scope.find(part.model)
     if called is None:
-        near = _nearest(part.model, scope.subcircuits)
+        near = _suggest_name(part.model, scope.subcircuits)
         yield part.error("no such subcircuit", part.model, near)
         return
     if len(part.nodes) != len(called.pins):
@@ -124,15 +130,16 @@ def _instance(part: Element, scope: Scope) -> Iterator[UsageError]:
             f"{len(part.nodes)} nodes: {' '.join(part.ends)}",
             f"{len(called.pins)} pins: {' '.join(called.pins)}",
         )
-    for param in (name for name in part.settings if name not in called.defaults):
-        near = _nearest(param, called.defaults)
-        yield part.error(f"{called.name} has no such parameter", param, near)
+    for param in part.settings:
+        if param not in called.defaults:
+            near = _suggest_name(param, called.defaults)
+            yield part.error(f"{called.name} has no such parameter", param, near)
 
 
-def _references(part: Element, scope: Scope) -> Iterator[UsageError]:
-    """Models and controlling sources of a primitive part."""
+def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
+    """Yield mistakes in the model, the parameters and the controlling sources of an element."""
     if part.model and part.model.lower() not in scope.models:
-        yield part.error("no such model", part.model, _nearest(part.model, scope.models))
+        yield part.error("no such model", part.model, _suggest_name(part.model, scope.models))
     for param in part.settings if part.kind in "rlcvi" else ():
         if instead := _PARASITIC.get(param):
             yield part.error(
@@ -149,30 +156,30 @@ def _references(part: Element, scope: Scope) -> Iterator[UsageError]:
             read = f"{integer}{suffix}"
             message = f"ngspice reads {value} as {read}"
             yield part.error(message, f"{value} of {part.name}", f"{integer}.{decimals}{suffix}")
-    kind = "l" if part.kind == "k" else "v"
-    present = [e.key for e in scope.elements if e.kind == kind]
+    present = scope.elements_of("l" if part.kind == "k" else "v")
     for source in map(str.lower, part.sources):
         if source not in present:
-            yield part.error("no such controlling part", source, _nearest(source, present))
+            yield part.error("no such controlling part", source, _suggest_name(source, present))
 
 
 def _expressions(card: Card) -> Iterator[str]:
-    """Expressions of a card, its law last."""
+    """Yield the expressions of a card, its law last."""
     if isinstance(card, Parameters):
         yield from card.values.values()
     elif isinstance(card, Element):
         for value in (*card.values, *card.parameters.values()):
-            yield from (f"{{{piece.partition('}')[0]}}}" for piece in value.split("{")[1:])
+            for piece in value.split("{")[1:]:
+                yield f"{{{piece.partition('}')[0]}}}"
             if value.startswith("'"):
                 yield value
         if card.quantity:
             yield card.expression
 
 
-def _misread(
-    card: Card, text: str, scope: Scope, kinds: dict[str, set[str]]
+def _check_expression(
+    card: Card, text: str, scope: Scope, kinds: Mapping[str, Collection[str]]
 ) -> Iterator[UsageError]:
-    """Faults of an expression: unknown names, nodes and sources.
+    """Yield the mistakes of an expression: unknown names, nodes and sources.
 
     ``kinds`` lists the known ones. In a law, functions that ngspice lacks or defines
     differently are faults too.
@@ -187,32 +194,35 @@ def _misread(
     for leaf in walk(tree):
         match leaf:
             case Name(name) if name.lower() not in BUILT_IN.union(scope.params):
-                yield card.error("no such parameter", name, _nearest(name, scope.params))
+                yield card.error("no such parameter", name, _suggest_name(name, scope.params))
             case CircuitVariable(kind, names):
                 for name in map(str.lower, names):
                     if name not in kinds[kind]:
                         what = f"no such {'node' if kind == 'v' else 'source'}"
-                        yield card.error(what, name, _nearest(name, kinds[kind]))
+                        yield card.error(what, name, _suggest_name(name, kinds[kind]))
             case Call(name) if law and name not in functions:
-                yield card.error("ngspice has no such function", name, _nearest(name, functions))
+                near = _suggest_name(name, functions)
+                yield card.error("ngspice has no such function", name, near)
             case Binary("^", _, power) if law and power in _ODD:
                 message = "ngspice takes odd powers of the absolute value"
                 yield card.error(message, card.written, "a product")
 
 
-def _dangling(
+def _check_connections(
     scope: Scope, signals: frozenset[tuple[str, str]], read: Collection[str]
 ) -> Iterator[UsageError]:
-    """Nodes with one connection, unless it is a signal output, saved, probed, named ``nc…``, or
-    among those that the deck has ``read``."""
-    uses = Counter(n for part in scope.elements for n in part.ends)
-    uses.update(scope.pins)
+    """Yield an error for each node with one connection.
+
+    Exceptions are signal outputs, nodes in an output or in an expression, nodes named ``nc…``, and
+    nodes in ``read``, which the deck saves.
+    """
+    uses = Counter(chain(scope.pins, *map(attrgetter("ends"), scope.elements)))
     watched = set(read)
     for card in scope.commands:
-        for text in _written(card).split("(")[1:]:
+        for text in _card_text(card).split("(")[1:]:
             names = text.partition(")")[0].lower().split(",")
             watched.update(map(str.strip, names))
-    watched.update(*(part.sensed for part in scope.elements))
+    watched.update(*map(attrgetter("sensed"), scope.elements))
     for part in scope.elements:
         called = scope.find(part.model) if part.kind == "x" else None
         pins = dict(enumerate(called.pins if called else ()))
@@ -224,17 +234,17 @@ def _dangling(
                 yield part.error(
                     f"floating port: nothing else is wired to node {node}",
                     f"pin {pin} of {part.name}",
-                    _nearest(node, [n for n in uses if n != node]),
+                    _suggest_name(node, uses.keys() - {node}),
                     f"wire it; if it is to be free, save v({node}) or call the node nc_{node}",
                 )
 
 
-def _written(card: Card) -> str:
+def _card_text(card: Card) -> str:
     return card.text if isinstance(card, Directive) else card.written
 
 
-def _nearest(name: str, known: Collection[str]) -> str | None:
-    """A suggestion: the most similar name, or all of a short list."""
+def _suggest_name(name: str, known: Collection[str]) -> str | None:
+    """Return the most similar name, or all names of a short list, as a suggestion."""
     near = difflib.get_close_matches(name.lower(), list(known), 1)
     if near:
         return f"{near[0]}, perhaps"

@@ -1,8 +1,8 @@
 """Nodal analysis of linear circuits: a circuit tree in, its frequency response out.
 
-The equations are those of the elements as they stand in the tree, after the parameters of an
-instance were inserted. Nothing is known here of the model that the circuit was made from
-(C.-W. Ho, A. Ruehli, P. Brennan, IEEE Trans. Circuits Syst. 22 (1975) 504.)
+The equations follow from the elements of the tree and the parameters of an instance alone, not
+from the model that the circuit was made from (C.-W. Ho, A. Ruehli, P. Brennan, IEEE Trans.
+Circuits Syst. 22 (1975) 504).
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import filterfalse
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Circuit, Element, Parameters, items_of
-from kc2spice.netlist.expression import Tree, parse, value
+from kc2spice.netlist.expression import Tree, evaluate_tree, parse
 
 GROUND = "0"
 DENSE = 60  # unknowns up to which dense matrices, all frequencies at once, take less time
@@ -37,7 +38,7 @@ class NodalEquations:
     def solve(
         self, s: np.ndarray, loads: Sequence[Mapping[str, float]], answers: Sequence[str]
     ) -> np.ndarray:
-        """The ``answers`` (len(s), answers, loads) to each of the ``loads``.
+        """Return the ``answers`` (len(s), answers, loads) to each of the ``loads``.
 
         A load is the current into each named node, or the voltage of each source ``i(NAME)``.
         An answer at ground is zero.
@@ -86,8 +87,9 @@ class NodalCircuit:
 
     @cached_property
     def elements(self) -> list[tuple[Element, Tree | float]]:
-        """Each element with the expression of its value, zero of a source."""
-        return [(item, _value(item)) for item in items_of(self.circuit.items, Element)]
+        """Each element with the expression of its value, zero for a source."""
+        items = items_of(self.circuit.items, Element)
+        return list(zip(items, map(_parse_value, items), strict=True))
 
     def equations(
         self,
@@ -95,7 +97,7 @@ class NodalCircuit:
         grounded: Collection[str],
         sources: Mapping[str, str],
     ) -> NodalEquations:
-        """The equations of an instance.
+        """Return the equations of an instance.
 
         Parameters
         ----------
@@ -103,36 +105,53 @@ class NodalCircuit:
         grounded : its pins at ground.
         sources : further voltage sources from nodes to ground, the node by the source's name.
         """
-        names = {key.lower(): value(parse(text), {}) for key, text in self.circuit.defaults.items()}
-        names |= values
-        for key, tree in self.parameters:
-            names[key] = value(tree, names)
-        extra_sources = [
-            Element(kind="v", name=n, nodes=(node, GROUND)) for n, node in sources.items()
-        ]
-        every = [*self.elements, *((item, 0.0) for item in extra_sources)]
-        low = {GROUND, *map(str.lower, grounded)}
-        nodes = dict.fromkeys(end for item, _ in every for end in item.ends)
-        unknowns = [node for node in nodes if node not in low]
-        unknowns += [f"i({item.key})" for item, _ in every if item.kind in _BRANCHED]
-        rows = {name: row for row, name in enumerate(unknowns)}
+        elements = list(self.elements)
+        for name, node in sources.items():
+            elements.append((Element(kind="v", name=name, nodes=(node, GROUND)), 0.0))
+        rows = _number_unknowns(elements, {GROUND, *map(str.lower, grounded)})
+        names = self._parameter_values(values)
         stamps: tuple[list[tuple[int, int, float]], ...] = ([], [])
-        for item, size in every:
-            number = size if isinstance(size, float) else value(size, names)
+        for item, size in elements:
+            number = size if isinstance(size, float) else evaluate_tree(size, names)
             for part, i, j, entry in _stamps(item, number):
                 if i in rows and j in rows:
                     stamps[part].append((rows[i], rows[j], entry))
-        return NodalEquations(rows, tuple(map(_arrays, stamps)))
+        return NodalEquations(rows, tuple(map(_split_columns, stamps)))
+
+    def _parameter_values(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return the values of all parameters by names in lower case."""
+        names: dict[str, float] = {}
+        for key, text in self.circuit.defaults.items():
+            names[key.lower()] = evaluate_tree(parse(text), {})
+        names |= values
+        for key, tree in self.parameters:
+            names[key] = evaluate_tree(tree, names)
+        return names
 
 
-def _arrays(
+def _number_unknowns(
+    elements: Iterable[tuple[Element, object]], grounded: Collection[str]
+) -> dict[str, int]:
+    """Return the number of each unknown: voltages of nodes, then currents of elements."""
+    nodes, currents = dict[str, None](), []
+    for item, _ in elements:
+        nodes |= dict.fromkeys(item.ends)
+        if item.kind in _BRANCHED:
+            currents.append(f"i({item.key})")
+    unknowns = [*filterfalse(grounded.__contains__, nodes), *currents]
+    return dict(zip(unknowns, range(len(unknowns)), strict=True))
+
+
+def _split_columns(
     entries: Sequence[tuple[int, int, float]],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return rows, columns and values of matrix entries as arrays."""
     i, j, v = zip(*entries, strict=True) if entries else ((), (), ())
     return np.array(i, int), np.array(j, int), np.array(v, float)
 
 
-def _value(item: Element) -> Tree | float:
+def _parse_value(item: Element) -> Tree | float:
+    """Return the value of a linear element as a number or an expression."""
     if item.kind == "v":
         return 0.0
     if item.kind not in "rclge" or item.expression or len(item.values) != 1:
@@ -149,8 +168,11 @@ def _value(item: Element) -> Tree | float:
 
 
 def _stamps(item: Element, size: float) -> Iterable[tuple[int, str, str, float]]:
-    """Entries of G (0) and C (1): equation, unknown, value. The equation of a node is the sum of
-    the currents that leave it; that of a current is the law of its element."""
+    """Yield the entries of an element in G (0) and C (1): matrix, equation, unknown, value.
+
+    The equation of a node is the sum of the currents that leave it. The equation of a current is
+    the law of its element.
+    """
     a, b = item.ends[:2]
     if item.kind in "rc":
         part, conductance = ("rc".index(item.kind), 1 / size if item.kind == "r" else size)

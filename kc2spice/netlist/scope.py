@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import ChainMap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
+from operator import attrgetter
 from pathlib import PurePosixPath
-from typing import Any
 
 from kc2spice.netlist.circuit import (
     NODES,
@@ -17,6 +18,7 @@ from kc2spice.netlist.circuit import (
     Function,
     Model,
     Parameters,
+    lower_keys,
 )
 from kc2spice.netlist.expression import vector
 
@@ -47,19 +49,36 @@ class Scope:
     commands: list[Parameters | Function | Directive] = field(default_factory=list)
     defined: dict[str, tuple[str, Card]] = field(default_factory=dict)
 
+    @property
+    def nodes(self) -> frozenset[str]:
+        """Pins of the scope and nodes of its elements."""
+        return frozenset(self.pins).union(*map(attrgetter("ends"), self.elements))
+
+    @cached_property
+    def elements_by_key(self) -> dict[str, Element]:
+        """The first element of each name, by the name in lower case."""
+        result: dict[str, Element] = {}
+        for element in self.elements:
+            result.setdefault(element.key, element)
+        return result
+
+    def elements_of(self, kinds: str) -> dict[str, Element]:
+        """Return the elements of some kinds, which are letters, by their names in lower case."""
+        return {key: item for key, item in self.elements_by_key.items() if item.kind in kinds}
+
     def find(self, name: str) -> Scope | None:
-        """The subcircuit ``name`` as this scope sees it."""
+        """Return the definition of the subcircuit ``name`` that applies in this scope."""
         return self.subcircuits.get(name.lower())
 
     def inwards(self) -> Iterator[Scope]:
-        """This scope and those within it."""
+        """Yield this scope and all scopes within it."""
         yield self
         for child in self.subcircuits.maps[0].values():
             yield from child.inwards()
 
 
 def circuit(tree: Circuit, files: Mapping[str, Circuit] | None = None, file: str = "") -> Scope:
-    """The whole circuit of a ``file``'s tree, the includes of it and of other ``files`` followed.
+    """Return the circuit of a ``file``'s tree, with the content of its includes from ``files``.
 
     Raises
     ------
@@ -74,7 +93,10 @@ def circuit(tree: Circuit, files: Mapping[str, Circuit] | None = None, file: str
 def _fill(
     scope: Scope, tree: Circuit, chain: tuple[str, ...], files: Mapping[str, Circuit]
 ) -> None:
-    """Sort what a circuit of the last file of ``chain``, and its includes, hold into ``scope``."""
+    """Add the cards of a circuit, and of the files that it includes, to ``scope``.
+
+    ``chain`` are the files that include each other, the one with the circuit last.
+    """
     for item in tree.items:
         match item:
             case Element(kind, name):
@@ -84,7 +106,7 @@ def _fill(
                     raise item.error("unknown kind of element", name, expected)
                 scope.elements.append(item)
             case Circuit():
-                _fill(_opened(item, scope), item, chain, files)
+                _fill(_open_subcircuit(item, scope), item, chain, files)
             case Model(name, kind, given):
                 _require_same(scope, f"model {name}", f"{kind} {given}", item)
                 scope.models[name.lower()] = item
@@ -116,50 +138,55 @@ def _fill(
 
 
 def _require_same(scope: Scope, what: str, value: str, card: Card) -> None:
-    """Raise UsageError if two files define a name differently."""
+    """Raise UsageError if two files give a name different definitions."""
     what, value = what.lower(), value.lower()
     first, place = scope.defined.setdefault(what, (value, card))
-    files = {item.where.rpartition(":")[0] for item in (place, card)}
-    if len(files) > 1 and first != value:
+    if place.file != card.file and first != value:
         expected = f"one definition; the first is in {place.where}"
         hint = "rename one, or put it into its .subckt"
         raise card.error(f"two files define the {what}", card.written, expected, hint)
 
 
-def _opened(item: Circuit, parent: Scope) -> Scope:
+def _open_subcircuit(item: Circuit, parent: Scope) -> Scope:
+    """Return the empty scope of a subcircuit that the scope ``parent`` defines."""
     name = item.name.lower()
     if first := parent.subcircuits.maps[0].get(name):
         expected = f"one definition; the first is in {first.where}"
         raise item.error("two subcircuits have one name", item.name, expected)
-    defaults = {key.lower(): value for key, value in item.defaults.items()}
-    pins = tuple(map(str.lower, item.pins))
-    outer: Any = (parent.models, parent.functions, parent.subcircuits)
-    inner = (parent.params.new_child(dict(defaults)), *(m.new_child() for m in outer))
-    parent.subcircuits[name] = Scope(item.name, item.where, pins, defaults, *inner)
+    defaults = lower_keys(item.defaults)
+    parent.subcircuits[name] = Scope(
+        item.name,
+        item.where,
+        tuple(map(str.lower, item.pins)),
+        defaults,
+        parent.params.new_child(dict(defaults)),
+        parent.models.new_child(),
+        parent.functions.new_child(),
+        parent.subcircuits.new_child(),
+    )
     return parent.subcircuits[name]
 
 
 def has_vector(top: Scope, text: str) -> bool:
-    """Whether the circuit has the nodes or the device that a saved vector is read from."""
+    """Whether the circuit contains the nodes or the device of a saved vector."""
     result = vector(text.lower())
     if result is None:
         return False
     if result.quantity == "v":
         return all(_has_node(top, *name.split(".")) for name in result.names)
-    scope = inside(top, result.path)
-    return scope is not None and any(e.key == result.names[0] for e in scope.elements)
+    scope = find_instance(top, result.path)
+    return scope is not None and result.names[0] in scope.elements_by_key
 
 
 def _has_node(top: Scope, *path: str) -> bool:
-    node, scope = path[-1], inside(top, path[:-1])
-    nodes = {"0"}.union(scope.pins, *(e.ends for e in scope.elements)) if scope else ()
-    return node in nodes
+    node, scope = path[-1], find_instance(top, path[:-1])
+    return scope is not None and (node == "0" or node in scope.nodes)
 
 
-def inside(top: Scope, path: tuple[str, ...]) -> Scope | None:
-    """The scope of the instance ``xa.xb`` …; None where there is none."""
+def find_instance(top: Scope, path: tuple[str, ...]) -> Scope | None:
+    """Return the scope of the instance ``xa.xb`` …, None if the circuit has no such instance."""
     scope: Scope | None = top
     for name in path:
-        called = next((e.model for e in scope.elements if e.key == name), None) if scope else None
-        scope = scope.find(called) if scope and called else None
+        element = scope.elements_by_key.get(name) if scope else None
+        scope = scope.find(element.model) if scope and element else None
     return scope

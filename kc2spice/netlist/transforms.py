@@ -1,4 +1,4 @@
-"""Changes of decks and libraries: helpers brought along, other parameters, many copies."""
+"""Changes of decks and libraries: included helpers, other parameters, many copies."""
 
 from __future__ import annotations
 
@@ -6,24 +6,26 @@ import contextlib
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import TypeVar
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param
+from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param, lower_keys
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.elements import titled
-from kc2spice.netlist.expression import added, terms, vector
+from kc2spice.netlist.expression import join_terms, terms, vector
 from kc2spice.netlist.library import Subcircuit, parameter_line, use_line
 from kc2spice.netlist.spelling import number
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
+Value = TypeVar("Value")
 MOST = 10_000  # copies
 DIGITS = "0123456789"
 
 
 def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit:
-    """``part`` with the ``helpers`` that it instantiates behind it, as ``PART_HELPER``.
+    """Return ``part`` with the ``helpers`` that it instantiates, as ``PART_HELPER``.
 
-    One library file then is all that a user includes, and two of them never define one name twice.
+    A user then includes one library file, and two such files never define the same name.
     """
     tree = part.circuit
     for helper in helpers:
@@ -40,44 +42,46 @@ def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircui
 
 
 def quiet(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
-    """``part`` with no noise of resistors but those that are noise, ``Rnoise…``, and those called
-    ``noisy`` and a number: the others are arithmetic."""
+    """Return ``part`` without thermal noise of the resistors that only do arithmetic.
+
+    Resistors ``Rnoise…`` keep their noise, and so do those that are called ``noisy`` and a number.
+    """
     names = set(map(str.lower, noisy))
 
-    def item(entry: Item) -> Item:
+    def silence(entry: Item) -> Item:
         if not isinstance(entry, Element) or entry.kind != "r" or entry.key.startswith("rnoise"):
             return entry
         if names & {entry.key, entry.key.rstrip(DIGITS)}:
             return entry
         return replace(entry, parameters={**entry.parameters, "noisy": "0"})
 
-    return part.changed(part.circuit.changed(item))
+    return part.changed(part.circuit.changed(silence))
 
 
 def renamed(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
-    """``circuit`` with other names of subcircuits, where they are defined and where they are
-    instantiated."""
-    new = {old.lower(): name for old, name in names.items()}
+    """Return ``circuit`` with other names of subcircuits, in definitions and in instances."""
+    new = lower_keys(names)
 
-    def item(entry: Item) -> Item:
+    def rename(entry: Item) -> Item:
         if isinstance(entry, Circuit):
             return replace(entry, name=new.get(entry.name.lower(), entry.name))
         if isinstance(entry, Element) and entry.kind == "x":
             return replace(entry, model=new.get(entry.model.lower(), entry.model))
         return entry
 
-    return circuit.changed(item)
+    return circuit.changed(rename)
 
 
 # --- parameters without a new netlist: param.PART.NAME ---
 
 
 def library_of(part: Subcircuit) -> str:
+    """Return the name of the library file of a part, without its ending."""
     return part.filename.rpartition(".")[0] or part.filename
 
 
 def cards(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
-    """Every subcircuit of a library and its name in ``param.NAME.…``.
+    """Yield every subcircuit of a library with its name in ``param.NAME.…``.
 
     The main subcircuit has the name of its file. A helper has its own name, which several libraries
     may share:
@@ -89,7 +93,7 @@ def cards(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
 
 
 def parameter_defaults(deck: Deck) -> dict[str, float]:
-    """``PART.NAME`` and default of every numeric parameter of the deck's subcircuits."""
+    """Return the default of every numeric parameter of the deck's parts, by ``PART.NAME``."""
     result = {}
     for part in deck.parts:
         for library, item in cards(part):
@@ -114,11 +118,12 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
             message = "no part of this scene has such a parameter"
             raise unknown(message, key, known, f"param.{key}")
         library, _, name = key.partition(".")
-        parts = [_changed(part, library, name, value) for part in parts]
+        parts = [_change_parameter(part, library, name, value) for part in parts]
     return replace(deck, parts=tuple(parts))
 
 
-def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcircuit:
+def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -> Subcircuit:
+    """Return a part with another default of a parameter of its subcircuit ``library``."""
     new = dict[int, Circuit]()
     params = list(part.params)
     for k, param in enumerate(params if library == library_of(part) else ()):
@@ -129,8 +134,8 @@ def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcirc
     for where, item in cards(part):
         if where == library and name in item.defaults:
             defaults = {**item.defaults, name: number(value)}
-            before, after = (use_line(item.name, item.pins, d) for d in (item.defaults, defaults))
-            lines[before] = after
+            before = use_line(item.name, item.pins, item.defaults)
+            lines[before] = use_line(item.name, item.pins, defaults)
             notes = tuple(lines.get(line, line) for line in item.notes)
             new[id(item)] = replace(item, defaults=defaults, notes=notes)
     items = tuple(new.get(id(item), item) for item in part.circuit.items)
@@ -141,7 +146,7 @@ def _changed(part: Subcircuit, library: str, name: str, value: float) -> Subcirc
 
 
 def _require_within(param: Param, library: str, value: float) -> None:
-    """A mass of zero or a negative stiffness has no solution, or a wrong one."""
+    """Check that a parameter is within its range: a mass of zero, say, has no solution."""
     least, most = param.low, param.high
     if least <= value <= most and math.isfinite(value):
         return
@@ -156,7 +161,7 @@ def _require_within(param: Param, library: str, value: float) -> None:
 
 
 def array_deck(deck: Deck, count: int) -> Deck:
-    """``count`` copies of all instances of ``deck``: subcircuits ``X1``, ``X2``, … around node 0.
+    """Return a deck with ``count`` copies of ``deck``: subcircuits ``X1``, ``X2``, … on node 0.
 
     Results of copy k are called ``k.NAME``.
 
@@ -178,14 +183,24 @@ def array_deck(deck: Deck, count: int) -> Deck:
     copies = titled(f"{count} copies", [Element.of(f"X{k}", "0", unit) for k in numbers])
     vectors, units, initial = dict[str, tuple[str, float]](), dict[str, str](), dict[str, float]()
     for k in numbers:
-        vectors |= {f"{k}.{n}": (_within(v, k), factor) for n, (v, factor) in deck.vectors.items()}
-        units |= {f"{k}.{name}": item for name, item in deck.units.items()}
-        initial |= {f"x{k}.{node}": value for node, value in deck.initial.items()}
+        for name, (expression, factor) in deck.vectors.items():
+            vectors[f"{k}.{name}"] = _inside_instance(expression, f"x{k}"), factor
+        units |= _prefix_keys(f"{k}.", deck.units)
+        initial |= _prefix_keys(f"x{k}.", deck.initial)
     title, items = f"{deck.title}, {count} copies", (*copy, *copies)
     deck = replace(deck, measures=())
     return replace(deck, title=title, items=items, vectors=vectors, units=units, initial=initial)
 
 
-def _within(expression: str, k: int) -> str:
-    result = ((sign, text, vector(text)) for sign, text in terms(expression))
-    return added([(s, str(item.within(f"x{k}")) if item else text) for s, text, item in result])
+def _prefix_keys(prefix: str, values: Mapping[str, Value]) -> dict[str, Value]:
+    """Return values by their names behind a prefix."""
+    return {f"{prefix}{key}": value for key, value in values.items()}
+
+
+def _inside_instance(expression: str, instance: str) -> str:
+    """Return a sum of vectors of an instance by the sum of vectors of its subcircuit."""
+    signed = []
+    for sign, text in terms(expression):
+        item = vector(text)
+        signed.append((sign, str(item.within(instance)) if item else text))
+    return join_terms(signed)

@@ -7,7 +7,7 @@ from typing import Any
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import added, terms
+from kc2spice.netlist.expression import join_terms, terms
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.dialect_registry import (
     NGSPICE,
@@ -33,10 +33,10 @@ def translate(deck: Deck, dialect: str) -> Deck:
     main = deck.printed_for(f"* Run it with:  {printer.command} {deck.main}")
     trees = {**deck.located, deck.main: located(main, deck.main) if deck.text is None else main}
     files = {name: printer.file(tree) for name, tree in trees.items()}
-    vectors = {
-        key: (added([(sign, printer.vector(item)) for sign, item in terms(expression)]), factor)
-        for key, (expression, factor) in deck.vectors.items()
-    }
+    vectors = {}
+    for key, (expression, factor) in deck.vectors.items():
+        signed = [(sign, printer.vector(item)) for sign, item in terms(expression)]
+        vectors[key] = join_terms(signed), factor
     text = files.pop(deck.main)
     changes: dict[str, Any] = {"options": (), "refinements": (), "vectors": vectors}
     return replace(deck, text=text, tree=None, more=files, parts=(), **changes)

@@ -19,7 +19,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.scope import Scope, inside
+from kc2spice.netlist.scope import Scope, find_instance
 
 # "coarse": ngspice finished, but the energy balances of the result do not close.
 Kind = Literal["timestep", "singular", "operating point", "coarse"]
@@ -230,7 +230,7 @@ def describe_node(deck: Deck, node: str) -> str | None:
     if path and len(path[0]) == 1:  # a device: its letter stands before the instance
         del path[0]
     try:
-        scope = inside(deck.scope, tuple(path))
+        scope = find_instance(deck.scope, tuple(path))
     except UsageError:
         return None
     if scope is None:

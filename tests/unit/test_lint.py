@@ -4,7 +4,7 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.lint import circuit_problems, lint
+from kc2spice.netlist.lint import find_circuit_problems, lint
 
 LIBRARY = """* divider: a part
 * @pin 1 top unit=V flow=A
@@ -24,7 +24,7 @@ def deck(cards, library=LIBRARY):
 
 
 def complaints(cards, library=LIBRARY):
-    return [(p.where, p.message, p.got) for p in circuit_problems(deck(cards, library))]
+    return [(p.where, p.message, p.got) for p in find_circuit_problems(deck(cards, library))]
 
 
 GOOD = [
