@@ -9,9 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from operator import attrgetter, itemgetter
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import Directive, Element, Item, Model, Parameters
+from kc2spice.netlist.circuit import (
+    Directive,
+    Element,
+    Item,
+    Model,
+    Parameters,
+    items_of,
+    lower_keys,
+)
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
     EVERYWHERE,
@@ -23,6 +32,7 @@ from kc2spice.netlist.expression import (
     Writer,
     literal,
     parse,
+    probed_names,
     substitute,
     vector,
     walk,
@@ -76,14 +86,14 @@ class Module:
     identifiers: set[str] = field(default_factory=set)
 
     def identifier(self, name: str) -> str:
-        """``name``, or what stands for it where the language or another name needs the word."""
+        """Return ``name``, with ``_`` behind it if the word is taken."""
         while name in _RESERVED or name in self.identifiers:
             name += "_"
         self.identifiers.add(name)
         return name
 
     def variable(self, name: str, value: str) -> str:
-        """A variable with its value: a parameter that instances cannot set, a charge."""
+        """Declare a variable with its value, such as a charge, and return its name."""
         spelled = self.identifier(name)
         self.declarations.append(f"real {spelled};")
         self.laws.append(f"{spelled} = {value};")
@@ -92,7 +102,7 @@ class Module:
 
 @dataclass
 class VerilogNames(Writer):
-    """Spelling inside one instance: ``prefix`` keeps nested instances apart."""
+    """Spelling inside one instance; its ``prefix`` distinguishes nested instances."""
 
     module: Module
     scope: Scope
@@ -103,7 +113,7 @@ class VerilogNames(Writer):
     part: str = ""
 
     def node(self, name: str) -> str:
-        """Name of a node; a new one is declared."""
+        """Return the name of a node, which is declared if it is new."""
         key, nodes = name.lower(), self.module.nodes
         if key in self.pins:
             return self.pins[key]
@@ -118,16 +128,19 @@ class VerilogNames(Writer):
         return f"V({','.join(map(self.node, names))})"
 
     def value(self, text: str) -> str:
-        """A literal or ``{expression}`` of a card."""
+        """Return the spelling of a literal or an ``{expression}`` of a card."""
         return self.law(parse(text, where=self.where))
 
     def law(self, tree: Tree) -> str:
-        """An expression as a factor of a product."""
+        """Return the spelling of an expression as a factor of a product."""
         return self.write(tree, 5)
 
     def write(self, tree: Tree, level: int = 0) -> str:
-        """A power is that of the absolute value, as ngspice takes it; reals have a point or an
-        exponent, as integers divide differently."""
+        """Return the spelling of ``tree``.
+
+        A power is that of the absolute value, as in ngspice. Real numbers have a point or an
+        exponent, because integers divide differently.
+        """
         match tree:
             case Number(text):
                 return text if set(".eE").intersection(text) else f"{text}.0"
@@ -161,8 +174,10 @@ class VerilogNames(Writer):
         if defined := self.scope.functions.get(function):
             bound = dict(zip(map(str.lower, defined.arguments), arguments, strict=False))
             body = parse(defined.expression, where=defined.where)
-            words = {leaf.text for leaf in walk(body) if isinstance(leaf, Name)}
-            inserted = {word: bound[word.lower()] for word in words if word.lower() in bound}
+            inserted = {}
+            for leaf in items_of(walk(body), Name):
+                if leaf.text.lower() in bound:
+                    inserted[leaf.text] = bound[leaf.text.lower()]
             return f"({self.write(substitute(body, inserted))})"
         if function == "pow" and len(arguments) == 2:
             return self.write(Binary("^", *arguments))
@@ -177,7 +192,7 @@ class VerilogNames(Writer):
 
 
 def module_files(part: Subcircuit) -> dict[str, str]:
-    """``{name.va: text}``: the module of a part.
+    """Return the module of a part as ``{name.va: text}``.
 
     Raises
     ------
@@ -193,8 +208,9 @@ def module_files(part: Subcircuit) -> dict[str, str]:
         )
     scope = circuit(part.located).subcircuits[part.name.lower()]
     module = Module()
-    pins = {pin.name.lower(): module.identifier(pin.name) for pin in part.pins}
-    params = {}
+    pins, params = {}, {}
+    for pin in part.pins:
+        pins[pin.key] = module.identifier(pin.name)
     for p in part.params:
         spelled = params[p.name.lower()] = module.identifier(p.name)
         line = f"parameter real {spelled} = {number(p.default)};"
@@ -202,8 +218,9 @@ def module_files(part: Subcircuit) -> dict[str, str]:
     _expand(VerilogNames(module, scope, pins, params, ""))
     ports = ", ".join(pins.values())
     inner = ", ".join(module.nodes.values())
+    notes = part.circuit.items[0].notes if part.circuit.items else ()
     body = [
-        *(line.replace("*", "//", 1) for item in part.circuit.items[:1] for line in item.notes),
+        *(line.replace("*", "//", 1) for line in notes),
         "// A transient starts from its operating point, in which initial conditions hold.",
         '`include "disciplines.vams"',
         "",
@@ -211,10 +228,11 @@ def module_files(part: Subcircuit) -> dict[str, str]:
         f"  inout {ports};",
         f"  electrical {ports};",
         *([f"  electrical {inner};"] if inner else []),
-        *(f"  {line}" for line in (*module.declarations, *module.branches)),
+        *map("  {}".format, module.declarations),
+        *map("  {}".format, module.branches),
         *module.functions,
         "  analog begin",
-        *(f"    {line}" for line in module.laws),
+        *map("    {}".format, module.laws),
         "  end",
         "endmodule",
     ]
@@ -222,7 +240,7 @@ def module_files(part: Subcircuit) -> dict[str, str]:
 
 
 def _expand(names: VerilogNames) -> None:
-    """Add the contributions of an instance; nested ones come in place, with a prefix."""
+    """Add the contributions of an instance, with those of nested instances under a prefix."""
     scope, module, prefix = names.scope, names.module, names.prefix
     for card in scope.commands:
         names.where = card.where
@@ -232,14 +250,20 @@ def _expand(names: VerilogNames) -> None:
             names.params[key.lower()] = module.variable(prefix + key, names.value(text))
     for part in scope.elements:
         names.where, names.part = part.where, part.key
-        module.laws += [f"// {line[1:].strip()}" if line else "" for line in part.notes]
+        module.laws += map(_convert_comment, part.notes)
         if part.kind == "x":
-            _nested(part, names)
+            _expand_instance(part, names)
         else:
             _contribute(part, names)
 
 
-def _nested(part: Element, outer: VerilogNames) -> None:
+def _convert_comment(line: str) -> str:
+    """Return a comment of a netlist as a comment of a module."""
+    return f"// {line[1:].strip()}" if line else ""
+
+
+def _expand_instance(part: Element, outer: VerilogNames) -> None:
+    """Add the contributions of an instance within another one."""
     called = outer.scope.find(part.model)
     if called is None or len(called.pins) != len(part.nodes):
         raise part.error("no such subcircuit", part.model)
@@ -253,11 +277,13 @@ def _nested(part: Element, outer: VerilogNames) -> None:
 
 
 def _contribute(part: Element, names: VerilogNames) -> None:
-    """Add the contribution of one primitive element: a current between its nodes, or a voltage over
-    a branch of its name."""
+    """Add the contribution of one primitive element.
+
+    It is a current between the nodes of the element, or a voltage over a branch of its name.
+    """
     module = names.module
     if part.kind == "k":
-        module.laws += _mutual(part, names)
+        module.laws += _couple_inductors(part, names)
         return
     a, b = map(names.node, part.nodes[:2]) if part.nodes else ("", "")
     through, across = f"I({a},{b})", f"V({a},{b})"
@@ -265,7 +291,7 @@ def _contribute(part: Element, names: VerilogNames) -> None:
         branch = names.branch(part.name)
         through = f"V({branch})"
         module.branches.append(f"branch ({a},{b}) {branch};")
-    right = names.law(part.law) if part.quantity else _right(part, names, across)
+    right = names.law(part.law) if part.quantity else _contribution(part, names, across)
     module.laws.append(f"{through} <+ {right};")
     if part.kind == "c" and "ic" in part.settings:
         # By the clock, because ngspice calls its first time step ``ic``, too.
@@ -275,8 +301,8 @@ def _contribute(part: Element, names: VerilogNames) -> None:
         module.laws.append(f"{through} <+ {clamp};")
 
 
-def _right(part: Element, names: VerilogNames, across: str) -> str:
-    """Contribution of an element without an expression."""
+def _contribution(part: Element, names: VerilogNames, across: str) -> str:
+    """Return the contribution of an element without an expression."""
     current = f"I({names.branch(part.name)})"
     match part.kind:
         case "r":
@@ -293,29 +319,35 @@ def _right(part: Element, names: VerilogNames, across: str) -> str:
         case "f" | "h":
             return f"{_value(part, names)}*I({names.branch(part.sources[0])})"
         case "s":
-            return f"{across}/{_switch(part, names)}"
+            return f"{across}/{_switch_resistance(part, names)}"
         case "i":
-            return _steady(part, names)
+            return _steady_value(part, names)
         case "v":
             # OpenVAF makes one node of the ends of a plain 0 V, and its current zero
-            others = names.scope.elements
-            laws = (leaf for item in others if item.expression for leaf in walk(item.law))
-            probed = (p.names[0] for p in laws if isinstance(p, CircuitVariable) and p.kind == "i")
-            used = (*probed, *(name for item in others for name in item.sources))
-            read = part.key in map(str.lower, used)
-            return _steady(part, names) + (f" + {number(SERIES)}*{current}" if read else "")
+            series = f" + {number(SERIES)}*{current}"
+            return _steady_value(part, names) + (series if _is_sensed(part, names.scope) else "")
     raise part.error(_UNSAID)
 
 
+def _is_sensed(source: Element, scope: Scope) -> bool:
+    """Whether an element or an expression reads the current of a voltage source."""
+    for item in scope.elements:
+        if source.key in map(str.lower, item.sources):
+            return True
+        if item.expression and source.key in probed_names(item.law, "i"):
+            return True
+    return False
+
+
 def _value(part: Element, names: VerilogNames) -> str:
-    """The one value of a card; a second one, a multiplier or a model would be left out."""
+    """Return the one value of a card; a second one, a multiplier or a model is refused."""
     if len(part.values) != 1 or set(part.settings) - ({"ic"} if part.kind == "c" else set()):
         raise part.error(_UNSAID)
     return names.value(part.values[0])
 
 
-def _steady(part: Element, names: VerilogNames) -> str:
-    """Value of a source that never changes; a waveform that stays at zero is one."""
+def _steady_value(part: Element, names: VerilogNames) -> str:
+    """Return the value of a source that never changes, such as a waveform of zeros."""
     words = [w for w in part.values if w.lower() != "dc"]
     if len(words) == 1 and "(" not in words[0].partition("{")[0]:
         return names.value(words[0])
@@ -327,19 +359,21 @@ def _steady(part: Element, names: VerilogNames) -> str:
     raise part.error("a module has no sources with waveforms")
 
 
-def _switch(part: Element, names: VerilogNames) -> str:
+def _switch_resistance(part: Element, names: VerilogNames) -> str:
+    """Return the resistance of a switch, which depends on its control voltage."""
     model = names.scope.models.get(part.model.lower())
-    parameters = _SWITCH | ({k.lower(): v for k, v in model.parameters.items()} if model else {})
+    parameters = _SWITCH | (lower_keys(model.parameters) if model else {})
     worth = {k: literal(v, where=names.where) for k, v in parameters.items()}
     if not model or worth.keys() != _SWITCH.keys() or None in worth.values() or worth["vh"]:
         raise part.error("Verilog-A has no equivalent of this switch")
-    on, off, level = (names.value(parameters[k]) for k in ("ron", "roff", "vt"))
+    on, off, level = map(names.value, itemgetter("ron", "roff", "vt")(parameters))
     return f"({names.across(part.nodes[2:])} > {level} ? {on} : {off})"
 
 
-def _mutual(part: Element, names: VerilogNames) -> list[str]:
-    inductors = {e.key: e for e in names.scope.elements if e.kind == "l"}
-    coils = [inductors[s.lower()] for s in part.sources if s.lower() in inductors]
+def _couple_inductors(part: Element, names: VerilogNames) -> list[str]:
+    """Return the voltages that a K element induces in its two inductors."""
+    inductors = names.scope.elements_of("l")
+    coils = list(filter(None, map(inductors.get, map(str.lower, part.sources))))
     if len(coils) != 2:
         raise part.error(_UNSAID)
     first, second = coils
@@ -350,7 +384,7 @@ def _mutual(part: Element, names: VerilogNames) -> list[str]:
 
 
 def _table(name: str, x: list[float], f: list[float]) -> str:
-    """Piecewise linear function, found by bisection; the outer segments go on."""
+    """Return a piecewise linear function that extrapolates its outer segments."""
     lines = [f"  analog function real {name};", "    input x;", "    real x;", "    begin"]
 
     def search(low: int, high: int, indent: str) -> None:
@@ -374,36 +408,38 @@ def _table(name: str, x: list[float], f: list[float]) -> str:
 
 
 def testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:
-    """``{file name: text}``: the deck with ``modules`` in place of their subcircuits.
+    """Return the deck with ``modules`` in place of their subcircuits, as ``{file name: text}``.
 
-    ``openvaf-r NAME.va`` makes ``NAME.osdi`` of each module. Parts that are no modules come along
-    as libraries. Vectors inside of modules cannot be saved and are left out; initial conditions
-    are the modules' own, so the transient needs no ``uic``.
+    ``openvaf-r NAME.va`` makes ``NAME.osdi`` of each module. Parts that are no modules remain
+    libraries. Vectors inside of modules cannot be saved and are left out. The transient needs no
+    ``uic``, because the modules contain their initial conditions.
     """
     stems = {p.name.lower(): p.filename.removesuffix(".lib") for p in modules}
-    replaced = {p.filename for p in modules}
+    replaced = set(map(attrgetter("filename"), modules))
     main = f"{deck.name}_osdi.cir"
     compiled = " && ".join(f"openvaf-r {stem}.va" for stem in stems.values())
     tree = deck.printed_for(
         f"* Run it with:  {compiled} && ngspice -b -r {deck.name}.raw {main}",
         "* Each part is a Verilog-A module, compiled by OpenVAF and loaded by ngspice 39 or later.",
     )
-    items = [_changed(item, stems, replaced) for item in tree.items]
-    loads = tuple(f"pre_osdi {stem}.osdi" for stem in stems.values())
+    items = [_use_modules(item, stems, replaced) for item in tree.items]
+    loads = tuple(map("pre_osdi {}.osdi".format, stems.values()))
     control = Directive(".control", loads, notes=items[0].notes)
-    models = (
-        Model(f"m{item.key}", item.model, item.parameters)
-        for item in tree.items
-        if isinstance(item, Element) and item.model.lower() in stems
-    )
+    models = []
+    for item in items_of(tree.items, Element):
+        if item.model.lower() in stems:
+            models.append(Model(f"m{item.key}", item.model, item.parameters))
     tree = replace(tree, items=(control, *models, replace(items[0], notes=()), *items[1:]))
     files = {main: Printer().file(tree)}
     return files | {n: text for n, text in deck.files.items() if n not in {deck.main, *replaced}}
 
 
-def _changed(item: Item, stems: Mapping[str, str], replaced: Collection[str]) -> Item:
-    """An item of the deck as it is among modules: an N card with a model of its own, to which
-    parameters go, for an X card of one; no card where it has no place there."""
+def _use_modules(item: Item, stems: Mapping[str, str], replaced: Collection[str]) -> Item:
+    """Return an item of a deck with modules.
+
+    An instance of a module is an N card with a model, to which its parameters belong. A card that
+    has no use there becomes an empty one.
+    """
     if isinstance(item, Element) and item.model.lower() in stems:
         name = f"N{item.name[1:]}"
         return replace(item, kind="n", name=name, model=f"m{item.key}", parameters={})
@@ -411,7 +447,7 @@ def _changed(item: Item, stems: Mapping[str, str], replaced: Collection[str]) ->
         return item
     words = item.words
     if item.keyword == ".save":
-        words = tuple(filter(_outer, words))
+        words = tuple(filter(_exists_outside, words))
     elif item.keyword == ".tran":
         words = tuple(word for word in words if word.lower() != "uic")
     elif item.keyword in _PRINTED or (item.keyword in INCLUDES and words[0] in replaced):
@@ -422,8 +458,8 @@ def _changed(item: Item, stems: Mapping[str, str], replaced: Collection[str]) ->
     return replace(item, words=words)
 
 
-def _outer(text: str) -> bool:
-    """Whether a vector exists without subcircuits."""
+def _exists_outside(text: str) -> bool:
+    """Whether a vector is one of the deck, not one inside of a subcircuit."""
     result = vector(text)
     if result is None or result.path or result.parameter or "." in result.names[0]:
         return False
