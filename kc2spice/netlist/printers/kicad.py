@@ -1,9 +1,9 @@
-"""KiCad: symbols of parts and elements, a deck as a project with its sheet and simulation.
+"""KiCad: symbols of parts and elements, and decks as projects with sheet and simulation.
 
-Nets are joined by global labels, which carry the node names of the deck, so that a curve has the
-same name in KiCad, in the deck and in the results. Formats: KiCad developer documentation,
-S-expression symbol library and schematic, version 20231120, which releases 8, 9 and 10 read; their
-text is ``templates/kicad.j2``.
+Global labels join the nets. They have the node names of the deck, so that a curve has the same name
+in KiCad, in the deck and in the results. The formats are version 20231120 of symbol library and
+schematic (KiCad developer documentation), which releases 8, 9 and 10 read. Their text is
+``templates/kicad.j2``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from math import ceil
+from operator import attrgetter
 from textwrap import shorten
 from types import SimpleNamespace
 from uuid import NAMESPACE_URL, uuid5
@@ -62,8 +63,11 @@ _MARKS = {  # reference, title, drawing, pin, where the text begins, kind of pin
 
 @dataclass(frozen=True)
 class Symbol:
-    """A drawing with pins at ``places``; ``text`` is where reference and value begin, left to
-    right, one above the other, ``half`` the half width and height [mm] of one drawn as a box."""
+    """A drawing with pins at ``places``.
+
+    Reference and value begin at ``text``, one above the other. ``half`` is the half width and the
+    half height [mm] of a symbol that is drawn as a box.
+    """
 
     name: str
     fields: dict[str, str]
@@ -77,15 +81,17 @@ class Symbol:
 
 
 def symbol_library(symbols: Iterable[Symbol]) -> str:
-    """A symbol library."""
+    """Return the text of a symbol library."""
     return render("kicad.j2", symbols=list(symbols), grid=GRID, sheet=None)
 
 
 def part_symbol(part: Subcircuit) -> Symbol:
-    """The symbol of one of our parts. Its parameters keep the defaults of the library, digit for
-    digit, until the user gives some in ``Sim.Params``."""
+    """Return the symbol of a part.
+
+    The parameters have the exact defaults of the library until the user changes ``Sim.Params``.
+    """
     box = layout(part)
-    fields = _fields("X", part.name, part.title) | {
+    fields = _standard_fields("X", part.name, part.title) | {
         "Sim.Device": "SUBCKT",
         "Sim.Library": part.filename,
         "Sim.Name": part.name,
@@ -96,15 +102,15 @@ def part_symbol(part: Subcircuit) -> Symbol:
 
 
 def element_symbols() -> dict[str, Symbol]:
-    """Symbols of plain elements by letter, and ``GND``, ``PWR_FLAG`` and ``PROBE``.
+    """Return the symbols of elements by letter, and ``GND``, ``PWR_FLAG`` and ``PROBE``.
 
-    Values are written as in a netlist (``Sim.Device`` ``SPICE``), so no digit is lost.
+    Values are written as in a netlist (``Sim.Device`` ``SPICE``), so that no digit is lost.
     """
     result = {}
     for letter, (name, title, drawing) in _ELEMENTS.items():
         box = drawing == "box"
         places = _SPOTS if box else _POLES
-        fields = _fields(letter, name, title) | {
+        fields = _standard_fields(letter, name, title) | {
             "Sim.Device": "SPICE",
             "Sim.Params": _SPICE.format(letter, "0"),
             "Sim.Pins": " ".join(f"{p.number}={p.number}" for p in places),
@@ -113,13 +119,13 @@ def element_symbols() -> dict[str, Symbol]:
         text = (-side, side + 1.3) if box else (GRID + 0.8, -0.9)
         result[letter] = Symbol(name, fields, drawing, places, text, (side, side), named_pins=box)
     for name, (reference, title, drawing, place, text, pins) in _MARKS.items():
-        fields, simulated = _fields(reference, name, title), name != "PROBE"
+        fields, simulated = _standard_fields(reference, name, title), name != "PROBE"
         mark = Symbol(name, fields, drawing, (place,), text, pins=pins, simulated=simulated)
         result[name] = mark
     return result
 
 
-def _fields(reference: str, value: str, description: str) -> dict[str, str]:
+def _standard_fields(reference: str, value: str, description: str) -> dict[str, str]:
     fields = {"Reference": reference, "Value": value, "Footprint": "", "Datasheet": ""}
     return fields | {"Description": description}
 
@@ -150,8 +156,10 @@ _COLOURS = ("rgb(228, 26, 28)", "rgb(55, 126, 184)", "rgb(77, 175, 74)", "rgb(15
 
 @dataclass(frozen=True)
 class _Item:
-    """A symbol on the sheet at a grid position, its fields and nets; ``reach`` is left, right, up,
-    down in units."""
+    """A symbol on the sheet at a grid position, with its fields and nets.
+
+    ``reach`` is the room that it needs to the left, right, top and bottom, in grid units.
+    """
 
     symbol: Symbol
     fields: dict[str, str]
@@ -162,6 +170,16 @@ class _Item:
     turn: int = 0
 
     @property
+    def right(self) -> int:
+        """Right end of the item on the sheet."""
+        return self.x + self.reach[1]
+
+    @property
+    def bottom(self) -> int:
+        """Lower end of the item on the sheet."""
+        return self.y + self.reach[3]
+
+    @property
     def ends(self) -> Iterator[tuple[int, int, str, str]]:
         """Free ends on the sheet, where y points down: x, y, side, net."""
         for place, net in zip(self.symbol.places, self.nets, strict=True):
@@ -169,10 +187,10 @@ class _Item:
 
 
 def project(deck: Deck) -> dict[str, str]:
-    """``{file name: text}`` of a KiCad project that shows and simulates ``deck``.
+    """Return a KiCad project that shows and simulates ``deck``, as ``{file name: text}``.
 
-    ``NAME.kicad_pro`` opens it; the sheet runs with the deck's own analysis and options, and the
-    exported netlist gives the deck's results.
+    ``NAME.kicad_pro`` opens it. The sheet runs with the analysis and the options of the deck, and
+    the exported netlist has the results of the deck.
 
     Raises
     ------
@@ -181,27 +199,21 @@ def project(deck: Deck) -> dict[str, str]:
     top = circuit(deck.located[deck.main], deck.located, deck.main)
     plain = element_symbols()
     drawn = {part.name.lower(): part_symbol(part) for part in deck.parts}
-    items = [_item(element, drawn, plain) for element in top.elements]
-    counts = Counter(chain.from_iterable(item.nets for item in items))
-    for net in [net for net, count in counts.items() if count == 1]:
-        if net in GROUND:
-            continue
-        fields = {"Reference": f"TP{len(items) + 1}", "Value": net}
-        items.append(_placed(plain["PROBE"], plain["PROBE"].fields | fields, (net,)))
+    items = [_draw_element(element, drawn, plain) for element in top.elements]
+    counts = Counter(chain.from_iterable(map(attrgetter("nets"), items)))
+    for net, count in counts.items():
+        if count == 1 and net not in GROUND:
+            fields = {"Reference": f"TP{len(items) + 1}", "Value": net}
+            items.append(_reserve_room(plain["PROBE"], plain["PROBE"].fields | fields, (net,)))
     title = deck.title.removeprefix(f"{deck.name}: ")
-    sources = {e.key: _reference(e.name) for e in top.elements}
-    commands = [
-        " ".join(_renamed(word, sources) for word in Printer().card(card).split())
-        for card in top.commands
-        if not (isinstance(card, Directive) and card.keyword in _OURS)
-    ]
-    used = [*drawn.values(), *{s.name: s for s in plain.values()}.values()]
+    commands = list(_simulation_commands(top))
+    used = [*drawn.values(), *_unique_symbols(plain.values())]
     return {
-        f"{deck.name}.kicad_sch": _sheet(deck.name, title, items, commands, plain),
+        f"{deck.name}.kicad_sch": _draw_sheet(deck.name, title, items, commands, plain),
         f"{deck.name}.kicad_pro": render(
             "kicad_project.j2", name=deck.name, sheet=_uuid(deck.name, "sheet")
         ),
-        f"{deck.name}.wbk": _workbook(deck, top, commands),
+        f"{deck.name}.wbk": _write_workbook(deck, top, commands),
         f"{LIBRARY}.kicad_sym": symbol_library(used),
         "sym-lib-table": (
             "(sym_lib_table\n\t(version 7)\n"
@@ -211,13 +223,27 @@ def project(deck: Deck) -> dict[str, str]:
     }
 
 
-def _reference(name: str) -> str:
-    """KiCad counts symbols: a name must end in a number."""
+def _simulation_commands(top: Scope) -> Iterator[str]:
+    """Yield the commands of the deck that KiCad needs, with the names of its symbols."""
+    sources = {key: _end_in_number(item.name) for key, item in top.elements_by_key.items()}
+    for card in top.commands:
+        if not (isinstance(card, Directive) and card.keyword in _OURS):
+            words = Printer().card(card).split()
+            yield " ".join(_rename_source(word, sources) for word in words)
+
+
+def _unique_symbols(symbols: Iterable[Symbol]) -> list[Symbol]:
+    """Return the symbols, each name once."""
+    return list({symbol.name: symbol for symbol in symbols}.values())
+
+
+def _end_in_number(name: str) -> str:
+    """Return a name that ends in a number, as references in KiCad do."""
     return name if name[-1].isdigit() else f"{name}1"
 
 
-def _renamed(word: str, references: Mapping[str, str]) -> str:
-    """A word of a command: a source, or what begins with a vector inside of an instance."""
+def _rename_source(word: str, references: Mapping[str, str]) -> str:
+    """Return a word of a command with the reference of the source or instance in it."""
     if word.lower() in references:
         return references[word.lower()]
     head, dot, rest = word.partition(".")
@@ -226,41 +252,47 @@ def _renamed(word: str, references: Mapping[str, str]) -> str:
     return f"{opening}{bracket}{name}{dot}{rest}"
 
 
-def _item(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) -> _Item:
-    letter, name = element.name[0].upper(), _reference(element.name)
-    nets = tuple("0" if n.lower() in GROUND else n for n in element.nodes)
-    parameters = " ".join(f"{k}={v}" for k, v in element.parameters.items())
+def _draw_element(element: Element, parts: dict[str, Symbol], plain: dict[str, Symbol]) -> _Item:
+    """Return the item of an element on the sheet.
+
+    Raises
+    ------
+    UsageError : an unknown subcircuit, or an element without a symbol.
+    """
+    letter, name = element.name[0].upper(), _end_in_number(element.name)
+    nets = tuple("0" if node.lower() in GROUND else node for node in element.nodes)
+    parameters = " ".join(map("=".join, element.parameters.items()))
     if letter == "X":
         symbol = parts.get(element.model.lower())
         if symbol is None or len(symbol.places) != len(nets):
             raise element.error("no such subcircuit", element.model)
         fields = symbol.fields | ({"Sim.Params": parameters} if parameters else {})
-        return _placed(symbol, fields | {"Reference": name}, nets)
+        return _reserve_room(symbol, fields | {"Reference": name}, nets)
     symbol = plain.get(letter)
     if symbol is None or len(symbol.places) != len(nets):
-        known = ", ".join(sorted(k for k in plain if len(k) == 1))
+        known = ", ".join(sorted(_ELEMENTS))
         raise element.error(
             "the sheet has no symbol for this card", expected=f"one of {known} or X"
         )
     law = Printer().law(element) if element.quantity else ""
-    words = (*map(_reference, element.sources), *element.values, parameters, law)
+    words = (*map(_end_in_number, element.sources), *element.values, parameters, law)
     value = " ".join(filter(None, words))
     fields = symbol.fields | {
         "Reference": name,
-        "Value": f"{_short_text(value)} {element.unit}".rstrip(),
+        "Value": f"{_shorten_value(value)} {element.unit}".rstrip(),
         "Sim.Params": _SPICE.format(letter, value),
     }
-    return _placed(symbol, fields, nets)
+    return _reserve_room(symbol, fields, nets)
 
 
-def _short_text(value: str) -> str:
-    """A value to be read: six digits, one short line; ``Sim.Params`` has it all."""
+def _shorten_value(value: str) -> str:
+    """Return a value with six digits on one short line; ``Sim.Params`` has all digits."""
     short = _NUMBER.sub(lambda number: f"{float(number[0]):.6g}", value)
     return short if len(short) <= _VALUE else short[: _VALUE - 2].rpartition(" ")[0] + " …"
 
 
-def _placed(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...]) -> _Item:
-    """An item with the room that its pins, labels and texts take."""
+def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...]) -> _Item:
+    """Return an item with the room that its pins, labels and texts need."""
     room = {"left": 1, "right": 1, "top": 1, "bottom": 1}
     for place, net in zip(symbol.places, nets, strict=True):
         label = 2 if net == "0" else ceil(_LETTER * len(net)) + 2
@@ -273,51 +305,53 @@ def _placed(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...]) -> _I
     return _Item(symbol, fields, nets, (room["left"], right, up, room["bottom"]))
 
 
-def _rows(items: Iterable[_Item], width: int) -> Iterator[_Item]:
-    rows: list[list[tuple[int, _Item]]] = []
+def _arrange_rows(items: Iterable[_Item], width: int) -> Iterator[_Item]:
+    """Yield the items at their positions, in rows of a width in grid units."""
+    rows: list[list[_Item]] = []
     x = width
     for item in items:
         needed = item.reach[0] + item.reach[1] + 2
         if not rows or x + needed > width:
             rows.append([])
             x = MARGIN
-        rows[-1].append((x + item.reach[0], item))
+        rows[-1].append(replace(item, x=x + item.reach[0]))
         x += needed
     y = MARGIN
     for row in rows:
-        top, below = (max(item.reach[k] for _, item in row) for k in (2, 3))
-        yield from (replace(item, x=x, y=y + top) for x, item in row)
-        y += top + below + 2
+        _, _, ups, downs = zip(*map(attrgetter("reach"), row), strict=True)
+        for item in row:
+            yield replace(item, y=y + max(ups))
+        y += max(ups) + max(downs) + 2
 
 
-def _ends(items: Iterable[_Item]) -> Iterator[tuple[int, int, str, str]]:
+def _free_ends(items: Iterable[_Item]) -> Iterator[tuple[int, int, str, str]]:
     """Yield the free ends of all symbols on the sheet: x, y, side and net of each."""
     for item in items:
         yield from item.ends
 
 
-def _sheet(
+def _draw_sheet(
     name: str, title: str, items: list[_Item], commands: list[str], plain: dict[str, Symbol]
 ) -> str:
+    """Return the text of the sheet, on the smallest paper of a good shape."""
     for width in _ENOUGH:
-        placed = list(_rows(items, width))
-        bottom = max(item.y + item.reach[3] for item in placed) + 3
-        right = GRID * (max(item.x + item.reach[1] for item in placed) + MARGIN // 2)
-        height = GRID * (bottom + len(commands)) + _STAMP
-        paper = next((p for p, (w, h) in _PAPERS.items() if right <= w and height <= h), "A0")
+        placed = list(_arrange_rows(items, width))
+        bottom = max(map(attrgetter("bottom"), placed)) + 3
+        right = GRID * (max(map(attrgetter("right"), placed)) + MARGIN // 2)
+        paper = _choose_paper(right, GRID * (bottom + len(commands)) + _STAMP)
         if paper in _ENOUGH[width]:
             break
-    every = [*placed, *_grounds(placed, plain)]
+    every = [*placed, *_draw_grounds(placed, plain)]
     sheet = SimpleNamespace(
         paper=paper,
-        labels=[end for end in _ends(placed) if end[3] != "0"],
+        labels=[end for end in _free_ends(placed) if end[3] != "0"],
         texts=[(line, MARGIN, bottom + k) for k, line in enumerate(commands)],
         items=every,
     )
     return render(
         "kicad.j2",
         sheet=sheet,
-        symbols=list({item.symbol.name: item.symbol for item in every}.values()),
+        symbols=_unique_symbols(map(attrgetter("symbol"), every)),
         grid=GRID,
         name=name,
         title=shorten(title, _COMMENT),
@@ -325,35 +359,56 @@ def _sheet(
     )
 
 
-def _grounds(items: list[_Item], plain: dict[str, Symbol]) -> Iterator[_Item]:
-    """Ground at every pin on node 0, turned away from the symbol, and one flag."""
-    grounds = [end for end in _ends(items) if end[3] == "0"]
-    rows = [("GND", f"#PWR{k:02d}", *end[:2], _TURN[end[2]]) for k, end in enumerate(grounds, 1)]
-    if grounds:  # a place of its own, on a ground of its own
-        corner = (MARGIN - 2, MARGIN - 2, 0)
-        rows += [("GND", "#PWR00", *corner), ("PWR_FLAG", "#FLG01", *corner)]
-    for mark, reference, *place in rows:
-        fields = plain[mark].fields | {"Reference": reference}
-        yield _Item(plain[mark], fields, ("0",), (0, 0, 0, 0), *place)
+def _choose_paper(width: float, height: float) -> str:
+    """Return the smallest paper with room for a drawing [mm], otherwise A0."""
+    for paper, (available_width, available_height) in _PAPERS.items():
+        if width <= available_width and height <= available_height:
+            return paper
+    return "A0"
 
 
-def _workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
-    """KiCad's saved simulation set-up: the analysis and four node voltages of the deck's results,
-    the first of every part before any second one."""
-    analysis = next((c for c in commands if c.split()[0].lower() in _KINDS), "")
-    kind = _KINDS.get(analysis.split()[0].lower() if analysis else "", "TRAN")
-    result = {name: vector(text) for name, (text, _) in deck.vectors.items()}
-    results = {n: t.names[0] for n, t in result.items() if t and t.quantity == "v"}
+def _draw_grounds(items: list[_Item], plain: dict[str, Symbol]) -> Iterator[_Item]:
+    """Yield a ground at every pin on node 0, turned away from the symbol, and one flag."""
+    count = 0
+    for x, y, side, net in _free_ends(items):
+        if net == "0":
+            count += 1
+            yield _ground_mark(plain["GND"], f"#PWR{count:02d}", x, y, _TURN[side])
+    if count:  # in a corner, on a ground that joins no pin
+        corner = MARGIN - 2, MARGIN - 2
+        yield _ground_mark(plain["GND"], "#PWR00", *corner)
+        yield _ground_mark(plain["PWR_FLAG"], "#FLG01", *corner)
+
+
+def _ground_mark(symbol: Symbol, reference: str, x: int, y: int, turn: int = 0) -> _Item:
+    """Return a symbol on node 0 at a position, turned by an angle [degrees]."""
+    fields = symbol.fields | {"Reference": reference}
+    return _Item(symbol, fields, ("0",), x=x, y=y, turn=turn)
+
+
+def _write_workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
+    """Return KiCad's saved simulation: the analysis and four node voltages of the results.
+
+    The first voltage of every part precedes any second one.
+    """
+    analyses = (line for line in commands if line.split()[0].lower() in _KINDS)
+    analysis = next(analyses, "")
+    kind = _KINDS[analysis.split()[0].lower()] if analysis else "TRAN"
     first: dict[str, str] = {}
-    for name, node in results.items():
-        first.setdefault(name.partition(".")[0], node)
-    nodes = [*first.values(), *results.values()]
-    present = {node.lower(): node for part in top.elements for node in part.nodes}
-    names = [present[n] for n in dict.fromkeys(nodes) if n in present][: len(_COLOURS)]
+    nodes = []
+    for name, (text, _) in deck.vectors.items():
+        trace = vector(text)
+        if trace and trace.quantity == "v":
+            nodes.append(trace.names[0])
+            first.setdefault(name.partition(".")[0], trace.names[0])
+    spelled: dict[str, str] = {}
+    for part in top.elements:
+        spelled.update(zip(part.ends, part.nodes, strict=True))
+    names = filter(None, map(spelled.get, dict.fromkeys([*first.values(), *nodes])))
     traces = list(zip(names, _COLOURS, strict=False))
     return render("kicad_workbook.j2", analysis=analysis, kind=kind, traces=traces)
 
 
 def _uuid(*what: object) -> str:
-    """The same every time, so that a new export does not change the file."""
+    """Return an identifier that is equal in every export of the same item."""
     return str(uuid5(NAMESPACE_URL, "kc2spice/" + "/".join(map(str, what))))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil
+from operator import attrgetter
 
 from kc2spice.core.domains import ELECTRICAL, REFERENCES, SIGNAL, TRANSLATION
 from kc2spice.netlist.circuit import Pin
@@ -36,31 +37,36 @@ class Box:
 
 
 def layout(part: Subcircuit) -> Box:
-    """The symbol of ``part``; the number of a pin is its position on the ``.subckt`` card.
+    """Return the symbol of ``part``; a pin has the number of its position on ``.subckt``.
 
     The left side of an actuator has its electrical terminals, the right side its mechanical ports.
     Electronics have their inputs on the left and their outputs on the right. Mechanical parts have
     their displacements on the left and all other pins on the right.
     """
-    sides = _sides(part)
-    left, right, below = (max([0, *(len(pin.name) for _, pin in side)]) for side in sides)
-    rows = max(len(sides[0]), len(sides[1]))
+    left, right, below = _assign_sides(part)
+    longest = max(_longest_name(left), _longest_name(right))
+    rows = max(len(left), len(right))
     # names along the bottom stand upright between those of both sides
-    width = max(3, ceil(_LETTER * max(left, right) + 0.6 + 0.5 * len(sides[2])))
-    height = max(ceil((rows + 1) / 2), ceil((_LETTER * below + 0.8) / 2))
+    width = max(3, ceil(_LETTER * longest + 0.6 + 0.5 * len(below)))
+    height = max(ceil((rows + 1) / 2), ceil((_LETTER * _longest_name(below) + 0.8) / 2))
     places = []
-    for side, x, pins in (("left", -width - 1, sides[0]), ("right", width + 1, sides[1])):
+    for side, x, pins in (("left", -width - 1, left), ("right", width + 1, right)):
         for row, (number, pin) in enumerate(pins):
             places.append(Place(number, pin.name, side, x, height - 1 - row))
-    first = -(len(sides[2]) // 2)
-    for column, (number, pin) in enumerate(sides[2]):
+    first = -(len(below) // 2)
+    for column, (number, pin) in enumerate(below):
         places.append(Place(number, pin.name, "bottom", first + column, -height - 1))
-    places.sort(key=lambda place: place.number)
+    places.sort(key=attrgetter("number"))
     return Box(width, height, tuple(places))
 
 
-def _sensed(scope: Scope | None) -> set[str]:
-    """Nodes that elements of ``scope`` sense but none draws current from."""
+def _longest_name(pins: list[tuple[int, Pin]]) -> int:
+    """Return the number of letters of the longest name of numbered pins."""
+    return max((len(pin.name) for _, pin in pins), default=0)
+
+
+def _find_sensed_nodes(scope: Scope | None) -> set[str]:
+    """Return the nodes that elements of ``scope`` sense without a current."""
     sensed: set[str] = set()
     loaded: set[str] = set()
     for item in scope.elements if scope else ():
@@ -68,27 +74,35 @@ def _sensed(scope: Scope | None) -> set[str]:
         loaded |= set(item.ends[:2] if two else () if item.kind == "x" else item.ends)
         sensed |= {*item.ends[2:]} if two else item.sensed
         if item.kind == "x" and scope and (called := scope.find(item.model)):
-            quiet = _sensed(called)
+            sensed_pins = _find_sensed_nodes(called)
             for pin, node in zip(called.pins, item.ends, strict=False):
-                (sensed if pin in quiet else loaded).add(node)
+                (sensed if pin in sensed_pins else loaded).add(node)
     return sensed - loaded
 
 
-def _sides(part: Subcircuit) -> tuple[list[tuple[int, Pin]], ...]:
-    """Pins with their numbers, left, right and below."""
-    plain = [pin for pin in part.pins if pin.name not in REFERENCES]
-    electric = [pin.name for pin in plain if pin.flow == ELECTRICAL.flow]
-    mechanical = [pin for pin in plain if pin.flow not in (ELECTRICAL.flow, SIGNAL)]
-    quiet = _sensed(circuit(part.circuit).find(part.name))
-    left = {pin.name for pin in plain if pin.name.lower() in quiet}
-    if electric and mechanical:
-        left = set(electric)
-    elif electric:
-        left |= {pin.name for pin in plain if pin.flow == SIGNAL}  # a command, though it be loaded
-        left = left or {electric[0]}
+def _assign_sides(part: Subcircuit) -> tuple[list[tuple[int, Pin]], ...]:
+    """Return the pins with their numbers on the left, on the right and below."""
+    electrical, signals, displacements, others = list[str](), list[str](), list[str](), list[str]()
+    for pin in part.pins:
+        if pin.name in REFERENCES:
+            continue
+        if pin.flow == ELECTRICAL.flow:
+            electrical.append(pin.name)
+        elif pin.flow == SIGNAL:
+            signals.append(pin.name)
+        else:
+            moves = pin.unit == TRANSLATION.across.pin_unit
+            (displacements if moves else others).append(pin.name)
+    mechanical = displacements or others
+    sensed = _find_sensed_nodes(circuit(part.circuit).find(part.name))
+    left = {pin.name for pin in part.pins if pin.key in sensed} - REFERENCES
+    if electrical and mechanical:
+        left = set(electrical)
+    elif electrical:
+        left.update(signals)  # commands, even if they draw a current
+        left = left or {electrical[0]}
     elif mechanical:
-        placed = {pin.name for pin in mechanical if pin.unit == TRANSLATION.across.pin_unit}
-        left = placed or {pin.name for pin in mechanical}
+        left = set(mechanical)
     sides: tuple[list[tuple[int, Pin]], ...] = ([], [], [])
     for number, pin in enumerate(part.pins, 1):
         side = 0 if pin.name in left else 1
