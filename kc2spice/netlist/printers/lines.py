@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import chain
 
@@ -23,12 +24,12 @@ def card_lines(card: str) -> Iterator[str]:
     """
     for line in card.split("\n"):
         if line.startswith("*"):
-            yield from _wrapped(line)
+            yield from _wrap_comment(line)
             continue
         begin, lead = 0, ""
-        breaks = _breaks(line) if len(line) > WIDTH else ()
+        breaks = _possible_ends(line) if len(line) > WIDTH else ()
         while len(lead) + len(line) - begin > WIDTH:
-            end = _best(breaks, begin, WIDTH - len(lead))
+            end = _choose_end(breaks, begin, WIDTH - len(lead))
             if not end:
                 break
             yield lead + line[begin:end].rstrip()
@@ -39,17 +40,17 @@ def card_lines(card: str) -> Iterator[str]:
 def comment_lines(text: str) -> Iterator[str]:
     """Yield comments as lines. Further lines of one are indented by three blanks at least."""
     for line in text.split("\n"):
-        yield from _wrapped(line)
+        yield from _wrap_comment(line)
 
 
-def _wrapped(line: str) -> Iterator[str]:
+def _wrap_comment(line: str) -> Iterator[str]:
     if len(line) <= WIDTH or not line.startswith("*"):
         yield line
         return
     lead = line[: len(line) - len(line.lstrip("* "))]
     further = "*   + " if line.startswith("* use: ") else "*" + " " * max(3, len(lead) + 1)
     yield from textwrap.wrap(
-        _spaced(line[len(lead) :], WIDTH - len(further)),
+        _add_blanks(line[len(lead) :], WIDTH - len(further)),
         WIDTH,
         initial_indent=lead,
         subsequent_indent=further,
@@ -58,27 +59,36 @@ def _wrapped(line: str) -> Iterator[str]:
     )
 
 
-def _spaced(text: str, width: int) -> str:
+def _add_blanks(text: str, width: int) -> str:
     """Return a text with blanks before operators of words that are longer than a line."""
-    words = (_SUMMAND.sub(r" \g<0>", w) if len(w) > width else w for w in text.split(" "))
+    words = text.split(" ")
+    for k, word in enumerate(words):
+        if len(word) > width:
+            words[k] = _SUMMAND.sub(r" \g<0>", word)
     return " ".join(words)
 
 
-def _best(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
+def _choose_end(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
     """Return where a line that begins at ``begin`` ends at best, 0 where it must stay whole.
 
     ``breaks`` are the possible ends, the better kinds first.
     """
     for places in breaks:
-        if within := [place for place in places if SHORTEST <= place - begin <= width]:
-            return within[-1]
+        last = _last_within(places, begin + SHORTEST, begin + width)
+        if last:
+            return last
     possible = sorted(chain.from_iterable(breaks))
-    further = [place for place in possible if place > begin]
-    short = [place for place in further if place - begin <= width]
-    return short[-1] if short else next(iter(further), 0)
+    last = _last_within(possible, begin + 1, begin + width)
+    return last or next((place for place in possible if place > begin), 0)
 
 
-def _breaks(line: str) -> tuple[list[int], ...]:
+def _last_within(places: Sequence[int], low: int, high: int) -> int:
+    """Return the last place, in rising order, from ``low`` to ``high``, 0 if there is none."""
+    count = bisect_right(places, high)
+    return places[count - 1] if count and places[count - 1] >= low else 0
+
+
+def _possible_ends(line: str) -> tuple[list[int], ...]:
     """Return the blanks of a line between words, those within brackets, and its operators.
 
     Those of sums come before those of products.
@@ -98,6 +108,6 @@ def _breaks(line: str) -> tuple[list[int], ...]:
         fixed.update(range(*probe.span()))
     match = _EXPRESSION.search(line)
     begin = match.end() if match else len(line)
-    signs = [sign.start() for sign in _SUMMAND.finditer(line, begin)]
-    others = [operator.start() for operator in _OPERATOR.finditer(line, begin)]
-    return outer, *([k for k in kind if k not in fixed] for kind in (inner, signs, others))
+    signs = map(re.Match.start, _SUMMAND.finditer(line, begin))
+    others = map(re.Match.start, _OPERATOR.finditer(line, begin))
+    return outer, *(sorted(set(kind) - fixed) for kind in (inner, signs, others))
