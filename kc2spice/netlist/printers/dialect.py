@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from operator import attrgetter
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -24,6 +25,7 @@ from kc2spice.netlist.circuit import (
     Model,
     Parameters,
     items_of,
+    lower_keys,
 )
 from kc2spice.netlist.deck import ANALYSES, Deck
 from kc2spice.netlist.expression import (
@@ -51,9 +53,8 @@ _SEMICONDUCTORS = {
     "nmos": "level vto kp gamma phi lambda rd rs is cgso cgdo cgbo tox",
     "njf": "vto beta lambda rd rs cgs cgd pb is",
 }
-_SEMICONDUCTORS |= {
-    p: _SEMICONDUCTORS[n] for p, n in (("pnp", "npn"), ("pmos", "nmos"), ("pjf", "njf"))
-}
+for _p_type, _n_type in (("pnp", "npn"), ("pmos", "nmos"), ("pjf", "njf")):
+    _SEMICONDUCTORS[_p_type] = _SEMICONDUCTORS[_n_type]
 COMMON = EVERYWHERE.union(["acosh", "asinh", "atanh", "ceil", "int", "log10", "sgn", "uramp"])
 _EULER = "2.718281828459045"
 
@@ -111,25 +112,26 @@ class Dialect(Printer, ABC):
 
     @cached_property
     def analysis(self) -> Directive:
-        """The card of the deck's analysis; a library is one of a transient from initial states."""
+        """The card of the deck's analysis; for a library, a transient from initial states."""
         items = self.deck.trees[self.deck.main].items if self.deck else ()
         analyses = (card for card in items_of(items, Directive) if card.keyword in ANALYSES)
-        return min(analyses, key=lambda card: card.keyword, default=Directive(".tran", ("uic",)))
+        transient = Directive(".tran", ("uic",))
+        return min(analyses, key=attrgetter("keyword"), default=transient)
 
     def symbols(self, part: Subcircuit, library: str) -> dict[str, str]:
-        """Symbols of a part by file name, of which ``library`` is the file; by default none."""
+        """Return the symbols of a part in the file ``library``, by file name; by default none."""
         return {}
 
     # -- cards ------------------------------------------------------------------------------
 
     def file(self, circuit: Circuit) -> str:
-        """Text of a whole file; functions that it defines are known in all of it."""
-        self.defined = {item.name.lower() for item in circuit.items if isinstance(item, Function)}
+        """Return the text of a file; its functions are known everywhere in the file."""
+        self.defined = {item.name.lower() for item in items_of(circuit.items, Function)}
         return super().file(circuit)
 
     def lines(self, items: Sequence[Item]) -> Iterator[str]:
-        """Cards, those of one command together where the simulator needs it."""
-        return super().lines(_merged(items, self.joined))
+        """Yield the cards; the simulator may need all cards of one command as one card."""
+        return super().lines(_join_commands(items, self.joined))
 
     def card(self, item: Item) -> str:
         if isinstance(item, Parameters) and item.keyword != ".param":
@@ -154,7 +156,7 @@ class Dialect(Printer, ABC):
         raise self.refusal(item.text, f"the command {item.keyword}")
 
     def measure(self, card: Directive) -> str:
-        """A measure of one vector, or of another measure; "" for one without an equivalent."""
+        """Return the card of a measure, or "" if the simulator has no equivalent."""
         if len(card.words) < 3:
             return ""
         kind, name, what, *rest = card.words
@@ -167,7 +169,8 @@ class Dialect(Printer, ABC):
             case (("MAX" | "MIN" | "PP" | "AVG" | "RMS"), [text]):
                 read = (what, self.measured(text, kind))
             case (("MAX_AT" | "MIN_AT"), [text]):
-                read = self.place(what.removesuffix("_AT"), self.measured(text, kind), kind)
+                measured = self.measured(text, kind)
+                read = self.locate_extreme(what.removesuffix("_AT"), measured, kind)
             case "FIND", [text, at] if at.startswith("AT="):
                 read = (what, self.measured(text, kind), self.number(at))
             case "WHEN", [condition, "CROSS=1"]:
@@ -179,37 +182,37 @@ class Dialect(Printer, ABC):
         return " ".join((self.measure_keyword, kind.upper(), name, *read))
 
     def measured(self, text: str, kind: str) -> str:
-        """The vector of a measure: magnitudes of voltages, and real parts of currents in ``ac``."""
+        """Return the vector of a measure: in ``ac`` a magnitude, or the real part of a current."""
         if text.startswith("vm("):
             return self.magnitude(self.vector(f"v({text[3:]}"))
         plain = self.vector(text)
         return self.real_part(plain) if kind == "ac" else plain
 
-    def place(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Words of a measure of where an extreme is; none if it does not exist here."""
+    def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
+        """Return the words of a measure of where an extreme is; none if it has no equivalent."""
         return ()
 
     @abstractmethod
     def scaled(self, kind: str, name: str, expression: str) -> str:
-        """The card of a measure that is an expression of others."""
+        """Return the card of a measure that is an expression of others."""
 
     @abstractmethod
     def magnitude(self, vector: str) -> str:
-        """The magnitude of a complex vector."""
+        """Return the magnitude of a complex vector."""
 
     @abstractmethod
     def real_part(self, vector: str) -> str:
-        """The real part of a complex vector."""
+        """Return the real part of a complex vector."""
 
     def refusal(self, got: str | None, what: str, expected: str | None = None) -> UsageError:
-        """The error for a construct that this dialect has no words for."""
+        """Return the error for a construct without an equivalent in this dialect."""
         message, got = f"{self.title} has no equivalent of {what}", got and got[:120]
         hint = "rewrite this card, or export for ngspice, which reads it as it is"
         return UsageError(message, where=self.where, got=got, expected=expected, hint=hint)
 
     def element(self, part: Element) -> str:
         laplace = part.kind in "eg" and len(part.nodes) == 2 and not part.quantity
-        files = any("file" in w.lower() for w in (*part.values, *part.parameters))
+        files = "file" in " ".join((*part.values, *part.parameters)).lower()
         if part.kind not in _SHARED or laplace or files or (part.kind in "eg" and part.parameters):
             raise self.refusal(part.written, f"this {part.kind.upper()} card")
         known = self.parameters.get(part.kind)
@@ -218,18 +221,22 @@ class Dialect(Printer, ABC):
         return super().element(part)
 
     def _known_parameters(self, part: Element, known: set[str]) -> dict[str, str]:
-        """Parameters of a card, without those of a noise analysis, which no dialect has."""
-        given = {k: v for k, v in part.parameters.items() if k.lower() not in _NOISE}
-        strange = [key for key in given if key.lower() not in known]
-        if strange:
-            what = f"the parameter {strange[0]} of this {part.kind.upper()} card"
-            expected = ", ".join(sorted(known)) or "no parameters"
-            raise self.refusal(part.written, what, expected)
-        return given
+        """Return the parameters of a card, without those of a noise analysis."""
+        result = {}
+        for key, value in part.parameters.items():
+            if key.lower() in _NOISE:
+                continue
+            if key.lower() not in known:
+                what = f"the parameter {key} of this {part.kind.upper()} card"
+                expected = ", ".join(sorted(known)) or "no parameters"
+                raise self.refusal(part.written, what, expected)
+            result[key] = value
+        return result
 
     def model(self, model: Model) -> str:
-        """A switch, or a semiconductor of the parameters that all have."""
-        values = {key.lower(): self.value(value) for key, value in model.parameters.items()}
+        """Return a switch, or a semiconductor with parameters that all simulators have."""
+        parameters = lower_keys(model.parameters)
+        values = dict(zip(parameters, map(self.value, parameters.values()), strict=True))
         if model.type.lower() == "sw":
             return self.switch(model.name, values)
         known = _SEMICONDUCTORS.get(model.type.lower(), "").split()
@@ -238,22 +245,25 @@ class Dialect(Printer, ABC):
         return super().model(model)
 
     def options(self, words: Sequence[str]) -> str:
-        """The simulator settings that exist here; what is dropped becomes a comment."""
-        supported = [w for w in words if w.partition("=")[0].lower() in self.known_options]
-        settings = " ".join(map(self.number, supported))
-        lines = [f"{self.option_prefix} {settings}"] if supported else []
-        dropped = (f"* {self.title} has no option {w}" for w in words if w not in supported)
-        return "\n".join([*lines, *dropped])
+        """Return the options that the simulator has; others become comments."""
+        supported, comments = [], []
+        for word in words:
+            if word.partition("=")[0].lower() in self.known_options:
+                supported.append(self.number(word))
+            else:
+                comments.append(f"* {self.title} has no option {word}")
+        lines = [f"{self.option_prefix} {' '.join(supported)}"] if supported else []
+        return "\n".join([*lines, *comments])
 
     def save(self, vectors: list[str]) -> str:
         return "\n+ ".join([".save", *vectors])
 
     @abstractmethod
     def switch(self, name: str, values: Mapping[str, str]) -> str:
-        """A voltage-controlled switch."""
+        """Return the model of a voltage-controlled switch."""
 
     def start(self, text: str) -> str:
-        """A start value ``v(NODE)=VALUE`` with the node as this dialect names it."""
+        """Return a start value ``v(NODE)=VALUE`` with the name of the node in this dialect."""
         node, equals, value = text.partition("=")
         return f"{self.vector(node)}={self.value(value)}" if equals else text
 
@@ -273,9 +283,11 @@ class Dialect(Printer, ABC):
         return ":".join([*trace.path, *trace.names])
 
     def number(self, text: str) -> str:
-        """Numbers as they are, but for letters that are not read alike: units behind a number, and
-        scale factors such as ``mil``, ``a`` or ``x``."""
-        return _NUMBER.sub(_plain_number, text)
+        """Return a word with numbers that all simulators read alike.
+
+        Units behind a number and scale factors such as ``mil``, ``a`` or ``x`` are replaced.
+        """
+        return _NUMBER.sub(_remove_letters, text)
 
     # -- expressions ------------------------------------------------------------------------
 
@@ -286,7 +298,7 @@ class Dialect(Printer, ABC):
         return known.get(text.lower(), text)
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Functions by what they mean: ``pwl`` is ``table``, ``log`` is the natural one."""
+        """Return a function by its meaning: ``pwl`` is ``table``, ``log`` is the natural one."""
         if function == "pwl":
             values = arguments[1:]
             flat = len(values) >= 4 and values[1] == values[3] and values[-1] == values[-3]
@@ -309,26 +321,29 @@ class Dialect(Printer, ABC):
         return super().call(spelled, arguments)
 
     def test(self, tree: Tree) -> str:
-        """A condition; whatever is not zero is true in ngspice, what is above a half in LTspice."""
+        """Return a condition: true is not zero in ngspice, above one half in LTspice."""
         if isinstance(tree, Binary) and tree.op in _COMPARED:
             return super().write(tree)
-        return f"{self.write(_truth(tree), 3)}>0.5"
+        return f"{self.write(_number_of_condition(tree), 3)}>0.5"
 
     def write(self, tree: Tree, level: int = 0) -> str:
-        """ngspice's power is that of the absolute value; logic is said by choices, which both
-        simulators write ``if(test, yes, no)``."""
+        """Return the text of ``tree``.
+
+        ngspice takes powers of the absolute value. Choices replace logical operators, because both
+        simulators write these as ``if(test, yes, no)``.
+        """
         match tree:
             case Choice(test, yes, no):
                 return f"if({self.test(test)}, {self.write(yes)}, {self.write(no)})"
             case Binary("^", left, right):
                 return f"pow(abs({self.write(left)}), {self.write(right)})"
             case Binary("&&" | "||" | "==" | "!=") | Unary("!"):
-                return self.write(_truth(tree), level)
+                return self.write(_number_of_condition(tree), level)
         return super().write(tree, level)
 
 
-def _plain_number(match: re.Match[str]) -> str:
-    """A number with a scale factor that all simulators have, or the same double without letters."""
+def _remove_letters(match: re.Match[str]) -> str:
+    """Return a number with a common scale factor, or the same double without letters."""
     if match[1].lower() in _SCALES:
         return match[0]
     tree = parse(match[0])
@@ -339,27 +354,29 @@ _ONE, _ZERO = Number("1"), Number("0")
 _COMPARED = ("<", "<=", ">", ">=")
 
 
-def _truth(tree: Tree) -> Tree:
-    """A condition as a number, 0 or 1."""
+def _number_of_condition(tree: Tree) -> Tree:
+    """Return a condition as a number, 0 or 1."""
     match tree:
         case Binary(op) if op in _COMPARED:
             return Choice(tree, _ONE, _ZERO)
         case Binary("&&", left, right):
-            return Binary("*", _truth(left), _truth(right))
+            return Binary("*", _number_of_condition(left), _number_of_condition(right))
         case Binary("||", left, right):
-            return Call("max", (_truth(left), _truth(right)))
+            return Call("max", (_number_of_condition(left), _number_of_condition(right)))
         case Binary("!=", left, right):
-            return _truth(Binary("-", left, right))
+            return _number_of_condition(Binary("-", left, right))
         case Binary("==", left, right):
-            return _truth(Unary("!", Binary("-", left, right)))
+            return _number_of_condition(Unary("!", Binary("-", left, right)))
         case Unary("!", value):
-            return Binary("-", _ONE, _truth(value))
+            return Binary("-", _ONE, _number_of_condition(value))
     return Choice(Binary(">", Call("abs", (tree,)), _ZERO), _ONE, _ZERO)
 
 
-def _merged(items: Sequence[Item], joined: frozenset[str]) -> list[Item]:
-    """All cards of each of the commands ``joined`` as one where the first of them stands, with the
-    comments of all: the deck's title may be among them."""
+def _join_commands(items: Sequence[Item], joined: frozenset[str]) -> list[Item]:
+    """Return the items with one card for all cards of each of the commands ``joined``.
+
+    It replaces the first of these cards and has the comments of all, such as the deck's title.
+    """
     merged: dict[str | int, Item] = {}
     for number, item in enumerate(items):
         if isinstance(item, Directive) and item.keyword in joined:

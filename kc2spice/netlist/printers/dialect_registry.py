@@ -10,6 +10,7 @@ import pkgutil
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from operator import attrgetter
 
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.netlist.printers.dialect import Dialect
@@ -86,21 +87,22 @@ def _require_dialect(value: object) -> None:
 
 
 @cache
-def _modules() -> tuple[str, ...]:
-    """Dialects of this package."""
-    return tuple(module.name for module in pkgutil.iter_modules(import_module(PACKAGE).__path__))
+def _module_names() -> tuple[str, ...]:
+    """Return the names of the dialects of this package."""
+    modules = pkgutil.iter_modules(import_module(PACKAGE).__path__)
+    return tuple(map(attrgetter("name"), modules))
 
 
 @cache
-def _foreign() -> tuple[EntryPoint, ...]:
-    """Dialects of other distributions; the search reads the metadata of all of them."""
+def _entry_points() -> tuple[EntryPoint, ...]:
+    """Return the dialects of other distributions, from the metadata of all of them."""
     return tuple(entry_points(group=GROUP))
 
 
 def deck_dialects() -> tuple[str, ...]:
     """Return the names of all dialects in which a deck can be written, ngspice first."""
-    foreign = (entry.name for entry in _foreign())
-    return tuple(dict.fromkeys((NGSPICE, *_modules(), *foreign, *_dialects)))
+    foreign = map(attrgetter("name"), _entry_points())
+    return tuple(dict.fromkeys((NGSPICE, *_module_names(), *foreign, *_dialects)))
 
 
 def dialect_names() -> tuple[str, ...]:
@@ -115,9 +117,9 @@ def dialect_named(name: str) -> type[Dialect]:
     ------
     UsageError : no dialect with a printer has this name.
     """
-    if name not in _dialects and name in _modules():
+    if name not in _dialects and name in _module_names():
         import_module(f"{PACKAGE}.{name}")
-    for entry in _foreign():
+    for entry in _entry_points():
         if name not in _dialects and entry.name == name:
             register_dialect(entry.load())
     if name not in _dialects:

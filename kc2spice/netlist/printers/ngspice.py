@@ -1,4 +1,4 @@
-"""Trees as ngspice reads them; the printers of other simulators say what they do differently."""
+"""Printer of trees for ngspice, from which the printers of other simulators derive."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from kc2spice.netlist.circuit import (
     Item,
     Model,
     Parameters,
+    items_of,
 )
 from kc2spice.netlist.expression import Name, Tree, Writer, parse, walk
 from kc2spice.netlist.prefixes import with_prefixes
@@ -36,19 +37,19 @@ class Printer(Writer):
         self.where = "netlist"
 
     def file(self, circuit: Circuit) -> str:
-        lines = [*self.lines(circuit.items), *_comments(circuit.closing)]
+        lines = [*self.lines(circuit.items), *_print_comments(circuit.closing)]
         return "\n".join(lines) + "\n"
 
     def lines(self, items: Sequence[Item]) -> Iterator[str]:
-        """Cards with the comments above them."""
+        """Yield the cards with the comments above them."""
         for item in items:
-            yield from _comments(item.notes)
+            yield from _print_comments(item.notes)
             self.where = item.where
             if card := self.card(item):
-                yield card if isinstance(item, Circuit) else _continued(card)
+                yield card if isinstance(item, Circuit) else _continue_card(card)
 
     def card(self, item: Item) -> str:
-        """One card, or a subcircuit, without the comments above it; "" for none."""
+        """Return one card, or a subcircuit, without the comments above it; "" for none."""
         match item:
             case Element():
                 return self.element(item)
@@ -60,14 +61,14 @@ class Printer(Writer):
                 law = self.value(f"{{{item.expression.strip('{}')}}}")
                 return f".func {name}({','.join(arguments)}) {law}"
             case Circuit():
-                body = (*self.lines(item.items), *_comments(item.closing))
-                return "\n".join([_continued(self.head(item)), *body, f".ends {item.name}"])
+                body = (*self.lines(item.items), *_print_comments(item.closing))
+                return "\n".join([_continue_card(self.head(item)), *body, f".ends {item.name}"])
         return self.directive(item)
 
     def head(self, circuit: Circuit) -> str:
-        """The card that begins a subcircuit."""
+        """Return the card that begins a subcircuit."""
         keyword = self.keyword if circuit.defaults else ""
-        return _joined(
+        return _join_words(
             ".subckt", circuit.name, *circuit.pins, keyword, self.pairs(circuit.defaults)
         )
 
@@ -77,48 +78,51 @@ class Printer(Writer):
         known = part.kind in NODES  # of another letter the words may be nodes
         values = " ".join(map(self.value, part.values) if known else part.values)
         pairs = self.pairs(part.parameters)
-        return _joined(
+        return _join_words(
             part.name, *part.nodes, *part.sources, part.model, values, law, keyword, pairs
         )
 
     def law(self, part: Element) -> str:
-        """The expression of a behavioural source. One with parameters is evaluated whole: within an
-        expression, braces are put in as text."""
-        words = (leaf.text.lower() for leaf in walk(part.law) if isinstance(leaf, Name))
+        """Return the expression of a behavioural source.
+
+        Braces enclose all of an expression with parameters, because ngspice inserts the text of
+        inner braces.
+        """
+        words = [leaf.text.lower() for leaf in items_of(walk(part.law), Name)]
         text = self.write(part.law)
         inner = f"{{{text}}}" if not _BARE.issuperset(words) else text
         return f"{part.quantity if part.kind == 'b' else 'value'}={inner}"
 
     def model(self, model: Model) -> str:
         inside = self.pairs(model.parameters)
-        return _joined(".model", model.name, model.type + (f"({inside})" if inside else ""))
+        return _join_words(".model", model.name, model.type + (f"({inside})" if inside else ""))
 
     def directive(self, card: Directive) -> str:
-        """Any other card with a dot; a control block has its commands on lines of their own."""
+        """Return any other card with a dot; a control block has one command on each line."""
         if card.keyword == ".control":
             return "\n".join([".control", *card.words, ".endc"])
         words = map(self.number, card.words) if card.keyword in _NUMBERED else card.words
-        return _joined(card.keyword, *words)
+        return _join_words(card.keyword, *words)
 
     def pairs(self, assignments: Mapping[str, str]) -> str:
-        """Assignments; a word without a value is a flag."""
+        """Return assignments as words; one without a value is a flag."""
         return " ".join(
             f"{key}={self.value(value)}" if value else key for key, value in assignments.items()
         )
 
     def number(self, text: str) -> str:
-        """The numbers in a word of a card."""
+        """Return a word of a card with its numbers in this dialect."""
         return with_prefixes(text)
 
     def value(self, text: str) -> str:
-        """A word of a card; what stands in braces or single quotes is an expression."""
+        """Return a word of a card, which in braces or single quotes is an expression."""
         if text[:1] not in ("{", "'"):
             return self.number(text)
         written = self.write(parse(text, where=self.where))
         return f"{{{written.replace(', ', ',')}}}"  # a blank would end the word
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """A function; rows of a table stand on lines of their own."""
+        """Return a function; each line of a table has several rows."""
         if function != "pwl":
             return super().call(function, arguments)
         head, *numbers = map(self.write, arguments)
@@ -127,40 +131,40 @@ class Printer(Writer):
         return f"pwl({head},\n+ " + "\n+ ".join(lines) + ")"
 
 
-def _comments(notes: Iterable[str]) -> tuple[str, ...]:
-    """Comments as the lines that are printed."""
+def _print_comments(notes: Iterable[str]) -> tuple[str, ...]:
+    """Return comments as the lines that are printed."""
     return tuple(chain.from_iterable(map(comment_lines, notes)))
 
 
-def _continued(card: str) -> str:
-    """A card with its continuation lines; a control block has none."""
+def _continue_card(card: str) -> str:
+    """Return a card with its continuation lines; a control block has none."""
     return card if card.startswith(".control") else "\n".join(card_lines(card))
 
 
-def _joined(*words: str) -> str:
+def _join_words(*words: str) -> str:
     return " ".join(filter(None, words))
 
 
 def located(circuit: Circuit, file: str) -> Circuit:
     """Return the tree of a ``file`` with the line and the text of each card as it is printed."""
-    return replace(circuit, items=tuple(_located(circuit.items, Printer(), file, count(1))))
+    return replace(circuit, items=tuple(_locate_items(circuit.items, Printer(), file, count(1))))
 
 
-def _located(
+def _locate_items(
     items: Iterable[Item], printer: Printer, file: str, lines: Iterator[int]
 ) -> Iterator[Item]:
-    """Items with their places; ``lines`` yields the numbers of the file's lines."""
+    """Yield items with their places; ``lines`` yields the numbers of the file's lines."""
     for item in items:
-        _skip(lines, len(_comments(item.notes)))
+        _skip(lines, len(_print_comments(item.notes)))
         if isinstance(item, Circuit):
-            head = _continued(printer.head(item))
+            head = _continue_card(printer.head(item))
             where = f"{file}:{next(lines)}"
             _skip(lines, head.count("\n"))
-            inner = tuple(_located(item.items, printer, file, lines))
-            _skip(lines, len(_comments(item.closing)) + 1)
+            inner = tuple(_locate_items(item.items, printer, file, lines))
+            _skip(lines, len(_print_comments(item.closing)) + 1)
             yield replace(item, items=inner, where=where, written=head.replace("\n+", ""))
         elif card := printer.card(item):
-            card = _continued(card)
+            card = _continue_card(card)
             where = f"{file}:{next(lines)}"
             _skip(lines, card.count("\n"))
             yield replace(item, where=where, written=card.replace("\n+", ""))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.expression import Trace
@@ -31,7 +31,7 @@ class LTspice(Dialect):
     bare = True  # how parameters are written
 
     def name(self, text: str) -> str:
-        """Parameters are put in as numbers, so a sign must not meet an operator."""
+        """Return a name; a parameter is in braces, so that its sign meets no operator."""
         word = super().name(text)
         plain = self.bare or word != text or text.lower() in ("time", "pi", "temp")
         return word if plain else f"({{{word}}})"
@@ -43,12 +43,12 @@ class LTspice(Dialect):
         return f"{quantity}={text}" if part.kind == "b" else f"value={{{text}}}"
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
-        """The same model; the default of ``ROFF`` differs, so both are always written."""
+        """Return the model with all parameters, because the default of ``ROFF`` differs."""
         parameters = {"vt": "0", "vh": "0", "ron": "1", "roff": "1e12"} | dict(values)
         return f".model {name} SW({' '.join(f'{k.upper()}={v}' for k, v in parameters.items())})"
 
     def element(self, part: Element) -> str:
-        """LTspice gives inductors a milliohm by default."""
+        """Return an element; inductors get no series resistance, by default a milliohm."""
         return super().element(part) + (" Rser=0" if part.kind == "l" else "")
 
     def scaled(self, kind: str, name: str, expression: str) -> str:
@@ -61,22 +61,27 @@ class LTspice(Dialect):
         return f"re({vector})"
 
     def node(self, path: list[str]) -> str:
-        """Instances are called without their X."""
-        return ":".join([*(item[1:] for item in path[:-1]), path[-1]])
+        """Return the name of a node, in which instances have no X."""
+        return ":".join([*_instance_names(path[:-1]), path[-1]])
 
     def device(self, trace: Trace) -> str:
-        """``b:contact:ring0``: letter, instances, rest of the name."""
+        """Return a device as its letter, instances and rest of the name: ``b:contact:ring0``."""
         (name,) = trace.names
-        inner = (name[0], *(item[1:] for item in trace.path), name[1:])
+        inner = (name[0], *_instance_names(trace.path), name[1:])
         return ":".join(inner) if trace.path else name
 
     def symbols(self, part: Subcircuit, library: str) -> dict[str, str]:
         stem = part.filename.removesuffix(".lib")
-        return {f"{stem}.asy": _symbol(part, library)}
+        return {f"{stem}.asy": _draw_symbol(part, library)}
 
 
-def _symbol(part: Subcircuit, library: str) -> str:
-    """The symbol of one part; ``library`` is the file that LTspice includes for it."""
+def _instance_names(path: Iterable[str]) -> list[str]:
+    """Return the names of instances without their letter X."""
+    return [instance[1:] for instance in path]
+
+
+def _draw_symbol(part: Subcircuit, library: str) -> str:
+    """Return the symbol of one part; LTspice includes the file ``library`` with it."""
     box = layout(part)
     x, y = GRID * box.width, GRID * box.height
     lines = [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import filterfalse
 
 from kc2spice.netlist.circuit import Directive, Element
 from kc2spice.netlist.deck import Deck
@@ -47,24 +48,23 @@ class Xyce(Dialect):
         return super().call(function, arguments)
 
     def element(self, part: Element) -> str:
-        """Xyce obeys ``IC=`` of a part without ``uic`` too, where ngspice ignores it."""
+        """Return a card without ``IC=`` if the analysis has no ``uic``, as ngspice ignores it."""
         if not _from_states(self.analysis) and part.kind in "cl":
             parameters = {k: v for k, v in part.parameters.items() if k.lower() != "ic"}
             part = replace(part, parameters=parameters)
         return super().element(part)
 
     def directive(self, card: Directive) -> str:
-        """Analyses, as Xyce takes them otherwise.
+        """Return a card of an analysis that Xyce runs as ngspice does.
 
-        A logarithmic range goes on to the first point at or beyond its end: Xyce stops short of an
-        end that is not one of its points. Where a controller closes a loop steps have a ceiling:
-        error control alone loses 5e-4 of a launch. Contacts begin from where they rest, not from a
-        bounce.
+        A logarithmic range ends at the first point at or beyond its end, because Xyce would stop
+        before an end that is not one of its points. Steps are limited if a controller closes a
+        loop: error control alone loses 5e-4 of a launch. Contacts begin at rest.
         """
         if card.keyword == ".tran":
-            nodes = _starting(self.deck) if self.deck and not _from_states(card) else ()
-            guesses = " ".join(f"V({node})=0" for node in dict.fromkeys(nodes))
-            return (f".nodeset {guesses}\n" if guesses else "") + self._limited(card)
+            nodes = _initial_nodes(self.deck) if self.deck and not _from_states(card) else ()
+            guesses = " ".join(map("V({})=0".format, dict.fromkeys(nodes)))
+            return (f".nodeset {guesses}\n" if guesses else "") + self._limit_steps(card)
         if card.keyword != ".ac" or not card.words:
             return card.text
         numbers = [literal(word, where=card.where) for word in card.words[1:]]
@@ -77,11 +77,12 @@ class Xyce(Dialect):
         return " ".join([card.keyword, *card.words[:3], number(beyond)])
 
     def options(self, words: Sequence[str]) -> str:
-        """Its error control is looser than ngspice's at one ``reltol``."""
+        """Return the options with a smaller ``reltol``, whose error control is looser in Xyce."""
         timed = self.analysis.keyword == ".tran"
-        return super().options([*map(_tight, words)] if timed else words)
+        return super().options([*map(_tighten_reltol, words)] if timed else words)
 
-    def _limited(self, card: Directive) -> str:
+    def _limit_steps(self, card: Directive) -> str:
+        """Return a transient with limited time steps if a controller may close a loop."""
         if self.deck and not self.deck.controlled:
             return card.text
         words = [w for w in card.words if w.lower() == "uic"]
@@ -106,8 +107,11 @@ class Xyce(Dialect):
     def real_part(self, vector: str) -> str:
         return f"{vector[0]}R{vector[1:]}"
 
-    def place(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Xyce prints the place of an extreme, but scales its value: a sweep's is left out."""
+    def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
+        """Return the words of a measure of where an extreme is, but not in a sweep.
+
+        There Xyce prints a place that it has scaled.
+        """
         return (extreme, vector, f"OUTPUT={_SCALES[kind]}") if kind in _SCALES else ()
 
     def save(self, vectors: list[str]) -> str:
@@ -117,7 +121,8 @@ class Xyce(Dialect):
     def switch(self, name: str, values: Mapping[str, str]) -> str:
         """``VON`` and ``VOFF`` must differ; hysteresis does not exist."""
         parameters = " ".join(f"{key.upper()}={value}" for key, value in values.items())
-        band, middle = (literal(values.get(key, "0"), where=self.where) for key in ("vh", "vt"))
+        band = literal(values.get("vh", "0"), where=self.where)
+        middle = literal(values.get("vt", "0"), where=self.where)
         if band != 0.0:
             raise self.refusal(parameters, "a switch with hysteresis")
         if middle is None:
@@ -134,18 +139,20 @@ def _from_states(card: Directive) -> bool:
     return card.keyword == ".tran" and "uic" in map(str.lower, card.words)
 
 
-def _starting(deck: Deck) -> Iterator[str]:
-    """Nodes of the deck at which a part within an instance has an initial state."""
-    for instance in (item for item in deck.scope.elements if item.kind == "x"):
+def _initial_nodes(deck: Deck) -> Iterator[str]:
+    """Yield the nodes of the deck at which a part within an instance has an initial state."""
+    for instance in deck.scope.elements_of("x").values():
         called = deck.scope.find(instance.model)
-        for part in called.elements if called else ():
-            if called and "ic" in part.settings:
-                joined = dict(zip(called.pins, instance.ends, strict=False))
-                yield from (joined[n] for n in part.ends if joined.get(n, "0") not in GROUND)
+        if called is None:
+            continue
+        joined = dict(zip(called.pins, instance.ends, strict=False))
+        for part in called.elements:
+            outer = map(joined.get, part.ends if "ic" in part.settings else ())
+            yield from filterfalse(GROUND.__contains__, filter(None, outer))
 
 
-def _tight(word: str) -> str:
-    """An option of ngspice, ``reltol`` as Xyce needs it."""
+def _tighten_reltol(word: str) -> str:
+    """Return an option of ngspice with ``reltol`` as Xyce needs it."""
     name, _, value = word.partition("=")
     if name.lower() != "reltol":
         return word
