@@ -6,8 +6,9 @@ The functions take laws and groups of joined pins, without a scene. A pin of a l
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 
@@ -48,13 +49,31 @@ class Network:
     @property
     def names(self) -> frozenset[str]:
         """Names of the laws."""
-        return frozenset(law.name for law in self.laws)
+        return frozenset(map(attrgetter("name"), self.laws))
 
     def determined_by(self, driven: set[str]) -> bool:
         """Whether sources at the pins ``driven`` set the value of every net, and no body moves."""
         if not driven or any(isinstance(law, SecondOrderBody | PortBody) for law in self.laws):
             return False
-        return not any(driven.isdisjoint(self.joins[net]) for net in {*self.joins} - {GROUND})
+        ungrounded = dict(self.joins)
+        ungrounded.pop(GROUND, None)
+        return not any(map(driven.isdisjoint, ungrounded.values()))
+
+    def select(self, names: set[str]) -> Network:
+        """Return the network of the laws with these names."""
+        joins, readings, sweeps = dict[str, tuple[str, ...]](), {}, {}
+        for net, pins in self.joins.items():
+            within = tuple(pin for pin in pins if law_of(pin) in names)
+            if within:
+                joins[net] = within
+        for name, item in self.readings.items():
+            if law_of(item.waves[0]) in names:
+                readings[name] = item
+        for key, source in self.sweeps.items():
+            if source[0] in names:
+                sweeps[key] = source
+        laws = tuple(law for law in self.laws if law.name in names)
+        return Network(laws, joins, readings, sweeps)
 
     def results(self, waves: Mapping[str, np.ndarray], scale: np.ndarray) -> dict[str, np.ndarray]:
         """Return the results whose waves are all in ``waves``.
@@ -85,32 +104,16 @@ def split_networks(
     sweeps: Mapping[tuple[str, str], tuple[str, float]],
 ) -> tuple[Network, ...]:
     """Return the networks of ``laws`` that have no net in common, apart from ground."""
-    laws, joins = with_sensors(laws, joins)
-    connected = [{law.name} for law in laws]
-    connected += [{*map(law_of, joins[net])} for net in joins if net != GROUND]
-    result = []
-    for names in merge_groups(connected):
-        network = Network(
-            tuple(law for law in laws if law.name in names),
-            dict(_joins_within(names, joins)),
-            {key: item for key, item in readings.items() if law_of(item.waves[0]) in names},
-            {key: source for key, source in sweeps.items() if source[0] in names},
-        )
-        result.append(network)
-    return tuple(result)
-
-
-def _joins_within(
-    names: set[str], joins: Mapping[str, tuple[str, ...]]
-) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield each net of the laws ``names`` with the pins of these laws on the net."""
+    laws, joins = connect_sensors(laws, joins)
+    groups = [{law.name} for law in laws]
     for net, pins in joins.items():
-        within = tuple(pin for pin in pins if law_of(pin) in names)
-        if within:
-            yield net, within
+        if net != GROUND:
+            groups.append(set(map(law_of, pins)))
+    scene = Network(tuple(laws), joins, readings, sweeps)
+    return tuple(map(scene.select, merge_groups(groups)))
 
 
-def with_sensors(
+def connect_sensors(
     laws: Sequence[Law], joins: Mapping[str, tuple[str, ...]]
 ) -> tuple[list[Law], dict[str, tuple[str, ...]]]:
     """Connect signal inputs that are joined to a voltage or a displacement through a sensor.
@@ -119,8 +122,9 @@ def with_sensors(
     """
     kinds, sensors, result = pin_kinds(laws), [], dict(joins)
     for net, pins in joins.items():
-        signals = tuple(pin for pin in pins if kinds[pin] == "signal")
-        others = tuple(pin for pin in pins if kinds[pin] != "signal")
+        signals, others = list[str](), list[str]()
+        for pin in pins:
+            (signals if kinds[pin] == "signal" else others).append(pin)
         if net == GROUND or not signals or not others:
             continue
         kind = kinds[others[0]]

@@ -6,6 +6,7 @@ A scene with such parts, for example a netlist of the user, can then be integrat
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
@@ -35,14 +36,13 @@ def replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
     * Real coils follow an elastic body. Their flux is nonlinear, so every step of the body's
       ringing needs Newton's method, which takes hours.
     """
-    build, result = laws.build, dict[str, str]()
+    result: dict[str, str] = {}
     pins_joined: dict[str, tuple[str, ...]] = {}
     for pins in laws.joins({}).values():
         pins_joined |= dict.fromkeys(pins, pins)
     for net, name, pin, law_pin in laws.links:
-        others = {part for part, end in build.scene.joined(name, pin) if _may_act(build, part, end)}
-        joined = pins_joined.get(law_pin, (law_pin,))
-        if others & {*laws.missing} and not any(prescribes(laws.laws, item) for item in joined):
+        prescribed = map(partial(prescribes, laws.laws), pins_joined.get(law_pin, (law_pin,)))
+        if _meets_missing_part(laws, name, pin) and not any(prescribed):
             kind = result.get(net, "signal")
             result[net] = laws.kinds[law_pin] if kind == "signal" else kind
     if not laws.laws or not set(result.values()) <= set(SOURCES) or _have_coils_on_body(laws):
@@ -57,6 +57,14 @@ def _have_coils_on_body(laws: SceneLaws) -> bool:
         elastic |= isinstance(law, SecondOrderBody)
         nonlinear |= isinstance(law, Device) and bool(law.storing) and not law.linear
     return nonlinear and elastic
+
+
+def _meets_missing_part(laws: SceneLaws, name: str, pin: str) -> bool:
+    """Whether a part without a law may change the value on the net of a pin."""
+    for part, end in laws.build.scene.joined(name, pin):
+        if part in laws.missing and _may_act(laws.build, part, end):
+            return True
+    return False
 
 
 def _may_act(build: Build, name: str, pin: str) -> bool:
@@ -77,8 +85,11 @@ def networks_to_solve(
     the results of ngspice. If they are on every net of a network, such as a capacitor behind a
     rectifier, that network has nothing left to integrate.
     """
-    sources = {net: _recorded_source(net, kind, waves) for net, kind in replayed.items()}
-    driven = {f"{source.name}.out" for source in sources.values()}
+    sources, driven = {}, set()
+    for net, kind in replayed.items():
+        source = _recorded_source(net, kind, waves)
+        sources[net] = source
+        driven.add(f"{source.name}.out")
     networks = laws.networks_with(sources) if sources else laws.networks
     result = []
     for network in networks:

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, filterfalse
+from operator import attrgetter
 from typing import NamedTuple
 
 from kc2spice.core.domains import FLOW_SYMBOLS
@@ -47,10 +48,10 @@ class SceneLaws:
     def with_cards(self) -> tuple[str, ...]:
         """Names of the parts with cards of their own."""
         scene = self.build.scene
-        return tuple(name for name in scene.parts if name not in scene.without_cards)
+        return tuple(filterfalse(scene.without_cards.__contains__, scene.parts))
 
     @cached_property
-    def stated(self) -> Mapping[str, Equations]:
+    def stated_equations(self) -> Mapping[str, Equations]:
         """Equations of each part with cards, as its type states them."""
         result = {}
         for part in map(self.build.scene.parts.__getitem__, self.with_cards):
@@ -62,17 +63,17 @@ class SceneLaws:
     @cached_property
     def equations(self) -> Mapping[str, Equations]:
         """Equations of each part that has a law."""
-        return {k: v for k, v in self.stated.items() if k not in self._loaded_signals}
+        return {k: v for k, v in self.stated_equations.items() if k not in self._loaded_signals}
 
     @cached_property
     def missing(self) -> tuple[str, ...]:
         """Names of the parts without a law: the whole scene cannot be integrated."""
-        return tuple(name for name in self.with_cards if name not in self.equations)
+        return tuple(filterfalse(self.equations.__contains__, self.with_cards))
 
     @cached_property
     def laws(self) -> dict[str, Law]:
         """All laws by name."""
-        return _by_name(self.equations)
+        return _laws_by_name(self.equations)
 
     @cached_property
     def kinds(self) -> dict[str, str]:
@@ -82,7 +83,7 @@ class SceneLaws:
     @cached_property
     def links(self) -> tuple[PinLink, ...]:
         """Pins of the parts with a law, and the pins of laws that represent them."""
-        return tuple(_links(self.build, self.equations))
+        return tuple(_list_links(self.build, self.equations))
 
     @cached_property
     def networks(self) -> tuple[Network, ...]:
@@ -110,8 +111,10 @@ class SceneLaws:
 
         Nets of the scene that share a pin of a law are one net.
         """
-        inside = chain.from_iterable(item.nets for item in self.equations.values())
-        by_net = {net: {f"{source.name}.out"} for net, source in sources.items()}
+        inside = chain.from_iterable(map(attrgetter("nets"), self.equations.values()))
+        by_net: dict[str, set[str]] = {}
+        for net, source in sources.items():
+            by_net[net] = {f"{source.name}.out"}
         for link in self.links:
             by_net.setdefault(link.net, {GROUND} if link.net == "0" else set()).add(link.law_pin)
         groups = merge_groups([*map(set, inside), *by_net.values()])
@@ -127,10 +130,10 @@ class SceneLaws:
     @cached_property
     def _loaded_signals(self) -> frozenset[str]:
         """Names of the parts that set a signal on a net where a current or a force acts."""
-        laws, links = _by_name(self.stated), tuple(_links(self.build, self.stated))
+        laws = _laws_by_name(self.stated_equations)
         kinds = pin_kinds(laws.values())
-        loaded, drivers = set(), []
-        for link in links:
+        loaded, drivers = set[str](), list[PinLink]()
+        for link in _list_links(self.build, self.stated_equations):
             if kinds[link.law_pin] != "signal":
                 loaded.add(link.net)
             elif prescribes(laws, link.law_pin):
@@ -147,12 +150,12 @@ def _with_quantity_names(part: str, results: Mapping[str, Reading]) -> dict[str,
     return names
 
 
-def _by_name(equations: Mapping[str, Equations]) -> dict[str, Law]:
-    laws = chain.from_iterable(item.laws for item in equations.values())
+def _laws_by_name(equations: Mapping[str, Equations]) -> dict[str, Law]:
+    laws = chain.from_iterable(map(attrgetter("laws"), equations.values()))
     return {law.name: law for law in laws}
 
 
-def _links(build: Build, equations: Mapping[str, Equations]) -> Iterator[PinLink]:
+def _list_links(build: Build, equations: Mapping[str, Equations]) -> Iterator[PinLink]:
     nets = build.scene.nets
     for name, item in equations.items():
         for pin, law_pin in item.pins:

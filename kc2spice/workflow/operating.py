@@ -71,7 +71,7 @@ def is_linear(build: Build) -> bool:
     """
     laws, parts = scene_laws(build), build.scene.parts
     names = [name for name in laws.with_cards if not parts[name].reduced]
-    if not laws.stated.keys() >= set(names):
+    if not laws.stated_equations.keys() >= set(names):
         return False
-    stated = chain.from_iterable(laws.stated[name].laws for name in names)
+    stated = chain.from_iterable(laws.stated_equations[name].laws for name in names)
     return all(isinstance(law, SecondOrderBody | IdealSource) or law.linear for law in stated)
