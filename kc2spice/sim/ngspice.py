@@ -1,5 +1,6 @@
-"""Runs ngspice in batch mode until its result can be believed, and judges what it did: its exit
-code alone is not believed, and what failed once is tried with other settings.
+"""Runs of ngspice in batch mode, with checks of their results.
+
+The exit code of ngspice alone proves nothing. A failed run is repeated with other settings.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import subprocess
 import threading
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -59,7 +60,7 @@ class Simulator:
 
 @cache
 def find_ngspice() -> Simulator:
-    """The ngspice on the search path.
+    """Return the ngspice on the search path.
 
     Raises
     ------
@@ -93,8 +94,8 @@ def find_ngspice() -> Simulator:
 
 
 @cache
-def _mortal() -> tuple[str, ...]:
-    """Words before a command that must not outlive this process, which a kill can end."""
+def _end_with_parent() -> tuple[str, ...]:
+    """Return the words before a command that ends when this process is killed."""
     words = ("setpriv", "--pdeathsig", "KILL", "--")
     tried: Any = {"capture_output": True, "check": False}
     works = shutil.which(words[0]) and not subprocess.run([*words, "true"], **tried).returncode
@@ -102,7 +103,7 @@ def _mortal() -> tuple[str, ...]:
 
 
 def write_files(files: Mapping[str, str], directory: Path) -> None:
-    """Write texts under their names, which may have folders in them, into ``directory``.
+    """Write texts into ``directory`` under their names, which may contain folders.
 
     Raises
     ------
@@ -121,7 +122,7 @@ def write_files(files: Mapping[str, str], directory: Path) -> None:
 def run_deck(
     deck: Deck, directory: Path, progress: Share = None, timeout: float | None = None
 ) -> Waveforms:
-    """Write ``deck`` into ``directory``, run it, return the vectors it names in SI.
+    """Write ``deck`` into ``directory``, run it, and return its results in SI.
 
     Parameters
     ----------
@@ -138,7 +139,7 @@ def run_deck(
     SimulationError : no time left, or the raw file is not complete or too large. No failed run
         leaves a raw file.
     """
-    _fits(deck)
+    _require_size(deck)
     find_ngspice()
     write_files(deck.files, directory)
     main = directory / deck.main
@@ -147,7 +148,7 @@ def run_deck(
     for stale in (raw, log, unfinished):
         stale.unlink(missing_ok=True)
     try:
-        code = _execute(deck, main, unfinished, log, progress, timeout)
+        code = _run_ngspice(deck, main, unfinished, log, progress, timeout)
         text = log.read_text(encoding="utf-8", errors="replace")
         failed = failed_run(deck, str(main), text, code)
         if failed is None:
@@ -179,8 +180,8 @@ def run_deck(
     return waves
 
 
-def _fits(deck: Deck) -> None:
-    """Refuse before the run what its largest step already makes too long for the disk."""
+def _require_size(deck: Deck) -> None:
+    """Refuse a deck that would write too much even with its largest step."""
     words = deck.command.words
     step = literal(words[3], where=deck.main) if len(words) > 3 else None
     if deck.command.kind != "tran" or not step or deck.stop is None:
@@ -197,16 +198,16 @@ def _fits(deck: Deck) -> None:
         )
 
 
-def _execute(
+def _run_ngspice(
     deck: Deck, main: Path, raw: Path, log: Path, progress: Share, timeout: float | None
 ) -> int:
-    """Run ngspice with the user's start-up files kept out; return its exit code.
+    """Run ngspice without the user's start-up files and return its exit code.
 
     Raises
     ------
     SimulationError : it takes longer than ``timeout``, hangs, or fills the disk.
     """
-    command = [*_mortal(), find_ngspice().path, "-b", "-n", "-r", raw.name, main.name]
+    command = [*_end_with_parent(), find_ngspice().path, "-b", "-n", "-r", raw.name, main.name]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SPICE_")}
     environment["HOME"] = str(main.parent)  # ngspice crashes where a user has none
     begin = worked = time.monotonic()
@@ -248,7 +249,7 @@ def _execute(
 
 
 def _processor_time(pid: int) -> int | None:
-    """Clock ticks that a process and its children have used; None where the system does not say."""
+    """Return the clock ticks of a process and its children; None if the system has no such data."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
         return sum(map(int, fields[11:15]))
@@ -259,27 +260,27 @@ def _processor_time(pid: int) -> int | None:
 def partial_waves(
     deck: Deck, vectors: Mapping[str, np.ndarray] | None, text: str
 ) -> Waveforms | None:
-    """Waves that a failed run saved; None if vectors of the deck are missing."""
+    """Return the waves that a failed run saved; None if vectors of the deck are missing."""
     try:
         return Waveforms(waves_by_name(deck, vectors), read_statistics(text)) if vectors else None
     except SimulationError:
         return None
 
 
-def _option(deck: Deck, key: str, default: float) -> float:
-    """The value of an option in ``deck``, which may have a scale factor such as ``10n``."""
+def _read_option(deck: Deck, key: str, default: float) -> float:
+    """Return the value of an option in ``deck``, with or without a scale factor."""
     text = deck.option(key)
     value = literal(text, where=deck.main) if text else None
     return default if value is None else value
 
 
 def own_reltol(deck: Deck) -> float:
-    """The ``reltol`` of ``deck``, or ngspice's own."""
-    return _option(deck, "reltol", 1e-3)
+    """Return the ``reltol`` of ``deck``, or the default of ngspice."""
+    return _read_option(deck, "reltol", 1e-3)
 
 
 def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Result names to SI arrays over the scale ``time``, ``frequency`` or ``sweep``, the first.
+    """Return the results in SI by name, first the scale ``time``, ``frequency`` or ``sweep``.
 
     The scale is in SI too: a swept displacement is in metres, although its source counts um.
 
@@ -307,8 +308,10 @@ _CHGTOL = 1e-14  # ngspice's own, where the deck says nothing
 
 @dataclass(frozen=True)
 class RetrySetting:
-    """One way to try again: entries of a deck's options, and a ``factor`` on its tolerances and
-    step limit. ``cures`` are the causes that it is for, ``why`` it may help."""
+    """Settings for another attempt: options of a deck, and a ``factor`` on tolerances and steps.
+
+    ``cures`` are the causes of failures that it may cure, ``why`` is the reason.
+    """
 
     name: str
     cures: tuple[Kind, ...]
@@ -316,25 +319,25 @@ class RetrySetting:
     options: Mapping[str, str] = field(default_factory=dict)
     factor: float = 1.0
 
-    def after(self, other: RetrySetting) -> RetrySetting:
-        """This one, with what ``other`` changed kept."""
+    def combine(self, other: RetrySetting) -> RetrySetting:
+        """Return these settings with further ones of ``other``."""
         options, factor = {**other.options, **self.options}, self.factor * other.factor
         return replace(self, options=options, factor=factor)
 
     @property
     def changes(self) -> str:
-        """In words."""
+        """The changes in words."""
         words = [f"{key}={value}" for key, value in self.options.items()]
         if self.factor != 1.0:
             words.append(f"reltol, chgtol and largest step times {self.factor:g}")
         return ", ".join(words) or "unchanged"
 
-    def of(self, deck: Deck) -> Deck:
-        """``deck`` with these settings instead of its own options."""
+    def apply(self, deck: Deck) -> Deck:
+        """Return ``deck`` with these settings instead of its own options."""
         options = dict(self.options)
         if self.factor != 1.0:
             options["reltol"] = number(self.factor * own_reltol(deck))
-            options["chgtol"] = number(self.factor * _option(deck, "chgtol", _CHGTOL))
+            options["chgtol"] = number(self.factor * _read_option(deck, "chgtol", _CHGTOL))
         if not options:
             return deck
         changed = deck.with_options(options, f"retry with {self.name}: {self.why}")
@@ -376,8 +379,7 @@ RETRIES = (
 
 @dataclass(frozen=True)
 class Attempt:
-    """One setting that was tried, as ``result.json`` has it: ``cause`` is None for the one that
-    succeeded."""
+    """One attempt as in ``result.json``; its ``cause`` is None if it succeeded."""
 
     setting: str
     settings: str
@@ -391,7 +393,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of the first attempt that succeeded, its deck, and all that was tried."""
+    """The result of the first attempt that succeeded, its deck, and all attempts."""
 
     deck: Deck
     waves: Waveforms
@@ -412,6 +414,21 @@ class RetriesFailedError(SimulationError):
     suggested: Mapping[str, Any]
 
 
+def _join_suggestions(violated: Iterable[Check]) -> dict[str, Any]:
+    """Return the keys that cure all violated checks except those that smaller steps cure.
+
+    The result is empty if no keys cure one of these checks.
+    """
+    result: dict[str, Any] = {}
+    for check in violated:
+        if check.coarse:
+            continue
+        if not check.suggested:
+            return {}
+        result |= check.suggested
+    return result
+
+
 def run_with_retries(
     deck: Deck,
     directory: Path,
@@ -420,12 +437,11 @@ def run_with_retries(
     retries: int,
     judge: Callable[[Waveforms], Verdict],
 ) -> Outcome:
-    """Run ``deck`` by ``engine``, which logs in ``directory``; after a failure that settings may
-    cure, with the next setting.
+    """Run ``deck`` by ``engine``, and again with other settings if these may cure a failure.
 
-    The cause of each failure picks the setting; what earlier ones changed stays changed. Every
-    retry is announced by a warning. ``judge`` checks a finished run; violated energy balances count
-    as failures of too coarse steps.
+    The cause of a failure selects the next setting, in addition to the earlier ones. A warning
+    announces each retry. ``engine`` writes its logs into ``directory``. ``judge`` checks a finished
+    run; a violated energy balance counts as a failure by too long time steps.
 
     Raises
     ------
@@ -436,7 +452,7 @@ def run_with_retries(
     attempts: list[Attempt] = []
     farthest: Failure | None = None
     while True:
-        tried = setting.of(deck)
+        tried = setting.apply(deck)
         violated: list[Check] = []
         failure, points = Failure(None), None
         start = time.perf_counter()
@@ -474,11 +490,10 @@ def run_with_retries(
             ]
             last = RetriesFailedError(error.message)
             last.where, last.got, last.expected = error.where, error.got, error.expected
-            last.hint = "; ".join(str(hint) for hint in hints if hint) or None
+            last.hint = "; ".join(map(str, filter(None, hints))) or None
             last.attempts, last.failure = tuple(attempts), farthest
             last.violated = tuple(violated)
-            cures = [check.suggested for check in violated if not check.coarse]
-            last.suggested = {k: v for cure in cures for k, v in cure.items()} if all(cures) else {}
+            last.suggested = _join_suggestions(violated)
             raise last
         warnings.warn(
             f"{setting.name}: {failure.cause}; trying {following.name}: {following.why}",
@@ -488,4 +503,4 @@ def run_with_retries(
         if log.is_file():  # put aside, before the next attempt writes its own
             log.rename(log.with_suffix(f".{len(attempts)}.log"))
         left.remove(following)
-        setting = following.after(setting)
+        setting = following.combine(setting)

@@ -10,6 +10,8 @@ import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import dropwhile
+from operator import itemgetter
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -17,7 +19,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import Pin
+from kc2spice.netlist.circuit import electrical_pins
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import Scope, find_instance
 
@@ -237,7 +239,7 @@ def describe_node(deck: Deck, node: str) -> str | None:
         return None
     if path:
         return _describe_instance(deck, scope, path[-1], name)
-    if any(element.key == name for element in scope.elements):
+    if name in scope.elements_by_key:
         return f"{name} in {deck.main}"
     wired = []
     for element in scope.elements:
@@ -255,8 +257,8 @@ def _describe_instance(deck: Deck, scope: Scope, instance: str, name: str) -> st
     The name of an inner node or element ends with its pin: ``fring0`` belongs to ring0.
     """
     part = next((part for part in deck.parts if part.name.lower() == scope.name.lower()), None)
-    pins = part.pins if part else tuple(Pin(pin, "V", "A") for pin in scope.pins)
-    matching = [pin for pin in pins if name.endswith(pin.name.lower())]
+    pins = part.pins if part else electrical_pins(scope.pins)
+    matching = [pin for pin in pins if name.endswith(pin.key)]
     what = f"part {instance} ({part.title if part else scope.name})"
     if not matching:
         return f"{what}, inside at {name}"
@@ -326,7 +328,9 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
 
 def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """Join the points of several analyses in rising order of the scale, the first vector."""
-    result = {name: np.concatenate([part[name] for part in analyses]) for name in analyses[0]}
+    result = {}
+    for name in analyses[0]:
+        result[name] = np.concatenate(list(map(itemgetter(name), analyses)))
     scale, order = np.unique(next(iter(result.values())), return_index=True)
     apart = np.diff(scale, prepend=-np.inf) > SAME_POINT * np.abs(scale)
     return {name: values[order[apart]] for name, values in result.items()}
@@ -383,9 +387,9 @@ def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
     fields = dict(line.split(":", 1) for line in lines if ":" in line and not line[:1].isspace())
     try:
         count, promised = int(fields["No. Variables"]), int(fields["No. Points"])
-        start = next(i for i, line in enumerate(lines) if line.startswith("Variables:"))
-        names = tuple(line.split()[1].lower() for line in lines[start + 1 : start + 1 + count])
-    except (KeyError, ValueError, IndexError, StopIteration):
+        _, *vectors = dropwhile(lambda line: not line.startswith("Variables:"), lines)
+        names = tuple(line.split()[1].lower() for line in vectors[:count])
+    except (KeyError, ValueError, IndexError):
         raise _corrupt(path, "its header is not that of a binary raw file") from None
     if len(names) != count or count < 1:
         raise _corrupt(path, f"its header promises {count} vectors and names {len(names)}")

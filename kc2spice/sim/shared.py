@@ -37,6 +37,7 @@ from kc2spice.sim.output import altered_run, failed_run, read_raw, read_statisti
 
 
 def _structure(**fields: Any) -> Any:
+    """Return the class of a C structure with these fields."""
     return type("Structure", (ctypes.Structure,), {"_fields_": tuple(fields.items())})
 
 
@@ -57,7 +58,7 @@ _library: Library | None = None
 
 @dataclass
 class _Sampler:
-    """Calls the functions of a deck at their instants and holds their answers."""
+    """Functions of a deck, which are called at their instants, with their answers."""
 
     sampled: Sequence[Sampled]
     stop: float
@@ -67,8 +68,8 @@ class _Sampler:
     inputs: dict[str, float] = field(default_factory=dict)
     answers: dict[str, tuple[float, float]] = field(default_factory=dict)
 
-    def point(self, data: Any, *_: object) -> None:
-        """An accepted time point."""
+    def record_point(self, data: Any, *_: object) -> None:
+        """Call the functions that are due at an accepted time point."""
         points = [data.contents.vectors[k].contents for k in range(data.contents.count)]
         time = next((point.real for point in points if point.is_scale), 0.0)
         share = min(1.0, time / self.stop)
@@ -82,21 +83,21 @@ class _Sampler:
                 values = {p.name.decode().lower(): p.real for p in points}
                 self.answers[item.source] = (due + item.delay, item.call(due, values))
 
-    def source(self, volts: Any, time: float, name: bytes, *_: object) -> None:
-        """Nothing changes before the step that ends at the instant is over."""
+    def set_source(self, volts: Any, time: float, name: bytes, *_: object) -> None:
+        """Set the voltage of a source; it changes behind the step that ends at the instant."""
         key = name.decode().lower()
         if key in self.answers and time > self.answers[key][0] * (1 + 1e-12):
             self.inputs[key] = self.answers.pop(key)[1]
         volts[0] = self.inputs.get(key, 0.0)
 
-    def step(self, time: float, step: Any, *_: object) -> None:
-        """A step that ends at the next instant at the latest."""
-        ahead = [
-            (math.floor((time - shift) / item.period + 1 + 1e-9) * item.period + shift) - time
-            for item in self.sampled
-            for shift in (0.0, item.delay)
-        ]
-        step[0] = min(step[0], *(a for a in ahead if a > 0), math.inf)
+    def limit_step(self, time: float, step: Any, *_: object) -> None:
+        """Shorten a time step so that it ends at the next instant at the latest."""
+        for item in self.sampled:
+            for shift in (0.0, item.delay):
+                periods = math.floor((time - shift) / item.period + 1 + 1e-9)
+                ahead = (periods * item.period + shift) - time
+                if ahead > 0:
+                    step[0] = min(step[0], ahead)
 
 
 def run_shared(
@@ -124,7 +125,7 @@ def run_shared(
     library = _library
     loop = _Sampler(sampled, deck.stop, progress) if sampled or progress else None
     try:
-        ran = library.load(_flatten(deck, deck.main)) and library.run(loop)
+        ran = library.load(_flatten_deck(deck, deck.main)) and library.run(loop)
         if library.broken is not None:
             raise SimulationError(
                 "the function in the loop failed", where=deck.name, got=repr(library.broken)
@@ -144,16 +145,18 @@ def run_shared(
     )
 
 
-def _flatten(deck: Deck, file: str) -> list[str]:
-    """Lines of the file and its includes, without ``.meas`` cards: the library evaluates their
-    parameters before any point exists."""
+def _flatten_deck(deck: Deck, file: str) -> list[str]:
+    """Return the lines of a file and its includes, without ``.meas`` cards.
+
+    The library would evaluate the parameters of these cards before any point exists.
+    """
     result: list[str] = []
     measures = False
     for line in lines_of(deck.files[file]):
         word, _, target = line.partition(" ")
         measures = word.lower().startswith(".meas") or (measures and word.startswith("+"))
         if word.lower() in INCLUDES:
-            result += _flatten(deck, target.strip().strip("\"'"))
+            result += _flatten_deck(deck, target.strip().strip("\"'"))
         elif not measures:
             result.append(line)
     return result
@@ -162,8 +165,8 @@ def _flatten(deck: Deck, file: str) -> list[str]:
 class Library:
     """One copy of libngspice with one circuit at a time.
 
-    ``said`` is what ngspice has printed since :meth:`load`, standard output and error in order;
-    ``dead`` tells that ngspice has asked to be unloaded; ``broken`` is the first exception of a
+    ``log`` is the output of ngspice since :meth:`load`, standard output and error in order.
+    ``dead`` is true after ngspice has asked to be unloaded. ``broken`` is the first exception of a
     callback, which cannot pass through C.
 
     Raises
@@ -176,25 +179,25 @@ class Library:
         self.dead = False
         self.broken: Exception | None = None
         self._loop: _Sampler | None = None
-        self._library = _private_copy()
+        self._library = _load_private_copy()
         # ngspice keeps these pointers: they live as long as this object does.
-        self._kept = (
+        self._callbacks = (
             _SEND_CHAR(self._on_text),
             _EXIT(self._on_exit),
-            _SEND_DATA(self._guarded("point")),
+            _SEND_DATA(self._guard_callback("record_point")),
             _SEND_INIT(lambda *_: 0),  # without it no point is sent
-            _SOURCE(self._guarded("source")),
-            _SYNC(self._guarded("step")),
+            _SOURCE(self._guard_callback("set_source")),
+            _SYNC(self._guard_callback("limit_step")),
         )
-        text, leave, point, begin, source, step = self._kept
-        with _no_start_up_files():
+        text, leave, point, begin, source, step = self._callbacks
+        with _hide_start_up_files():
             self._library.ngSpice_Init(text, None, leave, point, begin, None, None)
         self._library.ngSpice_Init_Sync(source, None, step, byref(c_int(0)), None)
 
     def load(self, circuit: Sequence[str]) -> bool:
         """Read the lines of a deck without includes; False if ngspice refuses it."""
         self.log, self.broken = "", None
-        lines = [*(line.encode() for line in circuit), None]
+        lines = [*map(str.encode, circuit), None]
         return self._library.ngSpice_Circ((c_char_p * len(lines))(*lines)) == 0
 
     def run(self, loop: _Sampler | None) -> bool:
@@ -203,7 +206,7 @@ class Library:
         return self._command("run")
 
     def vectors(self) -> dict[str, np.ndarray]:
-        """Results of the last analysis by the names that the batch engine has for them."""
+        """Return the results of the last analysis by the names of the batch engine."""
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
             raw = Path(folder) / "out.raw"
             self._command("set filetype=binary")
@@ -221,13 +224,13 @@ class Library:
 
     # -- what ngspice calls ------------------------------------------------------------------
 
-    def _guarded(self, name: str) -> Callable[..., int]:
-        """Callback that calls ``name`` of the loop, unless a callback has failed before."""
+    def _guard_callback(self, name: str) -> Callable[..., int]:
+        """Return a callback to ``name`` of the loop, without effect after a callback has failed."""
 
-        def guarded(*asked: Any) -> int:
+        def guarded(*arguments: Any) -> int:
             try:
                 if self._loop is not None and self.broken is None:
-                    getattr(self._loop, name)(*asked)
+                    getattr(self._loop, name)(*arguments)
             except Exception as error:
                 self.broken = error
             return 0
@@ -244,8 +247,8 @@ class Library:
         return 0
 
 
-def _private_copy() -> ctypes.CDLL:
-    """libngspice from a copy of its file, so that no other user shares its globals."""
+def _load_private_copy() -> ctypes.CDLL:
+    """Load libngspice from a copy of its file, so that no other user shares its globals."""
     result = ctypes.util.find_library("ngspice")
     if result is None:
         raise MissingToolError(
@@ -275,8 +278,8 @@ def _private_copy() -> ctypes.CDLL:
 
 
 @contextmanager
-def _no_start_up_files() -> Iterator[None]:
-    """ngspice finds empty start-up files first, so it reads neither the user's nor code models."""
+def _hide_start_up_files() -> Iterator[None]:
+    """Let ngspice find empty start-up files first, so that it reads no others."""
     variables = ("HOME", "SPICE_SCRIPTS", "SPICE_USERINIT_DIR")
     previous = {name: os.environ[name] for name in variables if name in os.environ}
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder, chdir(folder):
