@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import chain
 
 from kc2spice.core.domains import QUANTITIES, Quantity
 from kc2spice.netlist.circuit import Element, Item, Model, Parameters
@@ -24,11 +25,12 @@ from kc2spice.netlist.expression import (
     walk,
 )
 from kc2spice.netlist.spelling import LEAK_RATE
-from kc2spice.physics.declaration import RATE, Branch, Declaration
+from kc2spice.physics.declaration import Branch, Declaration, coordinates_of
 from kc2spice.physics.symbolic import (
     ONE,
     ZERO,
     derivative,
+    is_affine,
     kinks,
     minus,
     names,
@@ -72,82 +74,92 @@ _HEAD = {
 }  # fmt: skip
 
 
-def body(declaration: Declaration, noise: bool = False) -> tuple[Item, ...]:
+def subcircuit_items(declaration: Declaration, noise: bool = False) -> tuple[Item, ...]:
     """Cards between ``.subckt`` and ``.ends``, with their comments."""
-    return noted(_lines(declaration, noise))
+    return noted(_write_items(declaration, noise))
 
 
-def noisy(declaration: Declaration) -> bool:
-    """Whether anything is lost."""
-    return any(declaration.loss(b) != ZERO for b in declaration.acting)
+def has_losses(declaration: Declaration) -> bool:
+    """Whether any branch has a resistance, conductance or damping."""
+    return any(declaration.loss_coefficient(b) != ZERO for b in declaration.acting_branches)
 
 
-def _lines(declaration: Declaration, noise: bool) -> Iterator[Line]:
-    for name, tree in declaration.fixed.items():
+def _write_items(declaration: Declaration, noise: bool) -> Iterator[Line]:
+    for name, tree in declaration.constant_trees.items():
         yield Parameters({name: f"{{{text(tree)}}}"})
-    nodes, rest = _probes(declaration), reference_node(declaration)
-    for tree, name in declaration.polynomials.items():
+    nodes, rest = _variable_trees(declaration), reference_node(declaration)
+    for tree, name in declaration.power_series.items():
         yield f"* the power series {name}"
         yield Element.behaviour(f"B{name}", name, rest, "V", text(substitute(tree, nodes)))
+    rated = set(declaration.branches_with_rate).difference(declaration.inertial_branches)
     for branch in declaration.branches:
         if branch.less or branch.name in declaration.lags:
-            yield from _own_place(declaration, branch)
-        elif branch in declaration.damped and declaration.mass(branch) == ZERO:
-            yield from _velocity(declaration, branch)
-    yield from _states(declaration, nodes)
+            yield from _write_coordinate(declaration, branch)
+        elif branch in rated:
+            yield from _write_velocity(declaration, branch)
+    yield from _write_states(declaration, nodes)
     added: dict[str, Tree] = dict.fromkeys(declaration.coordinates, ZERO)
-    branches = [b if b.plus else replace(b, plus=rest, minus=rest) for b in declaration.acting]
+    branches = [
+        b if b.plus else replace(b, plus=rest, minus=rest) for b in declaration.acting_branches
+    ]
     for branch in branches if noise else ():
-        if (loss := declaration.loss(branch)) != ZERO:
+        if (loss := declaration.loss_coefficient(branch)) != ZERO:
             source = CircuitVariable("v", (f"noise_{branch.name}", branch.minus))
             added[branch.name] = times(source, Call("sqrt", (loss,)))
             yield _comment("noise", branch, loss=text(loss))
             yield Element.of(f"Rnoise_{branch.name}", f"noise_{branch.name}", branch.minus, "1")
     for branch in branches:
-        make = _force if branch.moves else _flux if branch.flows else _charge
+        make = _write_force if branch.moves else _write_flux if branch.flows else _write_charge
         yield from make(declaration, branch, nodes, added[branch.name])
-    yield from _edges(declaration, nodes)
-    for name, tree in declaration.read.items():
+    yield from _write_edges(declaration, nodes)
+    for name, tree in declaration.output_trees.items():
         yield f"* {_HEAD['output'].format(plus=name, words=text(tree))}"
-        yield from _node(name, times(Number("1e6"), tree), nodes, rest)
+        yield from _write_node(name, times(Number("1e6"), tree), nodes, rest)
 
 
-def _node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> Iterator[Line]:
+def _write_node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> Iterator[Line]:
     """A node that has the value of ``tree``."""
-    yield from _current(name, (base, name), tree, nodes)
+    yield from _write_current(name, (base, name), tree, nodes)
     yield Element.of(f"R{name}", name, base, "1")
 
 
-def _current(
+def _write_current(
     name: str, ends: tuple[str, str], tree: Tree, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
     """A current from one end to the other: of linear sources where it is affine, which ngspice need
     not differentiate."""
     start, end = ends
     dependencies = sorted(names(tree) & set(nodes))
-    slopes = {item: derivative(tree, item) for item in dependencies}
-    probes = [
-        [p for p in walk(nodes[item]) if isinstance(p, CircuitVariable)] for item in dependencies
-    ]
-    simple = all(len(variables) == 1 and variables[0].kind == "v" for variables in probes)
-    simple = simple and not (
-        kinks(tree) or any(isinstance(node, CircuitVariable) for node in walk(tree))
-    )
-    if not simple or any(names(slope) & set(nodes) for slope in slopes.values()):
+    voltages = [_only_voltage(nodes[item]) for item in dependencies]
+    smooth = not kinks(tree) and not _circuit_variables(tree)
+    if not all(voltages) or not smooth or not is_affine(tree, set(dependencies)):
         yield Element.behaviour(f"B{name}", start, end, "I", text(substitute(tree, nodes)))
         return
-    for (item, slope), (probe,) in zip(slopes.items(), probes, strict=True):
+    for item, voltage in zip(dependencies, voltages, strict=True):
         card = f"G{name}" if len(dependencies) == 1 else f"G{name}_{item}"
         at = nodes[item]
         unit = at.left if isinstance(at, Binary) else ONE
-        gain = f"{{{text(times(unit, slope))}}}"
-        yield Element.of(card, start, end, *probe.names, gain)
+        gain = f"{{{text(times(unit, derivative(tree, item)))}}}"
+        yield Element.of(card, start, end, *voltage, gain)
     rest = plus(substitute(tree, dict.fromkeys(dependencies, ZERO)))
     if rest != ZERO:
         yield Element.of(f"I{name}", end, start, f"{{{text(minus(ZERO, rest))}}}")
 
 
-def _mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
+def _circuit_variables(tree: Tree) -> list[CircuitVariable]:
+    """Voltages and currents in an expression."""
+    return [node for node in walk(tree) if isinstance(node, CircuitVariable)]
+
+
+def _only_voltage(tree: Tree) -> tuple[str, ...]:
+    """Nodes of the voltage that is the only variable in ``tree``, none if there are others."""
+    variables = _circuit_variables(tree)
+    if len(variables) == 1 and variables[0].kind == "v":
+        return variables[0].names
+    return ()
+
+
+def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """A velocity with the mass for a capacitance and a place that integrates it. What pins force
     into it is a node, and once more a current, whose tolerance is closer, unless its velocity is a
     pin."""
@@ -160,8 +172,8 @@ def _mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     yield Element.of(f"Gplace_{n}", base, place, v, base, "1")
     yield Element.of(f"Cmass_{n}", v, end, f"{{{text(declaration.mass(b))}}}", IC=f"{{{fast}}}")
     shaken = [other for other in declaration.branches if other.domain.name == b.domain.frame]
-    weight = declaration.direct(b)
-    still = plus(substitute(weight, {other.name: ZERO for other in shaken}))
+    weight = declaration.direct_flow(b)
+    still = plus(substitute(weight, dict.fromkeys(coordinates_of(shaken), ZERO)))
     if still != ZERO:
         yield Element.of(f"Iweight_{n}", v, base, f"{{{text(still)}}}")
     for other in shaken:
@@ -181,28 +193,42 @@ def _mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
             )
 
 
-def _probes(declaration: Declaration) -> Mapping[str, Tree]:
+def _variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
     """Expression of each coordinate and rate."""
     rest = reference_node(declaration)
-    inner = {name: name for name in (*declaration.polynomials.values(), *declaration.signals)}
-    inner |= {name: state_node(name) for name in declaration.states}
+    series = declaration.power_series.values()
+    inner = {**dict(zip(series, series, strict=True)), **inner_nodes(declaration)}
     result: dict[str, Tree] = {n: CircuitVariable("v", (node, rest)) for n, node in inner.items()}
     for b in declaration.branches:
-        read = (
-            CircuitVariable("i", (meter(b),))
+        factor = coordinate_quantity(b).factor
+        variable = (
+            CircuitVariable("i", (meter_name(b),))
             if b.flows
-            else CircuitVariable("v", _place(declaration, b))
+            else CircuitVariable("v", _coordinate_nodes(declaration, b))
         )
-        result[b.name] = _in_si(read, coordinate(b).factor)
-        ends = map(declaration.speeds.get, (b.plus, b.minus))
-        high, low = (CircuitVariable("v", (end,)) if end else ZERO for end in ends)
-        sensed = _in_si(CircuitVariable("i", (f"Vrate_{b.name}",)), coordinate(b).factor * 1e6)
+        result[b.name] = _in_si(variable, factor)
+        high, low = _pin_velocity(declaration, b.plus), _pin_velocity(declaration, b.minus)
+        sensed = _in_si(CircuitVariable("i", (f"Vrate_{b.name}",)), factor * 1e6)
         sensed = sensed if ZERO in (high, low) else ZERO
-        result[b.name + RATE] = plus(sensed, minus(high, low))
+        result[b.rate] = plus(sensed, minus(high, low))
     return result
 
 
-def coordinate(b: Branch) -> Quantity:
+def _pin_velocity(declaration: Declaration, pin: str) -> Tree:
+    """Voltage of the velocity node of a pin, zero if it has none."""
+    speed = declaration.speeds.get(pin)
+    return CircuitVariable("v", (speed,)) if speed else ZERO
+
+
+def inner_nodes(declaration: Declaration) -> dict[str, str]:
+    """Nodes of signals and states by their names."""
+    result = dict(zip(declaration.signals, declaration.signals, strict=True))
+    for name in declaration.states:
+        result[name] = state_node(name)
+    return result
+
+
+def coordinate_quantity(b: Branch) -> Quantity:
     """Quantity that the coordinate of a branch is."""
     domain, side = QUANTITIES[b.kind]
     return domain.quantity(side)
@@ -218,7 +244,7 @@ def _decimal(value: float) -> Number:
     return ONE if value == 1 else Number(re.sub(r"e([-+])0", r"e\1", f"{value:g}").replace("+", ""))
 
 
-def _place(declaration: Declaration, b: Branch) -> tuple[str, str]:
+def _coordinate_nodes(declaration: Declaration, b: Branch) -> tuple[str, str]:
     """Nodes between which a branch's coordinate is."""
     separate = b.less or b.name in declaration.lags
     return (f"x_{b.name}", reference_node(declaration)) if separate else (b.plus, b.minus)
@@ -227,10 +253,10 @@ def _place(declaration: Declaration, b: Branch) -> tuple[str, str]:
 def reference_node(declaration: Declaration) -> str:
     """The pin on which loops and inner nodes rest."""
     pins = (b.minus for b in declaration.branches if b.moves)
-    return declaration.base or next(pins, "") or declaration.open[0].minus
+    return declaration.base or next(pins, "") or declaration.open_branches[0].minus
 
 
-def meter(branch: Branch) -> str:
+def meter_name(branch: Branch) -> str:
     """The source of no voltage through which the current of an electrical branch flows."""
     return f"Vmeter_{branch.name}"
 
@@ -255,42 +281,43 @@ def _time_integral(quantity: Quantity) -> tuple[str, str]:
     return _TIME_INTEGRALS.get(quantity.name, (f"integral of the {plain}", f"{quantity.unit} s"))
 
 
-def _states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
+def _write_states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
     """Signals, then what integrates."""
     base = reference_node(declaration)
     for name, tree in declaration.signal_trees.items():
         yield f"*   {name} = {text(tree)}"
-        yield from _node(name, tree, nodes, base)
-    for name, tree in declaration.changes.items():
+        yield from _write_node(name, tree, nodes, base)
+    for name, tree in declaration.state_rates.items():
         node, rate = state_node(name), times(Number(_FARAD), tree)
         yield f"* {_HEAD['state'].format(node=node)}"
         yield f"*   d/dt {name} = {text(tree)}"
         yield Element.of(f"C{node}", node, base, _FARAD)
         yield Element.of(f"R{node}", node, base, "1e15")
-        yield from _current(node, (base, node), rate, nodes)
+        yield from _write_current(node, (base, node), rate, nodes)
 
 
-def _placed(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> str:
-    return text(substitute(declaration.with_series_named(tree), nodes))
+def _write_law(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> str:
+    return text(substitute(declaration.name_power_series(tree), nodes))
 
 
-def _differentiated(name: str, node: str, minus: str) -> Iterator[Line]:
+def _write_differentiator(name: str, node: str, minus: str) -> Iterator[Line]:
     """The current of ``Vrate_NAME`` is 1e-6 of the rate of the node's voltage."""
     yield Element.of(f"Crate_{name}", node, f"sense_{name}", _FARAD)
     yield Element.of(f"Vrate_{name}", f"sense_{name}", minus, "0")
 
 
-def _velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
+def _write_velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """Cards of the velocity, for ends without a velocity node."""
     base = declaration.base or b.minus
-    plus, minus = (base if pin in declaration.speeds else pin for pin in (b.plus, b.minus))
+    plus = base if b.plus in declaration.speeds else b.plus
+    minus = base if b.minus in declaration.speeds else b.minus
     if plus != minus:
         yield _comment("rate", replace(b, plus=plus, minus=minus))
         yield Element.of(f"Ecopy_{b.name}", f"copy_{b.name}", base, plus, minus, "1")
-        yield from _differentiated(b.name, f"copy_{b.name}", base)
+        yield from _write_differentiator(b.name, f"copy_{b.name}", base)
 
 
-def _own_place(declaration: Declaration, b: Branch) -> Iterator[Line]:
+def _write_coordinate(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """A node for what is not between two pins. With two lags of a quarter of the time in a row,
     ``x + lag x'`` is ``x + 4 (2 x - first + second - first)`` but for the time squared."""
     n, base, lag = b.name, reference_node(declaration), declaration.lags.get(b.name)
@@ -312,23 +339,24 @@ def _own_place(declaration: Declaration, b: Branch) -> Iterator[Line]:
         yield Element.of(f"Rx_{n}", f"x_{n}", base, "1")
 
 
-def _force(
+def _write_force(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
-    if declaration.mass(b) != ZERO:
-        yield from _mass(declaration, b)
+    if b in declaration.inertial_branches:
+        yield from _write_mass(declaration, b)
         return
     node, base = force_node(b), declaration.base or b.minus
-    high, low = (declaration.speeds.get(pin, pin) for pin in (b.plus, b.minus))
-    force = declaration.followed(b)
+    speeds = declaration.speeds
+    high, low = speeds.get(b.plus, b.plus), speeds.get(b.minus, b.minus)
+    force = declaration.delayed_flow(b)
     metered = declaration.metered or b.less
     ends = (base, node) if metered else (high, low)
     across, through = b.domain.across, b.domain.quantity("through")
     factor = "" if across.factor == 1 else f"{text(_decimal(across.factor))} "
     words = {"flow": through.name, "unit": through.pin_unit, "word": across.symbol}
     yield _comment("force" if metered else "direct", b, node=node, factor=factor, **words)
-    yield f"*   {b.through} = {text(declaration.with_series_named(force))}"
-    law = _placed(declaration, plus(force, noise), nodes)
+    yield f"*   {b.through} = {text(declaration.name_power_series(force))}"
+    law = _write_law(declaration, plus(force, noise), nodes)
     yield Element.behaviour(f"B{node}", *ends, "I", law)
     if metered:
         yield Element.of(f"R{node}", node, base, "1")
@@ -337,84 +365,85 @@ def _force(
         yield Element.of(f"Gless_{node}", base, b.less, node, base, "1")
 
 
-def _scaled(
+def _write_stored_quantity(
     declaration: Declaration, b: Branch, stored: Tree, node: str, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
     """Stored quantity in units of its derivative at rest; its voltages equal those of ``b``."""
     scale = declaration.at_rest(derivative(stored, b.name))
-    scale = times(_decimal(coordinate(b).factor), scale)
+    scale = times(_decimal(coordinate_quantity(b).factor), scale)
     unit = scale if scale != ZERO else Number("1e-12")
     yield Parameters({f"scale_{b.name}": f"{{{text(unit)}}}"})
-    amount = substitute(declaration.with_series_named(stored), nodes)
+    amount = substitute(declaration.name_power_series(stored), nodes)
     if not b.flows:  # a quotient's slope has 1e-32 beside scale^2, which may be that small
         yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
         amount = Binary("*", Name(f"per_{b.name}"), amount)
     else:
         amount = Binary("/", amount, Name(f"scale_{b.name}"))
     yield Element.behaviour(f"B{node}", node, b.minus, "V", text(amount))
-    yield from _differentiated(b.name, node, b.minus)
+    yield from _write_differentiator(b.name, node, b.minus)
 
 
-def _charge(
+def _write_charge(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
-    charge, direct, inner = declaration.storage(b), declaration.direct(b), b.plus
+    charge, direct, inner = declaration.stored_quantity(b), declaration.direct_flow(b), b.plus
     unit = _decimal(b.domain.quantity("through").per_unit)
     times_unit = "" if unit == ONE else f"*{text(unit)}"
     if declaration.metered or charge != ZERO:
         inner = f"in_{b.name}"
-        yield Element.of(meter(b), b.plus, inner, "0")
+        yield Element.of(meter_name(b), b.plus, inner, "0")
     if charge != ZERO:
         integral, si_unit = _time_integral(b.domain.quantity("through"))
         words = {"integral": integral, "unit": si_unit, "scale": f"scale_{b.name}"}
         yield _comment("charge", b, node=f"q_{b.name}", **words)
-        yield f"*   {integral} = {text(declaration.with_series_named(charge))}"
-        yield from _scaled(declaration, b, charge, f"q_{b.name}", nodes)
+        yield f"*   {integral} = {text(declaration.name_power_series(charge))}"
+        yield from _write_stored_quantity(declaration, b, charge, f"q_{b.name}", nodes)
         rate = f"{{scale_{b.name}*1e6{times_unit}}}"
         yield Element.of(f"Fq_{b.name}", inner, b.minus, f"Vrate_{b.name}", rate)
         yield f"* {_HEAD['leak'].format(integral=integral, seconds=f'{1 / LEAK_RATE:g}')}"
         leak = f"{{{LEAK_RATE:g}*scale_{b.name}{times_unit}}}"
         yield Element.of(f"Gleak_{b.name}", b.plus, b.minus, f"q_{b.name}", b.minus, leak)
     if direct != ZERO or charge == ZERO:
-        yield f"*   {b.through} = {text(declaration.with_series_named(direct))}"
-        current_law = times(unit, declaration.with_series_named(plus(direct, noise)))
-        yield from _current(f"i_{b.name}", (inner, b.minus), current_law, nodes)
+        yield f"*   {b.through} = {text(declaration.name_power_series(direct))}"
+        current_law = times(unit, declaration.name_power_series(plus(direct, noise)))
+        yield from _write_current(f"i_{b.name}", (inner, b.minus), current_law, nodes)
 
 
-def _flux(
+def _write_flux(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
-    flux, drop, inner = declaration.storage(b), declaration.direct(b), f"in_{b.name}"
+    flux, drop, inner = declaration.stored_quantity(b), declaration.direct_flow(b), f"in_{b.name}"
     unit = _decimal(b.domain.across.per_unit)
     across = b.domain.across.name.replace("_", " ")
     integral, si_unit = _time_integral(b.domain.across)
-    yield Element.of(meter(b), b.plus, inner, "0")
+    yield Element.of(meter_name(b), b.plus, inner, "0")
     if flux != ZERO:
         words = {"integral": integral, "unit": si_unit, "scale": f"scale_{b.name}"}
         words |= {"flow": b.kind.replace("_", " "), "across": across}
         yield _comment("flux", b, node=f"l_{b.name}", **words)
-        yield f"*   {integral} = {text(declaration.with_series_named(flux))}"
-        yield from _scaled(declaration, b, flux, f"l_{b.name}", nodes)
+        yield f"*   {integral} = {text(declaration.name_power_series(flux))}"
+        yield from _write_stored_quantity(declaration, b, flux, f"l_{b.name}", nodes)
         yield Element.of(
             f"Hl_{b.name}", inner, f"rest_{b.name}", f"Vrate_{b.name}", f"{{scale_{b.name}*1e6}}"
         )
         inner = f"rest_{b.name}"
     yield f"*   {across} besides that of the {integral} = {text(drop)}"
-    law = _placed(declaration, times(unit, plus(drop, noise)), nodes)
+    law = _write_law(declaration, times(unit, plus(drop, noise)), nodes)
     yield Element.behaviour(f"Bv_{b.name}", inner, b.minus, "V", law)
 
 
-def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
+def _write_edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
     """Watches of displacements against thresholds, 10 kV per um, and of what states have to do
     with, 100 V: ngspice shortens its steps as a switch nears its threshold, to 0.05 V of it, which
     what moves fast must reach in a step that is not too small. Between edges the trapezoidal
     rule loses no energy to a spring; a step across one gains or loses some."""
-    moved = {b.name: b for b in declaration.acting if b.moves}
+    moved = {b.name: b for b in declaration.displacements}
     inner = {*declaration.states, *declaration.signals}
-    others = [declaration.direct(b) for b in declaration.acting if b.name not in moved]
-    laws = (*map(declaration.followed, moved.values()), *others, *declaration.changes.values())
+    flows = map(declaration.direct_flow, declaration.stationary_branches)
+    forces = map(declaration.delayed_flow, declaration.displacements)
+    laws = (*forces, *flows, *declaration.state_rates.values())
     result = []
-    for argument in dict.fromkeys(e for tree in laws for e in kinks(tree)):
+    for argument in dict.fromkeys(chain.from_iterable(map(kinks, laws))):
         inputs = names(argument) & {*declaration.coordinates, *inner}
         if inputs & inner or (len(inputs) == 1 and inputs <= set(moved)):
             result.append((argument, moved.get(next(iter(inputs)))))
@@ -429,5 +458,5 @@ def _edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line
             yield Element.behaviour(f"Bedge{k}", f"edge{k}", base, "V", text(watched))
         else:
             watched = times(Number("100" if b is None else "1e10"), argument)
-            yield from _node(f"edge{k}", watched, nodes, base)
+            yield from _write_node(f"edge{k}", watched, nodes, base)
         yield Element.of(f"Sedge{k}", f"edge{k}", base, f"edge{k}", base, "edge")

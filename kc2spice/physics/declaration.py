@@ -28,10 +28,10 @@ Electromechanical Energy Conversion, 1966; content: W. Millar, Phil. Mag. 42 (19
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain, product
+from itertools import chain
 
 from kc2spice.core.domains import QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
@@ -43,6 +43,7 @@ from kc2spice.physics.symbolic import (
     derivative,
     evaluated,
     expression,
+    is_affine,
     kinks,
     minus,
     names,
@@ -51,7 +52,7 @@ from kc2spice.physics.symbolic import (
 )
 
 LOOPS = "loops"
-_STATED = ("kinetic", "energy", "coenergy", "content")
+_ENERGIES = ("kinetic", "energy", "coenergy", "content")
 RATE = "_rate"  # ends the name of a displacement's velocity
 # A force or a torque determines no displacement, and no part stores energy by a flow of heat.
 COORDINATES = tuple(
@@ -91,8 +92,23 @@ class Branch:
         return self.domain.position and not self.flows
 
     @property
+    def rate(self) -> str:
+        """Name of the rate of a displacement."""
+        return self.name + RATE
+
+    @property
+    def lossy_variable(self) -> str:
+        """Variable of its losses: the rate of a displacement, otherwise the coordinate."""
+        return self.rate if self.moves else self.name
+
+    @property
+    def pins(self) -> tuple[str, ...]:
+        """Pins of the branch; a loop has none."""
+        return tuple(filter(None, (self.plus, self.minus, self.less)))
+
+    @property
     def across(self) -> str:
-        """Word of the result across it: a coordinate's, or a current's voltage."""
+        """Name of the result across it: the coordinate, or the voltage of a current."""
         if not self.flows:
             return self.name
         through, word = self.domain.quantity("through").symbol, self.domain.across.symbol
@@ -156,13 +172,16 @@ def loop(name: str) -> Branch:
     return Branch("current", name, "", "", name)
 
 
+def coordinates_of(branches: Iterable[Branch]) -> tuple[str, ...]:
+    """Names of the coordinates of ``branches``."""
+    return tuple(branch.name for branch in branches)
+
+
 def _unknown_name(
-    part: str, what: str, strange: Iterable[str], known: Iterable[str], hint: str = ""
+    part: str, what: str, unknown: Sequence[str], known: Iterable[str], hint: str = ""
 ) -> UsageError:
     """The error of names in the equation ``what`` of a part that are none of the ``known`` ones."""
-    unknown = list(strange)
-    first = unknown[0]
-    choices = sorted(known)
+    first, choices = unknown[0], sorted(known)
     return UsageError(
         f"unknown name in the {what}",
         where=part,
@@ -242,26 +261,31 @@ class Declaration:
     mesh: str = ""
 
     def __post_init__(self) -> None:
-        known = {*self.parameters, *self.coordinates, *self.rates, *self.states, *self.signals}
-        for what, tree in self._stated():
+        known = {*self.parameters, *self.variables, *self.signals}
+        for what, tree in self._all_trees():
             if unknown := sorted(names(tree) - known):
-                raise _unknown_name(self.name, what, unknown, known, self._coordinate_of(unknown))
-        self._only("energy", self._tree("energy"), {b.name for b in self.acting if b.moves})
-        self._only("coenergy", self._tree("coenergy"), {b.name for b in self.acting})
-        passive = {name for b in self.branches if not b.through for name in (b.name, b.name + RATE)}
-        earlier = passive | {*self.states}
+                raise _unknown_name(self.name, what, unknown, known, self._coordinate_hint(unknown))
+        self._check_names("energy", self._tree("energy"), set(coordinates_of(self.displacements)))
+        self._check_names(
+            "coenergy", self._tree("coenergy"), set(coordinates_of(self.acting_branches))
+        )
+        earlier = {*self.states}
+        for b in self.measured_branches:
+            earlier |= {b.name, b.rate}
         for name, tree in self.signal_trees.items():
-            self._only(f"signal {name}", tree, earlier)
+            self._check_names(f"signal {name}", tree, earlier)
             earlier.add(name)
-        self._require_loss()
+        self._check_content()
 
-    def _coordinate_of(self, strange: Iterable[str]) -> str:
-        """Hint on a quantity whose coordinate has another name, empty if none is among them."""
-        named = {b.kind: b.name for b in self.branches if b.kind != b.name}
-        kinds = (kind for kind in strange if kind in named)
-        return next((f"the coordinate of {kind!r} is {named[kind]}" for kind in kinds), "")
+    def _coordinate_hint(self, unknown: Iterable[str]) -> str:
+        """Hint on a quantity whose coordinate has another name, empty if there is none."""
+        for b in self.branches:
+            if b.kind in unknown and b.kind != b.name:
+                return f"the coordinate of {b.kind!r} is {b.name}"
+        return ""
 
-    def _only(self, what: str, tree: Tree, allowed: set[str]) -> None:
+    def _check_names(self, what: str, tree: Tree, allowed: set[str]) -> None:
+        """Refuse variables of the expression ``what`` that are not ``allowed``."""
         strange = sorted(names(tree) - allowed - set(self.parameters))
         if strange:
             words = ", ".join(strange)
@@ -273,53 +297,83 @@ class Declaration:
                 hint=_OTHER_PLACES.get(what, "").format(words) or None,
             )
 
-    def _require_loss(self) -> None:
+    def _check_content(self) -> None:
         """Refuse a content without effect, such as one of a displacement in place of its rate."""
         tree = self._tree("content")
-        loss = {b.name + RATE * b.moves for b in self.acting}
-        if tree != ZERO and not names(tree) & loss:
+        variables = {b.lossy_variable for b in self.acting_branches}
+        if tree != ZERO and not names(tree) & variables:
             raise UsageError(
                 "the content has no effect",
                 where=self.name,
                 got=self.content,
-                expected=f"an expression of {' or '.join(sorted(loss))}",
+                expected=f"an expression of {' or '.join(sorted(variables))}",
                 hint="losses follow from rates: x_rate is the velocity of a displacement x",
             )
 
-    def _stated(self) -> Iterable[tuple[str, Tree]]:
-        yield from ((what, self._tree(what)) for what in _STATED)
-        yield from (*self._forces.items(), *self.bounds.items(), *self.stopped.items())
-        yield from self.fixed.items()
-        yield from (*self.read.items(), *self.changes.items(), *self.signal_trees.items())
+    def _all_trees(self) -> Iterable[tuple[str, Tree]]:
+        """All expressions of the declaration, with their names."""
+        yield from zip(_ENERGIES, map(self._tree, _ENERGIES), strict=True)
+        yield from (*self._forces.items(), *self.limit_trees.items(), *self.stop_trees.items())
+        yield from self.constant_trees.items()
+        yield from (
+            *self.output_trees.items(),
+            *self.state_rates.items(),
+            *self.signal_trees.items(),
+        )
 
     # --- names ------------------------------------------------------------------------------
 
     @cached_property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the branches' coordinates."""
-        return tuple(branch.name for branch in self.branches)
+        return coordinates_of(self.branches)
 
     @cached_property
     def rates(self) -> tuple[str, ...]:
         """Names of the velocities."""
-        return tuple(b.name + RATE for b in self.branches if b.moves)
+        return tuple(b.rate for b in self.branches if b.moves)
 
     @cached_property
-    def acting(self) -> tuple[Branch, ...]:
-        """Branches with something through them: all but those only seen."""
+    def variables(self) -> frozenset[str]:
+        """Names of coordinates, rates and states."""
+        return frozenset((*self.coordinates, *self.rates, *self.states))
+
+    @cached_property
+    def acting_branches(self) -> tuple[Branch, ...]:
+        """Branches with a flow through their pins: all but the measured ones."""
         return tuple(branch for branch in self.branches if branch.through)
 
     @cached_property
-    def open(self) -> tuple[Branch, ...]:
+    def displacements(self) -> tuple[Branch, ...]:
+        """Branches with a force."""
+        return tuple(branch for branch in self.acting_branches if branch.moves)
+
+    @cached_property
+    def stationary_branches(self) -> tuple[Branch, ...]:
+        """Acting branches without a displacement, such as currents and voltages."""
+        return tuple(b for b in self.acting_branches if not b.moves)
+
+    @cached_property
+    def inertial_branches(self) -> tuple[Branch, ...]:
+        """Displacements of a mass."""
+        return tuple(b for b in self.displacements if self.mass(b) != ZERO)
+
+    @cached_property
+    def measured_branches(self) -> tuple[Branch, ...]:
+        """Branches without a flow through their pins."""
+        return tuple(branch for branch in self.branches if not branch.through)
+
+    @cached_property
+    def open_branches(self) -> tuple[Branch, ...]:
         """Acting branches between pins, without loops."""
-        return tuple(branch for branch in self.acting if branch.plus)
+        return tuple(branch for branch in self.acting_branches if branch.plus)
 
     @cached_property
     def domains(self) -> dict[str, Domain]:
         """Domain of each pin; a branch with a flow has priority."""
         result: dict[str, Domain] = {}
-        for b in (*self.acting, *self.branches):
-            for pin in filter(None, (b.plus, b.minus, b.less)):
+        for b in (*self.acting_branches, *self.branches):
+            for pin in b.pins:
                 result.setdefault(pin, b.domain)
         return result
 
@@ -333,39 +387,50 @@ class Declaration:
         return "constant temperature; nothing here heats up, ages or breaks"
 
     @cached_property
-    def closed(self) -> Declaration:
+    def with_loop_pin(self) -> Declaration:
         """The same with loops that begin and end at one inner pin, ``loops``."""
-        if self.open == self.acting:
+        if self.open_branches == self.acting_branches:
             return self
         branches = (b if b.plus else replace(b, plus=LOOPS, minus=LOOPS) for b in self.branches)
         return replace(self, branches=tuple(branches))
 
     @cached_property
-    def branch_trees(self) -> tuple[Tree, ...]:
+    def branch_laws(self) -> tuple[Tree, ...]:
         """Instantaneous flow and stored quantity of every branch, in the order of the branches."""
         result: list[Tree] = []
-        for branch in self.acting:
-            result += [self.direct(branch), self.storage(branch)]
+        for branch in self.acting_branches:
+            result += [self.direct_flow(branch), self.stored_quantity(branch)]
         return tuple(result)
 
     @cached_property
-    def polynomials(self) -> dict[Tree, str]:
-        """Names of all power series in what is through the branches and kept."""
-        calls = chain.from_iterable(map(walk, self.branch_trees))
-        result = dict.fromkeys(c for c in calls if isinstance(c, Call) and c.function == "poly")
-        return {call: f"poly{k}" for k, call in enumerate(result, 1)}
+    def power_series(self) -> dict[Tree, str]:
+        """Names of all power series in the flows and stored quantities of the branches."""
+        result: dict[Tree, str] = {}
+        for tree in chain.from_iterable(map(walk, self.branch_laws)):
+            if isinstance(tree, Call) and tree.function == "poly":
+                result.setdefault(tree, f"poly{len(result) + 1}")
+        return result
 
-    def with_series_named(self, tree: Tree) -> Tree:
+    def name_power_series(self, tree: Tree) -> Tree:
         """``tree`` with the names of its power series in their places."""
-        name = self.polynomials.get(tree)
-        return rebuilt(tree, self.with_series_named) if name is None else Name(name)
+        name = self.power_series.get(tree)
+        return rebuilt(tree, self.name_power_series) if name is None else Name(name)
+
+    @cached_property
+    def _number_keys(self) -> tuple[str, ...]:
+        """Keys that are numbers."""
+        fields = self.keys.model_fields.items()
+        return tuple(name for name, entry in fields if entry.annotation is float)
+
+    @cached_property
+    def _defaults(self) -> dict[str, float]:
+        """Values of the parameters that are no keys."""
+        return {param.name: param.default for param in self.given}
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
-        """Keys that are numbers, and what is given."""
-        fields = self.keys.model_fields
-        keys = (name for name, result in fields.items() if result.annotation is float)
-        return (*keys, *(param.name for param in self.given))
+        """Keys that are numbers, and parameters that are no keys."""
+        return (*self._number_keys, *self._defaults)
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
@@ -381,56 +446,56 @@ class Declaration:
     def _slope(self, what: str, name: str) -> Tree:
         return derivative(self._tree(what), name)
 
-    def _read(self, what: str, stated: Mapping[str, str]) -> dict[str, Tree]:
+    def _parse(self, what: str, stated: Mapping[str, str]) -> dict[str, Tree]:
         where = f"{what} of {self.name}"
         return {name: expression(text, where, self.tables) for name, text in stated.items()}
 
     @cached_property
     def _forces(self) -> dict[str, Tree]:
-        return self._read("force", self.forces)
+        return self._parse("force", self.forces)
 
     @cached_property
-    def bounds(self) -> dict[str, Tree]:
+    def limit_trees(self) -> dict[str, Tree]:
         """The limits' expressions."""
-        return self._read("limit", self.limits)
+        return self._parse("limit", self.limits)
 
     @cached_property
-    def stopped(self) -> dict[str, Tree]:
+    def stop_trees(self) -> dict[str, Tree]:
         """The stops' expressions."""
-        return self._read("stop", self.stops)
+        return self._parse("stop", self.stops)
 
     @cached_property
-    def fixed(self) -> dict[str, Tree]:
+    def constant_trees(self) -> dict[str, Tree]:
         """The constants' expressions."""
-        return self._read("constant", self.constants)
+        return self._parse("constant", self.constants)
 
     @cached_property
-    def changes(self) -> dict[str, Tree]:
+    def state_rates(self) -> dict[str, Tree]:
         """The rates of the states."""
-        return self._read("state", self.states)
+        return self._parse("state", self.states)
 
     @cached_property
     def signal_trees(self) -> dict[str, Tree]:
         """The signals' expressions."""
-        return self._read("signal", self.signals)
+        return self._parse("signal", self.signals)
 
     @cached_property
-    def _spelled(self) -> dict[str, Tree]:
+    def _signal_inputs(self) -> dict[str, Tree]:
         result: dict[str, Tree] = {}
         for name, tree in self.signal_trees.items():
             result[name] = substitute(tree, result)
         return result
 
-    def spelled(self, tree: Tree) -> Tree:
+    def without_signals(self, tree: Tree) -> Tree:
         """``tree`` with the signals' expressions in their places."""
-        return plus(substitute(tree, self._spelled)) if self.signals else tree
+        return plus(substitute(tree, self._signal_inputs)) if self.signals else tree
 
     @cached_property
-    def read(self) -> dict[str, Tree]:
+    def output_trees(self) -> dict[str, Tree]:
         """The outputs' expressions."""
-        return self._read("output", self.outputs)
+        return self._parse("output", self.outputs)
 
-    def direct(self, branch: Branch) -> Tree:
+    def direct_flow(self, branch: Branch) -> Tree:
         """Instantaneous flow through a branch.
 
         It is the force without that of inertia, or the current without that of the charge. For a
@@ -439,94 +504,101 @@ class Declaration:
         if not branch.moves:
             return self._slope("content", branch.name)
         stored = minus(self._slope("energy", branch.name), self._slope("coenergy", branch.name))
-        dissipative = self._slope("content", branch.name + RATE)
+        dissipative = self._slope("content", branch.rate)
         return plus(stored, dissipative, self._forces.get(branch.name, ZERO))
 
-    def followed(self, branch: Branch) -> Tree:
+    def delayed_flow(self, branch: Branch) -> Tree:
         """The same of a displacement that has followed its lag."""
-        tree = self.direct(branch)
+        tree = self.direct_flow(branch)
         return plus(substitute(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
 
-    def loss(self, branch: Branch) -> Tree:
+    def loss_coefficient(self, branch: Branch) -> Tree:
         """Damping, conductance or resistance of a branch, for small signals; zero where heat
         flows, which has no noise of this kind."""
         if branch.domain.power == "through":
             return ZERO
-        rate = branch.name + RATE * branch.moves
-        return derivative(self._slope("content", rate), rate)
+        variable = branch.lossy_variable
+        return derivative(self._slope("content", variable), variable)
 
-    def storage(self, branch: Branch) -> Tree:
-        """Momentum, charge or flux of a branch, whose rate adds to :meth:`direct`."""
+    def stored_quantity(self, branch: Branch) -> Tree:
+        """Momentum, charge or flux of a branch, whose rate adds to :meth:`direct_flow`."""
         if branch.moves:
-            return self._slope("kinetic", branch.name + RATE)
+            return self._slope("kinetic", branch.rate)
         return self._slope("coenergy", branch.name)
 
     def mass(self, branch: Branch) -> Tree:
         """Mass of a displacement branch."""
-        return derivative(self.storage(branch), branch.name + RATE)
+        return derivative(self.stored_quantity(branch), branch.rate)
 
     @cached_property
-    def stored(self) -> Tree:
+    def stored_energy(self) -> Tree:
         """The stored energy [J]."""
-        others = (b for b in self.acting if not b.moves)
-        both = [times(Name(b.name), self.storage(b)) for b in others]
-        total = plus(self._tree("kinetic"), self._tree("energy"), *both)
+        products = []
+        for b in self.stationary_branches:
+            products.append(times(Name(b.name), self.stored_quantity(b)))
+        total = plus(self._tree("kinetic"), self._tree("energy"), *products)
         return minus(total, self._tree("coenergy"))
+
+    @cached_property
+    def _powers_of_forces(self) -> tuple[Tree, ...]:
+        """The power [W] of each of the ``forces``."""
+        return tuple(times(Name(name + RATE), tree) for name, tree in self._forces.items())
 
     @cached_property
     def dissipation(self) -> Tree:
         """The power [W] that becomes heat."""
-        forced = (times(Name(name + RATE), tree) for name, tree in self._forces.items())
-        others = (b.name for b in self.acting if not b.moves)
-        return plus(*map(self._heat, self.rates), *forced, *map(self._heat, others))
+        others = coordinates_of(self.stationary_branches)
+        rates, powers = map(self._heat, self.rates), map(self._heat, others)
+        return plus(*rates, *self._powers_of_forces, *powers)
 
-    def _heat(self, rate: str) -> Tree:
-        return times(Name(rate), self._slope("content", rate))
+    def _heat(self, variable: str) -> Tree:
+        """The power [W] of the content's derivative by a rate, voltage or current."""
+        return times(Name(variable), self._slope("content", variable))
 
     @cached_property
     def equations(self) -> tuple[str, ...]:
         """Equations of the flow through every branch as text; for a current, of its voltage."""
-        rows = [(name, tree) for name, tree in self.signal_trees.items()]
-        rows += [(f"d/dt {name}", tree) for name, tree in self.changes.items()]
-        definitions = (f"{name} = {Writer().write(tree)}" for name, tree in rows)
-        return (*filter(None, map(self._equation, self.acting)), *definitions)
+        result = [*filter(None, map(self._equation, self.acting_branches))]
+        for name, tree in self.signal_trees.items():
+            result.append(f"{name} = {Writer().write(tree)}")
+        for name, tree in self.state_rates.items():
+            result.append(f"d/dt {name} = {Writer().write(tree)}")
+        return tuple(result)
 
     def _equation(self, branch: Branch) -> str:
-        direct = self.with_series_named(self.direct(branch))
-        storage = self.with_series_named(self.storage(branch))
+        """Equation of the flow through a branch as text, empty if the flow is zero."""
+        direct = self.name_power_series(self.direct_flow(branch))
+        storage = self.name_power_series(self.stored_quantity(branch))
         terms = [f"d/dt ({Writer().write(storage)})"] if storage != ZERO else []
         terms += [Writer().write(direct)] if direct != ZERO else []
         name = branch.across if branch.flows else branch.through
         return f"{name} = {' + '.join(terms)}" if terms else ""
 
     def at_rest(self, tree: Tree, but: str = "") -> Tree:
-        """``tree`` where all coordinates and rates are zero, but for one of that name."""
-        still = {*self.coordinates, *self.rates, *self.states} - {but}
+        """``tree`` where all coordinates, rates and states are zero, except ``but``."""
+        still = self.variables - {but}
         return plus(substitute(tree, dict.fromkeys(still, ZERO)))
 
     @cached_property
     def linear(self) -> bool:
-        """Whether what is through the branches is in proportion to coordinates and rates."""
-        variables = {*self.coordinates, *self.rates, *self.states}
-        laws = [*map(self.spelled, (*self.branch_trees, *self.changes.values()))]
-        slopes = (derivative(law, name) for law, name in product(laws, variables))
-        return not any(map(kinks, laws)) and not any(names(slope) & variables for slope in slopes)
+        """Whether the flows are proportional to coordinates, rates and states."""
+        laws = [*map(self.without_signals, (*self.branch_laws, *self.state_rates.values()))]
+        if any(map(kinks, laws)):
+            return False
+        return all(is_affine(law, self.variables) for law in laws)
 
     @cached_property
-    def damped(self) -> tuple[Branch, ...]:
-        """Displacements whose velocities matter."""
-        stated = [self._tree("kinetic"), self._tree("content")]
-        stated += (*self.changes.values(), *self.signal_trees.values())
-        stated += (times(Name(name + RATE), tree) for name, tree in self._forces.items())
-        result = frozenset[str]().union(*map(names, stated))
-        return tuple(b for b in self.branches if b.name + RATE in result)
+    def branches_with_rate(self) -> tuple[Branch, ...]:
+        """Displacements whose rates occur in an equation."""
+        trees = [self._tree("kinetic"), self._tree("content"), *self._powers_of_forces]
+        trees += (*self.state_rates.values(), *self.signal_trees.values())
+        occurring = frozenset[str]().union(*map(names, trees))
+        return tuple(b for b in self.branches if b.rate in occurring)
 
     def values(self, keys: Section) -> dict[str, float]:
-        """Parameters of a part by name, in SI."""
-        constants = {param.name: param.default for param in self.given}
-        result = {
-            n: constants[n] if n in constants else float(getattr(keys, n)) for n in self.numbers
-        }
-        for name, tree in self.fixed.items():
+        """Values of all parameters of a part by name, in SI."""
+        result = {name: float(getattr(keys, name)) for name in self._number_keys}
+        result |= self._defaults
+        for name, tree in self.constant_trees.items():
             result[name] = float(evaluated(tree, result))
         return result

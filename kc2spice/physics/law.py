@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
-from itertools import chain, product
+from functools import cached_property, partial
+from itertools import chain, product, starmap
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, Flow, LawPin, Tap
 from kc2spice.netlist.expression import Name, Number, Tree, substitute
-from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
+from kc2spice.physics.declaration import LOOPS, Branch, Declaration, coordinates_of
 from kc2spice.physics.symbolic import (
     ZERO,
     derivative,
@@ -35,6 +35,11 @@ def _number(value: float) -> Number:
     return Number(f"{value:g}")
 
 
+def _input_name(branch: Branch) -> str:
+    """Name of the quantity across a branch: its coordinate, or the voltage of a current."""
+    return f"{branch.name}_drop" if branch.flows else branch.name
+
+
 @dataclass(frozen=True)
 class DeclaredLaw(Device):
     """The law of a part with these ``values`` of its parameters, and with the functions that its
@@ -53,15 +58,16 @@ class DeclaredLaw(Device):
     @property
     def pins(self) -> tuple[LawPin, ...]:
         result: dict[str, LawPin] = {}
-        kinds = self._kinds
+        kinds = self._pin_kinds
         for b in self.declaration.branches:
             loop = b.plus == LOOPS  # no current flows to it
             result.setdefault(b.plus, LawPin(b.plus, kinds[b.plus], grounded=loop))
             result.setdefault(b.minus, LawPin(b.minus, kinds[b.minus], grounded=True))
             if b.less:
                 result.setdefault(b.less, LawPin(b.less, kinds[b.less]))
-        outputs = (LawPin(name, "signal") for name in self.prescribes)
-        return (*result.values(), *outputs)
+        for name in self.prescribes:
+            result[name] = LawPin(name, "signal")
+        return tuple(result.values())
 
     @property
     def prescribes(self) -> tuple[str, ...]:
@@ -69,36 +75,45 @@ class DeclaredLaw(Device):
 
     @property
     def taps(self) -> tuple[Tap, ...]:
-        across = [Tap(b.plus, self._minus(b), less=b.less) for b in self.declaration.branches]
-        rates = (Tap(b.plus, self._minus(b), True, b.less) for b in self.declaration.damped)
-        return (*across, *rates)
+        d = self.declaration
+        rates = map(partial(self._tap, rate=True), d.branches_with_rate)
+        return (*map(self._tap, d.branches), *rates)
+
+    def _tap(self, b: Branch, rate: bool = False) -> Tap:
+        return Tap(b.plus, self._lower_pin(b), rate, b.less)
 
     @cached_property
-    def _kinds(self) -> dict[str, str]:
+    def _pin_kinds(self) -> dict[str, str]:
         """Kinds of all pins; outputs are signals, as are inputs whose rate is not used."""
         d = self.declaration
-        used = {pin for b in (*d.acting, *d.damped) for pin in (b.plus, b.minus, b.less)}
-        result = {pin: domain.kind_of_law for pin, domain in d.domains.items()}
-        only = (pin for pin in d.domains if pin not in used)
-        return result | dict.fromkeys((*only, *d.outputs), "signal")
+        result = dict.fromkeys(d.domains, "signal")
+        for b in (*d.acting_branches, *d.branches_with_rate):
+            for pin in b.pins:
+                result[pin] = d.domains[pin].kind_of_law
+        return result | dict.fromkeys(d.outputs, "signal")
 
-    def _minus(self, b: Branch) -> str:
+    def _lower_pin(self, b: Branch) -> str:
         """Lower pin of a branch; empty if it is the reference of another kind of branches."""
-        return b.minus if self._kinds[b.minus] == self._kinds[b.plus] else ""
+        return b.minus if self._pin_kinds[b.minus] == self._pin_kinds[b.plus] else ""
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        return tuple(Flow(b.plus, b.minus, b.less) for b in self.declaration.acting)
+        return tuple(Flow(b.plus, b.minus, b.less) for b in self.declaration.acting_branches)
 
     @property
     def charged(self) -> tuple[int, ...]:
+        return tuple(map(self.declaration.acting_branches.index, self._charged_branches))
+
+    @cached_property
+    def _charged_branches(self) -> tuple[Branch, ...]:
+        """Acting branches with a charge or a momentum."""
         d = self.declaration
-        charges = (not b.flows and d.storage(b) != ZERO for b in d.acting)
-        return tuple(k for k, stored in enumerate(charges) if stored)
+        branches = d.acting_branches
+        return tuple(b for b in branches if not b.flows and d.stored_quantity(b) != ZERO)
 
     @property
     def states(self) -> tuple[str, ...]:
-        return (*(b.name for b in self._flowing), *self.declaration.states)
+        return (*coordinates_of(self._flowing), *self.declaration.states)
 
     @property
     def storing(self) -> bool:
@@ -108,18 +123,19 @@ class DeclaredLaw(Device):
     def _inputs(self) -> tuple[str, ...]:
         """Names of the inputs."""
         d = self.declaration
-        across = [f"{b.name}_drop" if b.flows else b.name for b in d.branches]
-        return (*across, *(b.name + RATE for b in d.damped), *self.states)
+        rates = (b.rate for b in d.branches_with_rate)
+        return (*map(_input_name, d.branches), *rates, *self.states)
 
     @cached_property
     def affine(self) -> bool:
         d = self.declaration
-        stated = (*map(d.direct, d.acting), *d.changes.values(), *d.read.values())
-        trees = [*map(self._plain, stated)]
-        pairs = product(trees, self._inputs)
-        slopes = (flagged(derivative(tree, name), self._corners) for tree, name in pairs)
-        constant = not any(names(slope) & set(self._inputs) for slope in slopes)
-        return constant and not self.storing
+        laws = (*d.state_rates.values(), *d.output_trees.values())
+        trees = (*map(d.direct_flow, d.acting_branches), *laws)
+        for tree, name in product(map(self._in_inputs, trees), self._inputs):
+            slope = flagged(derivative(tree, name), self._corners)
+            if not names(slope).isdisjoint(self._inputs):
+                return False
+        return not self.storing
 
     @property
     def linear(self) -> bool:
@@ -129,98 +145,105 @@ class DeclaredLaw(Device):
     def _corners(self) -> tuple[Tree, ...]:
         """Arguments of all one-sided expressions, whose signs make modes."""
         d = self.declaration
-        trees = (d.stored, *d.branch_trees, *d.changes.values(), *d.read.values())
-        corners = chain.from_iterable(kinks(self._plain(tree)) for tree in trees)
+        trees = (d.stored_energy, *d.branch_laws, *d.state_rates.values(), *d.output_trees.values())
+        corners = chain.from_iterable(map(kinks, map(self._in_inputs, trees)))
         return tuple(dict.fromkeys(corners))
 
-    def _plain(self, tree: Tree) -> Tree:
-        """``tree`` by the inputs alone: a signal has the unit of its pin, such as um."""
-        kinds, measured = self._kinds, (b for b in self.declaration.branches if not b.through)
-        signals = (b for b in measured if kinds[b.plus] == "signal")
-        units = {b.name: times(_number(b.domain.across.factor), Name(b.name)) for b in signals}
-        return plus(substitute(self.declaration.spelled(tree), units))
+    def _in_inputs(self, tree: Tree) -> Tree:
+        """``tree`` as a function of the inputs alone, with signals in the units of their pins."""
+        units: dict[str, Tree] = {}
+        for b in self.declaration.measured_branches:
+            if self._pin_kinds[b.plus] == "signal":
+                units[b.name] = times(_number(b.domain.across.factor), Name(b.name))
+        return plus(substitute(self.declaration.without_signals(tree), units))
 
-    def _stated(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
-        """:meth:`_compiled` of what the declaration says."""
-        return self._compiled(map(self._plain, trees), slopes)
+    def _compile_declared(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
+        """Compile expressions of the declaration's variables."""
+        return self._compile(map(self._in_inputs, trees), slopes)
 
-    def _compiled(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
-        """Values of ``trees``, then the derivatives of each by all inputs."""
-        flags = [f"flag{k}" for k in range(len(self._corners))]
-        trees = list(trees)
-        pairs = product(trees, self._inputs if slopes else ())
-        rows = [derivative(tree, name) for tree, name in pairs]
-        smooth = [flagged(tree, self._corners) for tree in (*trees, *rows)]
+    def _compile(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
+        """Compile ``trees`` and, with ``slopes``, the derivatives of each by all inputs."""
+        rows = list(trees)
+        if slopes:
+            rows += starmap(derivative, product(rows, self._inputs))
+        smooth = [flagged(tree, self._corners) for tree in rows]
+        flags = map("flag{}".format, range(len(self._corners)))
         arguments = (*self._inputs, *flags, *self.declaration.parameters)
         return function(smooth, arguments, self.tables)
 
     @cached_property
-    def _out(self) -> _Compiled:
+    def _flow_function(self) -> _Compiled:
         d = self.declaration
-        flows = [Name(b.name) if b.flows else d.direct(b) for b in d.acting]
-        rates = [minus(Name(f"{b.name}_drop"), d.direct(b)) for b in self._flowing]
-        outputs = (times(_number(TRANSLATION.across.per_unit), tree) for tree in d.read.values())
-        return self._stated([*flows, *rates, *d.changes.values(), *outputs], slopes=True)
+        flows = [Name(b.name) if b.flows else d.direct_flow(b) for b in d.acting_branches]
+        rates = [minus(Name(_input_name(b)), d.direct_flow(b)) for b in self._flowing]
+        per_metre = _number(TRANSLATION.across.per_unit)
+        outputs = map(partial(times, per_metre), d.output_trees.values())
+        trees = (*flows, *rates, *d.state_rates.values(), *outputs)
+        return self._compile_declared(trees, slopes=True)
 
     @cached_property
-    def _storage(self) -> _Compiled:
+    def _storage_function(self) -> _Compiled:
         d = self.declaration
-        fluxes, charges = (
-            map(d.storage, self._flowing),
-            (d.storage(d.acting[k]) for k in self.charged),
+        fluxes = map(d.stored_quantity, self._flowing)
+        charges = map(d.stored_quantity, self._charged_branches)
+        return self._compile_declared([*fluxes, *map(Name, d.states), *charges], slopes=True)
+
+    @cached_property
+    def _energy_function(self) -> _Compiled:
+        return self._compile_declared(
+            [self.declaration.stored_energy, self.declaration.dissipation]
         )
-        return self._stated([*fluxes, *map(Name, d.states), *charges], slopes=True)
 
     @cached_property
-    def _energies(self) -> _Compiled:
-        return self._stated([self.declaration.stored, self.declaration.dissipation])
+    def _guard_function(self) -> _Compiled:
+        return self._compile(self._corners)
 
     @cached_property
-    def _guards(self) -> _Compiled:
-        return self._compiled(self._corners)
+    def _limit_function(self) -> _Compiled:
+        return self._compile_declared(self.declaration.limit_trees.values())
 
-    @cached_property
-    def _bounds(self) -> _Compiled:
-        return self._stated(self.declaration.bounds.values())
-
-    def _called(self, compiled: _Compiled, e: np.ndarray, mode: Any) -> np.ndarray:
+    def _evaluate(self, compiled: _Compiled, e: np.ndarray, mode: Any) -> np.ndarray:
         return np.array(compiled(*e.tolist(), *mode, *self.values), dtype=float)
 
-    def _split(
+    def _values_and_slopes(
         self, compiled: _Compiled, e: np.ndarray, mode: Any
     ) -> tuple[np.ndarray, np.ndarray]:
-        result = self._called(compiled, e, mode)
+        result = self._evaluate(compiled, e, mode)
         count = result.size // (1 + e.size)
         return result[:count], result[count:].reshape(count, e.size)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        return self._split(self._out, e, mode)
+        return self._values_and_slopes(self._flow_function, e, mode)
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Fluxes of the currents, the states, then charges of the voltages and momenta."""
-        return self._split(self._storage, e, mode)
+        return self._values_and_slopes(self._storage_function, e, mode)
 
     def mode(self, e: np.ndarray) -> tuple[int, ...]:
         flags: tuple[int, ...] = (0,) * len(self._corners)
         for k in range(len(flags)):  # one may depend on those before
-            above = self._called(self._guards, e, flags)[k] > 0.0
+            above = self._evaluate(self._guard_function, e, flags)[k] > 0.0
             flags = (*flags[:k], int(above), *flags[k + 1 :])
         return flags
 
     def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        return self._called(self._guards, e, mode) * np.where(np.array(mode) > 0, 1.0, -1.0)
+        return self._evaluate(self._guard_function, e, mode) * np.where(
+            np.array(mode) > 0, 1.0, -1.0
+        )
 
     def switch(self, mode: Any, guard: int) -> tuple[int, ...]:
         return (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
 
     @cached_property
-    def _loss(self) -> _Compiled:
-        return self._stated(map(self.declaration.loss, self.declaration.acting))
+    def _loss_function(self) -> _Compiled:
+        return self._compile_declared(
+            map(self.declaration.loss_coefficient, self.declaration.acting_branches)
+        )
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
         """A force, a current, or a voltage in series with every loss."""
-        branches, currents = self.declaration.acting, self._flowing
-        root = np.sqrt(self._called(self._loss, e, mode))
+        branches, currents = self.declaration.acting_branches, self._flowing
+        root = np.sqrt(self._evaluate(self._loss_function, e, mode))
         rows = len(branches) + len(self.states) + len(self.prescribes)
         out = np.zeros((rows, len(branches)))
         for k, b in enumerate(branches):
@@ -228,8 +251,8 @@ class DeclaredLaw(Device):
         return out, np.zeros((len(self.states) + len(self.charged), len(branches)))
 
     def check(self, t: float, e: np.ndarray) -> None:
-        result = self._called(self._bounds, e, self.mode(e))
-        for what, value in zip(self.declaration.bounds, result, strict=True):
+        result = self._evaluate(self._limit_function, e, self.mode(e))
+        for what, value in zip(self.declaration.limit_trees, result, strict=True):
             if value <= 0.0:
                 raise SimulationError(
                     f"{what} is exceeded",
@@ -239,9 +262,9 @@ class DeclaredLaw(Device):
                 )
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
-        return float(self._called(self._energies, e, mode)[0])
+        return float(self._evaluate(self._energy_function, e, mode)[0])
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
         if self.declaration.dissipation == ZERO:
             return 0.0
-        return float(self._called(self._energies, e, mode)[1])
+        return float(self._evaluate(self._energy_function, e, mode)[1])

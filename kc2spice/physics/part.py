@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain, starmap
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -15,10 +16,17 @@ from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.spelling import comment, distinct
 from kc2spice.netlist.spelling import name as checked
-from kc2spice.physics.cards import body, force_node, meter, noisy, reference_node, state_node
-from kc2spice.physics.declaration import LOOPS, RATE, Branch, Declaration
+from kc2spice.physics.cards import (
+    force_node,
+    has_losses,
+    inner_nodes,
+    meter_name,
+    reference_node,
+    subcircuit_items,
+)
+from kc2spice.physics.declaration import LOOPS, Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.symbolic import ZERO, derivative, evaluated, kinks, names
+from kc2spice.physics.symbolic import derivative, evaluated, kinks, names
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import (
@@ -65,7 +73,7 @@ class DeclaredPart(PartType[KeysT]):
         self.name, self.title = declaration.name, declaration.title
         self.schema = cast("type[KeysT]", declaration.keys)
         self.example = declaration.example
-        self.noise = ("Rnoise",) if noisy(declaration) else ()
+        self.noise = ("Rnoise",) if has_losses(declaration) else ()
 
     # --- pins and netlist -------------------------------------------------------------------
 
@@ -78,31 +86,32 @@ class DeclaredPart(PartType[KeysT]):
         return self.declared(part, build.scene)
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        plus = {b.plus for b in self.declared(part, scene).branches}
-        return tuple(
-            Terminal(p.name, p.unit, p.flow, required=True)
-            if p.name in plus or scene.is_target(part.name, p.name)
-            else Terminal(p.name, p.unit, p.flow, "gnd")
-            for p in pins_of(self.declared(part, scene))
-        )
+        d, result = self.declared(part, scene), []
+        plus = {b.plus for b in d.branches}
+        for p in pins_of(d):
+            required = p.name in plus or scene.is_target(part.name, p.name)
+            default = None if required else "gnd"
+            result.append(Terminal(p.name, p.unit, p.flow, default, required=required))
+        return tuple(result)
 
     def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
         d = self.declared(part, scene)
-        moved = [b for b in d.acting if b.moves and d.mass(b) != ZERO]
-        return tuple(d.speeds.get(b.plus, b.plus) for b in moved)
+        return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
     def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
         """Holds displacements with a stiffness at rest, and is a path for flows."""
         d = self.declared(part, scene)
         values = d.values(part.keys)
-        paths = [b for b in d.branches if b.domain.path]
-        flowing = tuple((b.plus, b.minus) for b in paths if b.flows)
-        moved = [b for b in paths if not b.flows]
-        # all others at rest first: what a long sum leaves of it has a short derivative
-        slopes = [derivative(d.at_rest(d.direct(b), b.name), b.name) for b in moved]
-        stiff = [float(evaluated(d.at_rest(slope), values)) for slope in slopes]
-        pairs = ((b.plus, b.minus) for b, result in zip(moved, stiff, strict=True) if result)
-        return Rest((*pairs, *flowing))
+        stiff, flowing = [], []
+        for b in d.branches:
+            if b.domain.path and b.flows:
+                flowing.append((b.plus, b.minus))
+            elif b.domain.path:
+                # all others at rest first: what a long sum leaves of it has a short derivative
+                slope = derivative(d.at_rest(d.direct_flow(b), b.name), b.name)
+                if evaluated(d.at_rest(slope), values):
+                    stiff.append((b.plus, b.minus))
+        return Rest((*stiff, *flowing))
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
@@ -125,16 +134,15 @@ class DeclaredPart(PartType[KeysT]):
                 result[f"{part.name}.{b.across}"] = Vector(across, voltage.factor, voltage.unit)
             if not b.through:
                 continue
-            through, of = f"i(v.x{part.name}.{meter(b)})", b.domain.quantity("through")
+            through, of = f"i(v.x{part.name}.{meter_name(b)})", b.domain.quantity("through")
             if b.moves:
                 through = _inner(build, part, force_node(b), b.minus)
             ends = (b.minus,), (b.plus,)
             result[f"{part.name}.{b.through}"] = Vector(through.lower(), of.factor, of.unit, *ends)
-            if d.mass(b) != ZERO:
+            if b in d.inertial_branches:
                 speed = f"v(x{part.name}.speed_{b.name})".lower()
                 result[f"{part.name}.v"] = Vector(speed, VELOCITY.factor, VELOCITY.unit)
-        inner = {name: name for name in d.signals} | {name: state_node(name) for name in d.states}
-        for name, node in inner.items():
+        for name, node in inner_nodes(d).items():
             value = _inner(build, part, node, reference_node(d)).lower()
             result[f"{part.name}.{name}"] = Vector(value, 1.0, "SI")
         return result
@@ -146,15 +154,16 @@ class DeclaredPart(PartType[KeysT]):
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
         n, d = part.name, self.built(part, build)
         results = {}
-        for b in d.open:  # loops of a full model are others
+        for b in d.open_branches:  # loops of a full model are others
             results[f"{n}.{b.through}"] = laws.reading(f"{n}.{b.plus}.through")
             if d.metered:
                 results[f"{n}.{b.across}"] = laws.difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
-            if d.mass(b) != ZERO:
+            if b in d.inertial_branches:
                 results[f"{n}.v"] = laws.reading(f"{n}.{b.plus}.rate")
-        results |= {f"{n}.{state}": laws.reading(f"{n}.{state}") for state in d.states}
+        for state in d.states:
+            results[f"{n}.{state}"] = laws.reading(f"{n}.{state}")
         values = tuple(d.values(part.keys).values())
-        law = DeclaredLaw(n, d.closed, values, self.begins(part, build))
+        law = DeclaredLaw(n, d.with_loop_pin, values, self.begins(part, build))
         pins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins if pin.name != LOOPS)
         return laws.Equations((law,), pins, results)
 
@@ -169,8 +178,10 @@ class DeclaredPart(PartType[KeysT]):
             yield from self.standing(part, build, waves)
         if "time" in waves:
             yield from energies(d, part, known, waves)
-            edges = {e for b in d.acting for e in kinks(d.direct(b)) if names(e) & set(known)}
-            for tree in edges:
+            forces = map(d.direct_flow, d.acting_branches)
+            for tree in dict.fromkeys(chain.from_iterable(map(kinks, forces))):
+                if names(tree).isdisjoint(known):
+                    continue
                 met = evaluated(tree, d.values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
                 yield Check(f"strikes of {part.name}", strikes, STRIKES, "", REBOUND, "warn")
@@ -182,7 +193,7 @@ class DeclaredPart(PartType[KeysT]):
         small = build.scene.analysis.small
         if small:
             yield from _limit_checks(d, part, known, " at its operating point")
-        for what, tree in d.stopped.items():
+        for what, tree in d.stop_trees.items():
             if names(tree) - set(d.parameters) <= set(known):
                 depth = float(np.max(evaluated(tree, d.values(part.keys) | known)))
                 name = f"{part.name} beyond {what} at its operating point"
@@ -192,22 +203,24 @@ class DeclaredPart(PartType[KeysT]):
     def _recorded(self, part: Part[KeysT], build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
         """Coordinates, states and signals over time, as far as the run has them."""
         d = self.built(part, build)
-        names = (*d.coordinates, *d.states, *d.signals)
-        result = {name: waves.data.get(f"{part.name}.{name}") for name in names}
-        return {name: wave for name, wave in result.items() if wave is not None}
+        result = {}
+        for name in (*d.coordinates, *d.states, *d.signals):
+            if (wave := waves.data.get(f"{part.name}.{name}")) is not None:
+                result[name] = wave
+        return result
 
     # --- what explain says ------------------------------------------------------------------
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
         yield "; ".join(self.declared(part, scene).equations)
-        yield from (Neglected(*row) for row in self.declared(part, scene).neglected)
+        yield from starmap(Neglected, self.declared(part, scene).neglected)
 
 
 def _limit_checks(
     d: Declaration, part: Part, known: dict[str, np.ndarray], where: str = ""
 ) -> Iterator[Check]:
     """Whether the limits hold that ``known`` coordinates, states and signals decide."""
-    for what, tree in d.bounds.items():
+    for what, tree in d.limit_trees.items():
         if names(tree) - set(d.parameters) <= set(known):
             value = float(np.min(evaluated(tree, d.values(part.keys) | known)))
             advice = f"{d.limits[what]} must stay above zero"
@@ -222,18 +235,23 @@ def _inner(build: Build, part: Part, node: str, pin: str) -> str:
 
 
 def pins_of(declaration: Declaration) -> tuple[Pin, ...]:
-    """In the order of its branches; with a base, all upper ends before the lower ones. The velocity
-    of a rigid body stands before its place."""
+    """Return the pins of a declared part in the order of its branches.
+
+    With a base, all upper pins stand before the lower ones. The velocity of a rigid body stands
+    before its displacement.
+    """
     d, result = declaration, dict[str, Pin]()
-    ends = [pin for b in d.branches for pin in enumerate((b.plus, b.minus, b.less)) if pin[1]]
-    touched = {pin for b in d.acting for pin in (b.plus, b.minus, b.less)}
-    for _, pin in sorted(ends, key=lambda end: end[0]) if d.base else ends:
+    ends = [(b.plus, b.minus, b.less) for b in d.branches]
+    rows = zip(*ends, strict=True) if d.base else ends
+    loaded = set(chain.from_iterable(b.pins for b in d.acting_branches))
+    for pin in filter(None, chain.from_iterable(rows)):
         unit, flow = d.domains[pin].units
         if speed := d.speeds.get(pin):
             result.setdefault(checked(speed), Pin(speed, VELOCITY.pin_unit, flow))
-        quiet = speed or (pin not in touched and d.domains[pin].kind_of_law != SIGNALS.name)
+        quiet = speed or (pin not in loaded and d.domains[pin].kind_of_law != SIGNALS.name)
         result.setdefault(checked(pin), Pin(pin, unit, "-" if quiet else flow))
-    result |= {checked(pin): Pin(pin, TRANSLATION.across.pin_unit, "-") for pin in d.outputs}
+    for pin in d.outputs:
+        result[checked(pin)] = Pin(pin, TRANSLATION.across.pin_unit, "-")
     if d.base:
         result.pop(d.base, None)
         result[d.base] = Pin(d.base, *d.domains.get(d.base, TRANSLATION).units)
@@ -286,21 +304,17 @@ def declared_subcircuit(
     from kc2spice.synthesis.header import defaults, part_header  # loads scipy
 
     d, pins = declaration, pins_of(declaration)
-    distinct([*(pin.name for pin in pins), *map(checked, d.signals)], _INNER, where=name)
-    keys = tuple(
-        Param(key.name, values[key.name], (key.unit or "-").replace(" ", "*"), key.doc)
-        for key in model_keys(d.keys)
-        if key.name in d.numbers
-    )
-    params = keys + d.given
-    words: dict[str, Any] = {
-        "rating": d.rating,
-        "validity": d.valid_range,
-        "mesh": d.mesh,
-    }
-    head = part_header(header, f"{name}: {d.title}", pins, params, sign=d.sign, **words)
     ends = tuple(pin.name for pin in pins)
-    items = (*body(d, noise), *more)
+    distinct([*ends, *map(checked, d.signals)], _INNER, where=name)
+    keys = []
+    for key in model_keys(d.keys):
+        if key.name in d.numbers:
+            unit = (key.unit or "-").replace(" ", "*")
+            keys.append(Param(key.name, values[key.name], unit, key.doc))
+    params = (*keys, *d.given)
+    words: dict[str, Any] = {"rating": d.rating, "validity": d.valid_range, "mesh": d.mesh}
+    head = part_header(header, f"{name}: {d.title}", pins, params, sign=d.sign, **words)
+    items = (*subcircuit_items(d, noise), *more)
     circuit = Circuit(name, ends, defaults(params), items, notes=head)
     title = comment(f"{name}: {d.title}")
     tree = Circuit(items=(circuit,))
@@ -324,34 +338,36 @@ def energies(
     the pins: a charge, a flux or a loss that is not the declared one does not balance.
     """
     d, time = declaration, waves["time"]
-    moved = [b for b in d.acting if b.moves]
-    if not moved or set(recorded) != {*d.coordinates, *d.states, *d.signals}:
+    if not d.displacements or set(recorded) != {*d.coordinates, *d.states, *d.signals}:
         return
-    massless = [b for b in d.damped if d.mass(b) == ZERO]
-    # by the velocity of a mass the trapezoidal rule keeps the balance exactly
-    speeds = {b.name + RATE: waves[f"{part.name}.v"] for b in d.damped if b not in massless}
-    slopes = {b.name + RATE: np.gradient(recorded[b.name], time) for b in massless}
+    speeds, slopes, means = {}, {}, {}
+    for b in d.branches_with_rate:
+        if b in d.inertial_branches:
+            # by the velocity of a mass the trapezoidal rule keeps the balance exactly
+            speeds[b.rate] = waves[f"{part.name}.v"]
+        else:
+            slopes[b.rate] = np.gradient(recorded[b.name], time)
+            means[b.rate] = np.diff(recorded[b.name]) / np.diff(time)
     known = d.values(part.keys) | dict(recorded) | speeds | slopes
 
     def over_time(tree: Tree) -> np.ndarray:
         return np.asarray(evaluated(tree, known) * np.ones_like(time))
 
-    means = {b.name + RATE: np.diff(recorded[b.name]) / np.diff(time) for b in massless}
-    stored = over_time(d.stored)
+    stored = over_time(d.stored_energy)
     heat, rise = _heat(d, known, means, time), np.diff(stored)
     brought, forces = np.zeros_like(heat), []
-    for b in d.open:
+    for b in d.open_branches:
         known_as = f"{part.name}.{b.across if b.flows else b.through}"
         pins = waves.data.get(known_as, np.zeros_like(time))
-        if b in moved:
+        if b.moves:
             forces.append((pins, np.diff(recorded[b.name])))
             continue
-        increase = np.diff(over_time(d.storage(b))) + np.diff(
-            running_integral(over_time(d.direct(b)), time)
+        increase = np.diff(over_time(d.stored_quantity(b))) + np.diff(
+            running_integral(over_time(d.direct_flow(b)), time)
         )
         middle = (recorded[b.name][1:] + recorded[b.name][:-1]) / 2
         brought = brought + middle * _integrated(pins, time, increase)
-    brought = brought + _work(forces, rise + heat - brought, jumps=bool(massless))
+    brought = brought + _work(forces, rise + heat - brought, jumps=bool(slopes))
     missing = np.cumsum(brought - heat - rise)
     entries = {
         "brought in by pins": float(brought.sum()),
@@ -375,12 +391,13 @@ def _heat(
     The velocity of a coordinate without mass jumps at each corner of the drive. ``means``
     (nt - 1,) are its mean velocities over the steps, and replace the values at the ends.
     """
-    ends = (
-        {name: v[cut] if np.size(v) > 1 else v for name, v in known.items()} | dict(means)
-        for cut in (slice(None, -1), slice(1, None))
-    )
-    first, last = (evaluated(declaration.dissipation, end) for end in ends)
-    return np.asarray((first + last) / 2 * np.diff(time))
+    first, last = dict(known), dict(known)
+    for name, values in known.items():
+        if np.size(values) > 1:
+            first[name], last[name] = values[:-1], values[1:]
+    lost = declaration.dissipation
+    power = evaluated(lost, {**first, **means}) + evaluated(lost, {**last, **means})
+    return np.asarray(power / 2 * np.diff(time))
 
 
 def _work(

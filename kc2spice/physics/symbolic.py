@@ -11,7 +11,7 @@ derivative but has no text in a netlist.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache, reduce
@@ -146,6 +146,11 @@ def text(tree: Tree) -> str:
 def names(tree: Tree) -> frozenset[str]:
     """Names that occur in ``tree``."""
     return frozenset(node.text for node in walk(tree) if isinstance(node, Name))
+
+
+def is_affine(tree: Tree, variables: Set[str]) -> bool:
+    """Whether the derivatives by all ``variables`` are independent of them."""
+    return all(variables.isdisjoint(names(derivative(tree, name))) for name in variables)
 
 
 def plus(*trees: Tree) -> Tree:

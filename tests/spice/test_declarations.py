@@ -176,7 +176,7 @@ def inputs(own, state, rates, drops):
         (drops[b.name], 0.0) if b.kind in FLOWS else (state[b.name], rates[b.name])
         for b in own.declaration.branches
     ]
-    rows += [(rates[b.name], 0.0) for b in own.declaration.damped]
+    rows += [(rates[b.name], 0.0) for b in own.declaration.branches_with_rate]
     rows += [(state[n], rates[n]) for n in own.states]
     return np.array(rows).T
 
@@ -214,7 +214,7 @@ def worst_law(name, **keys):
                 place = own.states.index(b.name)
                 across = rises[place] + drops[b.name] - out[len(own.flows) + place]
             brought += through[k] * across
-        stored, _ = own._energies(*(e + 1j * H * de), *mode, *own.values)
+        stored, _ = own._energy_function(*(e + 1j * H * de), *mode, *own.values)
         rise, lost = np.imag(stored) / H, own.loss(e, mode)
         size = abs(brought) + abs(lost) + abs(rise)
         powers.append(abs(brought - rise - lost) / size)
@@ -230,7 +230,8 @@ def worst_slope(name):
         e, _ = inputs(own, state, rates, drops)
         mode = own.mode(e)
         for made, (value, by) in (
-            (own._out, own.evaluate(e, mode)), (own._storage, own.store(e, mode)),
+            (own._flow_function, own.evaluate(e, mode)),
+            (own._storage_function, own.store(e, mode)),
         ):  # fmt: skip
             for j in range(e.size):
                 moved = made(*(e + 1j * H * np.eye(e.size)[j]), *mode, *own.values)
@@ -361,11 +362,12 @@ def test_the_law_of_a_contact_is_what_is_stated(kind):
         mode = own.mode(e)
         out, by = own.evaluate(e, mode)
         np.testing.assert_allclose(out, wanted, rtol=1e-12, atol=1e-12)
-        exact = [np.imag(own._out(*(e + 1j * H * unit), *mode, *own.values)[: len(out)]) / H
+        flows = own._flow_function
+        exact = [np.imag(flows(*(e + 1j * H * unit), *mode, *own.values)[: len(out)]) / H
                  for unit in np.eye(e.size)]  # fmt: skip
         np.testing.assert_allclose(by, np.array(exact).T, rtol=1e-12, atol=1e-12)
         moving = np.array([0.0 if tap.rate else speeds[tap.pin] for tap in own.taps])
-        rise = np.imag(own._energies(*(e + 1j * H * moving), *mode, *own.values)[0]) / H
+        rise = np.imag(own._energy_function(*(e + 1j * H * moving), *mode, *own.values)[0]) / H
         brought = sum(f * speeds[flow.pin] for f, flow in zip(out, own.flows, strict=True))
         lost = own.loss(e, mode)
         assert abs(brought - rise - lost) <= 1e-12 * (abs(brought) + abs(rise) + abs(lost))

@@ -14,7 +14,7 @@ from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.translate import dialect_files
 from kc2spice.physics import Declaration, DeclaredPart, branch, displacement, seen, voltage
-from kc2spice.physics.cards import body
+from kc2spice.physics.cards import subcircuit_items
 from kc2spice.reference.integrate import solve_transient
 from kc2spice.reference.system import assemble_system
 from kc2spice.scene import parttype
@@ -316,7 +316,7 @@ def test_what_has_a_corner_is_neither_linear_nor_printed_as_linear_sources():
         content="above(v - 1)*v",
     )
     assert not stepped.linear
-    assert "V(a,b)-1>0" in "\n".join(Printer().lines(body(stepped)))
+    assert "V(a,b)-1>0" in "\n".join(Printer().lines(subcircuit_items(stepped)))
 
 
 class PusherKeys(kc.Section):

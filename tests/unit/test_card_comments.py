@@ -7,7 +7,7 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.physics import Declaration, branch
-from kc2spice.physics.cards import body
+from kc2spice.physics.cards import subcircuit_items
 
 # Time integral of each quantity with its SI unit, as in textbooks.
 INTEGRALS = {
@@ -29,7 +29,7 @@ class Keys(kc.Section):
 def comments(kind: str) -> str:
     storage = branch(kind)
     stored = Declaration("store", "store", Keys, (storage,), coenergy=f"0.5*c*{storage.name}^2")
-    notes = chain.from_iterable(item.notes for item in body(stored))
+    notes = chain.from_iterable(item.notes for item in subcircuit_items(stored))
     return re.sub(r"\s*\n\*\s+", " ", "\n".join(notes))
 
 

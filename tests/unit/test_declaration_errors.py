@@ -49,10 +49,10 @@ def test_a_mistake_in_a_declaration_names_its_remedy(name):
 
 def test_a_negative_power_is_a_quotient():
     declaration = Declaration("part", "a part", Keys, HEAT, content="g*temperature^(-2)")
-    slope = declaration.direct(HEAT[0])
-    assert slope == Declaration("part", "a part", Keys, HEAT, content="g/temperature^2").direct(
-        HEAT[0]
-    )
+    slope = declaration.direct_flow(HEAT[0])
+    assert slope == Declaration(
+        "part", "a part", Keys, HEAT, content="g/temperature^2"
+    ).direct_flow(HEAT[0])
 
 
 def test_an_unknown_part_type_tells_how_types_are_added():

@@ -18,7 +18,6 @@ from kc2spice.netlist.expression import Number, Tree
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.physics.declaration import (
-    RATE,
     Branch,
     Declaration,
     branch,
@@ -122,8 +121,9 @@ class LinearElement(DeclaredPart[KeysT]):
     def linear(self) -> tuple[int, Tree]:
         """``order`` and ``admittance``, from what is stated."""
         d, b = self.declaration, self.branch
-        stiff, slow = derivative(d.direct(b), b.name), derivative(d.direct(b), b.name + RATE)
-        stored = derivative(d.storage(b), b.name)
+        flow = d.direct_flow(b)
+        stiff, slow = derivative(flow, b.name), derivative(flow, b.rate)
+        stored = derivative(d.stored_quantity(b), b.name)
         if b.flows:
             return -1, over(ONE, stored)
         if b.moves:
@@ -184,7 +184,7 @@ class LinearElement(DeclaredPart[KeysT]):
     @cached_property
     def _lossy(self) -> bool:
         """Whether it has the thermal noise of a loss."""
-        return self.declaration.loss(self.branch) != ZERO
+        return self.declaration.loss_coefficient(self.branch) != ZERO
 
     @cached_property
     def _card(self) -> bool:

@@ -206,7 +206,7 @@ class Gap(Patched[GapKeys]):
             return
         (branch,) = (b for b in d.branches if b.kind == "voltage")
         unit = d.values(part.keys) | recorded | {branch.name: 1.0}
-        capacitance = np.asarray(evaluated(d.storage(branch), unit))
+        capacitance = np.asarray(evaluated(d.stored_quantity(branch), unit))
         rises = np.diff(capacitance) * -np.sign(np.diff(np.abs(recorded[branch.name])))
         name, most = f"{part.name} where nothing rests", float(rises.max() / capacitance.max())
         advice = "the sweep turns next to a fold, or steps over it: other points, or a wider one"
