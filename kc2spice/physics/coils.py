@@ -18,7 +18,7 @@ from kc2spice.physics.declaration import Branch, Declaration, current, displacem
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.symbolic import SLOPE, ZERO, derivative, expression, minus
 
-_TABLES = tuple(f"int_{name}" for name in POWERS)  # over the height
+_TABLES = tuple(map("int_{}".format, POWERS))  # integrals over the height
 _COILS = ("resistance_lower", "resistance_upper")
 _RANGE = ("raised", "y_min", "y_max")
 _ENDS = ("", SLOPE, 2 * SLOPE)
@@ -35,8 +35,11 @@ _LIMITS = {
 
 
 @cache
-def inductive() -> Declaration:
-    """Both coils with resistance, inductance and back-EMF, between ``lp ln`` and ``up un``."""
+def declare_coils() -> Declaration:
+    """Declare both coils with resistance, inductance and back-EMF.
+
+    The pins are ``lp`` and ``ln`` of the lower coil, ``up`` and ``un`` of the upper one.
+    """
     return Declaration(
         "coils",
         "two coils and the force that they put on a magnet",
@@ -44,32 +47,32 @@ def inductive() -> Declaration:
         (_PLACE, current("i1", "lp", "ln"), current("i2", "up", "un")),
         coenergy=_COENERGY,
         content="0.5*({}*i1^2 + {}*i2^2)".format(*_COILS),
-        given=_parameters(*_RANGE, *_COILS),
+        given=_unset_parameters(*_RANGE, *_COILS),
         tables=_TABLES,
         limits=_LIMITS,
     )
 
 
 @cache
-def resistive() -> Declaration:
-    """One current through both coils, the lower one reversed, between ``drive`` and ``ret``."""
+def declare_resistive_coils() -> Declaration:
+    """Declare one current through both coils, reversed in the lower one."""
     resistance = f"({' + '.join(_COILS)})"
     ends = (voltage("v", "drive", "ret"),)
-    return _pull(
+    return _declare_force(
         f"-v/{resistance}", f"v/{resistance}", _COILS, ends, content=f"0.5*v^2/{resistance}"
     )
 
 
 @cache
-def prescribed() -> Declaration:
-    """Constant currents ``lower`` and ``upper``."""
-    return _pull("lower", "upper", ("lower", "upper"))
+def declare_prescribed_currents() -> Declaration:
+    """Declare constant currents ``lower`` and ``upper``."""
+    return _declare_force("lower", "upper", ("lower", "upper"))
 
 
-def _pull(
+def _declare_force(
     i1: str, i2: str, names: tuple[str, ...], ends: tuple[Branch, ...] = (), content: str = "0"
 ) -> Declaration:
-    """The force alone: what moves the magnet is not taken from what feeds the coils."""
+    """Declare the force alone, without the back-EMF in the coils."""
     currents = {"i1": expression(i1), "i2": expression(i2)}
     pull = derivative(expression(_COENERGY, tables=_TABLES), "y")
     force = substitute(minus(ZERO, pull), currents)
@@ -79,45 +82,50 @@ def _pull(
         Section,
         (_PLACE, *ends),
         forces={"y": Writer().write(force)},
-        given=_parameters(*_RANGE, *names),
+        given=_unset_parameters(*_RANGE, *names),
         tables=(*_TABLES, *(p + SLOPE for p in _TABLES)),
         limits=_LIMITS,
         content=content,
     )
 
 
-def force_text() -> str:
-    """The force by nodes of the coefficients and of both currents, as nested products."""
-    rows = {1: "", 2: ""}
+def write_force() -> str:
+    """Write the force as nested products of the nodes of coefficients and currents."""
+    first, second = [], []
     for name, (a, b) in POWERS.items():
-        if a + b:
-            more = "*V(i1)" * (a - 1) + "*V(i2)" * (b - (not a))
-            rows[1 if a else 2] += f"+V({name}){more}"
-    return "V(c0)" + "".join(f"+V(i{k})*({row[1:]})" for k, row in rows.items())
+        if a:
+            first.append(f"V({name})" + "*V(i1)" * (a - 1) + "*V(i2)" * b)
+        elif b:
+            second.append(f"V({name})" + "*V(i2)" * (b - 1))
+    return f"V(c0)+V(i1)*({'+'.join(first)})+V(i2)*({'+'.join(second)})"
 
 
-def _parameters(*names: str) -> tuple[Param, ...]:
+def _unset_parameters(*names: str) -> tuple[Param, ...]:
     return tuple(Param(name, 0.0, "-", "") for name in names)
 
 
-def law(
+def make_law(
     name: str, declaration: Declaration, table: EMTable, raised: float = 0.0, **given: float
 ) -> DeclaredLaw:
-    """Law of coils with this ``table``, on a magnet that is ``raised`` [m] above its coordinate."""
+    """Make the law of coils with this ``table``.
+
+    The magnet is ``raised`` [m] above its coordinate.
+    """
     known = dict(zip(_COILS, table.resistance.tolist(), strict=True)) | given
     known |= {"raised": raised, "y_min": float(table.y[0]), "y_max": float(table.y[-1])}
     values = tuple(known[param.name] for param in declaration.given)
-    return DeclaredLaw(name, declaration, values, tables=_tables(table.coenergy))
+    return DeclaredLaw(name, declaration, values, tables=_table_functions(table.coenergy))
 
 
-def _tables(coenergy: Coenergy) -> Mapping[str, Callable[[float], float]]:
-    """The functions that the declarations call; those of one height are looked up once."""
+def _table_functions(coenergy: Coenergy) -> Mapping[str, Callable[[float], float]]:
+    """Functions that the declarations call; all values of one height are calculated once."""
     result: dict[str, Callable[[float], float]] = {}
     for order, end in enumerate(_ENDS):
         values = lru_cache(maxsize=1)(coenergy.slopes[order])
-        result |= {p + end: partial(_one, values, k) for k, p in enumerate(_TABLES)}
+        for k, table in enumerate(_TABLES):
+            result[table + end] = partial(_value_at, values, k)
     return result
 
 
-def _one(values: Callable[[float], Any], k: int, y: float) -> float:
+def _value_at(values: Callable[[float], Any], k: int, y: float) -> float:
     return float(values(y)[k])

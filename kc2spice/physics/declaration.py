@@ -41,7 +41,7 @@ from kc2spice.netlist.expression import Call, Name, Tree, Writer, rebuilt, subst
 from kc2spice.physics.symbolic import (
     ZERO,
     derivative,
-    evaluated,
+    evaluate,
     expression,
     is_affine,
     kinks,
@@ -600,5 +600,5 @@ class Declaration:
         result = {name: float(getattr(keys, name)) for name in self._number_keys}
         result |= self._defaults
         for name, tree in self.constant_trees.items():
-            result[name] = float(evaluated(tree, result))
+            result[name] = float(evaluate(tree, result))
         return result

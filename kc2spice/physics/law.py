@@ -17,13 +17,13 @@ from kc2spice.netlist.expression import Name, Number, Tree, substitute
 from kc2spice.physics.declaration import LOOPS, Branch, Declaration, coordinates_of
 from kc2spice.physics.symbolic import (
     ZERO,
+    compile_function,
     derivative,
-    flagged,
-    function,
     kinks,
     minus,
     names,
     plus,
+    replace_kinks,
     times,
 )
 
@@ -132,7 +132,7 @@ class DeclaredLaw(Device):
         laws = (*d.state_rates.values(), *d.output_trees.values())
         trees = (*map(d.direct_flow, d.acting_branches), *laws)
         for tree, name in product(map(self._in_inputs, trees), self._inputs):
-            slope = flagged(derivative(tree, name), self._corners)
+            slope = replace_kinks(derivative(tree, name), self._corners)
             if not names(slope).isdisjoint(self._inputs):
                 return False
         return not self.storing
@@ -166,10 +166,10 @@ class DeclaredLaw(Device):
         rows = list(trees)
         if slopes:
             rows += starmap(derivative, product(rows, self._inputs))
-        smooth = [flagged(tree, self._corners) for tree in rows]
+        smooth = [replace_kinks(tree, self._corners) for tree in rows]
         flags = map("flag{}".format, range(len(self._corners)))
         arguments = (*self._inputs, *flags, *self.declaration.parameters)
-        return function(smooth, arguments, self.tables)
+        return compile_function(smooth, arguments, self.tables)
 
     @cached_property
     def _flow_function(self) -> _Compiled:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache, reduce
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -40,10 +41,8 @@ from kc2spice.netlist.expression import (
 ZERO, ONE = Number("0"), Number("1")
 SLOPE = "_slope"  # ends the name of a table's derivative
 _DIGITS = 11  # digits of a literal in an expression that ngspice keeps
-# Derivatives by the argument u.
-# Functions with a special number of arguments.
 _PAGE = "docs/reference/declarations.md"
-_OTHER_FORMS = {
+_SUBSTITUTES = {
     "abs": "write max(0, x) + max(0, -x) for |x|",
     "log": "write ln(x) for the natural logarithm, ln(x)/ln(10) for the decimal one",
     "log10": "write ln(x)/ln(10)",
@@ -53,7 +52,9 @@ _OTHER_FORMS = {
     "sign": "write above(x) - above(-x)",
     "tan": "write sin(x)/cos(x)",
 }
+# Functions whose arguments are restricted.
 _SPECIAL = ("max(0, …)", "above(…)", "clip(…)", "poly(…, numbers)", "integral(…, x)")
+# Derivatives of functions by their argument u.
 _CHAIN = {
     "exp": "exp(u)", "ln": "1/u", "sqrt": "0.5/sqrt(u)", "sin": "cos(u)", "cos": "-sin(u)",
     "sinh": "cosh(u)", "cosh": "sinh(u)", "tanh": "1-tanh(u)*tanh(u)", "atan": "1/(1+u*u)",
@@ -64,8 +65,10 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(30)
 
 @cache
 def expression(text: str, where: str = "expression", tables: tuple[str, ...] = ()) -> Tree:
-    """The plain form of ``text``; ``tables`` are functions of one argument whose values are given
-    with those of names, the derivative of ``f`` as ``f_slope``.
+    """Parse ``text`` and simplify it.
+
+    ``tables`` are functions of one argument whose values are given with those of names. The
+    derivative of a table ``f`` is ``f_slope``.
 
     Raises
     ------
@@ -74,7 +77,7 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
     tree = parse(text, where=where)
     for node in walk(tree):
         match node:
-            case Call("max", (first, _)) if simplified(first) == ZERO:
+            case Call("max", (first, _)) if simplify(first) == ZERO:
                 continue
             case Call("integral", (_, Name(_))) | Call("clip" | "above", (_,)):
                 continue
@@ -89,7 +92,7 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
                     where=where,
                     got=name,
                     expected="one of " + candidates(name, functions, _PAGE),
-                    hint=_OTHER_FORMS.get(name) or did_you_mean(name, [*_CHAIN, *tables]),
+                    hint=_SUBSTITUTES.get(name) or did_you_mean(name, [*_CHAIN, *tables]),
                 )
             case Choice() | CircuitVariable():
                 raise UsageError(
@@ -99,18 +102,18 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
                     hint="write max(0, x) for a condition x > 0",
                 )
     try:
-        return simplified(_stepped(tree))
+        return simplify(_replace_above(tree))
     except UsageError as error:
         error.where = error.where or where
         raise
 
 
-def _stepped(tree: Tree) -> Tree:
-    """``tree`` with a choice in place of every ``above(e)``."""
+def _replace_above(tree: Tree) -> Tree:
+    """Replace every ``above(e)`` in ``tree`` by a choice."""
     match tree:
         case Call("above", (value,)):
-            return _step(simplified(_stepped(value)))
-    return rebuilt(tree, _stepped)
+            return _step(simplify(_replace_above(value)))
+    return rebuilt(tree, _replace_above)
 
 
 class _Card(Writer):
@@ -126,8 +129,9 @@ class _Card(Writer):
 
 
 def text(tree: Tree) -> str:
-    """``tree`` as written on a card; a root of less than 1e-18 of one-sided things is that of
-    1e-18.
+    """Write ``tree`` as text of a card.
+
+    The root of a one-sided function below 1e-18 is replaced by the root of 1e-18.
 
     Raises
     ------
@@ -154,26 +158,26 @@ def is_affine(tree: Tree, variables: Set[str]) -> bool:
 
 
 def plus(*trees: Tree) -> Tree:
-    """The simplified sum of two expressions."""
-    return simplified(_joined("+", (ZERO, *trees)))
+    """Add expressions and simplify the sum."""
+    return simplify(_chain_operator("+", (ZERO, *trees)))
 
 
 def minus(first: Tree, second: Tree) -> Tree:
-    """The simplified difference of two expressions."""
-    return simplified(Binary("-", first, second))
+    """Subtract two expressions and simplify the difference."""
+    return simplify(Binary("-", first, second))
 
 
 def times(*trees: Tree) -> Tree:
-    """The simplified product of two expressions."""
-    return simplified(_joined("*", (ONE, *trees)))
+    """Multiply expressions and simplify the product."""
+    return simplify(_chain_operator("*", (ONE, *trees)))
 
 
 def over(first: Tree, second: Tree) -> Tree:
-    """The simplified quotient of two expressions."""
-    return simplified(Binary("/", first, second))
+    """Divide two expressions and simplify the quotient."""
+    return simplify(Binary("/", first, second))
 
 
-def _joined(op: str, trees: Iterable[Tree]) -> Tree:
+def _chain_operator(op: str, trees: Iterable[Tree]) -> Tree:
     first, *rest = trees
     for tree in rest:
         first = Binary(op, first, tree)
@@ -185,8 +189,8 @@ def _joined(op: str, trees: Iterable[Tree]) -> Tree:
 
 @cache
 def derivative(tree: Tree, name: str) -> Tree:
-    """The exact derivative by a name, in plain form."""
-    return simplified(_derivative(tree, name))
+    """Return the exact, simplified derivative of ``tree`` by ``name``."""
+    return simplify(_derivative(tree, name))
 
 
 def _derivative(tree: Tree, name: str) -> Tree:
@@ -210,26 +214,27 @@ def _derivative(tree: Tree, name: str) -> Tree:
         case Call("max", (_, value)):
             return Binary("*", _step(value), _derivative(value, name))
         case Call("poly", (value, _, *higher)):
-            sizes = [k * float(evaluated(c, {})) for k, c in enumerate(higher, 1)]
-            series = [Number(f"{size:.{_DIGITS}g}") for size in sizes]
+            series = []
+            for k, coefficient in enumerate(higher, 1):
+                series.append(_number(k * float(evaluate(coefficient, {}))))
             slope = Call("poly", (value, *series)) if series else ZERO
             return Binary("*", slope, _derivative(value, name))
         case Call("clip", (value,)):
-            free = Binary("-", ONE, Binary("+", *map(_step, _ends(value))))
+            free = Binary("-", ONE, Binary("+", *map(_step, _clip_excesses(value))))
             return Binary("*", free, _derivative(value, name))
         case Call(function, (value,)):
             table = function not in _CHAIN
-            outer = Call(function + SLOPE, (value,)) if table else _chain(function, value)
+            outer = Call(function + SLOPE, (value,)) if table else _chain_rule(function, value)
             return _product(outer, _derivative(value, name))
     return ZERO  # numbers, and steps, which are level on either side
 
 
-def _chain(function: str, value: Tree) -> Tree:
+def _chain_rule(function: str, value: Tree) -> Tree:
     return substitute(parse(_CHAIN[function]), {"u": value})
 
 
 def _product(left: Tree, right: Tree) -> Tree:
-    """Product; zero if either factor is zero, as are most derivatives of a long sum."""
+    """Product, or zero if either factor is zero: most derivatives of a long sum are."""
     return ZERO if ZERO in (left, right) else Binary("*", left, right)
 
 
@@ -250,7 +255,7 @@ def _step(value: Tree) -> Tree:
     return Choice(Binary(">", value, ZERO), ONE, ZERO)
 
 
-def _ends(value: Tree) -> tuple[Tree, Tree]:
+def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
     """Excess of ``value`` above 1, and below -1."""
     return minus(value, ONE), minus(Unary("-", value), ONE)
 
@@ -287,16 +292,16 @@ class _Product:
         if Fraction(f"{float(size):.{_DIGITS}g}") != size:
             size, below = Fraction(size.numerator), (_number(size.denominator), *below)
         above = (_number(size), *self.above) if size != 1 or not self.above else self.above
-        numerator = _joined("*", above)
-        return Binary("/", numerator, _joined("*", below)) if below else numerator
+        numerator = _chain_operator("*", above)
+        return Binary("/", numerator, _chain_operator("*", below)) if below else numerator
 
 
-def _number(value: Fraction | int) -> Number:
+def _number(value: Fraction | float) -> Number:
     return Number(f"{float(value):.{_DIGITS}g}")
 
 
 def _without_duplicates(counts: Counter[Tree]) -> tuple[Tree, ...]:
-    """Factors; a step beside ``max(0, e)`` of the same e, its root, or itself, says nothing."""
+    """Factors without steps that repeat ``max(0, e)`` of the same e, its root, or a step."""
     factors: list[Tree] = []
     for factor in counts.elements():
         match factor:
@@ -310,9 +315,13 @@ def _without_duplicates(counts: Counter[Tree]) -> tuple[Tree, ...]:
 
 
 @cache
-def simplified(tree: Tree) -> Tree:
-    """Equal terms added, equal factors cancelled, numbers worked out exactly."""
-    return _sum_of([term for term in _terms(tree) if term.size])
+def simplify(tree: Tree) -> Tree:
+    """Add equal terms, cancel equal factors, and calculate numbers exactly."""
+    return _sum_of(_nonzero_terms(tree))
+
+
+def _nonzero_terms(tree: Tree) -> list[_Product]:
+    return [term for term in _terms(tree) if term.size]
 
 
 def _sum_of(terms: list[_Product]) -> Tree:
@@ -330,7 +339,7 @@ def _terms(tree: Tree) -> list[_Product]:
         case Number(value):
             return [_Product(Fraction(value))]
         case Unary("-" | "+", _) | Binary("+" | "-", _, _):
-            return _merged(_added(tree))
+            return _merge_terms(_sum_terms(tree))
         case Binary("*", left, right):
             return [_single(left).times(_single(right))]
         case Binary("/", left, right):
@@ -347,45 +356,48 @@ def _terms(tree: Tree) -> list[_Product]:
                 expected="a whole number behind ^",
                 hint=f"write {Writer().write(_as_exponential(base, power))} for a positive base",
             )
-    return [_Product(Fraction(1), (rebuilt(tree, simplified),))] if _lives(tree) else []
+    return (
+        [_Product(Fraction(1), (rebuilt(tree, simplify),))] if _may_differ_from_zero(tree) else []
+    )
 
 
 def _as_exponential(base: Tree, power: Tree) -> Tree:
     return Call("exp", (Binary("*", power, Call("ln", (base,))),))
 
 
-def _added(tree: Tree, sign: int = 1) -> Iterator[_Product]:
-    """The terms of nested sums one by one, so that equal ones are looked for but once."""
+def _sum_terms(tree: Tree, sign: int = 1) -> Iterator[_Product]:
+    """Terms of nested sums one by one, so that equal terms are searched once."""
     match tree:
         case Unary("-" | "+" as op, value):
-            yield from _added(value, -sign if op == "-" else sign)
+            yield from _sum_terms(value, -sign if op == "-" else sign)
         case Binary("+" | "-" as op, left, right):
-            yield from _added(left, sign)
-            yield from _added(right, -sign if op == "-" else sign)
+            yield from _sum_terms(left, sign)
+            yield from _sum_terms(right, -sign if op == "-" else sign)
         case _:
             yield from (_Product(sign * t.size, t.above, t.below) for t in _terms(tree))
 
 
-def _lives(tree: Tree) -> bool:
-    """Whether a function of numbers alone is not known to be zero."""
+def _may_differ_from_zero(tree: Tree) -> bool:
+    """Whether a function is not ``max(0, e)`` of an expression e that is zero."""
     return not (
-        isinstance(tree, Call) and tree.function == "max" and simplified(tree.arguments[1]) == ZERO
+        isinstance(tree, Call) and tree.function == "max" and simplify(tree.arguments[1]) == ZERO
     )
 
 
 @cache  # the derivative of a product has the same sums many times
 def _single(tree: Tree) -> _Product:
-    """The tree as one product; a sum is a factor of it."""
-    result = [term for term in _terms(tree) if term.size]
+    """One product equal to ``tree``, with a sum as a factor."""
+    result = _nonzero_terms(tree)
     if len(result) == 1:
         return result[0]
     return _Product(Fraction(1), (_sum_of(result),)) if result else _Product(Fraction(0))
 
 
-def _merged(terms: Iterable[_Product]) -> list[_Product]:
-    sums: dict[tuple[frozenset[Any], ...], _Product] = {}
+def _merge_terms(terms: Iterable[_Product]) -> list[_Product]:
+    sums: dict[tuple[frozenset[Any], frozenset[Any]], _Product] = {}
     for term in terms:
-        key = tuple(frozenset(Counter(part).items()) for part in (term.above, term.below))
+        above, below = Counter(term.above), Counter(term.below)
+        key = frozenset(above.items()), frozenset(below.items())
         before = sums.get(key)
         size = term.size + (before.size if before else 0)
         first = before or term
@@ -398,30 +410,38 @@ def _merged(terms: Iterable[_Product]) -> list[_Product]:
 
 def kinks(tree: Tree) -> tuple[Tree, ...]:
     """Arguments ``e`` of every ``max(0, e)`` and of its derivatives, inner ones first."""
-    result = [item for child in children(tree) for item in kinks(child)]
+    result = [*chain.from_iterable(map(kinks, children(tree)))]
     match tree:
         case Call("clip", (value,)):
-            result += _ends(value)
+            result += _clip_excesses(value)
         case Call("max", (_, value)) | Choice(Binary(">", value, _), _, _):
             result.append(value)
     return tuple(dict.fromkeys(result))
 
 
-def flagged(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
-    """``tree`` with the names ``flag0``, … for which of its ``corners`` are above zero: smooth."""
+def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
+    """Replace one-sided functions of the ``corners`` by factors ``flag0``, ``flag1``, ….
+
+    The result is smooth. A flag is 1 where its corner is above zero, otherwise 0.
+    """
     match tree:
         case Call("sqrt", (Call("max", (_, value)),)):  # zero, not complex, where a step goes past
-            return Call("sqrt", (Call("max", (ZERO, flagged(value, corners))),))
+            return Call("sqrt", (Call("max", (ZERO, replace_kinks(value, corners))),))
         case Call("max", (_, value)):
-            flag = Name(f"flag{corners.index(value)}")
-            return Binary("*", flag, flagged(value, corners))
+            return Binary("*", _flag(value, corners), replace_kinks(value, corners))
         case Call("clip", (value,)):
-            above, below = (Name(f"flag{corners.index(end)}") for end in _ends(value))
+            over_one, under_one = _clip_excesses(value)
+            above, below = _flag(over_one, corners), _flag(under_one, corners)
             free, ends = Binary("-", ONE, Binary("+", above, below)), Binary("-", above, below)
-            return Binary("+", Binary("*", free, flagged(value, corners)), ends)
+            return Binary("+", Binary("*", free, replace_kinks(value, corners)), ends)
         case Choice(Binary(">", value, _), _, _):
-            return Name(f"flag{corners.index(value)}")
-    return rebuilt(tree, lambda node: flagged(node, corners))
+            return _flag(value, corners)
+    return rebuilt(tree, lambda node: replace_kinks(node, corners))
+
+
+def _flag(argument: Tree, corners: tuple[Tree, ...]) -> Name:
+    """Name that is 1 where one of the ``corners`` is above zero, otherwise 0."""
+    return Name(f"flag{corners.index(argument)}")
 
 
 class _Python(Writer):
@@ -441,10 +461,10 @@ class _Python(Writer):
             return f"({self.write(horner(arguments[0], arguments[1:]))})"
         if function == "clip":
             return f"clip({self.write(arguments[0])}, -1, 1)"
-        return super().call(_python(function), arguments)
+        return super().call(_python_name(function), arguments)
 
 
-def _python(function: str) -> str:
+def _python_name(function: str) -> str:
     """Name of a table in Python, distinct from that of a key."""
     known = function in _SCOPE or function in _NUMPY
     return _NUMPY.get(function, function) if known else f"table_{function}"
@@ -461,20 +481,24 @@ _SCOPE |= {_NUMPY[name]: _SCOPE[name] for name in _NUMPY} | {"integral": _integr
 _SCOPE |= {"max": np.maximum, "clip": np.clip, "where": np.where}
 
 
-def function(
+def compile_function(
     trees: Iterable[Tree],
     arguments: Iterable[str],
     tables: Mapping[str, Callable[[Any], Any]] | None = None,
 ) -> Callable[..., tuple[Any, ...]]:
-    """The values of ``trees`` by those of ``arguments``, numbers or arrays; of tables the functions
-    by their names."""
-    heads = ", ".join(f"_{name}" for name in arguments)
-    values = "".join(f"{_Python().write(tree)}, " for tree in trees)
-    scope = _SCOPE | {_python(name): table for name, table in (tables or {}).items()}
+    """Compile a function that returns the values of ``trees`` for values of ``arguments``.
+
+    The values are numbers or arrays. ``tables`` maps names to the functions that expressions call.
+    """
+    heads = ", ".join(map("_{}".format, arguments))
+    values = "".join(map("{}, ".format, map(_Python().write, trees)))
+    scope = dict(_SCOPE)
+    for name, table in (tables or {}).items():
+        scope[_python_name(name)] = table
     compiled: Callable[..., tuple[Any, ...]] = eval(f"lambda {heads}: ({values})", scope)
     return compiled
 
 
-def evaluated(tree: Tree, known: Mapping[str, Any]) -> Any:
-    """``tree`` by the values of names, numbers or arrays."""
-    return np.asarray(function((tree,), known)(*known.values())[0])
+def evaluate(tree: Tree, known: Mapping[str, Any]) -> Any:
+    """Evaluate ``tree`` for ``known`` values of its names, numbers or arrays."""
+    return np.asarray(compile_function((tree,), known)(*known.values())[0])

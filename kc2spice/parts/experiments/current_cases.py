@@ -125,7 +125,11 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         for k, force in enumerate(_forces(part, build)):
             case = f"{fed.name} {k}"  # no part has a blank in its name
             lower, upper = cases(part)[k]
-            result.append(coils.law(case, coils.prescribed(), table, lower=lower, upper=upper))
+            result.append(
+                coils.make_law(
+                    case, coils.declare_prescribed_currents(), table, lower=lower, upper=upper
+                )
+            )
             height.append(f"{case}.y")
             results[force] = laws.reading(f"{case}.y.through", -1.0)
         pins, sweeps = (("y", f"{n}.out"),), {"height": (n, 1.0)}

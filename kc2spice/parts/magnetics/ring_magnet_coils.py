@@ -197,7 +197,7 @@ def _inductive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
         {"k": 2, "name": "upper", "plus": "up", "minus": "un", "own": default[1, 1]},
     ]
     result = {"henry": henry, "coils": windings, "mutual": default[0, 1], "functions": functions}
-    return result | {"force": coils.force_text()}
+    return result | {"force": coils.write_force()}
 
 
 def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
@@ -409,10 +409,13 @@ class RingMagnetCoils(Touching[Coils]):
     def law(self, part: Part[Coils], build: Build) -> laws.Equations:
         n, scene, table = part.name, build.scene, build.model(part, EMTable)
         prefix, apart = label(part), real(part, scene)
-        stated, ends = coils.resistive(), (("drive.through", -1.0), ("drive.through", 1.0))
+        stated, ends = (
+            coils.declare_resistive_coils(),
+            (("drive.through", -1.0), ("drive.through", 1.0)),
+        )
         if apart:
-            stated, ends = coils.inductive(), (("i1", 1.0), ("i2", 1.0))
-        law = coils.law(n, stated, table, offset(part, "y", scene))
+            stated, ends = coils.declare_coils(), (("i1", 1.0), ("i2", 1.0))
+        law = coils.make_law(n, stated, table, offset(part, "y", scene))
         pins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins)
         results = {}
         for coil, (wave, sign) in zip(COILS, ends, strict=True):
