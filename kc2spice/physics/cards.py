@@ -12,6 +12,7 @@ from dataclasses import replace
 from itertools import chain
 
 from kc2spice.core.domains import QUANTITIES, Quantity
+from kc2spice.core.naming import names_of
 from kc2spice.netlist.circuit import Element, Item, Model, Parameters
 from kc2spice.netlist.elements import Line, noted, pivots
 from kc2spice.netlist.expression import (
@@ -25,7 +26,7 @@ from kc2spice.netlist.expression import (
     walk,
 )
 from kc2spice.netlist.spelling import LEAK_RATE
-from kc2spice.physics.declaration import Branch, Declaration, coordinates_of
+from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.symbolic import (
     ONE,
     ZERO,
@@ -173,7 +174,7 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     yield Element.of(f"Cmass_{n}", v, end, f"{{{text(declaration.mass(b))}}}", IC=f"{{{fast}}}")
     shaken = [other for other in declaration.branches if other.domain.name == b.domain.frame]
     weight = declaration.direct_flow(b)
-    still = plus(substitute(weight, dict.fromkeys(coordinates_of(shaken), ZERO)))
+    still = plus(substitute(weight, dict.fromkeys(names_of(shaken), ZERO)))
     if still != ZERO:
         yield Element.of(f"Iweight_{n}", v, base, f"{{{text(still)}}}")
     for other in shaken:

@@ -13,7 +13,15 @@ from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.netlist.expression import Name, Tree, Writer, substitute
 from kc2spice.physics.declaration import RATE, Declaration, displacement
-from kc2spice.physics.symbolic import derivative, evaluate, expression, minus, over, plus, times
+from kc2spice.physics.symbolic import (
+    derivative,
+    evaluate_tree,
+    expression,
+    minus,
+    over,
+    plus,
+    times,
+)
 
 RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
 # A block between compiled modules alone ended 35 mm away instead of 0.2, without an error message.
@@ -60,11 +68,11 @@ class Normal:
 
     def energy(self, x: np.ndarray) -> np.ndarray:
         """``int f dx`` [J], 0 where nothing touches."""
-        return np.asarray(evaluate(self._laws[0], self.numbers | {"x": x}))
+        return np.asarray(evaluate_tree(self._laws[0], self.numbers | {"x": x}))
 
     def force(self, x: np.ndarray) -> np.ndarray:
         """``f(x)`` [N], 0 where nothing touches."""
-        return np.asarray(evaluate(self._laws[1], self.numbers | {"x": x}))
+        return np.asarray(evaluate_tree(self._laws[1], self.numbers | {"x": x}))
 
 
 @cache

@@ -35,13 +35,14 @@ from itertools import chain
 
 from kc2spice.core.domains import QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
+from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import Call, Name, Tree, Writer, rebuilt, substitute, walk
 from kc2spice.physics.symbolic import (
     ZERO,
     derivative,
-    evaluate,
+    evaluate_tree,
     expression,
     is_affine,
     kinks,
@@ -172,11 +173,6 @@ def loop(name: str) -> Branch:
     return Branch("current", name, "", "", name)
 
 
-def coordinates_of(branches: Iterable[Branch]) -> tuple[str, ...]:
-    """Names of the coordinates of ``branches``."""
-    return tuple(branch.name for branch in branches)
-
-
 def _unknown_name(
     part: str, what: str, unknown: Sequence[str], known: Iterable[str], hint: str = ""
 ) -> UsageError:
@@ -265,10 +261,8 @@ class Declaration:
         for what, tree in self._all_trees():
             if unknown := sorted(names(tree) - known):
                 raise _unknown_name(self.name, what, unknown, known, self._coordinate_hint(unknown))
-        self._check_names("energy", self._tree("energy"), set(coordinates_of(self.displacements)))
-        self._check_names(
-            "coenergy", self._tree("coenergy"), set(coordinates_of(self.acting_branches))
-        )
+        self._check_names("energy", self._tree("energy"), set(names_of(self.displacements)))
+        self._check_names("coenergy", self._tree("coenergy"), set(names_of(self.acting_branches)))
         earlier = {*self.states}
         for b in self.measured_branches:
             earlier |= {b.name, b.rate}
@@ -326,7 +320,7 @@ class Declaration:
     @cached_property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the branches' coordinates."""
-        return coordinates_of(self.branches)
+        return tuple(names_of(self.branches))
 
     @cached_property
     def rates(self) -> tuple[str, ...]:
@@ -547,7 +541,7 @@ class Declaration:
     @cached_property
     def dissipation(self) -> Tree:
         """The power [W] that becomes heat."""
-        others = coordinates_of(self.stationary_branches)
+        others = names_of(self.stationary_branches)
         rates, powers = map(self._heat, self.rates), map(self._heat, others)
         return plus(*rates, *self._powers_of_forces, *powers)
 
@@ -600,5 +594,5 @@ class Declaration:
         result = {name: float(getattr(keys, name)) for name in self._number_keys}
         result |= self._defaults
         for name, tree in self.constant_trees.items():
-            result[name] = float(evaluate(tree, result))
+            result[name] = float(evaluate_tree(tree, result))
         return result

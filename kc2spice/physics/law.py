@@ -13,8 +13,9 @@ import numpy as np
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, Flow, LawPin, Tap
+from kc2spice.core.naming import names_of
 from kc2spice.netlist.expression import Name, Number, Tree, substitute
-from kc2spice.physics.declaration import LOOPS, Branch, Declaration, coordinates_of
+from kc2spice.physics.declaration import LOOPS, Branch, Declaration
 from kc2spice.physics.symbolic import (
     ZERO,
     compile_function,
@@ -113,7 +114,7 @@ class DeclaredLaw(Device):
 
     @property
     def states(self) -> tuple[str, ...]:
-        return (*coordinates_of(self._flowing), *self.declaration.states)
+        return (*names_of(self._flowing), *self.declaration.states)
 
     @property
     def storing(self) -> bool:

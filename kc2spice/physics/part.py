@@ -10,6 +10,7 @@ import numpy as np
 
 from kc2spice.core import laws
 from kc2spice.core.domains import SIGNALS, TRANSLATION, VELOCITY
+from kc2spice.core.naming import names_of
 from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.netlist.circuit import Circuit, Item, Param, Pin
 from kc2spice.netlist.expression import Tree
@@ -26,7 +27,7 @@ from kc2spice.physics.cards import (
 )
 from kc2spice.physics.declaration import LOOPS, Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.symbolic import derivative, evaluate, kinks, names
+from kc2spice.physics.symbolic import derivative, evaluate_tree, kinks, names
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.keys import model_keys
 from kc2spice.scene.model import (
@@ -109,7 +110,7 @@ class DeclaredPart(PartType[KeysT]):
             elif b.domain.path:
                 # all others at rest first: what a long sum leaves of it has a short derivative
                 slope = derivative(d.at_rest(d.direct_flow(b), b.name), b.name)
-                if evaluate(d.at_rest(slope), values):
+                if evaluate_tree(d.at_rest(slope), values):
                     stiff.append((b.plus, b.minus))
         return Rest((*stiff, *flowing))
 
@@ -182,7 +183,7 @@ class DeclaredPart(PartType[KeysT]):
             for tree in dict.fromkeys(chain.from_iterable(map(kinks, forces))):
                 if names(tree).isdisjoint(known):
                     continue
-                met = evaluate(tree, d.values(part.keys) | known) > 0
+                met = evaluate_tree(tree, d.values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
                 yield Check(f"strikes of {part.name}", strikes, STRIKES, "", REBOUND, "warn")
 
@@ -195,7 +196,7 @@ class DeclaredPart(PartType[KeysT]):
             yield from _limit_checks(d, part, known, " at its operating point")
         for what, tree in d.stop_trees.items():
             if names(tree) - set(d.parameters) <= set(known):
-                depth = float(np.max(evaluate(tree, d.values(part.keys) | known)))
+                depth = float(np.max(evaluate_tree(tree, d.values(part.keys) | known)))
                 name = f"{part.name} beyond {what} at its operating point"
                 advice = "it has pulled in: lower the bias, or stiffen what holds it"
                 yield Check(name, max(depth, 0.0), 0.0, "m", advice, "fail" if small else "warn")
@@ -222,7 +223,7 @@ def _limit_checks(
     """Whether the limits hold that ``known`` coordinates, states and signals decide."""
     for what, tree in d.limit_trees.items():
         if names(tree) - set(d.parameters) <= set(known):
-            value = float(np.min(evaluate(tree, d.values(part.keys) | known)))
+            value = float(np.min(evaluate_tree(tree, d.values(part.keys) | known)))
             advice = f"{d.limits[what]} must stay above zero"
             beyond = max(-value, 0.0)
             yield Check(f"{what} of {part.name}{where}", beyond, 0.0, "beyond the limit", advice)
@@ -304,7 +305,7 @@ def declared_subcircuit(
     from kc2spice.synthesis.header import defaults, part_header  # loads scipy
 
     d, pins = declaration, pins_of(declaration)
-    ends = tuple(pin.name for pin in pins)
+    ends = tuple(names_of(pins))
     distinct([*ends, *map(checked, d.signals)], _INNER, where=name)
     keys = []
     for key in model_keys(d.keys):
@@ -351,7 +352,7 @@ def energies(
     known = d.values(part.keys) | dict(recorded) | speeds | slopes
 
     def over_time(tree: Tree) -> np.ndarray:
-        return np.asarray(evaluate(tree, known) * np.ones_like(time))
+        return np.asarray(evaluate_tree(tree, known) * np.ones_like(time))
 
     stored = over_time(d.stored_energy)
     heat, rise = _heat(d, known, means, time), np.diff(stored)
@@ -396,7 +397,7 @@ def _heat(
         if np.size(values) > 1:
             first[name], last[name] = values[:-1], values[1:]
     lost = declaration.dissipation
-    power = evaluate(lost, {**first, **means}) + evaluate(lost, {**last, **means})
+    power = evaluate_tree(lost, {**first, **means}) + evaluate_tree(lost, {**last, **means})
     return np.asarray(power / 2 * np.diff(time))
 
 

@@ -216,7 +216,7 @@ def _derivative(tree: Tree, name: str) -> Tree:
         case Call("poly", (value, _, *higher)):
             series = []
             for k, coefficient in enumerate(higher, 1):
-                series.append(_number(k * float(evaluate(coefficient, {}))))
+                series.append(_number(k * float(evaluate_tree(coefficient, {}))))
             slope = Call("poly", (value, *series)) if series else ZERO
             return Binary("*", slope, _derivative(value, name))
         case Call("clip", (value,)):
@@ -499,6 +499,6 @@ def compile_function(
     return compiled
 
 
-def evaluate(tree: Tree, known: Mapping[str, Any]) -> Any:
+def evaluate_tree(tree: Tree, known: Mapping[str, Any]) -> Any:
     """Evaluate ``tree`` for ``known`` values of its names, numbers or arrays."""
     return np.asarray(compile_function((tree,), known)(*known.values())[0])

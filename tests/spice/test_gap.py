@@ -12,7 +12,7 @@ from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies.bimorph import bimorph_body
 from kc2spice.parts.electrostatics.gap import branches_of
-from kc2spice.physics.symbolic import evaluate
+from kc2spice.physics.symbolic import evaluate_tree
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.resolve import resolve_build
@@ -174,7 +174,7 @@ def test_a_bent_beam_is_longer(count):
     })  # fmt: skip
     declared = scene.parts["stretch"].type.declared(scene.parts["stretch"], scene)
     known = {f"x{k}": 0.1 * w for k, w in enumerate(means, 1)}
-    energy = evaluate(
+    energy = evaluate_tree(
         declared.stored_energy, {"length": 1.0, "stiffness": 2.0, "tension": 0.0} | known
     )
     assert energy == pytest.approx(((np.pi * 0.1) ** 2 / 4) ** 2, rel=80 / count**4)
@@ -204,7 +204,7 @@ def test_a_bent_plate_stretches_in_both_directions(along, rows):
     integral = 3 * (np.pi * amplitude) ** 2 / 16 * (width / length + length / width)
     along_plate = 2.0 * length / width  # E h / (1 - nu^2)
     exact = along_plate / (8 * length * width) * integral**2
-    assert evaluate(declared.stored_energy, known) == pytest.approx(exact, rel=65 / rows**4)
+    assert evaluate_tree(declared.stored_energy, known) == pytest.approx(exact, rel=65 / rows**4)
 
 
 def test_a_quarter_bends_as_a_quarter_of_a_plate():

@@ -27,7 +27,7 @@ from kc2spice.physics.declaration import (
 )
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import DeclaredPart, across_pins
-from kc2spice.physics.symbolic import ONE, ZERO, derivative, evaluate, over, times
+from kc2spice.physics.symbolic import ONE, ZERO, derivative, evaluate_tree, over, times
 from kc2spice.scene.model import (
     Build,
     KeysT,
@@ -142,7 +142,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return ONE if value == 1 else Number(f"{value:g}")
 
     def _number(self, part: Part[KeysT], tree: Tree) -> float:
-        return float(evaluate(tree, self.declaration.values(part.keys)))
+        return float(evaluate_tree(tree, self.declaration.values(part.keys)))
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header

@@ -49,7 +49,7 @@ from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.mechanics import _stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.physics.part import pins_of
-from kc2spice.physics.symbolic import evaluate
+from kc2spice.physics.symbolic import evaluate_tree
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import (
@@ -206,7 +206,7 @@ class Gap(Patched[GapKeys]):
             return
         (branch,) = (b for b in d.branches if b.kind == "voltage")
         unit = d.values(part.keys) | recorded | {branch.name: 1.0}
-        capacitance = np.asarray(evaluate(d.stored_quantity(branch), unit))
+        capacitance = np.asarray(evaluate_tree(d.stored_quantity(branch), unit))
         rises = np.diff(capacitance) * -np.sign(np.diff(np.abs(recorded[branch.name])))
         name, most = f"{part.name} where nothing rests", float(rises.max() / capacitance.max())
         advice = "the sweep turns next to a fold, or steps over it: other points, or a wider one"

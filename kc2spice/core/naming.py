@@ -1,0 +1,19 @@
+"""Names of things that have one: ports, pins, parts, branches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Protocol
+
+
+class Named(Protocol):
+    """An object with a name."""
+
+    @property
+    def name(self) -> str:
+        """Its name in a scene or in a netlist."""
+
+
+def names_of(items: Iterable[Named]) -> list[str]:
+    """Return the names of ``items`` in their order."""
+    return [item.name for item in items]
