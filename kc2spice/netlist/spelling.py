@@ -53,6 +53,11 @@ def name(text: str, *, where: str = "netlist") -> str:
     return text
 
 
+def voltage_between(plus: str, minus: str) -> str:
+    """Return the vector of the voltage from one net to another, empty if both are ground."""
+    return f"v({plus})" * (plus != "0") + f"-v({minus})" * (minus != "0")
+
+
 def word(text: str) -> str:
     """``text`` if it is one printable word, such as a unit in a header.
 

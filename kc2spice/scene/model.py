@@ -428,6 +428,10 @@ class WiredScene(JoinedScene):
             return ()
         return tuple(key for key, other in self.nets.items() if other == net and key != (part, pin))
 
+    def joined_types(self, part: str, pin: str) -> set[str]:
+        """Types of the other parts on the net of this pin."""
+        return {self.parts[name].type.name for name, _ in self.joined(part, pin)}
+
 
 @dataclass(frozen=True, eq=False)
 class Scene(WiredScene):

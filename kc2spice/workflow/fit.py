@@ -24,7 +24,7 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.fem.body_keys import Damping
 from kc2spice.parts.bodies._body_model import damping_of, loss_tangent
-from kc2spice.parts.bodies._box import Varied, number_of, ranged, values_of_part
+from kc2spice.parts.bodies._box import Varied, make_varied, number_of, values_of_part
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.report.pages import write_fit
 from kc2spice.rom.complex_constants import ComplexConstants
@@ -221,7 +221,7 @@ def _varied_keys(
         value, unit = number_of(scene.part(part, where=part), key, key)
         factor = LOSSES if _LOSSY.search(key) else SPREAD
         span = (_range(key, limits) if limits else span) or (value / factor, value * factor)
-        result.append(ranged(key, unit, value, span))
+        result.append(make_varied(key, unit, value, span))
     names = [item.key for item in result]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)

@@ -9,27 +9,29 @@ from dataclasses import replace
 import numpy as np
 
 from kc2spice.core.cache import cached
-from kc2spice.core.domains import TRANSLATION
+from kc2spice.core.domains import TRANSLATION, Domain
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import reduction_target
 from kc2spice.parts.bodies._body_netlist import BodyNetlist
-from kc2spice.parts.bodies._body_ports import contacts_on, flow_name, wave_name
+from kc2spice.parts.bodies._body_ports import (
+    contacts_on,
+    flow_name,
+    mechanical_ports,
+    paired_ports,
+    wave_name,
+)
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import chip_response, resonators
 from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Balance, Check
-from kc2spice.scene.model import (
-    Build,
-    Part,
-)
+from kc2spice.scene.model import Build, Part
 from kc2spice.scene.parttype import pin_forces
-from kc2spice.synthesis.realize import (
-    COARSE,
-)
+from kc2spice.synthesis.realize import COARSE
 
 BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 OUTSIDE = "the reduced model has no error estimate above its band: widen rom.band"
@@ -110,7 +112,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _leaked(self, part: Part[LinearKeysT], build: Build) -> Iterator[Check]:
         """Check of the charge that a floating electrode loses through the netlist's leak."""
         leaked = -math.expm1(-build.scene.stop * LEAK_RATE)
-        ports = [p.name for p in build.model(part, LinearModel).ports if p.paired]
+        ports = names_of(paired_ports(build.model(part, LinearModel).ports))
         for port in ports if leaked > KEPT else ():
             name = f"charge kept by {part.name}.{port} if it floats"
             advice = "the netlist's leak: a resistor across the electrode states the real one"
@@ -119,8 +121,10 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _reduced(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms, certificate: Certificate
     ) -> Iterator[Check]:
-        """How far its reduced model is off: at the worst frequency of its band; in a transient,
-        where that is too much or a contact excites what the model lacks, under the recorded loads.
+        """Yield the check of the reduced model's error.
+
+        It is the error at the worst frequency of the band. In a transient it is the error under the
+        recorded loads, if the former is too large or a contact excites modes above the band.
 
         A pointwise error at a sharp resonance is no error of what the loads do, and a small one is
         no error of what loads above the band do. The recorded forces and voltages weight the error
@@ -155,12 +159,12 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         or if no model with more states is known.
         """
         loads, certificate = self.loads(part, build, waves), model.certificate
-        if certificate is None or not all(name in loads for name in model.inputs):
+        if certificate is None or not set(model.inputs) <= loads.keys():
             return None
         band = certificate.band_hz
         from kc2spice.rom.enriched import last_change, time_errors
 
-        t, load = waves["time"], np.column_stack([loads[name] for name in model.inputs])
+        t, load = waves["time"], np.column_stack([*map(loads.__getitem__, model.inputs)])
         count = last_change(load) + 1
         key = {**self.model_key(part, build.scene), "enriched": model.order}
 
@@ -177,17 +181,21 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         if rich is None or count < 2:
             return None
         driven = [port for port in model.ports if port.kind != "output"]
-        answered = [port.domain if port.charged else None for port in driven]
-        groups = [np.array([item is kind for item in answered]) for kind in dict.fromkeys(answered)]
-        errors = time_errors(model, rich, t[:count], load[:count], groups)
+        groups = dict[Domain | None, np.ndarray]()
+        for k, port in enumerate(driven):
+            domain = port.domain if port.charged else None
+            groups.setdefault(domain, np.zeros(len(driven), dtype=bool))[k] = True
+        errors = time_errors(model, rich, t[:count], load[:count], [*groups.values()])
         return None if errors is None else (max(errors.values(), default=0.0), rich.order)
 
     def _excited(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms, certificate: Certificate
     ) -> Iterator[Check]:
-        """Whether its band holds what drives it: ``max |v'| / (pi (max v - min v))``, the frequency
-        of a sine and a third of the reciprocal of an edge; or its first resonance, which a contact
-        excites more than any drive."""
+        """Yield checks whether the band contains the frequencies of the drives.
+
+        The frequency of a drive is ``max |v'| / (pi (max v - min v))``: that of a sine, or a third
+        of the reciprocal of an edge. A contact excites the first resonance more than any drive.
+        """
         scene, t, high = build.scene, waves["time"], certificate.band_hz[1]
         rows = scene.numerics
         if any(row.decides for row in rows):
@@ -227,7 +235,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 continue
             joined = build.scene.joined(part.name, port.terminals[0])
             if acting.keys() >= set(joined) and build.net(part, port.terminals[0]) != "0":
-                result[port.name] = sum((acting[end] for end in joined), start=still)
+                result[port.name] = sum(map(acting.__getitem__, joined), start=still)
         return result
 
     def _balance(self, part: Part[LinearKeysT], build: Build, waves: Waveforms) -> Balance | None:
@@ -239,13 +247,13 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         nothing presses on the body any more; else displacements [m] and charges [C] are exact.
         """
         model, t = resonators(build.model(part, LinearModel)), waves["time"]
-        domains = {port.domain for port in self.used_ports(part, build.scene)}
-        if model is None or not all(d is TRANSLATION or (d and d.charged) for d in domains):
+        ports = self.used_ports(part, build.scene)
+        if model is None or not all(p.charged or p.domain is TRANSLATION for p in ports):
             return None
         loads = self.loads(part, build, waves)
         if len(loads) < len(model.ports):
             return None
-        inputs = np.column_stack([loads[port.name] for port in model.ports])
+        inputs = np.column_stack([*map(loads.__getitem__, names_of(model.ports))])
         outputs, stored = chip_response(model, t, inputs)
         entries: dict[str, float] = {}
         answers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
@@ -266,7 +274,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             gap += result - took
         entries |= {"stored": float(stored[-1]), "damped": float(damped[-1])}
         if pressed := self.weights(part, build.scene) == COARSE:
-            forces = [loads[port.name] for port in model.ports if port.domain is TRANSLATION]
+            forces = [*map(loads.__getitem__, names_of(mechanical_ports(model.ports)))]
             largest = np.abs(forces).max(axis=0, initial=0.0)
             last = np.flatnonzero(largest > UNPRESSED * largest.max(initial=0.0)).max(initial=0)
             gap = gap[: int(last) + 1]

@@ -21,7 +21,7 @@ from kc2spice.fem.body_keys import Damping
 from kc2spice.parts.bodies._body_ports import BodyPorts, massless
 from kc2spice.parts.bodies._box import (
     PARAMETERS,
-    corners,
+    check_corners,
     middle_values,
     values_of_part,
     varied,
@@ -80,7 +80,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     def problems(self, part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         yield from dimensions(part.name, part.keys)
-        yield from corners(part, scene)
+        yield from check_corners(part, scene)
 
     def _chosen(self, part: Part[LinearKeysT], scene: Scene) -> Rom | None:
         """The reduction that somebody chose: the body's own, which may as well say no more than

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain
 from typing import Any
 
 from kc2spice.core import laws
 from kc2spice.core.progress import Clock
 from kc2spice.core.untrusted_files import identifier
 from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.spelling import voltage_between
 from kc2spice.parts.bodies._body_model import BodyModel
-from kc2spice.parts.bodies._body_ports import flow_name, wave_name
+from kc2spice.parts.bodies._body_ports import flow_name, paired_ports, wave_name
 from kc2spice.parts.bodies._box import varied
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.linear_model import LinearModel
@@ -50,12 +52,12 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         return COARSE if scene.solver.ringing == "coarse" else RINGING
 
     def library(self, part: Part[LinearKeysT], scene: Scene) -> str:
-        """Its part number, else :meth:`scene_library`."""
+        """Return its part number, or :meth:`scene_library` if it has none."""
         scene_name = self.scene_library(part, scene)
         return identifier(part.keys.number, part.name) if part.keys.number else scene_name
 
     def scene_library(self, part: Part[LinearKeysT], scene: Scene) -> str:
-        """The names of scene and part: libraries of many scenes may stand in one folder."""
+        """Return the names of scene and part: one folder may contain libraries of many scenes."""
         name = f"{scene.name[: _LONGEST - len(part.name)]}_{part.name}"
         return identifier(name, part.name)
 
@@ -65,7 +67,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         name = build.libraries[part.name]
         volts = self.rated(part, build)
         rating = f"{volts:.4g} V between {RATED}" if volts else UNRATED
-        if not volts and any(port.paired for port in build.model(part, LinearModel).ports):
+        if not volts and paired_ports(build.model(part, LinearModel).ports):
             rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
         words: dict[str, Any] = {"title": self.headline(part), "rating": rating}
         words["weights"] = self.weights(part, build.scene)
@@ -74,7 +76,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
 
             result = self.varying(part, build.scene, Clock())
             known = {item.key: item.param for item in keys}
-            params = [known[key] for key in result.box]
+            params = [*map(known.__getitem__, result.box)]
             return (parametric_subcircuit(result, name, params, header, **words),)
         return (
             subcircuit(build.model(part, LinearModel), name, header, **words, noise=build.noisy),
@@ -86,8 +88,9 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         for port in ports:
             name, node = wave_name(part.name, ports, port), build.net(part, port.terminals[0])
             if port.paired:
-                nets = zip(("", "-"), (build.net(part, pin) for pin in port.terminals), strict=True)
-                if across := "".join(f"{sign}v({net})" for sign, net in nets if net != "0"):
+                plus, minus = port.terminals
+                across = voltage_between(build.net(part, plus), build.net(part, minus))
+                if across:
                     result[f"{name}.voltage"] = Vector(across, 1.0, "V")
                 if (meter := current_into(part, port.terminals[0], build)) is not None:
                     result[f"{name}.current"] = meter
@@ -106,16 +109,15 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         heat, last = is_heat(model), build.scene.pins(part.name)[-1].name
         if build.net(part, last) != "0" and not heat:  # its reference
             return None
-        signals = not any(port.conservative for port in ports)
-        law_ports = tuple(
-            laws.LawPort(
-                p.name,
-                p.domain.name if p.domain else p.kind,
-                last if heat else "".join(p.terminals[1:]),
+        pins = []
+        for port in ports:
+            kind = port.domain.name if port.domain else port.kind
+            pins.append(
+                laws.LawPort(port.name, kind, last if heat else "".join(port.terminals[1:]))
             )
-            for p in ports
-        )
-        mixed = not all(port.conservative for port in ports)
+        law_ports = tuple(pins)
+        conservative = {port.conservative for port in ports}
+        signals, mixed = True not in conservative, False in conservative
         if not signals and (mixed or model.first_order != heat):
             return None
         law: laws.Law
@@ -129,7 +131,8 @@ class BodyNetlist(BodyModel[LinearKeysT]):
             modal = resonators(model)
             law = laws.SecondOrderBody(n, model if modal is None else modal.linear(), law_ports)
         joins = [(port.terminals[0], f"{n}.{port.name}") for port in ports]
-        joins += [(pin, f"{n}.{pin}") for port in ports for pin in port.terminals[1:]]
+        for pin in chain.from_iterable(port.terminals[1:] for port in ports):
+            joins.append((pin, f"{n}.{pin}"))
         joins += [(last, f"{n}.{last}")] * heat
         results: dict[str, laws.Reading] = {}  # under the names of vectors
         for port in ports:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
-from itertools import product
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import filterfalse, product
 
 import numpy as np
 
 from kc2spice.core.domains import BASE, PORTS, REFERENCES, TRANSLATION
 from kc2spice.core.errors import unknown
+from kc2spice.core.naming import names_of
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import Surface, Touching
@@ -26,14 +27,12 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.rows import Rest
-from kc2spice.synthesis.realize import (
-    reference_pin,
-)
+from kc2spice.synthesis.realize import reference_pin
 
 # Kinds of ports with one pin against the common reference, and the short words of their waves.
 ANSWERS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
-_FILLED = (domain for domain in ANSWERS.values() if domain.charged)
-FLOWS = {domain.port: domain.quantity("through").symbol for domain in _FILLED}
+# Symbols of the flows that charge a port, by its kind.
+FLOWS = {row.port: row.quantity("through").symbol for row in ANSWERS.values() if row.charged}
 WORDS = (*(domain.word for domain in ANSWERS.values()), *FLOWS.values())
 NO_ENERGY = 1e-13  # rounding error of an energy, relative to that of the stiffest motion
 
@@ -41,10 +40,10 @@ NO_ENERGY = 1e-13  # rounding error of an energy, relative to that of the stiffe
 class BodyPorts(Touching[LinearKeysT]):
     """A part with typed ports, of which a scene uses those that something names.
 
-    A subclass says which :meth:`ports` its keys give.
+    The :meth:`ports` of a subclass follow from its keys.
     """
 
-    #: what the reduced model's head and ``explain`` call it
+    #: Origin of the model, in the head of its netlist and in ``explain``.
     source = "FE, linear"
 
     @abstractmethod
@@ -52,15 +51,15 @@ class BodyPorts(Touching[LinearKeysT]):
         """All ports that the body offers."""
 
     def headline(self, part: Part[LinearKeysT]) -> str:
-        """First line of its library: what it is and what it assumes."""
+        """First line of its library, with its assumptions."""
         return self.title
 
     def by_material(self, part: Part[LinearKeysT]) -> float | None:
-        """Largest voltage [V] that the material stands between electrodes, None if not known."""
+        """Largest voltage [V] between electrodes for its material, None if not known."""
         return None
 
     def rated(self, part: Part[LinearKeysT], build: Build | None = None) -> float | None:
-        """Largest voltage [V] between electrodes: as its keys, its layers or its mesh say."""
+        """Largest voltage [V] between electrodes, from its keys, its layers or its mesh."""
         mesh = {} if build is None else build.model(part, LinearModel).facts
         known = part.keys.rated_voltage or self.by_material(part)
         return known or mesh.get("depoling_voltage_v")
@@ -75,19 +74,19 @@ class BodyPorts(Touching[LinearKeysT]):
         if len(scene.parts) == 1 or scene.ports == "all":
             return every
         names = required_ports(part, scene)
-        known = {"ground", *REFERENCES, *(t for p in every for t in (p.name, *p.terminals))}
-        _require_ports(part, sorted(names - known), [port.name for port in every])
+        known = {"ground", *REFERENCES}.union(*map(_names_in_scene, every))
+        _require_ports(part, sorted(names - known), names_of(every))
         if scene.ports == "declared" and part.declares:
             return every
-        used = [p for p in every if p.kind not in ANSWERS or names & {p.name, *p.terminals}]
+        used = [p for p in every if p.kind not in ANSWERS or names & _names_in_scene(p)]
         return tuple(used) or every[:1]
 
     def used_port_names(self, part: Part[LinearKeysT], scene: JoinedScene) -> list[str]:
         """Return the names of the ports that the scene needs."""
-        return [port.name for port in self.used_ports(part, scene)]
+        return names_of(self.used_ports(part, scene))
 
     def pins(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """In the order of the subcircuit."""
+        """Pins in the order of the subcircuit."""
         ports, rated = self.used_ports(part, scene), self.rated(part)
         result: list[Terminal] = []
         shared: set[str] = set()
@@ -111,49 +110,53 @@ class BodyPorts(Touching[LinearKeysT]):
         return (*result, Terminal(last.name, last.unit, last.flow, "gnd"))
 
     def at_rest(self, part: Part[LinearKeysT], scene: WiredScene) -> Rest:
-        """Holds all pins against its reference."""
+        """Return the paths from all pins to its reference."""
         last = scene.pins(part.name)[-1]
         end = GROUND if last.name in (BASE, "ground") else last.name
         paths = super().at_rest(part, scene).paths
         return Rest(tuple((pin, end) for pin, _ in paths if pin != end))
 
     def rest_with_model(self, part: Part[LinearKeysT], build: Build) -> Rest:
-        """Holds all pins against its reference; those of a free body against each other.
+        """Return the paths from all pins to its reference, of a free body between its pins.
 
-        A port that takes up volume for a pressure is a path for flow only if the body gives way
-        without end.
+        A port that takes up volume for a pressure is a path for flow only in a free body.
         """
         model, rest = build.models.get(part.name), build.scene.records[part.name].rest
         if not isinstance(model, LinearModel):
             return rest
-        ports, result = self.used_ports(part, build.scene), rest.paths
-        inert, free = inert_ports(model), free_to_move(model)
-        filled = set() if free else {port.terminals[0] for port in ports if port.charged}
-        result = tuple(pair for pair in result if pair[0] not in filled)
-        if not free:
-            return Rest(result, inert=inert)
-        names = {port.name for port in ports if not port.charged}
-        first, *others = [pin for pin, _ in result if pin in names] or [GROUND]
-        fixed = tuple(pair for pair in result if pair[0] not in names)
+        ports, inert = self.used_ports(part, build.scene), inert_ports(model)
+        if not free_to_move(model):
+            charged = {port.terminals[0] for port in ports if port.charged}
+            paths = tuple(pair for pair in rest.paths if pair[0] not in charged)
+            return Rest(paths, inert=inert)
+        free = {port.name for port in ports if not port.charged}
+        fixed, pins = [], []
+        for pin, end in rest.paths:
+            if pin in free:
+                pins.append(pin)
+            else:
+                fixed.append((pin, end))
+        first, *others = pins or [GROUND]
         return Rest((*fixed, *product([first], others)), inert=inert)
 
     def inertial(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[str, ...]:
-        ports = self.used_ports(part, scene)
-        return tuple(port.terminals[0] for port in ports if port.domain is TRANSLATION)
+        ports = mechanical_ports(self.used_ports(part, scene))
+        return tuple(port.terminals[0] for port in ports)
 
     def surface(
         self, part: Part[LinearKeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> Surface | None:
-        mechanical = [p.name for p in self.ports(part, scene) if p.domain is TRANSLATION]
+        mechanical = names_of(mechanical_ports(self.ports(part, scene)))
         names = ports or tuple(mechanical[:1])
-        _require_ports(part, [n for n in names if n not in mechanical], mechanical, "mechanical ")
+        missing = [*filterfalse(mechanical.__contains__, names)]
+        _require_ports(part, missing, mechanical, "mechanical ")
         if not names:
             return None
         modulus = self.indentation_modulus(part)
         return Surface(part.name, names, (0.0,) * len(names), modulus=modulus)
 
     def indentation_modulus(self, part: Part[LinearKeysT]) -> float | None:
-        """Modulus [Pa] of the half-space that a contact presses on; None where it is not one."""
+        """Modulus [Pa] of the half-space under a contact, None if the body is none."""
         return None
 
 
@@ -171,18 +174,34 @@ def required_ports(part: Part, scene: JoinedScene) -> set[str]:
     result = set(part.pins)
     for other in scene.parts.values():
         names = (*other.pins.values(), *scene.joins[other.name].values())
-        result |= {name.removeprefix(prefix) for name in names if name.startswith(prefix)}
+        result.update(name.removeprefix(prefix) for name in names if name.startswith(prefix))
         # copies of it, with loads on all ports
         if scene.records[other.name].governs.get(part.name) == "copied":
             result |= {port.name for port in part.type.ports(part, scene) if port.kind in ANSWERS}
     for probe in scene.probes.values():
-        if probe.of.startswith(tuple(f"{prefix}{word}." for word in WORDS)):
+        word, dot, _ = probe.of.removeprefix(prefix).partition(".")
+        if probe.of.startswith(prefix) and dot and word in WORDS:
             result.add(probe.of.rpartition(".")[2])
     return result
 
 
+def mechanical_ports(ports: Iterable[Port]) -> list[Port]:
+    """Return the ports of displacements and forces."""
+    return [port for port in ports if port.domain is TRANSLATION]
+
+
+def paired_ports(ports: Iterable[Port]) -> list[Port]:
+    """Return the ports that are pairs of pins, such as electrodes."""
+    return [port for port in ports if port.paired]
+
+
+def _names_in_scene(port: Port) -> set[str]:
+    """Names by which a scene refers to a port."""
+    return {port.name, *port.terminals}
+
+
 def contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part[ContactKeys]]:
-    """The contacts that press on ports of ``part``."""
+    """Yield the contacts that press on ports of ``part``."""
     for contact in scene.of_schema("contact", ContactKeys):
         targets = scene.joins[contact.name].values()
         if any(target.startswith(f"{part.name}.") for target in targets):
@@ -190,24 +209,26 @@ def contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part[ContactKeys]]:
 
 
 def massless(part: Part, scene: JoinedScene) -> bool:
-    """Whether a contact presses on ``part`` and wants no inertia behind its ports."""
+    """Whether a contact presses on ``part`` and requires ports without inertia."""
     return any(contact.keys.inertia == "massless" for contact in contacts_on(part, scene))
 
 
 def inert_ports(model: LinearModel) -> tuple[str, ...]:
-    """Pins of displacements where inertia alone answers a sudden force: D is zero there, and no
-    state without mass moves them."""
+    """Return the pins of displacements whose response to a sudden force is inertia alone.
+
+    At these pins D is zero, and no state without mass moves them.
+    """
     if model.first_order or not model.symmetric:
         return ()
     mass = model.pencil.dense().coefficients[2]
     yields = np.diag(model.D) + np.abs(model.B[~mass.any(axis=0)]).sum(axis=0)
     inputs = dict(zip(model.inputs, yields, strict=True))
-    moved = (port for port in model.ports if port.domain is TRANSLATION)
-    return tuple(port.terminals[0] for port in moved if inputs[port.name] <= 0)
+    ports = mechanical_ports(model.ports)
+    return tuple(port.terminals[0] for port in ports if inputs[port.name] <= 0)
 
 
 def free_to_move(model: LinearModel) -> bool:
-    """Whether some motion of it costs no energy at rest, such as that of a body without support."""
+    """Whether a motion stores no energy, such as that of a body without support."""
     if resonators(model) is not None:
         return False
     rest = model.pencil.dense().coefficients[0]
@@ -225,8 +246,7 @@ def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
     the name of the part.
     """
     if port.paired:
-        first = next(p for p in ports if p.paired)
-        return name if port == first else f"{name}.{port.name}"
+        return name if port == paired_ports(ports)[0] else f"{name}.{port.name}"
     word = "" if port.domain is None else port.domain.word
     return ".".join(filter(None, (name, word, port.name)))
 

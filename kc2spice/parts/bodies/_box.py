@@ -47,7 +47,7 @@ class Varied:
 
 
 def varied(part: Part[LinearKeysT]) -> tuple[Varied, ...]:
-    """The keys that ``rom.parameters`` names.
+    """Return the keys that ``rom.parameters`` names.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def varied(part: Part[LinearKeysT]) -> tuple[Varied, ...]:
     for key, ends in ranges.items():
         value, unit = number_of(part, key, where)
         low, high = (number_of(with_values(part, {key: end}), key, where)[0] for end in ends)
-        result.append(ranged(key, unit, value, (low, high), f"{where}.{key}"))
+        result.append(make_varied(key, unit, value, (low, high), f"{where}.{key}"))
     return tuple(result)
 
 
@@ -76,10 +76,10 @@ def middle_values(keys: Iterable[Varied]) -> dict[str, float]:
     return {item.key: item.axis.middle for item in keys}
 
 
-def ranged(
+def make_varied(
     key: str, unit: str, value: float, ends: tuple[float, float], where: str | None = None
 ) -> Varied:
-    """The key with its range, the ends of which may come in either order.
+    """Make a key with its range, whose ends may come in either order.
 
     Raises
     ------
@@ -92,20 +92,20 @@ def ranged(
     return Varied(key, unit, value, low, high)
 
 
-def corners(part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
-    """Faults of the parameter range, before any full model is made."""
+def check_corners(part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
+    """Yield errors of the parameter ranges before a full model is made."""
     try:
         keys = varied(part)
-        ranges = [(item.low, item.high) for item in keys]
-        for ends in product(*ranges) if ranges else ():
-            corner = with_values(part, {k.key: v for k, v in zip(keys, ends, strict=True)})
+        ranges = {item.key: (item.low, item.high) for item in keys}
+        for ends in product(*ranges.values()) if ranges else ():
+            corner = with_values(part, dict(zip(ranges, ends, strict=True)))
             corner.type.ports(corner, scene)  # type: ignore[attr-defined]
     except UsageError as error:
         yield error
 
 
 def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[LinearKeysT]:
-    """The part with other values of some keys.
+    """Return the part with other values of some keys.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
     table = part.keys.model_dump(exclude_unset=True)
     table.pop("rom", None)
     for key, value in values.items():
-        steps = _steps(key)
+        steps = _split_key(key)
         holder: Any = table
         try:
             for step, after in pairwise(steps):
@@ -123,7 +123,7 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
                 holder = holder[step]
             holder[steps[-1]] = value
         except (KeyError, IndexError, TypeError, ValueError):
-            raise _no_key(part, key, f"{part.name}.{PARAMETERS}") from None
+            raise _unknown_key(part, key, f"{part.name}.{PARAMETERS}") from None
     try:
         keys = validated(type(part.keys), table, part.name)
         return replace(part, keys=keys.model_copy(update={"rom": part.keys.rom}))
@@ -134,11 +134,13 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
         raise wrong(error.where, problem, got, expected) from None
 
 
-def _steps(key: str) -> list[str | int]:
+def _split_key(key: str) -> list[str | int]:
+    """Split a dotted key into names and indices."""
     return [int(word) if word.isdigit() else word for word in re.findall(r"\w+", key)]
 
 
-def _no_key(part: Part, key: str, where: str) -> UsageError:
+def _unknown_key(part: Part, key: str, where: str) -> UsageError:
+    """Make the error of a key that is no number of the part."""
     known = [dotted(path) for path, _ in entries(type(part.keys))]
     plain = re.sub(r"\[-?\d+\]", "", key)
     expected = "a number below the part, such as layers[1].thickness or damping.ratio"
@@ -156,7 +158,7 @@ def _no_key(part: Part, key: str, where: str) -> UsageError:
 
 
 def number_of(part: Part, key: str, where: str) -> tuple[float, str]:
-    """The number that a key below the part has, and its SI unit.
+    """Return the number of a key below the part, and its SI unit.
 
     Raises
     ------
@@ -164,7 +166,7 @@ def number_of(part: Part, key: str, where: str) -> tuple[float, str]:
     """
     result: Any = part.keys
     unit = ""
-    for step in _steps(key):
+    for step in _split_key(key):
         if isinstance(result, BaseModel) and step in type(result).model_fields:
             unit = unit_of(type(result).model_fields[str(step)]) or ""
             result = getattr(result, str(step))
@@ -175,7 +177,7 @@ def number_of(part: Part, key: str, where: str) -> tuple[float, str]:
         elif isinstance(result, list | tuple) and isinstance(step, int) and step < len(result):
             result = result[step]
         else:
-            raise _no_key(part, key, where)
+            raise _unknown_key(part, key, where)
     if isinstance(result, bool | int) or not isinstance(result, float):
-        raise _no_key(part, key, where)
+        raise _unknown_key(part, key, where)
     return result, unit

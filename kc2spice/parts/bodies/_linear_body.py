@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import fnmatch
 import math
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from fnmatch import fnmatch
+from itertools import filterfalse
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Figure, Written
 from kc2spice.core.mesh_error import IN_PLANE, NOT_ESTIMATED
+from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies import _pictures
@@ -26,6 +28,7 @@ from kc2spice.parts.bodies._body_model import (
     loss_tangent,
     reduction_target,
 )
+from kc2spice.parts.bodies._body_ports import paired_ports
 from kc2spice.parts.bodies._box import values_of_part, varied, with_values
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.linear_model import LinearModel
@@ -38,9 +41,7 @@ from kc2spice.scene.model import (
 )
 from kc2spice.scene.rows import LargestRealPart, Neglected
 from kc2spice.scene.settings import Probe
-from kc2spice.synthesis.realize import (
-    COARSE,
-)
+from kc2spice.synthesis.realize import COARSE
 
 FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
 STEP = 1e-2  # relative, of a parameter: its sensitivities are central differences
@@ -82,7 +83,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
             return result
         # d ln(metric) / d ln(key), by key and metric: central differences within the ranges
         box = self.varying(part, build.scene, Clock())
-        port = next(port.name for port in box.ports if port.paired)
+        port = paired_ports(box.ports)[0].name
         result["sensitivity"] = {}
         for key in keys:
             ends = np.clip(key.value * (1 + STEP * np.array([-1, 1])), key.low, key.high)
@@ -102,11 +103,11 @@ class LinearBody(BodyChecks[LinearKeysT]):
             if len(read) < 2:
                 continue
             change = math.log(ends[1] / ends[0])
-            result["sensitivity"][key.param.name] = {
-                name.removesuffix("_hz").removesuffix("_f"): math.log(read[1][name] / low) / change
-                for name, low in read[0].items()
-                if name != "bvd"
-            }
+            slopes = result["sensitivity"][key.param.name] = {}
+            for name, low in read[0].items():
+                if name != "bvd":
+                    symbol = name.removesuffix("_hz").removesuffix("_f")
+                    slopes[symbol] = math.log(read[1][name] / low) / change
         return result
 
     def main_metrics(
@@ -123,14 +124,13 @@ class LinearBody(BodyChecks[LinearKeysT]):
         return {"resonance_hz": LargestRealPart(result)} if self._leads(part, build) else {}
 
     def _leads(self, part: Part[LinearKeysT], build: Build) -> bool:
-        """Whether a source alone drives the body, and the resonance that an analyser reads off is
-        the largest conductance of all."""
+        """Whether a source alone drives the body and its resonance is the largest conductance."""
         from kc2spice.bodies.impedance import analyse
 
         scene, model = build.scene, build.model(part, LinearModel)
-        pins = [pin.name for pin in scene.pins(part.name)]
+        pins = names_of(scene.pins(part.name))
         joined = {pin: scene.joined(part.name, pin) for pin in pins}
-        port = next(port for port in model.ports if port.paired)
+        port = paired_ports(model.ports)[0]
         plus, minus = port.terminals
         ((name, _),) = joined.pop(plus)
         drive = scene.parts[name].type.law(scene.parts[name], build)
@@ -168,16 +168,16 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def notes(self, part: Part[LinearKeysT], scene: Scene) -> Iterator[str | Neglected]:
         rom = reduction_target(part, scene)
         used = self.used_ports(part, scene)
-        ports = ", ".join(port.name for port in used)
+        ports = ", ".join(names_of(used))
         reach = (
             ""
             if self.least_band_end(part, scene) is None
             else f", or {MOTIONS} natural frequencies"
         )
         yield f"reduced to {aim(rom)}{reach}; ports {ports}"
-        rest = [port.name for port in self.ports(part, scene) if port not in used]
-        if rest:
-            what = f"{part.name}: ports {', '.join(rest)}"
+        unused = names_of(filterfalse(used.__contains__, self.ports(part, scene)))
+        if unused:
+            what = f"{part.name}: ports {', '.join(unused)}"
             why = "nothing of the scene needs them"
             if part.declares:
                 why = "nothing joins them: a run leaves them out, an export keeps them"
@@ -227,14 +227,10 @@ class LinearBody(BodyChecks[LinearKeysT]):
             yield f"{part.name}: no mesh half as wide ({cause}); {self.discretisation(part, build)}"
             return
         for words, limit in COARSE_MESH.items():
-            changes = (
-                abs(value / finer[name] - 1)
-                for name, value in facts.items()
-                if fnmatch(name, MESH_FACTS[words]) and finer.get(name)
-            )
-            change = max(changes, default=None)
-            if change is not None:
-                yield Check(f"mesh of {part.name} half as wide, {words}", change, limit)
+            names = fnmatch.filter(facts, MESH_FACTS[words])
+            changes = [abs(facts[name] / finer[name] - 1) for name in names if finer.get(name)]
+            if changes:
+                yield Check(f"mesh of {part.name} half as wide, {words}", max(changes), limit)
 
     def discretisation(self, part: Part[LinearKeysT], build: Build) -> str:
         """Error estimate of its mesh, or why there is none."""
@@ -242,7 +238,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
 
 
 def _value_of(part: Part, key: str) -> int:
-    """The value of a dotted key of a part, a number of pieces."""
+    """Return the value of a dotted key of a part, a number of pieces."""
     value: Any = part.keys
     for name in key.split("."):
         value = getattr(value, name)
@@ -253,12 +249,11 @@ def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
     """Values of an impedance analyser by name, with units."""
     from kc2spice.bodies.impedance import UNITS
 
-    return {
-        name: _with_units(value)
-        if isinstance(value, Mapping)
-        else Metric(value, UNITS.get(name, ""))
-        for name, value in figures.items()
-    }
+    result: dict[str, Any] = {}
+    for name, value in figures.items():
+        nested = isinstance(value, Mapping)
+        result[name] = _with_units(value) if nested else Metric(value, UNITS.get(name, ""))
+    return result
 
 
 def measured(part: Part, waves: Waveforms) -> np.ndarray | None:

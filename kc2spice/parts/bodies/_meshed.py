@@ -14,6 +14,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from itertools import filterfalse
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -75,10 +76,14 @@ class Recovered:
     motion: NodalMotion
     extremes: tuple[Extreme, ...]
 
+    def extremes_of(self, quantity: str) -> list[Extreme]:
+        """Extremes of a quantity in each material."""
+        return [item for item in self.extremes if item.quantity == quantity]
+
     @property
     def worst(self) -> Extreme:
-        """The stress nearest to or farthest beyond its limit; the largest without any limit."""
-        stresses = [item for item in self.extremes if item.quantity == "principal_stress"]
+        """The stress with the largest ratio to its limit; without limits the largest stress."""
+        stresses = self.extremes_of("principal_stress")
         limited = [item for item in stresses if item.limit]
         if not limited:
             return max(stresses, key=lambda item: item.value)
@@ -90,7 +95,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
 
     @abstractmethod
     def envelope(self, part: Part[FieldKeysT], scene: DeclaredScene) -> Envelope:
-        """Its outer size, for the sizes of effects that it lacks."""
+        """Outer size of the body, for the sizes of neglected effects."""
 
     @abstractmethod
     def support(self, part: Part[FieldKeysT]) -> str:
@@ -105,8 +110,10 @@ class MeshedBody(LinearBody[FieldKeysT]):
         """The full model with its mesh."""
 
     def device(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
-        """The same; the latest of the type stays in the workspace of the scene, as the next scene
-        often asks for another reduction of it."""
+        """The full model with its mesh, from the workspace if it is the latest of its type.
+
+        The next scene often needs another reduction of the same model.
+        """
         key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
         return scene.workspace.latest(f"device {self.name}", key, lambda: self.make(part, scene))
 
@@ -117,12 +124,12 @@ class MeshedBody(LinearBody[FieldKeysT]):
     def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         kind = scene.analysis.type
-        if kind != "transient" and (chosen(part) or (part.keys.fields and kind != "ac")):
+        if kind != "transient" and (chosen_instants(part) or (part.keys.fields and kind != "ac")):
             expected = "a transient, fields = true in ac for the shapes of modes, or false"
             problem = "fields are recovered from waveforms over time"
             yield wrong(f"{part.name}.fields", problem, f"analysis {kind}", expected)
             return
-        outside = [t for t in chosen(part) if not 0 <= t <= scene.stop]
+        outside = [t for t in chosen_instants(part) if not 0 <= t <= scene.stop]
         if outside:
             problem = "instant outside the run"
             expected = f"0 to {scene.stop:g} s"
@@ -181,11 +188,12 @@ class MeshedBody(LinearBody[FieldKeysT]):
         if recovered is not None:
             from kc2spice.bodies.fields import write_vtu
 
-            yield _over_time(part.name, recovered)
+            yield _plot_extremes(part.name, recovered)
             worst = recovered.worst
             summary = f"the instant of the worst stress: {1e-6 * worst.value:.3g} MPa in "
             instants = {"": (worst.instant, summary + worst.material)}
-            instants |= {f"_{k}": (t, "as chosen") for k, t in enumerate(chosen(part), 1)}
+            for k, t in enumerate(chosen_instants(part), 1):
+                instants[f"_{k}"] = t, "as chosen"
             for stem, (t, what) in instants.items():
                 device, state = recovered.motion.device, recovered.motion.at(t)
                 panel, factor = deformed(device, *state)
@@ -212,7 +220,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
 
             loads = self.loads(part, build, waves)
             port_names = self.used_port_names(part, build.scene)
-            if unknown := [name for name in port_names if name not in loads]:
+            if unknown := [*filterfalse(loads.__contains__, port_names)]:
                 got = f"a force on {unknown[0]} that its part does not record"
                 expected = "contacts, springs, dampers, masses and sources"
                 problem = "fields need every load of the body"
@@ -225,8 +233,8 @@ class MeshedBody(LinearBody[FieldKeysT]):
         return build.workspace.latest(kind, id(waves), recover_fields)[1]
 
 
-def chosen(part: Part[FieldKeys]) -> tuple[float, ...]:
-    """Instants [s] that the user asks for."""
+def chosen_instants(part: Part[FieldKeys]) -> tuple[float, ...]:
+    """Instants [s] of the key ``fields``."""
     return part.keys.fields if isinstance(part.keys.fields, tuple) else ()
 
 
@@ -237,11 +245,11 @@ class BondedBody(MeshedBody[FieldKeysT]):
     structure: Callable[[Any, str], Bonded]
 
     def is_clamped(self, part: Part[FieldKeysT]) -> bool:
-        """Whether its rim is held, so that air cannot flow around it."""
+        """Whether its rim is clamped, so that air cannot flow around it."""
         return False
 
     def bonded(self, part: Part[FieldKeysT]) -> Bonded:
-        """Its blocks, electrodes, supports and ports."""
+        """Blocks, electrodes, supports and ports of the body."""
         return _bonded(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
 
     def ports(self, part: Part[FieldKeysT], scene: DeclaredScene) -> tuple[Port, ...]:
@@ -250,10 +258,12 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def directions(
         self, part: Part[FieldKeysT], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """All of its motions are upwards."""
-        moved = (TRANSLATION, ACCELERATION)
-        ports = (port for port in self.ports(part, scene) if port.domain in moved)
-        return {port.terminals[0]: (0.0, 0.0, 1.0) for port in ports}
+        """Directions of its ports, all upwards."""
+        result = {}
+        for port in self.ports(part, scene):
+            if port.domain in (TRANSLATION, ACCELERATION):
+                result[port.terminals[0]] = (0.0, 0.0, 1.0)
+        return result
 
     def make(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
         return self.bonded(part).device()
@@ -281,19 +291,24 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return top.indentation_modulus if hasattr(part.keys, "layers") else None
 
     def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
-        """As those of all bodies, and what :func:`kc2spice.scene.plausible.layers` says of layers
-        of their own diameters, or all as wide as the body."""
+        """Yield the errors of all bodies, and those of implausible layers.
+
+        Layers have their own diameters, or all of them the width of the body.
+        """
         yield from super().problems(part, scene)
         layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)
-        result = [
-            (width or layer.diameter, layer.thickness, block.material.piezoelectric)
-            for layer, block in zip(layers, self.bonded(part).blocks, strict=False)
-        ]
+        result = []
+        for layer, block in zip(layers, self.bonded(part).blocks, strict=False):
+            piezoelectric = block.material.piezoelectric
+            result.append((width or layer.diameter, layer.thickness, piezoelectric))
         yield from plausible_layers(f"{part.name}.layers", result, plate=width is None)
 
     def outline(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Shape]:
-        """Blocks from the side, the highest at zero, those of a bore on both sides of it; each kind
-        is named once."""
+        """Yield the blocks from the side, with the highest face at zero.
+
+        A block with a bore is drawn on both sides of the axis. The first block of each kind has a
+        legend.
+        """
         blocks, known = self.bonded(part).blocks, set[str]()
         top = max(block.box[-1][1] for block in blocks)
         for block in blocks:
@@ -319,17 +334,20 @@ def _slug(material: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", material.lower()).strip("_")
 
 
-def _over_time(name: str, recovered: Recovered) -> Figure:
+def _plot_extremes(name: str, recovered: Recovered) -> Figure:
+    """Plot the extremes of stress and field over time."""
     panels = []
     for quantity, (_, _, label, _) in _QUANTITIES.items():
-        rows = [e for e in recovered.extremes if e.quantity == quantity]
+        rows = recovered.extremes_of(quantity)
         if quantity == "opposing_field":  # else the panel above says it all
             rows = [e for e in rows if e.limit and e.value > 0]
         if not rows:
             continue
-        curves = tuple(Curve(e.material, 1e3 * e.time, 1e-6 * e.curve) for e in rows)
-        limits = dict.fromkeys(e.limit for e in rows if e.limit and e.value > 0.2 * e.limit)
-        levels = tuple((1e-6 * limit, "limit") for limit in limits)
-        panels.append(Panel("time in ms", label, curves, levels=levels))
+        curves, levels = [], dict[float, str]()
+        for e in rows:
+            curves.append(Curve(e.material, 1e3 * e.time, 1e-6 * e.curve))
+            if e.limit and e.value > 0.2 * e.limit:
+                levels[1e-6 * e.limit] = "limit"
+        panels.append(Panel("time in ms", label, tuple(curves), levels=tuple(levels.items())))
     caption = "Largest value in each material at any Gauss point; limits where they are near."
     return Figure(f"{name}_stress", f"Stress and field in {name}", caption, tuple(panels))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, starmap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,15 +52,18 @@ class Envelope:
 
 
 def disc_air(radius: float) -> float:
-    """Mass [kg] of the air that a rigid disc moves on both sides together, ``8/3 rho a^3``; in a
-    baffle it moves that much on each (L. L. Beranek, Acoustics, 1986, section 5.2)."""
+    """Mass [kg] of the air that a rigid disc moves on both sides together, ``8/3 rho a^3``.
+
+    In a baffle it moves this mass on each side (L. L. Beranek, Acoustics, 1986, section 5.2).
+    """
     return 8 / 3 * AIR_DENSITY * radius**3
 
 
 def disc_envelope(blocks: Sequence[Block], baffled: bool, glued: bool) -> Envelope:
     """Envelope of a body of revolution; no air flows around a ``baffled`` rim."""
-    radius = max(block.box[0][1] for block in blocks)
-    low, high = min(b.box[1][0] for b in blocks), max(b.box[1][1] for b in blocks)
+    boxes = np.array([block.box for block in blocks])
+    radius = float(boxes[:, 0, 1].max())
+    low, high = float(boxes[:, 1, 0].min()), float(boxes[:, 1, 1].max())
     surface = 2 * math.pi * radius * (radius + high - low)
     mass = 0.0
     for block in blocks:
@@ -102,8 +105,10 @@ def box_envelope(sides: Sequence[float]) -> Envelope:
 
 
 def neglected_effects(name: str, envelope: Envelope, support: str) -> Iterator[Neglected]:
-    """Effects that the model of the body ``name`` leaves out. The compliance of its mounting is
-    one of them if ``support`` names the mounting."""
+    """Yield the effects that the model of the body ``name`` neglects.
+
+    The compliance of its mounting is one of them if ``support`` names the mounting.
+    """
     yield Neglected(f"{name}: load of the air", "its mass and its radiation", _air(envelope))
     if support:
         yield Neglected(f"{name}: compliance of its mounting", support, UNKNOWN)
@@ -117,7 +122,7 @@ def neglected_effects(name: str, envelope: Envelope, support: str) -> Iterator[N
 
 
 def _air(envelope: Envelope) -> str:
-    """A mass m_a beside m lowers a natural frequency by ``1 - (1 + m_a/m)^-1/2``."""
+    """Size of the air's load: a mass m_a on m lowers a frequency by ``1 - (1 + m_a/m)^-1/2``."""
     if envelope.air is None:
         return UNKNOWN
     if envelope.mass is None:
@@ -132,23 +137,26 @@ def _glue(name: str, envelope: Envelope) -> Iterator[Neglected]:
     joints = [(a, b) for a, b in pairwise(layers) if a.box[-1][1] == b.box[-1][0]]
     if not joints:
         return
-    reach = max(glued_edge(*pair) for pair in joints)
+    reach = max(starmap(glued_edge, joints))
     share = 100 * reach / envelope.length
     size = f"{1e6 * GLUE:g} um of epoxy: edges of {1e3 * reach:.2g} mm ({share:.2g} %) less coupled"
     yield Neglected(f"{name}: glue between layers", "bonded where they touch", size)
 
 
 def glued_edge(below: Block, above: Block) -> float:
-    """Length [m] from an edge within which the strain of one layer reaches the other one through
-    the shear of their glue, ``(t_g / (G (1/(E1 t1) + 1/(E2 t2))))^1/2`` (E. F. Crawley and J. de
-    Luis, AIAA J. 25 (1987) 1373)."""
+    """Length [m] over which the shear of the glue transfers strain between two layers.
+
+    It is ``(t_g / (G (1/(E1 t1) + 1/(E2 t2))))^1/2`` (E. F. Crawley and J. de Luis, AIAA J. 25
+    (1987) 1373).
+    """
     shear = material("epoxy").C[3, 3]
-    softness = sum(1 / (_youngs_modulus(b) * b.thickness) for b in (below, above))
+    softness = 1 / (_youngs_modulus(below) * below.thickness)
+    softness += 1 / (_youngs_modulus(above) * above.thickness)
     return math.sqrt(GLUE / (shear * softness))
 
 
 def _youngs_modulus(block: Block) -> float:
-    """Along the layer [Pa]."""
+    """Young's modulus [Pa] along the layer."""
     return float(1 / np.linalg.inv(block.material.C)[0, 0])
 
 

@@ -31,11 +31,13 @@ def impedances(name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], ho
     log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
     unit, scale = ("kHz", 1e3) if frequency[-1] > 5e3 else ("Hz", 1.0)
     f = frequency / scale
-    size = tuple(Curve(label, f, np.abs(values)) for label, values in z.items())
-    phase = tuple(Curve(label, f, np.angle(values, deg=True)) for label, values in z.items())
+    magnitudes, phases = [], []
+    for label, values in z.items():
+        magnitudes.append(Curve(label, f, np.abs(values)))
+        phases.append(Curve(label, f, np.angle(values, deg=True)))
     panels = (
-        Panel("", "|Z| in Ω", size, log_x=log, log_y=True),
-        Panel(f"frequency in {unit}", "phase in °", phase, log_x=log),
+        Panel("", "|Z| in Ω", tuple(magnitudes), log_x=log, log_y=True),
+        Panel(f"frequency in {unit}", "phase in °", tuple(phases), log_x=log),
     )
     caption = f"Magnitude and phase {how}"
     return Figure(f"{name}_impedance", f"Impedance of {name}", caption, panels)
@@ -58,7 +60,9 @@ def own_impedances(name: str, model: LinearModel, modal: Resonators | None) -> I
         f = np.setdiff1d(np.concatenate((f, near)), poles[modal.damp == 0])
     f = f[(f >= low) & (f <= high)]
     answers = model.transfer(f)
-    for port in (p for p in model.ports if p.electrical):
+    for port in model.ports:
+        if not port.electrical:
+            continue
         charge = answers[:, model.outputs.index(port.name), model.inputs.index(port.name)]
         port_name = name if port.name == "anode" else f"{name}_{port.name}"
         how = "of the reduced model, nothing pressing on the body, other electrodes shorted"
@@ -67,7 +71,7 @@ def own_impedances(name: str, model: LinearModel, modal: Resonators | None) -> I
 
 
 def response_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
-    """Size of voltages and displacements over frequency, where no impedance was measured."""
+    """Plot voltages and displacements over frequency, if no impedance was measured."""
     if "frequency" not in waves:
         return
     frequency = waves["frequency"].real
@@ -75,13 +79,13 @@ def response_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
     words = {"displacement in µm": (f"{name}.u.", 1e6), "voltage in V": ("voltage", 1.0)}
     panels = []
     for label, (word, scale) in words.items():
-        curves = tuple(
-            Curve(n.removeprefix(f"{name}.").removeprefix("u."), frequency, scale * np.abs(v))
-            for n, v in waves.data.items()
-            if n.startswith(name) and word in n
-        )
+        curves = []
+        for wave, values in waves.data.items():
+            if wave.startswith(name) and word in wave:
+                legend = wave.removeprefix(f"{name}.").removeprefix("u.")
+                curves.append(Curve(legend, frequency, scale * np.abs(values)))
         if curves:
-            panels.append(Panel("", label, curves, log_x=log, log_y=True))
+            panels.append(Panel("", label, tuple(curves), log_x=log, log_y=True))
     if panels:
         panels[-1] = replace(panels[-1], x="frequency in Hz")
         caption = f"What the ports of {name} answer with."
@@ -89,7 +93,7 @@ def response_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
 
 
 def port_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
-    """Displacements, voltage and current of the ports of ``name``.
+    """Plot displacements, voltage and current of the ports of ``name``.
 
     They are drawn over the shortest interval that includes every swing above 2 % of the largest.
     """
@@ -116,35 +120,39 @@ def port_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
 def deformed(
     device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray
 ) -> tuple[Panel, float]:
-    """The body under displacements z (n,) and voltages (e,), coloured by the largest principal
-    stress, over its edges at rest; and by how much displacements are enlarged."""
+    """Draw the deformed body over its edges at rest, and return the factor of displacements.
+
+    The displacements are z (n,), the voltages (e,). Colours are the largest principal stress.
+    """
     from kc2spice.bodies.fields import at_nodes, principal_stress
 
     result = at_nodes(device, z, voltages)
     stress = 1e-6 * principal_stress(result["stress"])
-    moved, factor = _enlarged(device, result["displacement"])
+    moved, factor = _enlarge(device, result["displacement"])
     at_rest = edges("at rest", device.solid.mesh, ":", fine=0)
     label = "largest principal stress in MPa"
-    panel = Panel("mm", "mm", (at_rest,), equal=True, map=_map(device, moved, stress, label))
+    panel = Panel(
+        "mm", "mm", (at_rest,), equal=True, map=_map_surface(device, moved, stress, label)
+    )
     return panel, factor
 
 
 def shapes(device: FiniteElementModel, hertz: np.ndarray, columns: np.ndarray) -> Iterator[Panel]:
-    """A panel for each mode, ``columns`` (n, modes)."""
+    """Yield a panel for each mode, a column of ``columns`` (n, modes)."""
     from kc2spice.bodies.fields import at_nodes
 
     still = np.zeros(device.drive.shape[1])
     for f, z in zip(hertz, columns.T, strict=True):
         result = at_nodes(device, z, still)["displacement"]
-        moved, _ = _enlarged(device, result)
+        moved, _ = _enlarge(device, result)
         size = np.linalg.norm(result, axis=1)
-        colours = _map(device, moved, size / size.max(), "of the largest")
+        colours = _map_surface(device, moved, size / size.max(), "of the largest")
         at_rest = edges("at rest", device.solid.mesh, ":", fine=0)
         word = f"{f / 1e3:.4g} kHz" if f >= 1e3 else f"{f:.4g} Hz"
         yield Panel(f"mm, {word}", "mm", (at_rest,), equal=True, map=colours)
 
 
-def _enlarged(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray, float]:
+def _enlarge(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray, float]:
     """Corners (elements, vertices, 3) [m] with enlarged displacements, and the factor."""
     mesh = device.solid.mesh
     corners = mesh.p[:, mesh.t].transpose(2, 1, 0)
@@ -156,8 +164,10 @@ def _enlarged(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray
     return corners + factor * moves, factor
 
 
-def _map(device: FiniteElementModel, corners: np.ndarray, values: np.ndarray, label: str) -> Map:
-    """``values`` at the nodes of every element on what is seen of its surface."""
+def _map_surface(
+    device: FiniteElementModel, corners: np.ndarray, values: np.ndarray, label: str
+) -> Map:
+    """Map ``values`` at the nodes of every element on the visible surface."""
     mesh = device.solid.mesh
     values = values.reshape(len(corners), -1)[:, : corners.shape[1]]
     if mesh.dim() == 2:
@@ -171,16 +181,18 @@ def _map(device: FiniteElementModel, corners: np.ndarray, values: np.ndarray, la
     flat = 1e3 * (points[..., [0, 2]] + OBLIQUE * points[..., [1]])
     # every three corners: of a face with four all their triangles, whatever the corners' order
     vertices = np.concatenate([flat, points[..., [1]], colours], axis=-1)
-    triangles = np.concatenate([vertices[:, t] for t in combinations(range(vertices.shape[1]), 3)])
+    corner_sets = np.array([*combinations(range(vertices.shape[1]), 3)])
+    triangles = vertices[:, corner_sets].swapaxes(0, 1).reshape(-1, 3, vertices.shape[2])
     low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
     dot = float((high - low).max()) / DOTS
     count = np.maximum(np.ceil((high - low) / dot).astype(int), 1)
-    x, y = (low[k] + dot * (np.arange(count[k]) + 0.5) for k in (0, 1))
+    x = low[0] + dot * (np.arange(count[0]) + 0.5)
+    y = low[1] + dot * (np.arange(count[1]) + 0.5)
     wide = np.ptp(triangles[..., :2], axis=1).max(axis=1) / dot
     steps = 2 ** np.ceil(np.log2(np.maximum(2 * wide, 1.0))).astype(int)  # two to a dot at least
     result = []
     for n in np.unique(steps):  # points of the triangles, so many along each side
-        a, b = (part.ravel() / n for part in np.indices((n + 1, n + 1)))
+        a, b = np.indices((n + 1, n + 1)).reshape(2, -1) / n
         weights = np.column_stack([a, b, 1 - a - b])[a + b <= 1]
         result.append((weights @ triangles[steps == n]).reshape(-1, 4))
     dots = np.concatenate(result)
@@ -192,8 +204,10 @@ def _map(device: FiniteElementModel, corners: np.ndarray, values: np.ndarray, la
 
 
 def _edges(mesh: Any, fine: int) -> np.ndarray:
-    """Vertices (2, edges) of the surface mesh; of more lines than ``fine`` only those where faces
-    meet at an angle."""
+    """Return the vertices (2, edges) of the surface mesh.
+
+    Of more lines than ``fine``, only those remain where faces meet at an angle.
+    """
     facets = mesh.boundary_facets()
     if mesh.dim() == 2:
         return np.asarray(mesh.facets[:, facets])
@@ -213,7 +227,7 @@ def _edges(mesh: Any, fine: int) -> np.ndarray:
 
 
 def edges(label: str, mesh: Any, style: str = "-", fine: int = FINE) -> Curve:
-    """Edges of a mesh in oblique projection, separated by points that are not numbers [mm]."""
+    """Return the edges of a mesh [mm] in oblique projection, separated by points of NaN."""
     points, edges = mesh.p[:, : mesh.nvertices], _edges(mesh, fine)  # no nodes on edges
     flat = points if len(points) == 2 else points[[0, 2]] + OBLIQUE * points[1]
     path = np.full((2, 3, edges.shape[1]), np.nan)

@@ -104,9 +104,10 @@ class BimorphKeys(FieldKeys):
 
 
 def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> Bonded:
-    """The layers with electrodes, support, ports and the mass at the tip. ``mesh.refine`` divides
-    edges in the plane, and every second one through the thickness, where a quadratic element holds
-    all that plates do.
+    """Make the layers with electrodes, support, ports and the mass at the tip.
+
+    ``mesh.refine`` divides edges in the plane, and every second one through the thickness: one
+    quadratic element there represents the bending of a plate.
 
     Raises
     ------
@@ -118,6 +119,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
         for number, layer in enumerate(beam.layers)
     ]
     heights = [*accumulate((layer.thickness for layer in beam.layers), initial=0.0)]
+    spans = [*pairwise(heights)]
     active = [k for k, one in enumerate(materials) if one.piezoelectric]
     if beam.wiring is not None and not active:
         raise wrong("wiring", "wiring without a piezoelectric layer", beam.wiring)
@@ -130,7 +132,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
         return (x, x), y, z
 
     # electrodes from the bottom up; across a conductor, and between two ceramics, they are one
-    ends = [heights[k + upper] for k in active for upper in (0, 1)]
+    ends = [*chain.from_iterable(map(spans.__getitem__, active))]
     levels = [ends[:1], *zip(ends[1:-1:2], ends[2::2], strict=True), ends[-1:]] if active else []
     series = beam.wiring != "parallel"
     faces = [list(map(plane, level)) for level in levels]
@@ -138,7 +140,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     if series:
         electrodes = {"anode": faces[-1:], "cathode": faces[:1]}
     blocks = []
-    for k, (one, span) in enumerate(zip(materials, pairwise(heights), strict=True)):
+    for k, (one, span) in enumerate(zip(materials, spans, strict=True)):
         above = sum(span) / 2 >= top / 2 * (1 - 1e-9)
         # a positive voltage makes a field that points down in all layers in series, otherwise in
         # every other one
@@ -155,7 +157,8 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
         "simply_supported": [
             ("xz", across(0.0, full_width, (0.0, 0.0))),
             ("z", across(length, full_width, (0.0, 0.0))),
-            *(("y", across(x, (0.0, 0.0), (0.0, 0.0))) for x in (0.0, length)),
+            ("y", across(0.0, (0.0, 0.0), (0.0, 0.0))),
+            ("y", across(length, (0.0, 0.0), (0.0, 0.0))),
         ],
         "free": [],
         "quarter": [
@@ -168,13 +171,12 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     clamped = beam.support in ("clamped", "quarter")
     ports = {} if clamped else {"tip": end}
     middle = (width, width) if beam.support == "quarter" else (width / 2, width / 2)
-    ports |= {name: across(x, middle, (top, top)) for name, x in beam.points.items()}
+    for name, x in beam.points.items():
+        ports[name] = across(x, middle, (top, top))
     strips = pairwise(np.linspace(0, length, (beam.patches or 0) + 1).tolist())
     rows = pairwise(np.linspace(0, width, (beam.rows or 1) + 1).tolist())
-    ports |= {
-        f"patch{k}": (strip, row, (0.0, 0.0))
-        for k, (row, strip) in enumerate(product(rows, strips), 1)
-    }
+    for k, (row, strip) in enumerate(product(rows, strips), 1):
+        ports[f"patch{k}"] = (strip, row, (0.0, 0.0))
     return Bonded(
         blocks,
         {pin: [*chain(*result)] for pin, result in electrodes.items()} if active else {},

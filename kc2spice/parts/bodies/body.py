@@ -22,8 +22,10 @@ by a box: ``groups = { top = { faces = [["5 mm", 0, "1 mm"]] }, end = { faces_in
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import filterfalse
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -36,6 +38,7 @@ from kc2spice.core.cache import cached
 from kc2spice.core.domains import ACCELERATION, ELECTRICAL, ROTATION, TRANSLATION
 from kc2spice.core.errors import UsageError, candidates, part_named, wrong
 from kc2spice.core.figure import Curve, Figure, Panel, Written
+from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Count, Length, Notch, Section, validated
 from kc2spice.core.untrusted_files import file_in_folder
 from kc2spice.core.waveforms import Waveforms
@@ -98,7 +101,8 @@ class GroupKeys(Section):
         """Selection for the mesh reader, in a file of this unit [m]."""
         kind = next(iter(self.model_fields_set)).removesuffix("_in")
         dimension = ("points", "curves", "faces", "solids").index(kind)
-        at, box = (np.divide(getattr(self, key) or (), unit) for key in (kind, f"{kind}_in"))
+        at = np.divide(getattr(self, kind), unit)
+        box = np.divide(getattr(self, f"{kind}_in") or (), unit)
         return {"dimension": dimension, "at": at.tolist(), "box": box.tolist() or None}
 
 
@@ -159,11 +163,12 @@ class PortKeys(Section):
         """Ports of the model for this entry."""
         if self.kind != "rigid":
             return (Port(self.name, (ACCELERATION if self.kind == "base" else TRANSLATION).port),)
-        names = [self.name if self.axis else f"{self.name}_{motion}" for motion in self.motions]
-        return tuple(
-            Port(name, (ROTATION if motion.startswith("r") else TRANSLATION).port)
-            for name, motion in zip(names, self.motions, strict=True)
-        )
+        result = []
+        for motion in self.motions:
+            name = self.name if self.axis else f"{self.name}_{motion}"
+            domain = ROTATION if motion.startswith("r") else TRANSLATION
+            result.append(Port(name, domain.port))
+        return tuple(result)
 
     @property
     def direction(self) -> np.ndarray:
@@ -247,16 +252,20 @@ class BodyKeys(FieldKeys):
 
     @property
     def reference(self) -> str:
-        """The electrode that voltages are counted from; none without electrodes."""
+        """Electrode with the voltage zero, empty without electrodes."""
         last = next(reversed(self.electrodes), "")
         return next((name for name in _REFERENCES if name in self.electrodes), last)
 
     @property
     def every_port(self) -> tuple[Port, ...]:
         """All ports of the model, electrical ports first."""
-        pairs = [(name, self.reference) for name in self.electrodes if name != self.reference]
-        electrical = (Port(pair[0], ELECTRICAL.port, pins=pair) for pair in pairs)
-        return (*electrical, *(port for item in self.ports for port in item.ports))
+        result = []
+        for name in self.electrodes:
+            if name != self.reference:
+                result.append(Port(name, ELECTRICAL.port, pins=(name, self.reference)))
+        for item in self.ports:
+            result += item.ports
+        return tuple(result)
 
     @model_validator(mode="after")
     def _consistent(self) -> BodyKeys:
@@ -270,8 +279,8 @@ class BodyKeys(FieldKeys):
             raise ValueError("a single electrode has no voltage: name the reference electrode")
         if not self.electrodes and not self.ports:
             raise ValueError("needs electrodes or ports")
-        names = [port.name for port in self.ports]
-        twice = {n for n in names if names.count(n) > 1} | (set(names) & set(self.electrodes))
+        names = Counter([*names_of(self.ports), *self.electrodes])
+        twice = [name for name, count in names.items() if count > 1]
         if twice:
             raise ValueError(f"ports or electrodes of one name: {', '.join(sorted(twice))}")
         return self
@@ -280,10 +289,10 @@ class BodyKeys(FieldKeys):
 def device(
     keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body"
 ) -> FiniteElementModel:
-    """Read the mesh (relative to ``home``), name its groups, assemble.
+    """Read the mesh, name its groups, and assemble the model.
 
-    ``refine`` divides the size of the elements; a ``.msh`` is split so often that its edges are at
-    most 1/refine of what they were.
+    The path of the mesh is relative to ``home``. ``refine`` divides the size of the elements. A
+    ``.msh`` is split until its edges are at most 1/refine of their length.
 
     Raises
     ------
@@ -308,7 +317,9 @@ def device(
         assembled = fe.make_device(solid, _setup(keys, result, solid))
     axes = ("radius", "height") if keys.axisymmetric else "xyz"
     sides = zip(axes, 1e3 * np.ptp(result.mesh.p, axis=1), strict=True)
-    facts = {**assembled.model.facts, **{f"extent_{axis}_mm": float(side) for axis, side in sides}}
+    facts = dict(assembled.model.facts)
+    for axis, side in sides:
+        facts[f"extent_{axis}_mm"] = float(side)
     return replace(assembled, model=replace(assembled.model, facts=facts))
 
 
@@ -332,7 +343,7 @@ def _solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
         materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
     if (owner < 0).any():
         solids = [name for name, group in groups.groups.items() if group.codimension == 0]
-        rest = [name for name in solids if name not in keys.materials] or solids
+        rest = [*filterfalse(keys.materials.__contains__, solids)] or solids
         expected = "a material for every element"
         got = f"{np.sum(owner < 0)} elements without material"
         hint = f"add a material for one of these groups: {candidates('', rest)}"
@@ -341,8 +352,9 @@ def _solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
 
 
 def _poled(plain: Material, keys: BodyKeys, group: str) -> Material:
-    """The material of a group, poled; of an axisymmetric body every poling off its axis turns with
-    the place.
+    """Pole the material of a group.
+
+    In an axisymmetric body, every poling off its axis turns with the angle.
 
     Raises
     ------
@@ -370,36 +382,38 @@ def _setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Se
     electrodes = {}
     for pin, stated in keys.electrodes.items():
         names = [stated] if isinstance(stated, str) else stated
-        result = [_electrode(solid, groups, name, f"electrodes.{pin}") for name in names]
-        electrodes[pin] = np.unique(np.concatenate(result))
-    kinds = {
-        kind: [port for port in keys.ports if port.kind == kind]
-        for kind in ("mean", "rigid", "base")
-    }
-    unit, faces = dict(zip(_MOTIONS, np.eye(6), strict=True)), []
-    for port in kinds["rigid"]:
-        where = f"ports.{port.name}"
-        if solid.axisymmetric:
-            problem = "an axisymmetric body has no rigid faces"
-            raise wrong(where, problem, "rigid", "mean or base", 'write  kind = "mean"')
-        nodes = _facet_nodes(solid, groups.group(str(port.group), where, 1).members)
-        moves = [unit[motion] for motion in port.motions]
-        faces.append(fe.RigidFace(nodes, [*zip(port.ports, moves, strict=True)]))
+        nodes = [_electrode(solid, groups, name, f"electrodes.{pin}") for name in names]
+        electrodes[pin] = np.unique(np.concatenate(nodes))
+    shapes, faces, base = [], [], []
+    for port in keys.ports:
+        if port.kind == "rigid":
+            faces.append(_rigid_face(port, groups, solid))
+        elif port.kind == "base":
+            base.append((port.ports[0], port.direction))
+        else:
+            force = fe.spread(_shares(port, groups, solid), port.direction, solid)
+            shapes.append(fe.ForceShape(port.ports[0], force))
     return fe.Setup(
         fixed=_fixed(keys, groups, solid),
         electrodes=electrodes,
         reference=keys.reference,
         floating=[_electrode(solid, groups, name, "floating") for name in keys.floating],
-        shapes=[
-            fe.ForceShape(
-                port.ports[0], fe.spread(_shares(port, groups, solid), port.direction, solid)
-            )
-            for port in kinds["mean"]
-        ],
+        shapes=shapes,
         faces=faces,
-        base=[(port.ports[0], port.direction) for port in kinds["base"]],
+        base=base,
         damping=keys.damping,
     )
+
+
+def _rigid_face(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.RigidFace:
+    where = f"ports.{port.name}"
+    if solid.axisymmetric:
+        problem = "an axisymmetric body has no rigid faces"
+        raise wrong(where, problem, "rigid", "mean or base", 'write  kind = "mean"')
+    nodes = _facet_nodes(solid, groups.group(str(port.group), where, 1).members)
+    unit = dict(zip(_MOTIONS, np.eye(6), strict=True))
+    moves = map(unit.__getitem__, port.motions)
+    return fe.RigidFace(nodes, [*zip(port.ports, moves, strict=True)])
 
 
 def _facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
@@ -407,7 +421,7 @@ def _facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
 
 
 def _electrode(solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: str) -> np.ndarray:
-    """Nodes of an electrode, which must lie on something piezoelectric."""
+    """Nodes of an electrode, which must lie on a piezoelectric material."""
     facets = groups.group(name, where, 1).members
     active = np.array([m.piezoelectric for m in solid.materials])[solid.owner]
     sides = solid.mesh.f2t[:, facets]
@@ -500,9 +514,9 @@ class Body(MeshedBody[BodyKeys]):
             yield error
 
     def notes(self, part: Part[BodyKeys], scene: Scene) -> Iterator[str | Neglected]:
-        """The bounding box of its file, then what all bodies say."""
+        """Yield the bounding box of its file, then the notes of all bodies."""
         sides = self.sides(part, scene)
-        yield " x ".join(f"{1e3 * side:.4g}" for side in sides) + " mm"
+        yield " x ".join(map("{:.4g}".format, np.multiply(1e3, sides))) + " mm"
         yield from super().notes(part, scene)
 
     def sides(self, part: Part[BodyKeys], scene: DeclaredScene) -> list[float]:
@@ -536,7 +550,7 @@ class Body(MeshedBody[BodyKeys]):
     def figures(
         self, part: Part[BodyKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure | Written]:
-        """Its mesh, then what all bodies show."""
+        """Yield its mesh, then the figures of all bodies."""
         curve = cached(
             "outline",
             self.full_key(part, build.scene),

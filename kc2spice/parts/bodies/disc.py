@@ -22,6 +22,7 @@ from pydantic import Field, model_validator
 
 from kc2spice.bodies.device import Block, Bonded, Box
 from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, validated
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
@@ -65,9 +66,14 @@ class DiscLayer(Section):
         None, gt=0, description="Q factor of the layer, for damping.per_material"
     )
 
+    @property
+    def electrode_diameter(self) -> float:
+        """Diameter of its electrodes [m]."""
+        return self.electrodes or self.diameter
+
     @model_validator(mode="after")
     def _possible(self) -> DiscLayer:
-        largest, ring = self.electrodes or self.diameter, self.feedback
+        largest, ring = self.electrode_diameter, self.feedback
         if largest > self.diameter * (1 + 1e-9):
             raise ValueError(f"electrodes larger than the layer of {self.diameter:g} m")
         if ring is not None:
@@ -173,12 +179,12 @@ def _blocks(disc: DiscKeys, where: str) -> list[Block]:
         quality = layer.quality or one.quality
         poled = replace(poled, name=f"layers[{i}] ({one.name})", quality=quality)
         result.append(Block(((0.0, layer.diameter / 2), span), poled))
-    if not any(block.material.piezoelectric for block in result):
-        got = ", ".join(block.material.name for block in result)
+    materials = [block.material for block in result]
+    if not any(one.piezoelectric for one in materials):
         raise UsageError(
             "no layer is piezoelectric",
             where=f"{where}.layers",
-            got=got,
+            got=", ".join(names_of(materials)),
             expected='a layer of a piezoelectric material, such as "PZT-5A"',
             hint='write  material = "PZT-5A"  in one of the layers',
         )
@@ -191,15 +197,18 @@ def _conductors(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Bo
     last_metal: int | None = None
     heights = [0.0, *(piece.box[1][1] for piece in pieces)]
     for i, height in enumerate(heights):
-        neighbours = [k for k in (i - 1, i) if 0 <= k < len(pieces)]
-        ceramic = [k for k in neighbours if pieces[k].material.piezoelectric]
-        metal = [k for k in neighbours if pieces[k].material.conductor]
+        ceramic, metal = [], []
+        for k in range(max(i - 1, 0), min(i + 1, len(pieces))):
+            if pieces[k].material.piezoelectric:
+                ceramic.append(k)
+            if pieces[k].material.conductor:
+                metal.append(k)
         if not ceramic:
             continue
         if not metal:
-            result.append(_plane(disc, ceramic, height, i - 1, where))
+            result.append(_electrode_faces(disc, ceramic, height, i - 1, where))
             continue
-        radius = min(pieces[k].box[0][1] for k in (ceramic[0], metal[0]))
+        radius = min(pieces[ceramic[0]].box[0][1], pieces[metal[0]].box[0][1])
         if metal[0] != last_metal:
             result.append([])
         result[-1].append(_face(0.0, radius, height))
@@ -207,12 +216,15 @@ def _conductors(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Bo
     return result
 
 
-def _plane(disc: DiscKeys, ceramic: list[int], height: float, below: int, where: str) -> list[Box]:
+def _electrode_faces(
+    disc: DiscKeys, ceramic: list[int], height: float, below: int, where: str
+) -> list[Box]:
     """Electrode on bare ceramic, without the feedback's ring and its gaps."""
-    diameters = {disc.layers[k].electrodes or disc.layers[k].diameter for k in ceramic}
-    if len(diameters) > 1 and all(disc.layers[k].electrodes for k in ceramic):
+    layers = [disc.layers[k] for k in ceramic]
+    diameters = {layer.electrode_diameter for layer in layers}
+    if len(diameters) > 1 and all(layer.electrodes for layer in layers):
         problem = "two layers state different diameters of the electrode between them"
-        got = " and ".join(f"{each:g} m" for each in sorted(diameters))
+        got = " and ".join(map("{:g} m".format, sorted(diameters)))
         hint = "state electrodes in one of the two layers"
         where = f"{where}.layers.{ceramic[-1]}.electrodes"
         raise wrong(where, problem, got, "one diameter", hint)

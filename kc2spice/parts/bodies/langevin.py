@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from kc2spice.bodies.device import Block, Bonded, Box
@@ -128,13 +129,14 @@ class LangevinKeys(FieldKeys):
             >= min(self.front[0].diameter, self.back[0].diameter),
             "bolt.head_diameter: the head is no wider than the bolt": head <= bolt.diameter,
         }
-        if result := [problem for problem, holds in wrong.items() if holds]:
-            raise ValueError(result[0])
+        for problem, applies in wrong.items():
+            if applies:
+                raise ValueError(problem)
         return self
 
 
 def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -> Bonded:
-    """The pieces with electrodes, support and ports.
+    """Make the pieces with electrodes, support and ports.
 
     Raises
     ------
@@ -142,8 +144,8 @@ def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin
     """
     body = validated(LangevinKeys, keys, where)
     pieces, rings = _blocks(body, where), body.rings
-    heights = [height for piece in pieces for height in piece.box[1]]
-    bottom, top = min(heights), max(heights)
+    boxes = np.array([piece.box for piece in pieces])
+    bottom, top = float(boxes[:, 1].min()), float(boxes[:, 1].max())
     under = (body.bolt.head_diameter or body.back[-1].diameter) / 2
     back: Box = ((0.0, under), (bottom, bottom))
     ports: dict[str, Box] = {"front": ((0.0, body.front[-1].diameter / 2), (top, top))}
@@ -155,7 +157,7 @@ def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin
         {"anode": planes[1::2], "cathode": planes[::2]},
         ports=ports if fixed else ports | {"back": back},
         fixed=[("xz", back)] if fixed else (),
-        size=max(piece.box[0][1] for piece in pieces) / _CELLS,
+        size=float(boxes[:, 0, 1].max()) / _CELLS,
         refine=body.mesh.refine,
         damping=body.damping,
         where=where,

@@ -167,14 +167,14 @@ class PiezoStack(MeshedBody[Stack]):
         return {f"{part.name}_drive": source, name: {**table, "pins": pins}}
 
     def ports(self, part: Part[Stack], scene: DeclaredScene) -> tuple[Port, ...]:
-        names = [f"ring{k}" for k in range(part.keys.mesh.rings + 1)]
+        names = ring_names(part.keys.mesh.rings + 1)
         if pressure_nodes(part, scene) is not None:
             names = [PATCH]
         ring_ports = (Port(name, TRANSLATION.port) for name in names)
         return (*ring_ports, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
     def used_ports(self, part: Part[Stack], scene: JoinedScene) -> tuple[Port, ...]:
-        """Rings up to the last that is needed, so that every scene's are nested."""
+        """Return the rings up to the last one that the scene needs, and the anode."""
         if pressure_nodes(part, scene) is not None:
             return super().used_ports(part, scene)
         *ring_ports, anode = self.ports(part, scene)
@@ -212,8 +212,9 @@ class PiezoStack(MeshedBody[Stack]):
         shape, radii = pressure_nodes(part, scene), ring_radii(part.keys)
         modulus = self.indentation_modulus(part)
         if shape is None:
-            names = ports or tuple(f"ring{k}" for k in range(len(radii)))
-            distance = tuple(float(radii[_ring(part, name)]) for name in names)
+            names = ports or tuple(ring_names(len(radii)))
+            rings = list(map(partial(_ring_number, part), names))
+            distance = tuple(radii[rings].tolist())
             return Surface(part.name, names, distance, sectors=SECTORS, modulus=modulus)
         return Surface(
             part.name,
@@ -227,7 +228,7 @@ class PiezoStack(MeshedBody[Stack]):
         )
 
     def numerics(self, part: Part[Stack], scene: WiredScene) -> Iterator[Numerics]:
-        """A trapezoid's error of phase adds up as long as a mode rings while something touches.
+        """Yield tighter tolerances: the trapezoidal rule's phase error grows while a mode rings.
 
         A low kick closes fewer rings and its launch depends more on every step: from 40 to 60 V
         the relative error of one setting is ten times that at 100 V. It falls as reltol^0.55.
@@ -240,8 +241,7 @@ class PiezoStack(MeshedBody[Stack]):
         if self.weights(part, scene) == COARSE and speed is not None:
             # Anything but sources on its anode may make any kick a slow one: 0.67 m/s behind an
             # amplifier of 5 A, which is 1.5e-3 off at the settings of 1 m/s.
-            joined = (scene.parts[name].type.name for name, _ in scene.joined(part.name, "anode"))
-            driven = any(kind != "source" for kind in joined)
+            driven = not scene.joined_types(part.name, "anode") <= {"source"}
             close *= min(1.0, LOW_KICK if driven else max(speed**8, LOW_KICK))
         if _downwards(part):
             close = min(close, DOWNWARDS)
@@ -250,7 +250,7 @@ class PiezoStack(MeshedBody[Stack]):
         yield Numerics(what, FLIGHT, decides=True, reltol=close, chgtol=chgtol)
 
     def weights(self, part: Part[Stack], scene: DeclaredScene) -> StepWeights:
-        """Its ringing is what strikes the sphere if the kick begins downwards."""
+        """Weights of the modes; the ringing strikes the sphere if the kick begins downwards."""
         return THROWING if _downwards(part) else super().weights(part, scene)
 
     def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[Penetration]:
@@ -267,7 +267,7 @@ class PiezoStack(MeshedBody[Stack]):
         yield Shape(0.0, -keys.height / 2, keys.side, keys.height, "ceramic", label, keys.layers)
 
     def headline(self, part: Part[Stack]) -> str:
-        return f"{self.title}; {mounted(part.keys)}"
+        return f"{self.title}; {describe_mounting(part.keys)}"
 
     def by_material(self, part: Part[Stack]) -> float:
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
@@ -278,8 +278,11 @@ class PiezoStack(MeshedBody[Stack]):
         return result if shape is None else result | {"pressure_basis": shape.nodes.tolist()}
 
     def reduction(self, part: Part[Stack], scene: Scene) -> Rom:
-        """As asked; else the paper's chip has the paper's order, and any other stack a tolerance
-        over the band that is to it what the paper's is to the paper's chip."""
+        """Return the stated reduction, or a default.
+
+        The default of the paper's chip is the paper's order. That of another stack is a tolerance
+        over a band in proportion to the reciprocal height.
+        """
         specified = part.keys.rom or scene.rom
         if not specified.left_open:
             return specified
@@ -304,7 +307,7 @@ class PiezoStack(MeshedBody[Stack]):
         )
 
     def support(self, part: Part[Stack]) -> str:
-        return "" if part.keys.mounting == "roller" else mounted(part.keys)
+        return "" if part.keys.mounting == "roller" else describe_mounting(part.keys)
 
     def make(self, part: Part[Stack], scene: GovernedScene) -> FiniteElementModel:
         from kc2spice.bodies.stack import stack_device
@@ -330,7 +333,8 @@ class PiezoStack(MeshedBody[Stack]):
             if (most := float(waves[f"{name}.force"].max())) > 0:
                 forces = pair_of(scene.parts[name], scene).basis_forces(most)
                 inside = stresses_under(part.keys, shape, forces)
-                result |= {f"{name}_{key}": Metric(v, UNITS[key]) for key, v in inside.items()}
+                for key, value in inside.items():
+                    result[f"{name}_{key}"] = Metric(value, UNITS[key])
         current = waves.data.get(f"{part.name}.current")
         if part.keys.electrical == "driven" and (part.keys.driver or not pressed):
             peak = float(np.abs(waves[f"{part.name}.voltage"]).max())
@@ -352,8 +356,8 @@ class PiezoStack(MeshedBody[Stack]):
         pressed = pressure_nodes(part, scene) is not None
         used, last = used_rings(part, scene), keys.mesh.rings
         ports = "a patch of pressure as port" if pressed else f"{used} rings as ports"
-        detail = f"quarter chip, {keys.layers} layers, {mounted(keys)}, reduced to {aim(rom)}, "
-        yield f"{detail}anode {keys.electrical}, {ports}"
+        detail = f"quarter chip, {keys.layers} layers, {describe_mounting(keys)}, "
+        yield f"{detail}reduced to {aim(rom)}, anode {keys.electrical}, {ports}"
         yield from self.neglected(part, scene)
         if keys.mounting == "roller":
             why = "its bottom face slides without friction on a plane"
@@ -373,8 +377,10 @@ class PiezoStack(MeshedBody[Stack]):
 
 
 def _kick_speed(part: Part[Stack], scene: GovernedScene) -> float | None:
-    """Speed [m/s] of a kick that lasts as the stack's quarter wave, or as the edge of its pulse:
-    the free stroke over ``4 H / c`` or the edge; None without a voltage."""
+    """Speed [m/s] of a kick: the free stroke over ``4 H / c``, or over a longer edge of its pulse.
+
+    It is None without a voltage.
+    """
     voltage = highest_voltage(part, scene)
     if not voltage:
         return None
@@ -392,8 +398,8 @@ def _downwards(part: Part[Stack]) -> bool:
     return drive is not None and part.keys.electrical == "driven" and drive.voltage < 0
 
 
-def mounted(keys: Chip) -> str:
-    """Support of the bottom face and other deviations from the plain stack, in words."""
+def describe_mounting(keys: Chip) -> str:
+    """Describe the support of the bottom face and other deviations from the plain stack."""
     words = [HELD.get(str(keys.mounting), "")]
     if isinstance(keys.mounting, float):
         words = [f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"]
@@ -410,7 +416,7 @@ def mounted(keys: Chip) -> str:
 
 
 def pressure_nodes(part: Part[Stack], scene: DeclaredScene) -> PressureBasis | None:
-    """Pressure on the top where a contact asks for it, as far out as the rings are."""
+    """Pressure basis on the top, as wide as the rings, if a contact uses pressure."""
     for contact in scene.of_schema("contact", ContactKeys):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
             from kc2spice.bodies.pressure import pressure_basis
@@ -425,16 +431,28 @@ def ring_radii(keys: Chip) -> np.ndarray:
 
 
 def used_rings(part: Part[Stack], scene: JoinedScene) -> int:
-    """How many rings, ring0 first, are ports: up to the last that another part or a probe wants,
-    all where the stack is the only part, which is there to be exported."""
+    """Return the number of rings that are ports, ring0 first.
+
+    The last one is that of another part or of a probe. All rings are ports if the stack is the only
+    part.
+    """
     if len(scene.parts) == 1 or scene.ports == "all":
         return 1 + int(part.keys.mesh.rings)
-    probed = {p.of.split(".")[1] for p in scene.probes.values() if p.of.startswith(f"{part.name}.")}
-    names = required_ports(part, scene) | probed
-    return 1 + max((_ring(part, name) for name in names if name.startswith("ring")), default=-1)
+    names = required_ports(part, scene)
+    for probe in scene.probes.values():
+        owner, dot, rest = probe.of.partition(".")
+        if owner == part.name and dot:
+            names.add(rest.partition(".")[0])
+    rings = [_ring_number(part, name) for name in names if name.startswith("ring")]
+    return 1 + max(rings, default=-1)
 
 
-def _ring(part: Part[Stack], name: str) -> int:
+def ring_names(count: int) -> list[str]:
+    """Return the names of so many rings, the centre node first."""
+    return list(map("ring{}".format, range(count)))
+
+
+def _ring_number(part: Part[Stack], name: str) -> int:
     match, last = re.fullmatch(r"ring(\d{1,3})", name), part.keys.mesh.rings
     if match is None or int(match[1]) > last:
         raise part.wrong("", f"{part.name} has no such port", repr(name), f"ring0 to ring{last}")
@@ -442,20 +460,24 @@ def _ring(part: Part[Stack], name: str) -> int:
 
 
 def highest_voltage(part: Part[Stack], scene: DeclaredScene) -> float:
-    """Largest voltage [V] that the drive asks for; 0 where the anode is not driven."""
+    """Largest voltage [V] of the drive; 0 if the anode is not driven."""
     keys = part.keys
     if keys.drive is not None and keys.electrical == "driven":
         return abs(keys.drive.voltage)
     drivers = scene.of("half_bridge", "amplifier", "charge_drive")
-    rails = [part.type.rails(part)[1] for part in drivers]
-    waves = (part.type.voltage(part, scene) for part in scene.parts.values())
-    tops = [float(np.abs(np.array(wave.points)[:, 1]).max()) for wave in waves if wave is not None]
-    return max([*tops, *rails], default=0.0)
+    result = [part.type.rails(part)[1] for part in drivers]
+    for source in scene.parts.values():
+        wave = source.type.voltage(source, scene)
+        if wave is not None:
+            result.append(float(np.abs(np.array(wave.points)[:, 1]).max()))
+    return max(result, default=0.0)
 
 
 def free_stroke(keys: Chip, voltage: float) -> float:
-    """Static stroke [m] of the free stack: ``layers |d voltage|``, ``d = e C^-1``: d33, or d15 of
-    one that shears."""
+    """Static stroke [m] of the free stack, ``layers |d voltage|`` with ``d = e C^-1``.
+
+    The constant is d33, or d15 of a stack that shears.
+    """
     axis, strain = (2, 2) if keys.poling == "z" else (0, 4)
     return keys.layers * abs(keys.ceramic.d[axis, strain] * voltage)
 

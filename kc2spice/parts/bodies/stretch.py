@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
+from itertools import product
 from typing import Annotated
 
 from pydantic import Field
@@ -55,10 +56,10 @@ class StretchKeys(Section):
 
 
 class Stretch(Patched[StretchKeys]):
-    """The part type; how many branches it has is up to its keys."""
+    """The part type, whose keys determine the number of branches."""
 
     def declared(self, part: Part[StretchKeys], scene: GovernedScene) -> Declaration:
-        return _declared(len(patches(part, scene)), part.keys.rows)
+        return _declare(len(patches(part, scene)), part.keys.rows)
 
     def problems(self, part: Part[StretchKeys], scene: GovernedScene) -> Iterator[UsageError]:
         keys, count = part.keys, len(patches(part, scene))
@@ -71,30 +72,30 @@ class Stretch(Patched[StretchKeys]):
 
 
 @lru_cache(maxsize=32)
-def _declared(count: int, rows: int) -> Declaration:
-    """The physics of so many patches in so many rows."""
+def _declare(count: int, rows: int) -> Declaration:
+    """Declare the stretching of ``count`` patches in ``rows`` rows."""
     along, across = range(1, count // rows + 1), range(1, rows + 1)
 
+    def mirrored(k: int, count: int) -> int:
+        if k < 1:
+            return 1 - k
+        return 2 * count + 1 - k if k > count else k
+
     def w(i: int, j: int) -> str:
-        i, j = (
-            1 - k if k < 1 else 2 * n + 1 - k if k > n else k
-            for k, n in ((i, len(along)), (j, rows))
-        )
+        i, j = mirrored(i, len(along)), mirrored(j, rows)
         return f"x{(j - 1) * len(along) + i}"
 
-    def slope(before: str, low: str, high: str, after: str) -> str:
+    def slope(i: int, j: int, di: int, dj: int) -> str:
+        before, low, high, after = (w(i + k * di, j + k * dj) for k in (-1, 0, 1, 2))
         return f"(15*({high} - {low}) - ({after} - {before}))^2"
 
-    lengthwise = [slope(*(w(i + k, j) for k in (-1, 0, 1, 2))) for i in along[:-1] for j in across]
+    lengthwise = [slope(i, j, 1, 0) for i, j in product(along[:-1], across)]
     longer = f"{len(along)}/length/{288 * rows}*({' + '.join(lengthwise)})"
     if rows > 1:
-        pairs = [(i, j) for i in along for j in across[:-1]]
-        crosswise = [slope(*(w(i, j + k) for k in (-1, 0, 1, 2))) for i, j in pairs]
-        twists = [
-            f"({w(i + 1, j + 1)} - {w(i, j + 1)} - {w(i + 1, j)} + {w(i, j)})^2"
-            for i, j in pairs
-            if i < len(along)
-        ]
+        crosswise = [slope(i, j, 0, 1) for i, j in product(along, across[:-1])]
+        twists = []
+        for i, j in product(along[:-1], across[:-1]):
+            twists.append(f"({w(i + 1, j + 1)} - {w(i, j + 1)} - {w(i + 1, j)} + {w(i, j)})^2")
         cx, cy = f"{len(along)}/length/{rows}", f"{rows}*length/width^2/{len(along)}"
         longer += f" + {cy}/288*({' + '.join(crosswise)})"
         longer = f"({longer} + ({cx} + {cy})/24*({' + '.join(twists)}))"
@@ -138,4 +139,4 @@ kind = "force"
 dc = "1 uN"
 pins = { out = "middle.a" }
 """
-register(Stretch(_declared(3, 1)))
+register(Stretch(_declare(3, 1)))
