@@ -5,6 +5,6 @@ from kc2spice.physics.declaration import branch as branch
 from kc2spice.physics.declaration import current as current
 from kc2spice.physics.declaration import displacement as displacement
 from kc2spice.physics.declaration import loop as loop
-from kc2spice.physics.declaration import seen as seen
+from kc2spice.physics.declaration import measured as measured
 from kc2spice.physics.declaration import voltage as voltage
 from kc2spice.physics.part import DeclaredPart as DeclaredPart

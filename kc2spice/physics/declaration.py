@@ -16,7 +16,7 @@ With the kinetic energy ``T`` (of rates), the energy ``U`` (of displacements), t
     i      = d/dt (dW/dv) + dR/dv           charge q = dW/dv
     v      = d/dt (dW/di) + dR/di           flux   l = dW/di
 
-A branch that is only *seen* has a coordinate and nothing through it; what it brings in is a signal.
+A *measured* branch has a coordinate and no flow through its pins: its coordinate is a signal.
 ``states`` follow ``dx/dt = f``, of states, coordinates and rates, and may stand wherever a rate
 may: a controller is a content of what it sees and of its states.
 
@@ -66,9 +66,12 @@ COORDINATES = tuple(
 
 @dataclass(frozen=True)
 class Branch:
-    """A coordinate between two pins; ``through`` names the result that flows into ``plus``, nothing
-    where it is only seen. The displacement of a pin ``less`` that ``minus`` carries is taken off
-    as well. ``kind`` is the quantity of a domain that the coordinate is."""
+    """A coordinate between two pins, and a flow through them.
+
+    ``kind`` is the quantity of the coordinate in a physical domain. ``through`` names the result
+    that flows into ``plus``; it is empty for a measured branch. The displacement of a pin ``less``
+    that ``minus`` carries is subtracted as well.
+    """
 
     kind: str
     name: str
@@ -79,7 +82,7 @@ class Branch:
 
     @property
     def domain(self) -> Domain:
-        """Domain of its pins."""
+        """Physical domain of its pins."""
         return QUANTITIES[self.kind][0]
 
     @property
@@ -143,40 +146,45 @@ def branch(
 def displacement(
     name: str = "x", plus: str = "a", minus: str = "b", force: str = "force", less: str = ""
 ) -> Branch:
-    """``name`` [m] is the displacement of ``plus`` less that of ``minus``, and of ``less``."""
+    """Make a branch whose coordinate is the displacement ``name`` [m] of ``plus``.
+
+    The displacements of ``minus`` and of ``less`` are subtracted.
+    """
     return Branch("displacement", name, plus, minus, force, less)
 
 
 def voltage(name: str = "v", plus: str = "plus", minus: str = "minus", flow: str = "i") -> Branch:
-    """``name`` [V] is the voltage from ``plus`` to ``minus``; a charge follows it."""
+    """Make a branch whose coordinate is the voltage ``name`` [V] from ``plus`` to ``minus``."""
     return Branch("voltage", name, plus, minus, flow)
 
 
 def current(name: str = "i", plus: str = "plus", minus: str = "minus") -> Branch:
-    """``name`` [A] flows from ``plus`` to ``minus``; a flux follows it."""
+    """Make a branch whose coordinate is the current ``name`` [A] from ``plus`` to ``minus``."""
     return Branch("current", name, plus, minus, name)
 
 
-def shake(name: str, pin: str, base: str) -> Branch:
-    """``name`` [m/s2] is the acceleration of the frame that displacements are relative to. It is
-    only seen; the netlist draws from ``pin`` the force that moves the masses there."""
+def frame_acceleration(name: str, pin: str, base: str) -> Branch:
+    """Make a measured branch of the acceleration ``name`` [m/s2] of the frame of displacements.
+
+    In the netlist, the force that accelerates the masses acts on ``pin``.
+    """
     return Branch("acceleration", name, pin, base, "")
 
 
-def seen(branch: Branch) -> Branch:
-    """The coordinate of a displacement or voltage, without anything through it."""
+def measured(branch: Branch) -> Branch:
+    """Return the branch without a flow through its pins, such as the input of a sensor."""
     return replace(branch, through="")
 
 
 def loop(name: str) -> Branch:
-    """``name`` [A] flows in a closed loop of the part; a flux follows it."""
+    """Make a branch of the current ``name`` [A] in a closed loop of the part."""
     return Branch("current", name, "", "", name)
 
 
 def _unknown_name(
     part: str, what: str, unknown: Sequence[str], known: Iterable[str], hint: str = ""
 ) -> UsageError:
-    """The error of names in the equation ``what`` of a part that are none of the ``known`` ones."""
+    """Make the error of ``unknown`` names in the equation ``what`` of a part."""
     first, choices = unknown[0], sorted(known)
     return UsageError(
         f"unknown name in the {what}",
@@ -198,30 +206,35 @@ _OTHER_PLACES = {
 
 @dataclass(frozen=True)
 class Declaration:
-    """The physics of a part type: everything else is generated.
+    """The physics of a part type, from which netlist, law and checks follow.
 
-    ``keys`` are the type's keys, whose numbers (in SI) the expressions know by name, as those of
-    the parameters ``given``; ``constants`` are further names with their expressions of these and of
-    constants before them; ``tables`` are functions of one argument that the expressions may call,
-    whose values come from elsewhere. ``states`` maps names to what their rates are, ``signals`` to
-    expressions of what is seen, of states and of signals before them. ``kinetic`` is that of a
-    mass, ``1/2 m x_rate^2``, on which nothing but a constant weight acts besides its pins, and
-    ``starts`` names the parameters that are its displacement and velocity at t = 0. ``forces`` are
-    lost ones by displacement, of coordinates and rates. ``limits`` maps words for a limit to an
-    expression that must stay above zero.
-    ``stops`` maps words for a stop to an expression that is above zero where it is met.
-    ``neglected`` are rows of an effect, why it has no model, and what its absence changes.
-    ``validity`` is the range in which the equations hold; by default at constant temperature, or
-    with the keys at any temperature where the part has pins of heat.
+    Expressions contain the names of:
 
-    Of netlists alone: ``outputs`` are pins of displacements that are affine in one of a branch;
-    ``speeds`` are the nodes of velocities of rigid bodies, which take the force,
-    by the pins of their displacements; ``lags`` the time by which the force on a displacement x
-    follows, whose law has ``x + lag x_rate`` in all places of x; ``base`` is the pin on which inner
-    nodes rest. Where no part reads forces and currents that are not ``metered``, they have no nodes
-    and sources of their own, a third of the devices, and watches of overlaps are linear in x.
-    ``no_module`` says why no compiled module can be it. ``mesh`` is the error estimate of the mesh
-    or rings that its numbers come from, in words.
+    - numbers among the ``keys`` of the type, in SI units
+    - parameters ``given`` besides the keys
+    - ``constants``, which are expressions of these and of earlier constants
+    - ``tables``, functions of one argument with values from elsewhere
+    - coordinates, rates, ``states`` and ``signals``
+
+    ``states`` maps each state to the expression of its rate. ``signals`` are expressions of
+    measured coordinates, states and earlier signals. ``kinetic`` is the energy of a mass,
+    ``1/2 m x_rate^2``, and ``starts`` names the parameters of its displacement and velocity at
+    t = 0. Only its pins and a constant weight act on the mass. ``forces`` are dissipative forces by
+    displacement, of coordinates and rates. ``limits`` maps the words for a limit to an expression
+    that must stay above zero. ``stops`` maps the words for a stop to an expression that is above
+    zero in contact. ``neglected`` are rows of an effect, why it has no model, and the size of the
+    effect. ``validity`` is the range of the equations. By default it is a constant temperature, or
+    keys that do not depend on temperature if the part has pins of heat.
+
+    These fields concern the netlist alone:
+
+    - ``outputs`` are pins of displacements that are affine in a displacement of a branch.
+    - ``speeds`` are velocity nodes of rigid bodies, which take the force, by displacement pin.
+    - ``lags`` are delays of forces by displacement x: the law contains ``x + lag x_rate`` for x.
+    - ``base`` is the reference pin of inner nodes.
+    - Without ``metered``, forces and currents have no nodes and sources of their own.
+    - ``no_module`` is the reason why there is no compiled module.
+    - ``mesh`` is the error estimate of the mesh or rings behind its numbers, in words.
     """
 
     name: str
@@ -382,7 +395,7 @@ class Declaration:
 
     @cached_property
     def with_loop_pin(self) -> Declaration:
-        """The same with loops that begin and end at one inner pin, ``loops``."""
+        """The declaration with loops that begin and end at one inner pin, ``loops``."""
         if self.open_branches == self.acting_branches:
             return self
         branches = (b if b.plus else replace(b, plus=LOOPS, minus=LOOPS) for b in self.branches)
@@ -406,7 +419,7 @@ class Declaration:
         return result
 
     def name_power_series(self, tree: Tree) -> Tree:
-        """``tree`` with the names of its power series in their places."""
+        """Replace power series in ``tree`` by their names."""
         name = self.power_series.get(tree)
         return rebuilt(tree, self.name_power_series) if name is None else Name(name)
 
@@ -431,7 +444,7 @@ class Declaration:
         """Keys that are numbers, and constants."""
         return (*self.numbers, *self.constants)
 
-    # --- what follows -----------------------------------------------------------------------
+    # --- expressions ------------------------------------------------------------------------
 
     def _tree(self, what: str) -> Tree:
         """Expression tree of one of the energies, or of the content."""
@@ -481,7 +494,7 @@ class Declaration:
         return result
 
     def without_signals(self, tree: Tree) -> Tree:
-        """``tree`` with the signals' expressions in their places."""
+        """Replace signals in ``tree`` by their expressions."""
         return plus(substitute(tree, self._signal_inputs)) if self.signals else tree
 
     @cached_property
@@ -502,7 +515,7 @@ class Declaration:
         return plus(stored, dissipative, self._forces.get(branch.name, ZERO))
 
     def delayed_flow(self, branch: Branch) -> Tree:
-        """The same of a displacement that has followed its lag."""
+        """Force of a displacement after its lag."""
         tree = self.direct_flow(branch)
         return plus(substitute(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
 

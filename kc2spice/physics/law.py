@@ -71,6 +71,12 @@ class DeclaredLaw(Device):
         return tuple(result.values())
 
     @property
+    def joins(self) -> tuple[tuple[str, str], ...]:
+        """Pins of the part, each with its pin of the law."""
+        names = filter(LOOPS.__ne__, names_of(self.pins))
+        return tuple((pin, f"{self.name}.{pin}") for pin in names)
+
+    @property
     def prescribes(self) -> tuple[str, ...]:
         return tuple(self.declaration.outputs)
 

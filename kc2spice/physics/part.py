@@ -25,7 +25,7 @@ from kc2spice.physics.cards import (
     reference_node,
     subcircuit_items,
 )
-from kc2spice.physics.declaration import LOOPS, Branch, Declaration
+from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.symbolic import derivative, evaluate_tree, kinks, names
 from kc2spice.scene.checks import Balance, Check
@@ -82,7 +82,7 @@ class DeclaredPart(PartType[KeysT]):
         """The physics of a part; that of its type, unless its keys say how many branches it has."""
         return self.declaration
 
-    def built(self, part: Part[KeysT], build: Build) -> Declaration:
+    def built_declaration(self, part: Part[KeysT], build: Build) -> Declaration:
         """The same, of a part that may have a model."""
         return self.declared(part, build.scene)
 
@@ -117,7 +117,7 @@ class DeclaredPart(PartType[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        d, name = self.built(part, build), build.libraries[part.name]
+        d, name = self.built_declaration(part, build), build.libraries[part.name]
         return (declared_subcircuit(header, name, d, d.values(part.keys), build.noisy),)
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterator[Numerics]:
@@ -127,7 +127,7 @@ class DeclaredPart(PartType[KeysT]):
     # --- results ----------------------------------------------------------------------------
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
-        result, d = {}, self.built(part, build)
+        result, d = {}, self.built_declaration(part, build)
         for b in d.branches:
             voltage = b.domain.across
             if b.plus and {build.net(part, b.plus), build.net(part, b.minus)} != {"0"}:
@@ -148,12 +148,12 @@ class DeclaredPart(PartType[KeysT]):
             result[f"{part.name}.{name}"] = Vector(value, 1.0, "SI")
         return result
 
-    def begins(self, part: Part[KeysT], build: Build) -> tuple[float, float] | None:
+    def initial_motion(self, part: Part[KeysT], build: Build) -> tuple[float, float] | None:
         """Displacement [m] and velocity [m/s] at t = 0, None where the system holds it."""
         return None
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
-        n, d = part.name, self.built(part, build)
+        n, d = part.name, self.built_declaration(part, build)
         results = {}
         for b in d.open_branches:  # loops of a full model are others
             results[f"{n}.{b.through}"] = laws.reading(f"{n}.{b.plus}.through")
@@ -164,15 +164,14 @@ class DeclaredPart(PartType[KeysT]):
         for state in d.states:
             results[f"{n}.{state}"] = laws.reading(f"{n}.{state}")
         values = tuple(d.values(part.keys).values())
-        law = DeclaredLaw(n, d.with_loop_pin, values, self.begins(part, build))
-        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins if pin.name != LOOPS)
-        return laws.Equations((law,), pins, results)
+        law = DeclaredLaw(n, d.with_loop_pin, values, self.initial_motion(part, build))
+        return laws.Equations((law,), law.joins, results)
 
     # --- what a run says --------------------------------------------------------------------
 
     def checks(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Any]:
         """Limits, impacts, and the balance of the energy through pins, stored energy and losses."""
-        d = self.built(part, build)
+        d = self.built_declaration(part, build)
         known = {} if "frequency" in waves else self._recorded(part, build, waves)
         yield from _limit_checks(d, part, known)
         if build.scene.analysis.type == "op":
@@ -190,7 +189,7 @@ class DeclaredPart(PartType[KeysT]):
     def standing(self, part: Part[KeysT], build: Build, point: Waveforms) -> Iterator[Check]:
         """Whether it rests on a stop, about which small signals are those of the stop, or beyond
         its limits."""
-        d, known = self.built(part, build), self._recorded(part, build, point)
+        d, known = self.built_declaration(part, build), self._recorded(part, build, point)
         small = build.scene.analysis.small
         if small:
             yield from _limit_checks(d, part, known, " at its operating point")
@@ -203,7 +202,7 @@ class DeclaredPart(PartType[KeysT]):
 
     def _recorded(self, part: Part[KeysT], build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
         """Coordinates, states and signals over time, as far as the run has them."""
-        d = self.built(part, build)
+        d = self.built_declaration(part, build)
         result = {}
         for name in (*d.coordinates, *d.states, *d.signals):
             if (wave := waves.data.get(f"{part.name}.{name}")) is not None:

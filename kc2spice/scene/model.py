@@ -325,6 +325,11 @@ class DeclaredScene:
         """All parts of the type ``kind``, whose keys are of the class ``schema``, in order."""
         return tuple(part.with_schema(schema) for part in self.of(kind))
 
+    @property
+    def reduced_parts(self) -> tuple[Part, ...]:
+        """All parts whose model is reduced, in order."""
+        return tuple(part for part in self.parts.values() if part.reduced)
+
     def only(self, *types: str) -> Part | None:
         """The part of one of these types if there is exactly one, else None."""
         result = self.of(*types)

@@ -146,7 +146,9 @@ def test_a_conductor_states_its_rings():
     assert errors["conductor.tolerance"] is None
     part = build.scene.parts["conductor"]
     found, keys = build.model(part, Ladder), part.keys
-    fixed = [s for m in keys.magnets.values() for s in moving_conductor.sheets(m, m.remanence)]
+    fixed = [
+        s for m in keys.magnets.values() for s in moving_conductor.surface_currents(m, m.remanence)
+    ]
     body = moving_conductor._divided(keys, 1600, found.frequency)
     coils = moving_conductor.windings(keys)
     true = roughness(body, found, coils, fixed, keys.conductivity)

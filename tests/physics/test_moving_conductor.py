@@ -14,7 +14,7 @@ import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.fem.magnet_rings import Winding, divide_section, ladder
-from kc2spice.parts.magnetics.moving_conductor import ROUGH, declared
+from kc2spice.parts.magnetics.moving_conductor import ROUGH, declare
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.load import load_scene
 
@@ -224,7 +224,7 @@ def test_what_a_state_stores_and_pulls_is_one_coenergy():
     found = ladder(
         divide_section(0, 65e-3, 0, 3e-3, 60), coils, [], 2e-3, 22e-3, ALUMINIUM, 1e3, 1e-3
     )
-    law = DeclaredLaw("c", declared(part, found).closed, (ALUMINIUM,))
+    law = DeclaredLaw("c", declare(part, found).with_loop_pin, (ALUMINIUM,))
     first = len(law.taps)
     rng = np.random.default_rng(5)
     for _ in range(5):

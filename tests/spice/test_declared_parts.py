@@ -13,7 +13,7 @@ from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.translate import dialect_files
-from kc2spice.physics import Declaration, DeclaredPart, branch, displacement, seen, voltage
+from kc2spice.physics import Declaration, DeclaredPart, branch, displacement, measured, voltage
 from kc2spice.physics.cards import subcircuit_items
 from kc2spice.reference.integrate import solve_transient
 from kc2spice.reference.system import assemble_system
@@ -251,7 +251,7 @@ REGULATOR = DeclaredPart(
         "regulator",
         "PI regulator with a limit",
         RegulatorKeys,
-        (seen(voltage("v", "measured", "ref")), voltage("u", "out", "ref")),
+        (measured(voltage("v", "measured", "ref")), voltage("u", "out", "ref")),
         signals={"error": "setpoint - v", "wanted": "kp*error + integral"},
         states={"integral": "ki*error*(1 - above(wanted - most) - above(-wanted - most))"},
         content="0.5*(u - most*clip(wanted/most))^2",  # behind an ohm
@@ -330,7 +330,7 @@ PUSHER = DeclaredPart(
         "pusher",
         "force by a voltage",
         PusherKeys,
-        (seen(voltage("v", "command", "ref")), displacement("x", "a", "b")),
+        (measured(voltage("v", "command", "ref")), displacement("x", "a", "b")),
         content="-gain*v*x_rate",
     )
 )

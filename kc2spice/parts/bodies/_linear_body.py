@@ -65,7 +65,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def metrics(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
-        z = measured(part, waves)
+        z = measured_impedance(part, waves)
         if z is None:
             return {}
         from kc2spice.bodies.impedance import analyse
@@ -155,7 +155,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Figure | Written]:
         yield from _pictures.port_figures(part.name, waves)
-        z = measured(part, waves)
+        z = measured_impedance(part, waves)
         if z is not None:
             how = f"as the circuit shows it at {part.name}"
             f = waves["frequency"].real
@@ -256,7 +256,7 @@ def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def measured(part: Part, waves: Waveforms) -> np.ndarray | None:
+def measured_impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
     """``V / I`` (frequencies,) [Ohm] at the first electrical port, where both were recorded.
 
     None as well where the body feeds the circuit, so that V / I is not its own impedance.

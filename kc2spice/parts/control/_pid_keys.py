@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -47,5 +48,4 @@ class Control(Section):
     def switching(self) -> tuple[tuple[float, float], ...]:
         """Times [s] and states, 1 enabled and 0 not, in order."""
         on = self.enable_at if isinstance(self.enable_at, tuple) else (self.enable_at,)
-        both = [(t, 1.0) for t in on] + [(t, 0.0) for t in self.disable_at]
-        return tuple(sorted(both))
+        return tuple(sorted((*product(on, (1.0,)), *product(self.disable_at, (0.0,)))))

@@ -123,14 +123,15 @@ wiring = "parallel"
 
     def settable(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, Sampled]:
         keys = part.keys
-        nodes = {name: build.net(part, name) for name in keys.inputs}
-        factors = {name: build.across(part, name).factor for name in keys.inputs}
+        sources = {}
+        for name in keys.inputs:
+            sources[name] = build.net(part, name), build.across(part, name).factor
 
         def load() -> Callable[[float, Mapping[str, float]], float]:
             function = build.functions.get(part.name) or self._function(part, build)
 
             def call(time: float, values: Mapping[str, float]) -> float:
-                inputs = {name: factors[name] * values[node] for name, node in nodes.items()}
+                inputs = {name: factor * values[net] for name, (net, factor) in sources.items()}
                 return float(function(time, inputs))
 
             return call

@@ -11,6 +11,7 @@ from kc2spice.core import laws
 from kc2spice.core.domains import DISPLACEMENT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.magnets import EMTable
+from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
@@ -20,7 +21,7 @@ from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics._template import BANDWIDTH, opamp_subcircuit
 from kc2spice.parts.magnetics.ring_magnet_coils import Coils, label
 from kc2spice.parts.mechanics import sphere
-from kc2spice.physics.declaration import Branch, Declaration, displacement, seen, voltage
+from kc2spice.physics.declaration import Branch, Declaration, displacement, measured, voltage
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import declared_subcircuit
 from kc2spice.scene.checks import Check, Metric
@@ -68,13 +69,14 @@ def _terminals(output: bool) -> tuple[Terminal, ...]:
     )
 
 
-def control_law(control: Control, *, output: bool = True) -> Declaration:
-    """``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s), +-current_limit)`` between
-    ``drive`` and ``sense``, of ``e = setpoint - y`` as the volts of a sensor.
+def declare_control(control: Control, *, output: bool = True) -> Declaration:
+    """Declare the law of the controller.
 
-    Without ``output`` it is a voltage at ``command``, 100 V for each ampere. The integral stands
-    still while the clamp holds; it is empty until ``enable`` is 1 V, and the current zero. A gain
-    that is zero has no term, so that it cannot be set either.
+    It is ``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s), +-current_limit)`` between
+    ``drive`` and ``sense``, with ``e = setpoint - y`` as the voltage of a sensor. Without
+    ``output`` it is a voltage at ``command``, 100 V for each ampere. The integral is constant while
+    the current is limited. Integral and current are zero until ``enable`` is 1 V. A gain of zero
+    has no term and no parameter.
     """
     limited = "demand/current_limit"
     within = f"(1 - above({limited} - 1) - above(-{limited} - 1))"
@@ -100,8 +102,8 @@ def control_law(control: Control, *, output: bool = True) -> Declaration:
         "controller of the sphere's height",
         Section,
         (
-            seen(displacement("y", "y", "ref")),
-            seen(voltage("enable", "enable", "ref")),
+            measured(displacement("y", "y", "ref")),
+            measured(voltage("enable", "enable", "ref")),
             *ends,
         ),
         content=content,
@@ -109,7 +111,7 @@ def control_law(control: Control, *, output: bool = True) -> Declaration:
         signals={
             "on": "above(enable - 0.5)",
             "error": "sensor*(setpoint - y)",
-            "demand": " + ".join(terms[gain] for gain in gains),
+            "demand": " + ".join(map(terms.__getitem__, gains)),
         },
         given=tuple(_parameters(control)),
         constants={"sensor": repr(SENSOR)},
@@ -143,7 +145,7 @@ def pid_subcircuit(
     limit through the ``load`` [Ohm] of the coils, and what is left over slews the current. Without
     it the controller ends at ``command``, 100 V for each ampere that it wants.
     """
-    declared = control_law(control, output=output)
+    declared = declare_control(control, output=output)
     if control.form == "ideal":
         return declared_subcircuit(header, name, declared, declared.values(control))
     limit = control.current_limit
@@ -158,7 +160,7 @@ def pid_subcircuit(
     ]
     if output:
         params += [positive("compliance", supply, "V", "supply of the output stage")]
-    gains = [param.name for param in params]
+    gains = names_of(params)
     part = library(
         "pid",
         header,
@@ -200,7 +202,7 @@ class Pid(PartType[Control]):
         return _terminals(not _remote(part, scene))
 
     def default_joins(self, part: Part[Control], scene: GovernedScene) -> Mapping[str, str]:
-        ball = sphere.controlled(part, scene)
+        ball = sphere.controlled_sphere(part, scene)
         joins = {} if ball is None else {"y": f"{ball.name}.y"}
         if not _remote(part, scene):
             coils = _coils(part, scene).name
@@ -216,9 +218,8 @@ class Pid(PartType[Control]):
             yield part.wrong("setpoint", "outside the force table", got, expected, hint)
         if not max(keys.kp, keys.ki, keys.kd):
             yield part.wrong("kp", "no gain at all", "kp = ki = kd = 0", "one of them above zero")
-        times = [time for time, _ in keys.switching]
-        states = [state for _, state in keys.switching]
-        if min(times) < 0 or states != ([1.0, 0.0] * len(states))[: len(states)]:
+        times, states = zip(*keys.switching, strict=True)
+        if min(times) < 0 or states != ((1.0, 0.0) * len(states))[: len(states)]:
             problem = "enable and disable times do not alternate"
             got = f"{keys.enable_at}, disabled at {keys.disable_at}"
             expected = "an enable time, then a disable time, and so on, all from 0 on"
@@ -250,15 +251,14 @@ class Pid(PartType[Control]):
         keys, n, scene = part.keys, part.name, build.scene
         if _remote(part, scene) or build.net(part, "ref") != "0":
             return None
-        declared, height = control_law(keys), sphere.offset(part, "y", scene)
+        declared, height = declare_control(keys), sphere.offset(part, "y", scene)
         values = declared.values(keys) | {"setpoint": keys.setpoint - height}
         controller = DeclaredLaw(n, declared, tuple(values.values()))
-        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in controller.pins)
         error = laws.reading(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
-        return laws.Equations((controller,), pins, {f"{n}.error": error})
+        return laws.Equations((controller,), controller.joins, {f"{n}.error": error})
 
     def metrics(self, part: Part[Control], build: Build, waves: Waveforms) -> Mapping[str, object]:
-        ball = sphere.controlled(part, build.scene)
+        ball = sphere.controlled_sphere(part, build.scene)
         if "time" not in waves or ball is None or f"{ball.name}.y" not in waves:
             return {}
         t, y, setpoint = waves["time"], waves[f"{ball.name}.y"], part.keys.setpoint

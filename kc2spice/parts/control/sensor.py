@@ -17,7 +17,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import number
 from kc2spice.parts.mechanics import sphere
 from kc2spice.physics.cards import state_node
-from kc2spice.physics.declaration import Declaration, displacement, seen
+from kc2spice.physics.declaration import Declaration, displacement, measured
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import declared_subcircuit
 from kc2spice.scene.model import (
@@ -56,7 +56,7 @@ def sensor_declaration(keys: SensorKeys) -> Declaration:
         "sensor",
         "position sensor",
         Section,
-        (seen(displacement("x", "of", "ref")),),
+        (measured(displacement("x", "of", "ref")),),
         states={"followed": f"{2 * math.pi:.11g}*bandwidth*({MICROMETRES}*x - followed)"},
         outputs={"out": f"{DISPLACEMENT.factor:g}*followed + offset"},
         given=(
@@ -126,7 +126,7 @@ dc = "1 um"
         return (declared_subcircuit(header, name, d, d.values(Section()), more=cards),)
 
     def settable(self, part: Part[SensorKeys], build: Build) -> Mapping[str, float]:
-        start = sphere.beginning(part, "of", build.scene)
+        start = sphere.initial_height(part, "of", build.scene)
         if start is None:
             return {}
         return {f"x{part.name}.{state_node('followed')}": DISPLACEMENT.per_unit * start}

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain, filterfalse
 from pathlib import Path
 from typing import Any
 
@@ -116,9 +117,9 @@ class Netlist(PartType[NetlistKeys]):
                 yield part.wrong(f"units.{name}", "not a kind of a pin", repr(kind), expected)
         scope = None
         for name, node in _probed(part, scene):
-            scope = scope or _scope(part, scene)
-            if node in pins or has_vector(scope, _inside(node)):
-                if scene.analysis.small and "@" in _inside(node):
+            scope = scope or _read_subcircuit(part, scene)
+            if node in pins or has_vector(scope, _inner_vector(node)):
+                if scene.analysis.small and "@" in _inner_vector(node):
                     yield UsageError(
                         "has no small-signal current to read",
                         where=f"probes.{name}.of",
@@ -127,8 +128,8 @@ class Netlist(PartType[NetlistKeys]):
                         hint="a 0 V source in series with it has one",
                     )
                 continue
-            nodes = dict.fromkeys((*pins, *(n for e in scope.elements for n in e.ends)))
-            choices = [n for n in nodes if n != "0"]
+            nodes = dict.fromkeys((*pins, *chain.from_iterable(e.ends for e in scope.elements)))
+            choices = [*filter("0".__ne__, nodes)]
             choices += [f"i({e.key})" for e in scope.elements if e.kind in _CURRENTS]
             yield UsageError(
                 "no such pin, node or current",
@@ -142,7 +143,7 @@ class Netlist(PartType[NetlistKeys]):
                 yield part.wrong("ratings", "no such pin", name, ", ".join(pins))
 
     def drives(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
-        return _read(part.keys.file, scene.home, _stamp(part, scene)).excites
+        return _read(part.keys.file, scene.home, _modification_time(part, scene)).excites
 
     def library(self, part: Part[NetlistKeys], scene: Scene) -> str:
         return str(part.keys.subckt)
@@ -160,19 +161,21 @@ class Netlist(PartType[NetlistKeys]):
         return (Subcircuit(name, pins, (), tree, title=title, file=file, source=source),)
 
     def vectors(self, part: Part[NetlistKeys], build: Build) -> Mapping[str, Vector]:
-        """Its rated pins, and what probes name: pins, ``i(ELEMENT)``, and nodes over ``ref``."""
+        """Return rated pins, and the pins, currents and inner nodes of probes."""
         scene, pins = build.scene, {t.name: t for t in build.scene.pins(part.name)}
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()
         probed = dict.fromkeys(node for _, node in _probed(part, scene))
         volts = [p for p in probed if p in pins and pins[p].unit == "V"]
         result = potentials(part, build, dict.fromkeys((*rated, *volts)))
         base = build.net(part, "ref") if "ref" in pins else "0"
-        for node in (n for n in probed if n not in volts):
+        for node in probed:
             name = f"{part.name}.{node}"
+            if node in volts:
+                continue
             if node in pins:
                 result[name] = build.across(part, node)
             elif node.lower().startswith("i("):
-                result[name] = Vector(_inside(node, part.name), 1.0, "A")
+                result[name] = Vector(_inner_vector(node, part.name), 1.0, "A")
             else:
                 inner = f"v(x{part.name.lower()}.{node.lower()})"
                 result[name] = Vector(inner if base == "0" else f"{inner}-v({base})", 1.0, "V")
@@ -188,8 +191,8 @@ class Netlist(PartType[NetlistKeys]):
             high = np.inf if rating.high is None else rating.high
             yield rails_check(name, volts, low, high, slack, RATED)
             if rating.slew is not None:
-                ahead = [sign * volts - rating.slew * waves["time"] for sign in (1.0, -1.0)]
-                most = max(float((a - np.minimum.accumulate(a)).max()) for a in ahead)
+                ahead = np.stack([volts, -volts]) - rating.slew * waves["time"]
+                most = float((ahead - np.minimum.accumulate(ahead, axis=1)).max())
                 name = f"{name} within its slew rate"
                 yield Check(name, most, slack, "V ahead", RATED, wiring=True)
 
@@ -236,7 +239,7 @@ def _pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
     ------
     UsageError : the file cannot be read or has no such subcircuit.
     """
-    known = _read(part.keys.file, scene.home, _stamp(part, scene)).pins
+    known = _read(part.keys.file, scene.home, _modification_time(part, scene)).pins
     pins = known.get(part.keys.subckt.lower())
     if pins is None:
         raise part.wrong(
@@ -248,8 +251,8 @@ def _pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
         )
     for pin in pins:
         checked(pin, where=f"{part.name}.subckt")
-    missing = [pin for pin in part.pins if pin not in pins] if part.at[1:2] == ("driver",) else []
-    if missing:
+    missing = [*filterfalse(pins.__contains__, part.pins)]
+    if missing and part.at[1:2] == ("driver",):
         raise UsageError(
             f"as a driver the subcircuit needs the pin {missing[0]}",
             where=".".join(map(str, (*part.at, "subckt"))),
@@ -260,15 +263,17 @@ def _pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
 
 
 def _probed(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str, str]]:
-    """Names of the probes of this part, with the pin, node or ``i(ELEMENT)`` that each looks at;
-    those of a meter at a pin are everybody's."""
+    """Yield the names of probes of this part, with their pin, node or ``i(ELEMENT)``.
+
+    Probes of a meter at a pin are not among them.
+    """
     for name, probe in scene.probes.items():
         owner, dot, node = probe.of.partition(".")
         if owner == part.name and dot and node.rpartition(".")[2] not in ("current", "power"):
             yield name, node
 
 
-def _inside(node: str, part: str = "") -> str:
+def _inner_vector(node: str, part: str = "") -> str:
     """Vector of a node or of ``i(ELEMENT)``, ``i(x1.ELEMENT)`` in the part's subcircuit, or with
     ``part`` in its instance."""
     low, instance = node.lower(), f"x{part.lower()}." if part else ""
@@ -281,8 +286,8 @@ def _inside(node: str, part: str = "") -> str:
     return f"i({name})" if read == "" else f"@{name}[{read}]"
 
 
-def _scope(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
-    """Its subcircuit as elements with nodes."""
+def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
+    """Read its subcircuit as elements with nodes."""
     flat = read_untrusted(part.keys.file, scene.home)
     tree = imported(read(flat.text, flat.file), part.keys.syntax)
     result = circuit(tree).find(part.keys.subckt)
@@ -291,8 +296,8 @@ def _scope(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
     return result
 
 
-def _stamp(part: Part[NetlistKeys], scene: DeclaredScene) -> int:
-    """Age of the part's file."""
+def _modification_time(part: Part[NetlistKeys], scene: DeclaredScene) -> int:
+    """Modification time of the part's file [ns]."""
     path = scene.home / part.keys.file
     return path.stat().st_mtime_ns if path.is_file() else 0
 
@@ -310,7 +315,7 @@ def _read(file: str, home: Path, stamp: int) -> _File:
     """Contents of a file that a scene needs; ``stamp`` is its modification time."""
     result, excites = {}, False
     for card in read_untrusted(file, home).cards():
-        words = [word.lower() for word in card.words]
+        words = list(map(str.lower, card.words))
         excites = excites or (card.keyword[:1] in ("v", "i") and "ac" in words[3:])
         if card.keyword == ".subckt" and len(card.words) > 1:
             pins = [w for w in card.words[2:] if "=" not in w and w.lower() != "params:"]

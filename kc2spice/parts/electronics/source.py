@@ -21,7 +21,7 @@ from kc2spice.core.untrusted_files import file_in_folder, read_bounded
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.read import words
-from kc2spice.netlist.spelling import number
+from kc2spice.netlist.spelling import number, voltage_between
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import (
     Build,
@@ -70,7 +70,7 @@ class Kind(NamedTuple):
 
     @property
     def sets(self) -> str:
-        """Name of the result that it sets."""
+        """Name of the prescribed result."""
         return self.quantity.symbol
 
 
@@ -104,7 +104,7 @@ class SourceKeys(Section):
 
     @model_validator(mode="after")
     def _one_shape(self, info: ValidationInfo) -> SourceKeys:
-        shapes = [name for name in SHAPES if getattr(self, name) is not None]
+        shapes = self._stated_shapes
         if len(shapes) > 1:
             hint = f"delete the key {shapes[0]} or the key {shapes[1]}"
             raise refused("two shapes: " + " and ".join(shapes), "one of them", hint=hint)
@@ -118,8 +118,12 @@ class SourceKeys(Section):
 
     @property
     def shape(self) -> str:
-        """The key that says its values over time."""
-        return next((name for name in SHAPES if getattr(self, name) is not None), "dc")
+        """Key of its values over time."""
+        return next(iter(self._stated_shapes), "dc")
+
+    @property
+    def _stated_shapes(self) -> list[str]:
+        return [name for name in SHAPES if getattr(self, name) is not None]
 
     @property
     def unit(self) -> str:
@@ -159,13 +163,13 @@ class SourceKeys(Section):
                 quantity(s.amplitude, unit, where="sine.amplitude"), s.frequency, s.start
             )
         if self.pwl is not None:
-            points = [
-                [quantity(t, "s", where=f"pwl.{k}.0"), quantity(v, unit, where=f"pwl.{k}.1")]
-                for k, (t, v) in enumerate(self.pwl)
-            ]
-            return _rising(np.array(points), "pwl")
+            points = []
+            for k, (t, v) in enumerate(self.pwl):
+                time = quantity(t, "s", where=f"pwl.{k}.0")
+                points.append([time, quantity(v, unit, where=f"pwl.{k}.1")])
+            return _make_waveform(np.array(points), "pwl")
         if self.file is not None:
-            return _rising(_table(home, self.file), self.file)
+            return _make_waveform(_read_table(home, self.file), self.file)
         return waves_.constant(quantity(0.0 if self.dc is None else self.dc, unit, where="dc"))
 
 
@@ -193,24 +197,25 @@ class Source(PartType[SourceKeys]):
 
     def highest_frequency(self, part: Part[SourceKeys], scene: DeclaredScene) -> HighestFrequency:
         share = 1.0 if part.keys.kind in SMOOTHED else 0.0
-        return partial(_frequency_behind, part.keys.waveform(scene.home), scene.stop, share)
+        return partial(_filtered_frequency, part.keys.waveform(scene.home), scene.stop, share)
 
     def at_rest(self, part: Part[SourceKeys], scene: WiredScene) -> Rest:
         pair = (("out", "ret"),)
         if KINDS[part.keys.kind].letter == "V":
             wave = part.keys.waveform(scene.home)
-            moves = wave.amplitude or np.ptp([value for _, value in wave.points])
+            moves = wave.amplitude or np.ptp(np.array(wave.points)[:, 1])
             kinked = part.keys.kind == "displacement" and moves  # a sine too, where it starts
             return Rest(pair, pair, kinked=part.keys.shape if kinked else "")
         constant = part.keys.waveform(scene.home)(np.zeros(1))[0]
         return Rest(pushed=("out", "ret") if constant else ())
 
     def cards(self, part: Part[SourceKeys], build: Build) -> tuple[Item, ...]:
-        kind, ends = KINDS[part.keys.kind], [build.net(part, pin) for pin in ("out", "ret")]
+        kind = KINDS[part.keys.kind]
+        ends = [build.net(part, "out"), build.net(part, "ret")]
         if kind.letter == "I":  # the current leaves the source at "out" and enters it at "ret"
             ends.reverse()
         if _returns(part, build.scene):
-            swept = _returning(part, build, kind, ends)
+            swept = _sweep_cards(part, build, kind, ends)
             return tuple(card.valued(kind.value_unit) for card in swept)
         wave = part.keys.waveform(build.scene.home).spice(kind.scale)
         size = kind.scale * quantity(part.keys.ac, kind.unit)
@@ -220,7 +225,8 @@ class Source(PartType[SourceKeys]):
 
     def inner_names(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[tuple[str, ...]]:
         if _returns(part, scene):
-            yield from ((part.name, word) for word in ("swept", "folded"))
+            yield part.name, "swept"
+            yield part.name, "folded"
 
     def settable(self, part: Part[SourceKeys], build: Build) -> Mapping[str, Swept]:
         kind = KINDS[part.keys.kind]
@@ -240,12 +246,12 @@ class Source(PartType[SourceKeys]):
         out, ret = build.net(part, "out"), build.net(part, "ret")
         if out != ret and (kind.letter == "V" or ret == "0"):
             across = kind.domain.across
-            ends = "".join(f"{s}v({net})" for s, net in (("", out), ("-", ret)) if net != "0")
+            ends = voltage_between(out, ret)
             result[f"{n}.{across.symbol}"] = Vector(ends, across.factor, across.unit)
         return result
 
     def checks(self, part: Part[SourceKeys], build: Build, waves: Waveforms) -> Iterator[Check]:
-        """The source did what it says: compared over the whole run, at every time point."""
+        """Compare the source with its definition at every time point of the run."""
         result = waves.data.get(f"{part.name}.{KINDS[part.keys.kind].sets}")
         if result is None or "time" not in waves:
             return
@@ -276,8 +282,8 @@ class Source(PartType[SourceKeys]):
         yield f"{part.keys.kind}, {part.keys.shape}"
 
 
-def _frequency_behind(wave: Waveform, stop: float, share: float, constant: float) -> float:
-    """Highest frequency [Hz] of a wave behind a ``share`` of a time constant [s]."""
+def _filtered_frequency(wave: Waveform, stop: float, share: float, constant: float) -> float:
+    """Highest frequency [Hz] of a wave after a filter with a ``share`` of a time constant [s]."""
     return waveform_frequency(wave, stop, share * constant)
 
 
@@ -288,7 +294,7 @@ def _returns(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
     return moved and bool(selected.back)
 
 
-def _returning(
+def _sweep_cards(
     part: Part[SourceKeys], build: Build, kind: Kind, ends: list[str]
 ) -> Iterator[Element]:
     """Source of a sweep that returns from ``to``.
@@ -297,8 +303,10 @@ def _returning(
     directions form one sweep and each point starts from the solution of the previous point.
     """
     selected = build.scene.analysis
-    first, last = (kind.scale * quantity(v, kind.unit) for v in (selected.from_, selected.to))
-    swept, folded = (build.inner_name(part, part.name, word) for word in ("swept", "folded"))
+    first = kind.scale * quantity(selected.from_, kind.unit)
+    last = kind.scale * quantity(selected.to, kind.unit)
+    swept = build.inner_name(part, part.name, "swept")
+    folded = build.inner_name(part, part.name, "folded")
     value = f"{number(last)}{'-' if first < last else '+'}abs(V({swept})-({number(last)}))"
     yield Element.of(f"V{swept}", swept, "0", first)
     if kind.letter == "I":
@@ -309,7 +317,7 @@ def _returning(
 
 
 def drive_scales(name: str, wave: Waveform) -> Iterator[Numerics]:
-    """A sine that is switched on excites more than its own frequency; of an edge see ``EDGE``."""
+    """Yield the largest steps and frequencies of a wave: sines that start, or edges (``EDGE``)."""
     if not wave.straight:
         f = wave.frequency
         what = f"1/{PER_PERIOD} of a period of {name}, a sine at {f:g} Hz"
@@ -322,14 +330,14 @@ def drive_scales(name: str, wave: Waveform) -> Iterator[Numerics]:
 
 
 def _unloaded(part: Part[SourceKeys], build: Build) -> bool:
-    """Whether nothing but inputs of signals, which draw no current, listens to its voltage."""
-    result = [
-        build.scene.terminals[name, pin].flow for name, pin in build.scene.joined(part.name, "out")
-    ]
-    return bool(result) and set(result) == {"-"} and build.net(part, "ret") == "0"
+    """Whether its voltage drives inputs of signals alone, which draw no current."""
+    scene = build.scene
+    flows = {scene.terminals[end].flow for end in scene.joined(part.name, "out")}
+    return flows == {"-"} and build.net(part, "ret") == "0"
 
 
-def _rising(points: np.ndarray, what: str) -> Waveform:
+def _make_waveform(points: np.ndarray, what: str) -> Waveform:
+    """Make a piecewise linear waveform of points whose times must increase."""
     key = "pwl" if what == "pwl" else "file"
     if len(points) < 2:
         expected = "at least two rows of time and value"
@@ -346,7 +354,7 @@ def _rising(points: np.ndarray, what: str) -> Waveform:
     return waves_.linear(points)
 
 
-def _table(home: Path, name: str) -> np.ndarray:
+def _read_table(home: Path, name: str) -> np.ndarray:
     """Rows ``time, value`` of a CSV file beside the scene."""
     path = file_in_folder(home, name, "file")
     try:

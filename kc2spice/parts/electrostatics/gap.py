@@ -32,6 +32,7 @@ from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
+from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import (
     EPSILON_0,
@@ -150,14 +151,14 @@ class Patched(DeclaredPart[KeysT]):
 
 
 class Gap(Patched[GapKeys]):
-    """The part type; how many branches it has is up to its keys."""
+    """The part type, whose keys determine the number of branches."""
 
     discretisations = ("film.branches",)
 
     def declared(self, part: Part[GapKeys], scene: GovernedScene) -> Declaration:
         return self._with_branches(part, scene, branches_of(part, scene))
 
-    def built(self, part: Part[GapKeys], build: Build) -> Declaration:
+    def built_declaration(self, part: Part[GapKeys], build: Build) -> Declaration:
         finer = build.models.get(part.name)
         if not isinstance(finer, int):
             return self.declared(part, build.scene)
@@ -170,8 +171,8 @@ class Gap(Patched[GapKeys]):
         return FINER * branches_of(part, scene) or None if full else None
 
     def law(self, part: Part[GapKeys], build: Build) -> laws.Equations:
-        """Without the pins of branches that the netlist does not have: they are joined nowhere."""
-        result, known = super().law(part, build), {pin.name for pin in build.scene.pins(part.name)}
+        """Return the law without the pins of branches that the netlist does not have."""
+        result, known = super().law(part, build), set(names_of(build.scene.pins(part.name)))
         return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
 
     def _with_branches(
@@ -190,15 +191,18 @@ class Gap(Patched[GapKeys]):
             yield part.wrong("shares", "patches and shares of the area differ", got, expected)
 
     def vectors(self, part: Part[GapKeys], build: Build) -> Mapping[str, Vector]:
-        """Without what nothing but rounding flows into: the films' own pins are joined nowhere."""
+        """Return the results without the forces at the pins of the film, which are zero."""
         result = super().vectors(part, build)
         return {name: row for name, row in result.items() if ".film_force" not in name}
 
     def checks(
         self, part: Part[GapKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
-        """After a dc sweep also that no point is on the branch between pull-in and release: what
-        rests has a capacitance that never falls with ``v^2``, as the coenergy's least is convex."""
+        """Yield the checks, after a dc sweep also of unstable points.
+
+        No point may lie on the branch between pull-in and release. The capacitance of a stable
+        point never falls with ``v^2``.
+        """
         yield from super().checks(part, build, waves)
         yield from _film_checks(part, build, waves)
         d, recorded = self.declared(part, build.scene), self._recorded(part, build, waves)
@@ -214,12 +218,13 @@ class Gap(Patched[GapKeys]):
         yield Check(name, most, UNSTABLE, what, advice)
 
     def metrics(self, part: Part[GapKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
-        """Voltage at which a patch first meets the stop, and at which the last one then leaves it,
-        each the mean of the two points around, and the largest travel; in ``ac`` the real part of
-        force over displacement, and the imaginary one over ``2 pi f``, none where that is rounding,
-        at the last frequency."""
-        of = {word: [w for n, w in waves.data.items() if n.startswith(f"{part.name}.{word}")]
-              for word in ("x", "force")}  # fmt: skip
+        """Return the voltages of pull-in and release and the largest travel, or small signals.
+
+        At pull-in a patch first meets the stop, at release the last one leaves it. Each voltage is
+        the mean of the two points around. In ``ac`` the metrics are the real part of force over
+        displacement and its imaginary part over ``2 pi f``, at the last frequency.
+        """
+        of = {"x": _waves_of(part, "x", waves), "force": _waves_of(part, "force", waves)}
         volts = waves.data.get(f"{part.name}.v")
         if volts is None or not of["x"]:
             return {}
@@ -245,7 +250,7 @@ class Gap(Patched[GapKeys]):
 
 
 def patches(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
-    """Ports of the body that a part's patches are, in their order."""
+    """Return the ports of the body under a part's patches, in their order."""
     name = getattr(part.keys, "a", "")
     if not isinstance(name, str):
         return tuple(name)
@@ -261,16 +266,17 @@ def patches(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
 
 
 def branches_of(part: Part[GapKeys], scene: GovernedScene) -> int:
-    """Terms of the series of its film that keep their spring; 0 without a film."""
+    """Return the number of terms of its film that have a spring; 0 without a film."""
     keys = part.keys
     if keys.film is None:
         return 0
     if keys.film.branches is not None:
         return keys.film.branches
     top = highest_frequency(scene)
-    counts = range(FEWEST, MOST + 1)
-    good = (n for n in counts if truncation(keys.film, keys.gap, n, top) <= keys.film.tolerance)
-    return next(good, MOST)
+    for count in range(FEWEST, MOST):
+        if truncation(keys.film, keys.gap, count, top) <= keys.film.tolerance:
+            return count
+    return MOST
 
 
 @lru_cache(maxsize=256)
@@ -290,9 +296,18 @@ def truncation(film: Film, gap: float, branches: int, frequency: float) -> float
     return float(max(abs(off.imag) / total.imag, abs(off.real) / abs(total)))
 
 
+def _waves_of(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarray]:
+    """Recorded displacements ``x`` or forces ``force`` of all patches."""
+    prefix = f"{part.name}.{word}"
+    return [wave for name, wave in waves.data.items() if name.startswith(prefix)]
+
+
 def _film_checks(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
-    """The error of the series at the highest frequency of a run: of its response, or that up to
-    which the velocity of its patches has 99.9 % of its energy."""
+    """Yield checks of the film's series at the highest frequency of a run.
+
+    It is that of the response, or the one below which the velocity of the patches has 99.9 % of its
+    energy.
+    """
     film, frequency = part.keys.film, 0.0
     if film is None:
         return
@@ -301,10 +316,9 @@ def _film_checks(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterato
     if "frequency" in waves:
         frequency = float(waves["frequency"].real[-1])
     elif "time" in waves:
-        time, rows = waves["time"], waves.data.items()
-        paths = (x for name, x in rows if name.startswith(f"{part.name}.x"))
-        moved = (energy_frequency(time, np.gradient(x, time)) for x in paths)
-        frequency = max(moved, default=0.0)
+        time = waves["time"]
+        for x in _waves_of(part, "x", waves):
+            frequency = max(frequency, energy_frequency(time, np.gradient(x, time)))
     branches = branches_of(part, build.scene)
     error = truncation(film, part.keys.gap, branches, frequency)
     name = f"{branches} branches of the film of {part.name} at {frequency:.3g} Hz"
@@ -357,7 +371,7 @@ def _declared(text: str, count: int, film_branches: int, top: float) -> Declarat
             content.append(f"0.5*c{n}/{mean}^3*y{n}_rate^2")
         numbers |= {"rest": f"{rest!r}/gap^3"}
         content += damping
-    constants = {name: str(value) for name, value in numbers.items()}
+    constants = dict(zip(numbers, map(str, numbers.values()), strict=True))
     return Declaration(
         "gap",
         "gap between faces of a body and an electrode: pull-in, contact, squeezed film",
@@ -399,7 +413,7 @@ def _terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Dampers times gap^3 (n,), springs times gap (n,) and orders along the length (n,) of all
     terms, the largest dampers first."""
     area, odd = film.length * film.width, np.arange(1, TERMS + 1, 2)
-    m, n = (a.ravel() for a in np.meshgrid(odd, odd))
+    m, n = np.reshape(np.meshgrid(odd, odd), (2, -1))
     S = 4 * area / (np.pi**2 * m * n)
     q = np.pi**2 * (m**2 / film.length**2 + n**2 / film.width**2)
     dampers, springs = 48 * film.viscosity * S**2 / (q * area), 4 * film.pressure * S**2 / area

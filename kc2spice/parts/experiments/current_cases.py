@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import product
 
 import numpy as np
 from pydantic import Field
@@ -70,10 +71,9 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         library, y = build.libraries[_coils(part, build.scene).name], build.net(part, "y")
         height = Element.of(build.inner_name(part, "Vheight"), y, "0", "0")
         cards: list[Line] = [height.valued(DISPLACEMENT.pin_unit)]
-        for k, (lower, upper) in enumerate(cases(part)):
-            a, b, force = (
-                build.inner_name(part, f"{name}{k}") for name in ("lower", "upper", "force")
-            )
+        for k, (lower, upper) in enumerate(current_pairs(part)):
+            a, b = build.inner_name(part, f"lower{k}"), build.inner_name(part, f"upper{k}")
+            force = build.inner_name(part, f"force{k}")
             cards += [
                 f"* {number(lower)} A in the lower, {number(upper)} A in the upper coil",
                 Element.of(
@@ -90,8 +90,8 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     ) -> Iterator[tuple[str, ...]]:
         yield ("Vheight",)
         words = "lower", "upper", "force", "Xcatch", "Ilower", "Iupper", "Vforce"
-        for k in range(len(cases(part))):
-            yield from ((f"{word}{k}",) for word in words)
+        for k, word in product(range(len(current_pairs(part))), words):
+            yield (f"{word}{k}",)
 
     def settable(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, Swept]:
         keys = _coils(part, build.scene).keys
@@ -100,36 +100,32 @@ class CurrentCases(PartType[CurrentCasesKeys]):
 
     def vectors(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, Vector]:
         result = {f"{_sphere(part, build.scene)}.y": build.across(part, "y")}
-        for k, name in enumerate(_forces(part, build)):
+        for k, name in enumerate(_force_names(part, build)):
             result[name] = Vector(f"i({build.inner_name(part, f'Vforce{k}').lower()})", 1.0, "N")
         return result
 
     def metrics(
         self, part: Part[CurrentCasesKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
-        forces = [waves[name] for name in _forces(part, build)]
-        largest = max(float(np.abs(force).max()) for force in forces)
+        forces = _recorded_forces(part, build, waves)
         return {
-            "force_max_n": Metric(largest, "N"),
+            "force_max_n": Metric(float(np.abs(forces).max()), "N"),
             "position_m": Metric(waves[f"{_sphere(part, build.scene)}.y"].tolist(), "m"),
-            "current_pairs_a": Metric(list(map(list, cases(part))), "A"),
-            "force_n": Metric([force.tolist() for force in forces], "N"),
+            "current_pairs_a": Metric(list(map(list, current_pairs(part))), "A"),
+            "force_n": Metric(forces.tolist(), "N"),
         }
 
     def law(self, part: Part[CurrentCasesKeys], build: Build) -> laws.Equations:
-        """The height is a source's; a force on it is the reaction to what the coils exert."""
+        """Return the laws of the coils; a source prescribes the height and feels their forces."""
         n, pulled, fed = part.name, _sphere(part, build.scene), _coils(part, build.scene)
         table, height = build.model(fed, EMTable), [f"{n}.out"]
         result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant(0.0))]
         results = {f"{pulled}.y": laws.reading(f"{n}.out")}
-        for k, force in enumerate(_forces(part, build)):
+        for k, force in enumerate(_force_names(part, build)):
             case = f"{fed.name} {k}"  # no part has a blank in its name
-            lower, upper = cases(part)[k]
-            result.append(
-                coils.make_law(
-                    case, coils.declare_prescribed_currents(), table, lower=lower, upper=upper
-                )
-            )
+            lower, upper = current_pairs(part)[k]
+            declared = coils.declare_prescribed_currents()
+            result.append(coils.make_law(case, declared, table, lower=lower, upper=upper))
             height.append(f"{case}.y")
             results[force] = laws.reading(f"{case}.y.through", -1.0)
         pins, sweeps = (("y", f"{n}.out"),), {"height": (n, 1.0)}
@@ -138,9 +134,11 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def checks(
         self, part: Part[CurrentCasesKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Gate]:
-        """Largest change of slope from one segment of the lookup to the next, of the largest slope;
-        the heights are finer than the lookup, so that a jump shows at full size."""
-        forces = np.array([waves[name] for name in _forces(part, build)])
+        """Yield the largest jump of the slope between segments of the lookup, and gates.
+
+        The heights are finer than the lookup, so that a jump has its full size.
+        """
+        forces = _recorded_forces(part, build, waves)
         slope = np.diff(forces, axis=1) / np.diff(waves[f"{_sphere(part, build.scene)}.y"])
         jump = float(np.abs(np.diff(slope, axis=1)).max() / np.abs(slope).max())
         limit = build.scene.gates.lookup_slope
@@ -153,18 +151,23 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         yield Gate("force, of the largest", of, limits, "largest", leads=True)
 
     def notes(self, part: Part[CurrentCasesKeys], scene: Scene) -> Iterator[str]:
-        yield f"{len(cases(part))} pairs of currents"
+        yield f"{len(current_pairs(part))} pairs of currents"
 
 
-def cases(part: Part[CurrentCasesKeys]) -> list[tuple[float, float]]:
-    """Every pair (lower, upper) of currents [A], the lower coil's slowest."""
-    currents = part.keys.currents
-    return [(lower, upper) for lower in currents for upper in currents]
+def current_pairs(part: Part[CurrentCasesKeys]) -> list[tuple[float, float]]:
+    """Return all pairs (lower, upper) of currents [A]."""
+    return [*product(part.keys.currents, part.keys.currents)]
 
 
-def _forces(part: Part[CurrentCasesKeys], build: Build) -> list[str]:
-    """Names of the forces as results, one a case."""
-    return [f"{_coils(part, build.scene).name}.force.{k}" for k in range(len(cases(part)))]
+def _force_names(part: Part[CurrentCasesKeys], build: Build) -> list[str]:
+    """Names of the forces as results, one for each pair of currents."""
+    name = _coils(part, build.scene).name
+    return [f"{name}.force.{k}" for k in range(len(current_pairs(part)))]
+
+
+def _recorded_forces(part: Part[CurrentCasesKeys], build: Build, waves: Waveforms) -> np.ndarray:
+    """Forces [N] of all pairs of currents (pairs, heights)."""
+    return np.array([*map(waves.__getitem__, _force_names(part, build))])
 
 
 def _coils(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> Part[Coils]:

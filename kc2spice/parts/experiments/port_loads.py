@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import Annotated
 
 import numpy as np
@@ -14,6 +15,7 @@ from kc2spice.core import laws
 from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Count, Frequency, Notch, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
@@ -108,11 +110,11 @@ class PortLoads(PartType[PortLoadsKeys]):
     ) -> Iterator[tuple[str, ...]]:
         rings = _rings(body_of(part, scene), scene)
         for load in (*rings, "anode"):
-            yield from ((ring, load) for ring in rings)
-            yield from ((f"{letter}{load}",) for letter in "XI")
-            yield from ((word, load) for word in ("anode", "charge", "Vanode"))
-            yield from ((f"{letter}charge", load) for letter in "FCR")
-        yield from ((word,) for word in ("Vload", "load", "Cload", "Fload"))
+            yield (f"X{load}",)
+            yield (f"I{load}",)
+            words = ("anode", "charge", "Vanode", "Fcharge", "Ccharge", "Rcharge")
+            yield from product((*rings, *words), (load,))
+        yield from zip(("Vload", "load", "Cload", "Fload"))
 
     def vectors(self, part: Part[PortLoadsKeys], build: Build) -> Mapping[str, Vector]:
         """``INPUT>OUTPUT``, complex: displacements [m], of the anode charge [C] or voltage [V]."""
@@ -136,13 +138,12 @@ class PortLoads(PartType[PortLoadsKeys]):
     ) -> Mapping[str, object]:
         """``amplitude[input][output]`` per unit input, by ``frequency_hz``."""
         amplitude: dict[str, dict[str, Metric]] = {}
-        units = {name: row.unit for name, row in build.records[part.name].vectors.items()}
+        vectors = build.records[part.name].vectors
         for name, response in waves.data.items():
             source, arrow, sink = name.partition(">")
             if arrow:
-                amplitude.setdefault(source, {})[sink] = Metric(
-                    np.abs(response).tolist(), units[name]
-                )
+                row = amplitude.setdefault(source, {})
+                row[sink] = Metric(np.abs(response).tolist(), vectors[name].unit)
         return {"frequency_hz": Metric(waves["frequency"].tolist(), "Hz"), "amplitude": amplitude}
 
     def checks(self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
@@ -165,8 +166,10 @@ class PortLoads(PartType[PortLoadsKeys]):
         yield Figure(f"{part.name}_responses", "Frequency response", caption, (panel,))
 
     def law(self, part: Part[PortLoadsKeys], build: Build) -> laws.Equations | None:
-        """One copy of the body's law per load. A unit charge is a voltage behind a capacitance so
-        small that nothing but its charge matters."""
+        """Return one copy of the body's law for each load.
+
+        A unit charge is a large voltage behind a very small capacitance.
+        """
         body = body_of(part, build.scene)
         equations = body.type.law(body, build)
         if equations is None:
@@ -205,7 +208,7 @@ class PortLoads(PartType[PortLoadsKeys]):
 
 
 def body_of(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Stack]:
-    """The stack that is loaded.
+    """Return the stack under the loads.
 
     Raises
     ------
@@ -217,10 +220,10 @@ def body_of(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Stack]:
             problem, got = "this part has no rings to load", f"{body.name}, a {body.type.name}"
             raise part.wrong("of", problem, got, "the name of a piezo_stack")
         return body.with_schema(Stack)
-    result = [p for p in scene.parts.values() if p.reduced]
+    result = scene.reduced_parts
     if len(result) != 1 or not isinstance(result[0].keys, Stack):
         problem = f"{part.name} needs to know which piezo_stack it loads"
-        got = ", ".join(p.name for p in result) or "no body"
+        got = ", ".join(names_of(result)) or "no body"
         hint = "add [kick]; an empty table takes the defaults"
         raise part.wrong("of", problem, got, "the name of a piezo_stack", hint)
     return result[0].with_schema(Stack)

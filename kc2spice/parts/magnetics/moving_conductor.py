@@ -144,17 +144,22 @@ class MovingConductorKeys(Conduction, Moving):
     )
 
 
-def _coil(name: str) -> str:
-    return f"i_{name}"
+def _current_name(coil: str) -> str:
+    return f"i_{coil}"
+
+
+def _eddy_names(count: int) -> list[str]:
+    """Names of the currents of ``count`` loops in the body."""
+    return list(map("eddy{}".format, range(1, count + 1)))
 
 
 def _branches(keys: Moving, loops: int) -> tuple[Branch, ...]:
-    coils = (current(_coil(n), f"{n}_p", f"{n}_n") for n in keys.coils)
-    return (*coils, displacement("y", "a", "b"), *(loop(f"eddy{k + 1}") for k in range(loops)))
+    coils = (current(_current_name(n), f"{n}_p", f"{n}_n") for n in keys.coils)
+    return (*coils, displacement("y", "a", "b"), *map(loop, _eddy_names(loops)))
 
 
 @cache
-def _declared(
+def _declare(
     kind: MovingBody,
     branches: tuple[Branch, ...],
     low: str = "",
@@ -176,24 +181,29 @@ def _declared(
     )
 
 
-def declared(part: Part[Moving], model: Ladder) -> Declaration:
-    """Its coenergy ``i' L i / 2`` with the couplings as power series of the height, and losses. Of
-    a magnet, which has no loop with a rate, they are those of a tesla."""
-    keys, coils = part.keys, list(map(_coil, part.keys.coils))
-    eddies = [f"eddy{k + 1}" for k in range(model.rates.size)]
+def declare(part: Part[Moving], model: Ladder) -> Declaration:
+    """Declare the coenergy ``i' L i / 2`` and the losses.
+
+    The couplings are power series of the height. Those of a magnet, which has no loops, are
+    couplings per tesla of remanence.
+    """
+    keys, coils = part.keys, list(map(_current_name, part.keys.coils))
+    eddies = _eddy_names(model.rates.size)
     loops = eddies or ["remanence"]
     place = f"(y - {(model.low + model.high) / 2:.11g})/{(model.high - model.low) / 2:.11g}"
-    energy = [f"0.5*{loop}^2" for loop in eddies]
+    energy = list(map("0.5*{}^2".format, eddies))
     for (j, a), (k, b) in combinations_with_replacement(enumerate(coils), 2):
         energy.append(f"{0.5 if j == k else 1.0}*{model.inductance[j, k]:.11g}*{a}*{b}")
     for coil, row in zip((*coils, "1"), model.couplings, strict=False):
         for current_, series in zip(loops, row, strict=True):
-            numbers = ", ".join(f"{c:.11g}" for c in series)
+            numbers = ", ".join(map("{:.11g}".format, series))
             energy.append(f"{coil}*{current_}*poly({place}, {numbers})")
-    rates = zip(eddies, model.rates, strict=True)
-    heat = [f"0.5*{rate:.11g}/conductivity*{eddy}^2" for eddy, rate in rates]
-    heat += [f"0.5*{c.resistance:.11g}*{_coil(name)}^2" for name, c in keys.coils.items()]
-    return _declared(
+    heat = []
+    for eddy, rate in zip(eddies, model.rates, strict=True):
+        heat.append(f"0.5*{rate:.11g}/conductivity*{eddy}^2")
+    for coil, winding in zip(coils, keys.coils.values(), strict=True):
+        heat.append(f"0.5*{winding.resistance:.11g}*{coil}^2")
+    return _declare(
         part.type,
         _branches(keys, len(eddies)),
         coenergy=" + ".join(energy),
@@ -201,7 +211,7 @@ def declared(part: Part[Moving], model: Ladder) -> Declaration:
         low=f"y - {model.low:.11g}",
         high=f"{model.high:.11g} - y",
         reach=f", currents up to {model.frequency:g} Hz" if eddies else "",
-        mesh=_of_rings(model) or f"none: {CIRCLES}",
+        mesh=_ring_error(model) or f"none: {CIRCLES}",
     )
 
 
@@ -219,10 +229,10 @@ class MovingBody(DeclaredPart[MovingT]):
         return settling(part, scene)
 
     def declared(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
-        return _declared(self, _branches(part.keys, 0))
+        return _declare(self, _branches(part.keys, 0))
 
-    def built(self, part: Part[MovingT], build: Build) -> Declaration:
-        return declared(part, build.model(part, Ladder))
+    def built_declaration(self, part: Part[MovingT], build: Build) -> Declaration:
+        return declare(part, build.model(part, Ladder))
 
     def problems(self, part: Part[MovingT], scene: GovernedScene) -> Iterator[UsageError]:
         keys = part.keys
@@ -241,14 +251,15 @@ class MovingBody(DeclaredPart[MovingT]):
             if coil.width >= 2 * coil.radius:
                 got, expected = f"{coil.width:g} m", f"less than twice the radius, {coil.radius:g}"
                 yield part.wrong(f"coils.{name}.width", "reaches over the axis", got, expected)
-        coils = [
-            (f"coils.{n}", "winding", w) for n, w in zip(keys.coils, windings(keys), strict=True)
-        ]
-        magnets = [(f"magnets.{n}", "magnet", _section(m)) for n, m in keys.magnets.items()]
-        for where, what, w in (*coils, *magnets):
+        obstacles = []
+        for name, winding in zip(keys.coils, windings(keys), strict=True):
+            obstacles.append((f"coils.{name}", "winding", winding))
+        for name, magnet in keys.magnets.items():
+            obstacles.append((f"magnets.{name}", "magnet", _cross_section(magnet)))
+        for where, what, w in obstacles:
             apart = w.radius - w.width / 2 >= keys.radius or w.radius + w.width / 2 <= keys.inner
-            over = w.y + w.height / 2 + _tall(keys) / 2
-            under = w.y - w.height / 2 - _tall(keys) / 2
+            over = w.y + w.height / 2 + _body_height(keys) / 2
+            under = w.y - w.height / 2 - _body_height(keys) / 2
             if not (apart or keys.y_min >= over or keys.y_max <= under):
                 got = f"y_min {keys.y_min:g} m, y_max {keys.y_max:g} m, of its centre of mass"
                 expected = f"y_min of at least {over:g} m, or y_max of at most {under:g} m"
@@ -263,8 +274,11 @@ class MovingBody(DeclaredPart[MovingT]):
     # --- model ------------------------------------------------------------------------------
 
     def build(self, part: Part[MovingT], scene: Scene, clock: Clock, full: bool = False) -> Ladder:
-        """In ``full`` more loops of more rings up to twice the highest frequency of the scene and
-        of the netlist, couplings of a closer fit."""
+        """Build the loops and couplings of the body.
+
+        The ``full`` model has more loops of more rings, up to twice the highest frequency, and
+        couplings of a closer fit.
+        """
         keys, frequency = part.keys, self.resolved(part, scene)
         tolerance = (CLOSER if full else 1.0) * keys.tolerance
         rings = (FINER if full else 1) * getattr(keys, "rings", 1)
@@ -272,7 +286,9 @@ class MovingBody(DeclaredPart[MovingT]):
             frequency = FINER * max(frequency, highest_frequency(scene, _lag(part, scene)))
 
         def build() -> Ladder:
-            fixed = [s for m in keys.magnets.values() for s in sheets(m, m.remanence)]
+            fixed = []
+            for magnet in keys.magnets.values():
+                fixed += surface_currents(magnet, magnet.remanence)
             with clock.stage("magnetics", f"field of {part.name}"):
                 ladder = self.field(keys, fixed, tolerance, rings, frequency)
                 return ladder if full or not frequency else self.refined(ladder, keys, fixed, rings)
@@ -287,17 +303,15 @@ class MovingBody(DeclaredPart[MovingT]):
             raise part.wrong("y_max", *details) from None
 
     def metrics(self, part: Part[MovingT], build: Build, waves: Waveforms) -> Mapping[str, object]:
-        """Heights and times at which it turns back, see :func:`turns`."""
+        """Heights and times at which it turns back, see :func:`turning_points`."""
         if "time" not in waves or f"{part.name}.y" not in waves:
             return {}
-        result = turns(waves["time"], waves[f"{part.name}.y"])
-        names = [f"{part.name}_turn{k}" for k in range(1, MOST_TURNS + 1)]
-        rows = zip(names, result, strict=False)
-        return {
-            f"{name}_{unit}": Metric(value, unit)
-            for name, row in rows
-            for unit, value in zip("sm", row, strict=True)
-        }
+        result = turning_points(waves["time"], waves[f"{part.name}.y"])
+        metrics = {}
+        for k, (time, height) in enumerate(result[:MOST_TURNS], 1):
+            metrics[f"{part.name}_turn{k}_s"] = Metric(time, "s")
+            metrics[f"{part.name}_turn{k}_m"] = Metric(height, "m")
+        return metrics
 
     def checks(
         self, part: Part[MovingT], build: Build, waves: Waveforms
@@ -317,7 +331,7 @@ class MovingBody(DeclaredPart[MovingT]):
             limit = BEYOND * result.frequency
             yield Check(what, highest, limit, "Hz", advice, "warn", discretisation=True)
             limits = {"rom_vs_fom": ROUGH, "ngspice_vs_fom": ROUGH}
-            of = f"{part.name}.{_coil('*')}_v"
+            of = f"{part.name}.{_current_name('*')}_v"
             yield Gate(f"coils' voltages of {part.name}", of, limits, "largest")
         elif "time" in waves:
             of, limits = f"{part.name}.y", {"rom_vs_fom": MOVED}
@@ -335,7 +349,7 @@ class MovingBody(DeclaredPart[MovingT]):
             yield Figure(f"{part.name}_height", title, caption, (panel,), main=True)
 
     def discretisation(self, part: Part[MovingT], build: Build) -> str:
-        return _of_rings(build.model(part, Ladder)) or f"no mesh: {CIRCLES}"
+        return _ring_error(build.model(part, Ladder)) or f"no mesh: {CIRCLES}"
 
     @abstractmethod
     def field(
@@ -415,15 +429,18 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         yield Neglected("tilting and sideways motion", "one degree of freedom", "not estimated")
 
 
-def _of_rings(model: Ladder) -> str:
+def _ring_error(model: Ladder) -> str:
     """Error estimate of the rings that a body is divided into, in words; empty without rings."""
     errors = mesh_words(model.facts)
     return f"error estimate of its {model.rings} rings: {errors}" if errors else ""
 
 
-def turns(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
-    """Times [s] and heights [m] of highest and lowest places in turn, between which ``y`` moves by
-    more than ``SWING`` of its range: what a ripple makes does not count."""
+def turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
+    """Return the times [s] and heights [m] of alternating maxima and minima of ``y``.
+
+    Between two of them ``y`` moves by more than ``SWING`` of its range, so that ripple does not
+    count.
+    """
     result, best, sign = [], 0, 0
     least = SWING * np.ptp(y)
     for k in range(1, y.size):
@@ -445,7 +462,7 @@ def _depth(keys: MovingConductorKeys, frequency: float) -> float:
 
 def _divided(keys: MovingConductorKeys, rings: int, frequency: float) -> Cells:
     """The body in rings, fine enough for the skin depth at a frequency [Hz]."""
-    box = keys.inner, keys.radius, -_tall(keys) / 2, _tall(keys) / 2, rings
+    box = keys.inner, keys.radius, -_body_height(keys) / 2, _body_height(keys) / 2, rings
 
     def inside(r: np.ndarray, z: np.ndarray) -> np.ndarray:
         return np.asarray(r**2 + z**2 < keys.radius**2)
@@ -466,7 +483,7 @@ def _lag(part: Part[Moving], scene: WiredScene) -> float:
 
 
 def _in_series(part: Part[Moving], scene: WiredScene, pins: set[str]) -> float:
-    """Sum of the resistors [Ohm] at one of two pins of a coil and not at the other."""
+    """Sum of the resistors [Ohm] in series with a coil, at one of its ``pins``."""
     coil_nets = {scene.net(part.name, pin) for pin in pins} - {"0"}
     result = 0.0
     for resistor in scene.of("resistor"):
@@ -476,40 +493,39 @@ def _in_series(part: Part[Moving], scene: WiredScene, pins: set[str]) -> float:
 
 
 def _seen_frequency(part: Part[Moving], build: Build, waves: Waveforms) -> float:
-    """Highest frequency [Hz] of what a run did: of its response, or of the coils' currents."""
+    """Highest frequency [Hz] of a run: of its response, or of the currents in the coils."""
     if "frequency" in waves:
         return float(waves["frequency"].real[-1])
-    currents = [waves.data.get(f"{part.name}.{_coil(name)}") for name in part.keys.coils]
-    if "time" not in waves:
-        return 0.0
-    return max(
-        (energy_frequency(waves["time"], i, share=SEEN) for i in currents if i is not None),
-        default=0.0,
-    )
+    result = 0.0
+    for name in part.keys.coils:
+        current = waves.data.get(f"{part.name}.{_current_name(name)}")
+        if "time" in waves and current is not None:
+            result = max(result, energy_frequency(waves["time"], current, share=SEEN))
+    return result
 
 
 def windings(keys: Moving) -> list[Winding]:
-    """Its coils."""
+    """Return the coils as windings."""
     return [Winding(c.radius, c.width, c.height, c.y, c.turns) for c in keys.coils.values()]
 
 
-def sheets(ring: Ring, remanence: float) -> list[Winding]:
-    """The currents [A] on the surfaces of a magnet of the ``remanence`` [T]."""
-    return [
-        Winding(radius, 0.0, ring.height, ring.y, sign * remanence * ring.height / MU_0)
-        for sign, radius in ((1.0, ring.outer), (-1.0, ring.inner))
-        if radius
-    ]
+def surface_currents(ring: Ring, remanence: float) -> list[Winding]:
+    """Return the currents [A] on the surfaces of a magnet of the ``remanence`` [T]."""
+    current = remanence * ring.height / MU_0
+    result = [Winding(ring.outer, 0.0, ring.height, ring.y, current)]
+    if ring.inner:
+        result.append(Winding(ring.inner, 0.0, ring.height, ring.y, -current))
+    return result
 
 
-def _section(ring: Ring) -> Winding:
-    """The room that it takes."""
+def _cross_section(ring: Ring) -> Winding:
+    """Cross-section of a magnet, as a winding without turns."""
     middle, width = (ring.inner + ring.outer) / 2, ring.outer - ring.inner
     return Winding(middle, width, ring.height, ring.y, 0.0)
 
 
-def _tall(keys: Moving) -> float:
-    """Its height [m]."""
+def _body_height(keys: Moving) -> float:
+    """Height of the body [m]."""
     return 2 * keys.radius if keys.thickness is None else keys.thickness
 
 

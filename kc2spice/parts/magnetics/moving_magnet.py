@@ -11,7 +11,7 @@ from pydantic import Field
 from kc2spice.core.quantities import MU_0, FluxDensity, Length, Notch, Ratio, Section
 from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import Ladder, Winding, current_body
-from kc2spice.parts.magnetics.moving_conductor import Moving, MovingBody, sheets, windings
+from kc2spice.parts.magnetics.moving_conductor import Moving, MovingBody, surface_currents, windings
 from kc2spice.scene.model import (
     Part,
     Scene,
@@ -107,7 +107,7 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
         share = 1 / (1 + demagnetising(*shape) * (keys.mu_r - 1))
         ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=0.0)
         return current_body(
-            sheets(ring, share), windings(keys), fixed, keys.y_min, keys.y_max, tolerance
+            surface_currents(ring, share), windings(keys), fixed, keys.y_min, keys.y_max, tolerance
         )
 
     def notes(self, part: Part[MovingMagnetKeys], scene: Scene) -> Iterator[str | Neglected]:

@@ -101,8 +101,7 @@ SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *PLACE)
 
 
 class Lookup(NamedTuple):
-    """A function of the height as the lines of its two tables, see :func:`smooth`; ``doc`` is what
-    it is."""
+    """A function of the height as the lines of its two tables (:func:`smooth`), and a comment."""
 
     name: str
     values: list[str]
@@ -111,13 +110,15 @@ class Lookup(NamedTuple):
 
 
 def rated_heating(keys: Coils) -> float:
-    """Integral of the squared current [A^2 s] that warms the wire by its rated rise if no heat
-    leaves it: ``rise c A^2 / resistivity``, whatever the number of turns."""
+    """Integral of the squared current [A^2 s] that warms the wire by its rated rise.
+
+    Without cooling it is ``rise c A^2 / resistivity`` for any number of turns.
+    """
     section = np.pi / 4 * keys.wire_diameter**2
     return float(keys.rated_rise * COPPER * section**2 / keys.resistivity)
 
 
-def _pulls(values: np.ndarray, current: float) -> np.ndarray:
+def _contributions(values: np.ndarray, current: float) -> np.ndarray:
     """Contributions of each of :data:`SERIES` to the force at ``current`` [A] (3, heights).
 
     ``values`` (heights, 6) are the coefficients of the table.
@@ -174,9 +175,10 @@ def coils_subcircuit(
 
 def _resistive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
     """Variables of the template ``catch``."""
-    values = table.splines(height)
-    rows = enumerate(SERIES.items())
-    return {"functions": [Lookup(n, *smooth(values @ w), "V(i)*" * k) for k, (n, w) in rows]}
+    values, functions = table.splines(height), []
+    for power, (name, weights) in enumerate(SERIES.items()):
+        functions.append(Lookup(name, *smooth(values @ weights), "V(i)*" * power))
+    return {"functions": functions}
 
 
 def _inductive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
@@ -184,10 +186,9 @@ def _inductive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
     henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
     inverse = henry * np.linalg.inv(table.coenergy.inductances(height))
     default = inverse.mean(axis=0)
-    functions = [
-        Lookup(n, *smooth(values), f"{n}(y): {unit}")
-        for n, values, unit in zip(FORCE, table.splines(height).T, UNITS, strict=True)
-    ]
+    functions = []
+    for name, values, unit in zip(FORCE, table.splines(height).T, UNITS, strict=True):
+        functions.append(Lookup(name, *smooth(values), f"{name}(y): {unit}"))
     for k, l in ((0, 0), (0, 1), (1, 1)):
         g = f"g{k + 1}{l + 1}"
         doc = f"{g}(y): {henry:.6g} H times the inverse of L, less its mean"
@@ -211,11 +212,12 @@ def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
     ``f - w b`` by more than a sixteenth of a fourth difference, which the blend neglects anyway:
     ngspice reads a table in the square of its length.
     """
-    first, last = (np.array([4, -6, 4, -1]) @ end for end in (values[:4], values[:-5:-1]))
+    weights = np.array([4, -6, 4, -1])
+    first, last = weights @ values[:4], weights @ values[:-5:-1]
     f = np.concatenate([[first], values, [last]])
     halves = np.diff(f[[0, *range(f.size), -1]], 2) / 2
     # Fourth differences are to second ones as those to the values; the corners at both ends apart.
-    largest, second = (float(np.abs(v).max()) for v in (values, 2 * halves[2:-2]))
+    largest, second = float(np.abs(values).max()), float(np.abs(2 * halves[2:-2]).max())
     return _lookup(f), _lookup(halves, second**2 / 4 / (largest or 1.0))
 
 
@@ -260,7 +262,7 @@ class RingMagnetCoils(Touching[Coils]):
         return {f"{part.name}_driver": {**table, "pins": pins}}
 
     def pins(self, part: Part[Coils], scene: JoinedScene) -> tuple[Terminal, ...]:
-        if not real(part, scene):
+        if not has_real_coils(part, scene):
             rest = None if _driven(part, scene) else "gnd"
             return (*(replace(end, default=rest) for end in SERIES_PINS[:2]), *PLACE)
         return tuple(
@@ -370,12 +372,16 @@ class RingMagnetCoils(Touching[Coils]):
         return table.scale_magnets(keys.remanence, keys.shift)
 
     def library(self, part: Part[Coils], scene: Scene) -> str:
-        return "coil" if _apart(part, scene) and part.name == "catch" else part.name
+        return "coil" if _has_coil_terminals(part, scene) and part.name == "catch" else part.name
 
     def subcircuits(
         self, part: Part[Coils], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        keys, name, apart = part.keys, build.libraries[part.name], _apart(part, build.scene)
+        keys, name, apart = (
+            part.keys,
+            build.libraries[part.name],
+            _has_coil_terminals(part, build.scene),
+        )
         rating = f"{rated_heating(keys):.3g} A^2 s in each coil, the integral of i^2 that "
         rating += f"warms its copper by {keys.rated_rise:g} K without cooling; steady current: not "
         rating += "known, it depends on that"
@@ -390,7 +396,7 @@ class RingMagnetCoils(Touching[Coils]):
             f"{prefix}.lower.current": Vector(f"v({inst}.i)", -1.0, "A"),
             f"{prefix}.upper.current": Vector(f"v({inst}.i)", 1.0, "A"),
         }
-        if real(part, build.scene):
+        if has_real_coils(part, build.scene):
             for k, name in enumerate(result, 1):
                 result[name] = Vector(f"v({inst}.i{k})", 1.0, "A")
             up, lp = build.net(part, "up"), build.net(part, "lp")
@@ -399,7 +405,7 @@ class RingMagnetCoils(Touching[Coils]):
 
     def forces(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
-        if y is None or beyond(build.model(part, EMTable), y) > 0:
+        if y is None or distance_outside(build.model(part, EMTable), y) > 0:
             return {}
         zero = np.zeros_like(y)
         lower = waves.data.get(f"{label(part)}.lower.current", zero)
@@ -408,7 +414,7 @@ class RingMagnetCoils(Touching[Coils]):
 
     def law(self, part: Part[Coils], build: Build) -> laws.Equations:
         n, scene, table = part.name, build.scene, build.model(part, EMTable)
-        prefix, apart = label(part), real(part, scene)
+        prefix, apart = label(part), has_real_coils(part, scene)
         stated, ends = (
             coils.declare_resistive_coils(),
             (("drive.through", -1.0), ("drive.through", 1.0)),
@@ -416,13 +422,12 @@ class RingMagnetCoils(Touching[Coils]):
         if apart:
             stated, ends = coils.declare_coils(), (("i1", 1.0), ("i2", 1.0))
         law = coils.make_law(n, stated, table, offset(part, "y", scene))
-        pins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins)
         results = {}
         for coil, (wave, sign) in zip(COILS, ends, strict=True):
             results[f"{prefix}.{coil}.current"] = laws.reading(f"{n}.{wave}", sign)
         if apart:
             results[f"{prefix}.voltage"] = laws.difference(f"{n}.up", f"{n}.lp")
-        return laws.Equations((law,), pins, results)
+        return laws.Equations((law,), law.joins, results)
 
     def metrics(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, object]:
         if f"{label(part)}.voltage" not in waves:
@@ -437,8 +442,8 @@ class RingMagnetCoils(Touching[Coils]):
     def finer_mesh(
         self, part: Part[Coils], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
-        """Force and inductance at some heights, with cells half as wide."""
-        from kc2spice.fem.magnet_field import catch_table, count_compared_positions
+        """Yield the changes of force and inductance with cells half as wide."""
+        from kc2spice.fem.magnet_field import catch_table
 
         table, keys = build.model(part, EMTable), part.keys
         unknowns = FINER**2 * table.facts["unknowns"]
@@ -461,9 +466,9 @@ class RingMagnetCoils(Touching[Coils]):
         fine = fine.scale_magnets(keys.remanence, keys.shift)
         step = (table.y.size - 1) // (fine.y.size - 1)
         current = largest_current(part, build.scene) or USUAL_CURRENT
-        pulls = [_pulls(item, current) for item in (table.coefficients[::step], fine.coefficients)]
-        largest = np.abs(pulls[1]).sum(axis=0).max()
-        changed = np.abs(pulls[0] - pulls[1]).sum(axis=0).max() / largest
+        pull = _contributions(fine.coefficients, current)
+        change = _contributions(table.coefficients[::step], current) - pull
+        changed = np.abs(change).sum(axis=0).max() / np.abs(pull).sum(axis=0).max()
         yield Check(f"mesh of {part.name} half as wide, force", float(changed), COARSE)
         changed = np.abs(table.inductance[::step] - fine.inductance).max()
         changed /= np.abs(fine.inductance).max()
@@ -496,7 +501,7 @@ class RingMagnetCoils(Touching[Coils]):
         advice += "or kick it less"
         table, travel = build.model(part, EMTable), float(np.ptp(y))
         distance = float(min(abs(y.min() - table.y[0]), abs(table.y[-1] - y.max())))
-        check = Check("table_left", beyond(table, y), 0.0, "m", advice, action)
+        check = Check("table_left", distance_outside(table, y), 0.0, "m", advice, action)
         yield replace(check, distance=distance, travel=travel)
 
     def figures(
@@ -516,18 +521,18 @@ class RingMagnetCoils(Touching[Coils]):
             panels[-1] = replace(panels[-1], x="time in ms")
             caption = f"Currents in the coils of {part.name}."
             yield Figure(f"{part.name}_currents", "Coil currents", caption, tuple(panels))
-        if real(part, build.scene):
-            yield coil_impedance(part, build)
-        yield force_map(part, build)
+        if has_real_coils(part, build.scene):
+            yield plot_impedance(part, build)
+        yield plot_force(part, build)
         table, alone = build.model(part, EMTable), len(build.scene.of(self.name)) == 1
         arrays = {"y": table.y} | dict(zip(FORCE, table.coefficients.T, strict=True))
         file = "em_table.npz" if alone else f"{part.name}_table.npz"
         yield Written(file, lambda path: np.savez_compressed(path, **arrays))
 
     def notes(self, part: Part[Coils], scene: Scene) -> Iterator[str | Neglected]:
-        """Eddy currents die away with the diffusion time ``mu sigma R^2 / pi^2`` of a sphere."""
+        """Yield the assumptions; eddy currents decay within ``mu sigma R^2 / pi^2`` of a sphere."""
         yield f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
-        if real(part, scene):
+        if has_real_coils(part, scene):
             yield "coils with R, L(y), M(y) and back-EMF"
         keys, radius = part.keys, sphere_of(part, scene).keys.radius
         diffusion = MU_0 * keys.mu_r * MAGNET_CONDUCTIVITY * (radius / np.pi) ** 2
@@ -541,7 +546,7 @@ class RingMagnetCoils(Touching[Coils]):
             f"A = 0 at radius {keys.air_radius:g} m",
             f"compare with {part.name}.air_radius and {part.name}.air_height doubled",
         )
-        if _driven(part, scene) and not real(part, scene):
+        if _driven(part, scene) and not has_real_coils(part, scene):
             yield Neglected(
                 "coil voltage, inductance and self-heating",
                 "an ideal current source feeds the coils",
@@ -550,49 +555,48 @@ class RingMagnetCoils(Touching[Coils]):
             )
 
 
-def force_map(part: Part[Coils], build: Build) -> Figure:
-    """Force over height without current, with both currents, and with opposite ones."""
+def plot_force(part: Part[Coils], build: Build) -> Figure:
+    """Plot the force over height without current, with equal currents, and with opposite ones."""
     table = build.model(part, EMTable)
     limit = largest_current(part, build.scene) or USUAL_CURRENT
     fine = np.linspace(table.y[0], table.y[-1], 401)
-    curves = tuple(
-        Curve(
-            f"{1e3 * lower:+.3g} / {1e3 * upper:+.3g}",
-            1e3 * fine,
-            1e3 * table.coenergy.force(fine, lower, upper),
-        )
-        for lower, upper in ((0.0, 0.0), (limit, limit), (limit, -limit), (-limit, limit))
-    )
-    panel = Panel("height of the sphere's centre in mm", "force on the sphere in mN", curves)
+    curves = []
+    for lower, upper in ((0.0, 0.0), (limit, limit), (limit, -limit), (-limit, limit)):
+        force = table.coenergy.force(fine, lower, upper)
+        label = f"{1e3 * lower:+.3g} / {1e3 * upper:+.3g}"
+        curves.append(Curve(label, 1e3 * fine, 1e3 * force))
+    panel = Panel("height of the sphere's centre in mm", "force on the sphere in mN", tuple(curves))
     caption = "Vertical force on the sphere by coil currents, lower / upper in mA."
     return Figure(f"{part.name}_force", "Force map", caption, (panel,))
 
 
-def coil_impedance(part: Part[Coils], build: Build) -> Figure:
-    """``|R + j w L|`` of the coils, alone and in series as one current with two signs sees them."""
+def plot_impedance(part: Part[Coils], build: Build) -> Figure:
+    """Plot ``|R + j w L|`` of each coil, and of both in series with opposite currents."""
     table = build.model(part, EMTable)
     matrix = table.coenergy.inductances(0.5 * (table.y[0] + table.y[-1]))
-    item = {"lower": np.array([1.0, 0.0]), "upper": np.array([0.0, 1.0]), "both": np.array([1, -1])}
-    f = np.geomspace(10.0, 1e5, 201)
-    z = {n: i**2 @ table.resistance + 2j * np.pi * f * (i @ matrix @ i) for n, i in item.items()}
+    currents = {"lower": (1.0, 0.0), "upper": (0.0, 1.0), "both": (1.0, -1.0)}
+    f, z = np.geomspace(10.0, 1e5, 201), dict[str, np.ndarray]()
+    for name, pair in currents.items():
+        i = np.array(pair)
+        z[name] = i**2 @ table.resistance + 2j * np.pi * f * (i @ matrix @ i)
     how = f"of the coils of {part.name}, the sphere held in the middle of their field, capacitance "
     return impedances(part.name, f, z, how + "of the windings left out.")
 
 
 def label(part: Part[Coils]) -> str:
-    """First word of its results: ``coil`` for the paper's catch, else its own name."""
+    """First word of its results: ``coil`` for the paper's catch, otherwise its name."""
     return "coil" if part.name == "catch" else part.name
 
 
-def real(part: Part[Coils], scene: DeclaredScene) -> bool:
-    """Whether its coils have inductance and back-EMF: where a circuit drives their terminals."""
+def has_real_coils(part: Part[Coils], scene: DeclaredScene) -> bool:
+    """Whether a circuit drives the terminals of its coils: they have inductance and back-EMF."""
     joined = any(scene.is_target(part.name, pin) or pin in part.pins for pin in ENDS)
     return bool(part.keys.driver) or joined
 
 
-def _apart(part: Part[Coils], scene: DeclaredScene) -> bool:
-    """Whether its netlist has terminals of both coils: real ones, or of cases that feed each."""
-    return real(part, scene) or bool(scene.of("current_cases"))
+def _has_coil_terminals(part: Part[Coils], scene: DeclaredScene) -> bool:
+    """Whether its netlist has terminals of both coils."""
+    return has_real_coils(part, scene) or bool(scene.of("current_cases"))
 
 
 def _coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]:
@@ -616,37 +620,38 @@ def _driven(part: Part[Coils], scene: JoinedScene) -> bool:
 
 
 def largest_current(part: Part[Coils], scene: JoinedScene) -> float:
-    """Largest coil current [A] that a controller of the scene asks for.
+    """Largest coil current [A] of the controllers of the scene.
 
-    1 A where something drives the coils that tells no limit, 0 where nothing does.
+    It is 1 A if another part drives the coils, and 0 if nothing drives them.
     """
     limits = [pid.keys.current_limit for pid in scene.of_schema("pid", Control)]
     return float(max(limits, default=1.0 if _driven(part, scene) else 0.0))
 
 
 def interpolation_error(table: EMTable, current: float) -> float:
-    """Estimated error of the spline through the table's heights, of the largest force up to
-    ``current`` [A] in both coils.
+    """Estimated error of the spline over the height, relative to the largest force.
+
+    The force is the largest one up to ``current`` [A] in both coils.
 
     A spline through every second height misses the others by 16 times that once its order shows;
     an eighth of it is taken (11 measured on the paper's magnets with 9 positions, more with more),
     or less of a fall where every fourth height shows less, and none where these are too few.
     """
     values = table.coefficients
-    largest = float(np.abs(_pulls(values, current)).sum(axis=0).max())
+    largest = float(np.abs(_contributions(values, current)).sum(axis=0).max())
 
-    def missed(step: int) -> float:
+    def interpolation_miss(step: int) -> float:
         result = cubic_spline(table.y[::step], values[::step])(table.y)
-        off = _pulls(result - values, current)
+        off = _contributions(result - values, current)
         return float(np.abs(off).sum(axis=0).max()) / largest
 
-    half = missed(2)
+    half = interpolation_miss(2)
     known = half > 0.0 and table.y[::4].size >= 4
-    return half / (min(8.0, max(1.0, missed(4) / half)) if known else 1.0)
+    return half / (min(8.0, max(1.0, interpolation_miss(4) / half)) if known else 1.0)
 
 
-def beyond(table: EMTable, y: np.ndarray) -> float:
-    """How far [m] a sphere at heights ``y`` [m] left the table."""
+def distance_outside(table: EMTable, y: np.ndarray) -> float:
+    """Largest distance [m] of the heights ``y`` [m] outside the table."""
     return max(0.0, float(table.y[0] - y.min()), float(y.max() - table.y[-1]))
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,14 +91,14 @@ class Surface:
 
 @dataclass(frozen=True)
 class Penetration:
-    """How far two surfaces can approach each other beyond touching [m], and by what."""
+    """Largest indentation of two surfaces [m], with its cause."""
 
     depth: float
     why: str
 
 
 class Touching(PartType[KeysT]):
-    """Base of types that offer a surface to contacts, or press those of a scene together."""
+    """Base of types with a surface for contacts, or that press surfaces together."""
 
     def surface(
         self, part: Part[KeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
@@ -150,8 +151,11 @@ class Pair:
         part, scene = self.part, self.scene
         selected: str | tuple[str, ...] | None = getattr(part.keys, key)
         if selected is None:
-            every = (surface_of(other, scene) for other in scene.parts.values())
-            offers = [item for item in every if item and (item.radius is not None) == round_]
+            offers = []
+            for other in scene.parts.values():
+                surface = surface_of(other, scene)
+                if surface is not None and (surface.radius is not None) == round_:
+                    offers.append(surface)
             if len(offers) != 1:
                 kind = ("a sphere", "sphere") if round_ else ("a body with a surface", "kick")
                 raise part.wrong(
@@ -164,14 +168,12 @@ class Pair:
             return offers[0]
         if selected == GROUND:
             return Surface(GROUND, (FLOOR,), (0.0,))
-        targets = [
-            t.partition(".") for t in ((selected,) if isinstance(selected, str) else selected)
-        ]
-        names = {name for name, _, _ in targets}
+        targets = (selected,) if isinstance(selected, str) else selected
+        names = {target.partition(".")[0] for target in targets}
         if len(names) != 1:
             raise part.wrong(key, "one body on each side", ", ".join(sorted(names)))
         other = scene.part(names.pop(), f"{part.name}.{key}")
-        ports = tuple(port for _, dot, port in targets if dot)
+        ports = tuple(target.partition(".")[2] for target in targets if "." in target)
         if (surface := surface_of(other, scene, ports)) is None:
             problem = f"{other.type.name} offers nothing to touch"
             raise part.wrong(key, problem, repr(other.name), "a body, a sphere or a mass")
@@ -199,9 +201,11 @@ class Pair:
         """The largest of what the parts of the scene can do, or the one that moves side ``b``."""
         parts, by = self.scene.parts, self.scene.movers.get(self.b.part)
         able = parts.values() if by is None else [parts[by]]
-        types = [(p, p.type) for p in able if isinstance(p.type, Touching)]
-        result = [item for p, kind in types for item in kind.penetrations(p, self.scene)]
-        return max([Penetration(0.0, "its weight"), *result], key=lambda item: item.depth)
+        result = [Penetration(0.0, "its weight")]
+        for part in able:
+            if isinstance(part.type, Touching):
+                result += part.type.penetrations(part, self.scene)
+        return max(result, key=lambda item: item.depth)
 
     @property
     def thrown(self) -> bool:
@@ -231,7 +235,7 @@ class Pair:
             local, pace = self.indentation
             result = _indentation_law(self.shape, local.compliance, self.b.radius)
             first, *_ = result.coefficients
-            curve = tuple(c / first for c in result.coefficients)
+            curve = tuple(np.divide(result.coefficients, first).tolist())
             stiffness, of = first / result.depth**1.5, (result.depth, pace, self.b.radius)
             return Normal(stiffness, 1.5, *along, curve, *of)
         value, power = self.a.sectors * float(keys.penalty), 1.0
@@ -331,7 +335,7 @@ class Pair:
     # --- motion -----------------------------------------------------------------------------
 
     def pushed(self, waves: Waveforms) -> np.ndarray | None:
-        """How deep [m] another part pushes side ``b``; None where it moves freely."""
+        """Indentation [m] by a part that pushes side ``b``; None if it moves freely."""
         return waves.data.get(f"{self.scene.movers.get(self.b.part)}.depth")
 
     def place(self, waves: Waveforms) -> np.ndarray | None:
@@ -377,10 +381,10 @@ def _dented_by(nodes: bytes, compliance: bytes, radius: float) -> IndentationLaw
 def impact_penetration(
     sphere: Part, mass: float, scene: GovernedScene, speed: float, why: str
 ) -> Iterator[Penetration]:
-    """How deep a sphere that arrives with ``speed`` [m/s] goes into the bodies that it touches.
+    """Yield the indentation of bodies by a sphere that arrives with ``speed`` [m/s].
 
-    No state of the body stores less energy under a dent than the static one, so what the static
-    law needs to stop the sphere is a bound: ``m v^2 / 2 = 8/15 E sqrt(R) d^(5/2)`` (Hertz 1881).
+    The static state stores the least energy of an indentation. The static law therefore gives a
+    bound: ``m v^2 / 2 = 8/15 E sqrt(R) d^(5/2)`` (Hertz 1881).
     """
     energy = 0.5 * mass * speed**2
     for contact in scene.of("contact"):
@@ -399,14 +403,14 @@ def impact_penetration(
 def separation(
     t: np.ndarray, force: np.ndarray, v: np.ndarray, busy: float = math.inf, power: float = 1.0
 ) -> tuple[float, float] | None:
-    """Time [s] and velocity [m/s] at the end of the contact that the flight follows, or None.
+    """Return time [s] and velocity [m/s] at the end of the contact before the flight, or None.
 
-    ``power`` of the overlap is what the force is there.
+    The force is in proportion to the overlap to the ``power`` there.
 
     A gap is a flight if it lasts 20 us or until the data end. A body that draws back and strikes
-    later leaves such a gap too: of the flights that begin until 20 us after ``busy`` [s], when the
+    later leaves such a gap too. Of the flights that begin until 20 us after ``busy`` [s], when the
     drive stops moving, the launch is the first with at least half of the largest speed. Without
-    one it is the first of all; by default the drive is not known and all of them count.
+    one it is the first of all. By default the drive is not known and all flights count.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
     force = np.maximum(force, 0.0) ** (1 / power)
@@ -418,7 +422,7 @@ def separation(
     if not flights:
         return None
     kicked = [item for item in flights if item[0] <= busy + _FLIGHT] or flights[:1]
-    fastest = max(speed for _, speed in kicked)
+    fastest = max(map(itemgetter(1), kicked))
     return next(item for item in kicked if item[1] >= min(fastest, fastest / 2))
 
 
@@ -437,15 +441,17 @@ def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> tuple[f
 
 
 def busy_until(scene: WiredScene) -> float:
-    """Time [s] at which the last source stops changing, but for those that only enable something.
+    """Return the time [s] at which the last source stops changing.
 
-    Infinite where one never does or there is none.
+    Sources that only enable a controller do not count. The time is infinite if a source never
+    stops or there is none.
     """
     ends = []
     for source in scene.of_schema("source", SourceKeys):
-        wave, joined = source.keys.waveform(scene.home), scene.joined(source.name, "out")
-        if all(scene.parts[name].type.name == "pid" for name, _ in joined):
+        wave = source.keys.waveform(scene.home)
+        if scene.joined_types(source.name, "out") <= {"pid"}:
             continue
         corners = wave.corners(scene.stop)
         ends.append(float(max(corners, default=0.0)) if wave.straight else math.inf)
-    return max((end for end in ends if end > 0), default=math.inf)
+    last = max(ends, default=0.0)
+    return last if last > 0 else math.inf

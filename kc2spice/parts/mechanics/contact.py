@@ -89,9 +89,10 @@ class Contact(DeclaredPart[ContactKeys]):
     def at_rest(self, part: Part[ContactKeys], scene: WiredScene) -> Rest:
         """Surfaces that touch at rest: what presses on them finds its place."""
         pair = pair_of(part, scene)
-        clamps = [(pin, GROUND) for pin in ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)]
+        pins = ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)
+        clamps = [*product(pins, (GROUND,))]
         if part.keys.gap <= 0.0 and not pair.a.rigid and not pair.b.rigid:
-            clamps += [(port, "b") for port in pair.ports]
+            clamps += product(pair.ports, ("b",))
         return Rest(tuple(clamps))
 
     def numerics(self, part: Part[ContactKeys], scene: WiredScene) -> Iterator[Numerics]:

@@ -16,7 +16,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.parts.mechanics._touching import Surface, Touching
 from kc2spice.physics import Declaration, DeclaredPart, displacement
-from kc2spice.physics.declaration import shake
+from kc2spice.physics.declaration import frame_acceleration
 from kc2spice.scene.checks import Metric
 from kc2spice.scene.compose import free, rigid
 from kc2spice.scene.model import (
@@ -71,7 +71,7 @@ def point_mass(
     shares, inertia = [], []
     for end, value in zip(_frames(len(shaken)), shaken, strict=True):
         share = f"along_{end}"
-        branches.append(shake(f"a_{end}", end, "base"))
+        branches.append(frame_acceleration(f"a_{end}", end, "base"))
         shares.append(Param(share, value, "-", f"share of {end} along the displacement of a"))
         inertia.append(f"mass*{share}*a_{end}")
     return Declaration(
@@ -123,7 +123,7 @@ class PointMass(Touching[MassKeys], DeclaredPart[MassKeys]):
         yield from dimensions(part.name, part.keys)
 
     def settable(self, part: Part[MassKeys], build: Build) -> Mapping[str, float]:
-        state = self.begins(part, build)
+        state = self.initial_motion(part, build)
         if state is None:
             return {}
         inner = f"x{part.name.lower()}"
@@ -134,7 +134,7 @@ class PointMass(Touching[MassKeys], DeclaredPart[MassKeys]):
     ) -> Surface:
         return Surface(part.name, ("a",), (0.0,))
 
-    def begins(self, part: Part[MassKeys], build: Build) -> tuple[float, float] | None:
+    def initial_motion(self, part: Part[MassKeys], build: Build) -> tuple[float, float] | None:
         """Position [m] and velocity [m/s] at which it begins, None where it begins in equilibrium.
 
         Of masses that are fixed to each other the first one begins, the others follow.

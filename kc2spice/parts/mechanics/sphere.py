@@ -13,6 +13,7 @@ from pydantic import Field, field_validator
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
+from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import AIR_DENSITY, Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.fem.materials import Material, material
@@ -152,7 +153,7 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
             return {}
         table = {"part": "elastic_sphere", "of": part.name, "at": (part.name, "elastic")}
         keys = elastic if isinstance(elastic, dict) else {}
-        return {_carried(part): {**keys, **table}}
+        return {_elastic_part(part): {**keys, **table}}
 
     def pins(self, part: Part[SphereKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         declared = () if _moved(part, scene) else pins_of(self.declared(part, scene))
@@ -162,7 +163,7 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
         )
 
     def problems(self, part: Part[SphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        bodies = [p.name for p in scene.parts.values() if p.reduced]
+        bodies = names_of(scene.reduced_parts)
         if bodies and not scene.of("contact") and scene.analysis.type == "transient":
             yield UsageError(
                 "nothing touches the sphere",
@@ -180,7 +181,7 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
     def surface(
         self, part: Part[SphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> Surface:
-        keys, carried = part.keys, _carried(part)
+        keys, carried = part.keys, _elastic_part(part)
         known = keys.material is not None or carried
         modulus = made_of(part).indentation_modulus if known else None
         place = part.name, ("bottom",), (0.0,), "v"
@@ -229,8 +230,10 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves or part.name in build.scene.initial_states:
             return {}
-        heights = {"peak_height_m": float(y.max()), "final_position_m": float(y[-1])}
-        result = {name: Metric(value, "m") for name, value in heights.items()}
+        result = {
+            "peak_height_m": Metric(float(y.max()), "m"),
+            "final_position_m": Metric(float(y[-1]), "m"),
+        }
         v = waves.data.get(f"{part.name}.v")
         rising = v is not None and y[-1] == y.max() and v[-1] > 0
         return result | {"still_rising": Metric(True)} if rising else result
@@ -258,11 +261,13 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
             if (name, pin) not in acting:
                 return
             forces[name] = acting[name, pin]
-        work = {name: running_integral(f * v, t) for name, f in forces.items()}
-        kinetic = mass * (v**2 - v[0] ** 2) / 2
-        turnover = sum(float(np.trapezoid(np.abs(f * v), t)) for f in forces.values())
-        entries = {f"work of the {name}": float(w[-1]) for name, w in work.items()}
-        gap = kinetic - sum(work.values())
+        total, turnover, entries = np.zeros_like(t), 0.0, dict[str, float]()
+        for name, force in forces.items():
+            work = running_integral(force * v, t)
+            total += work
+            turnover += float(np.trapezoid(np.abs(force * v), t))
+            entries[f"work of the {name}"] = float(work[-1])
+        gap = mass * (v**2 - v[0] ** 2) / 2 - total
         entries["kinetic"] = mass * float(v[-1] ** 2) / 2
         if v[0] != 0.0:
             entries["kinetic at the start"] = mass * float(v[0] ** 2) / 2
@@ -275,7 +280,7 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
             return
         levels, bands = [], []
         for pid in build.scene.of_schema("pid", Control):
-            if controlled(pid, build.scene) is part:
+            if controlled_sphere(pid, build.scene) is part:
                 goal, band = 1e3 * pid.keys.setpoint, 1e3 * settling_band(pid, part)
                 levels.append((goal, "set point, ±5 % of the step"))
                 bands.append((goal - band, goal + band, ""))
@@ -287,7 +292,7 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
         title = f"Path of {part.name}"
         yield Figure(f"{part.name}_trajectory", title, caption, (panel,), main=True)
 
-    def begins(self, part: Part[SphereKeys], build: Build) -> tuple[float, float] | None:
+    def initial_motion(self, part: Part[SphereKeys], build: Build) -> tuple[float, float] | None:
         n, scene, states = part.name, build.scene, build.scene.initial_states
         if not states and (scene.joined(n, "v") or scene.joined(n, "bottom")):
             return None
@@ -297,7 +302,8 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
     def law(self, part: Part[SphereKeys], build: Build) -> laws.Equations:
         n, result = part.name, super().law(part, build)
         height = laws.reading(f"{n}.bottom", constant=part.keys.radius)
-        pins = tuple((pin, f"{n}.bottom") for pin in ("v", "bottom", "y"))
+        bottom = f"{n}.bottom"
+        pins = (("v", bottom), ("bottom", bottom), ("y", bottom))
         results = {f"{n}.y": height, f"{n}.v": result.results[f"{n}.v"]}
         return replace(result, pins=pins, results=results)
 
@@ -307,7 +313,7 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
         linear = any(c.keys.law == "linear" for c in scene.of_schema("contact", ContactKeys))
         if linear and part.keys.elastic is None:
             why = f"the part is rigid unless {part.name}.elastic"
-            yield Neglected("elasticity of the sphere", why, _softer(part, scene))
+            yield Neglected("elasticity of the sphere", why, _elasticity_effect(part, scene))
         if scene.analysis.type == "transient":
             yield _air_drag(part.keys)
             why = "the part moves along one axis"
@@ -320,16 +326,16 @@ def sphere_of(part: Part, scene: DeclaredScene) -> Part[SphereKeys]:
 
 
 def made_of(part: Part[SphereKeys]) -> Material:
-    """The sphere's material, steel if nothing is said, with the sphere's density."""
+    """Material of the sphere, by default steel, with the density of the sphere."""
     return replace(_stuff(part.keys.material or "steel"), density=part.keys.density)
 
 
-def _carried(part: Part[SphereKeys]) -> str:
-    """The part that is its elasticity, "" where it is rigid."""
+def _elastic_part(part: Part[SphereKeys]) -> str:
+    """Name of the part of its elasticity, empty if it is rigid."""
     return "" if part.keys.elastic is None else f"{part.name}_elastic"
 
 
-def controlled(pid: Part[Control], scene: DeclaredScene) -> Part[SphereKeys] | None:
+def controlled_sphere(pid: Part[Control], scene: DeclaredScene) -> Part[SphereKeys] | None:
     """The sphere whose height a controller controls."""
     ball = scene.parts.get(pid.keys.of) if pid.keys.of else scene.only("sphere")
     return None if ball is None else ball.with_schema(SphereKeys)
@@ -341,37 +347,40 @@ def settling_band(pid: Part[Control], ball: Part[SphereKeys]) -> float:
 
 
 def _moved(part: Part[SphereKeys], scene: GovernedScene) -> bool:
-    """Whether another part prescribes its motion, so that it has none of its own."""
+    """Whether another part prescribes its motion."""
     return scene.movers.get(part.name) is not None
 
 
 def offset(part: Part, pin: str, scene: WiredScene) -> float:
     """Offset of a pin for the height of a centre from its law's coordinate [m]."""
-    ball = _read(part, pin, scene)
+    ball = _sphere_at(part, pin, scene)
     return 0.0 if ball is None else float(ball.keys.radius)
 
 
-def beginning(part: Part, pin: str, scene: WiredScene) -> float | None:
-    """Height of the centre [m] that a pin reads at t = 0, None where an operating point says it."""
-    ball, states = _read(part, pin, scene), scene.initial_states
+def initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
+    """Height of the centre [m] at t = 0, None if it follows from an operating point."""
+    ball, states = _sphere_at(part, pin, scene), scene.initial_states
     if ball is None or not states:
         return None
     return float(ball.keys.radius + states.get(ball.name, AT_REST).height)
 
 
-def _read(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | None:
-    """The sphere whose height a pin reads."""
-    heights = (scene.parts[n] for n, other in scene.joined(part.name, pin) if other == "y")
-    spheres = (item for item in heights if item.type.name == Sphere.name)
-    return next((item.with_schema(SphereKeys) for item in spheres), None)
+def _sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | None:
+    """Sphere whose height a pin reads."""
+    for name, other in scene.joined(part.name, pin):
+        if other == "y" and scene.parts[name].type.name == Sphere.name:
+            return scene.parts[name].with_schema(SphereKeys)
+    return None
 
 
-def _softer(part: Part[SphereKeys], scene: GovernedScene) -> str:
-    """How much softer the contact with an elastic sphere would be, of steel if nothing is said."""
+def _elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
+    """Size of the softer contact with an elastic sphere, by default of steel."""
     sphere_modulus = made_of(part).indentation_modulus
-    under = (pair_of(contact, scene).a.modulus for contact in scene.of("contact"))
-    result = [modulus / sphere_modulus for modulus in under if modulus is not None]
-    return f"the dent would be {100 * max(result):.0f} % softer" if result else "not estimated"
+    moduli = [pair_of(contact, scene).a.modulus for contact in scene.of("contact")]
+    stiffest = max(filter(None, moduli), default=0.0)
+    if not stiffest:
+        return "not estimated"
+    return f"the dent would be {100 * stiffest / sphere_modulus:.0f} % softer"
 
 
 def _air_drag(keys: SphereKeys) -> Neglected:
