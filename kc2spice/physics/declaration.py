@@ -555,10 +555,10 @@ class Declaration:
     def dissipation(self) -> Tree:
         """The power [W] that becomes heat."""
         others = names_of(self.stationary_branches)
-        rates, powers = map(self._heat, self.rates), map(self._heat, others)
+        rates, powers = map(self._dissipated_power, self.rates), map(self._dissipated_power, others)
         return plus(*rates, *self._powers_of_forces, *powers)
 
-    def _heat(self, variable: str) -> Tree:
+    def _dissipated_power(self, variable: str) -> Tree:
         """The power [W] of the content's derivative by a rate, voltage or current."""
         return times(Name(variable), self._slope("content", variable))
 

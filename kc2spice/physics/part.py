@@ -137,14 +137,14 @@ class DeclaredPart(PartType[KeysT]):
                 continue
             through, of = f"i(v.x{part.name}.{meter_name(b)})", b.domain.quantity("through")
             if b.moves:
-                through = _inner(build, part, force_node(b), b.minus)
+                through = _inner_voltage(build, part, force_node(b), b.minus)
             ends = (b.minus,), (b.plus,)
             result[f"{part.name}.{b.through}"] = Vector(through.lower(), of.factor, of.unit, *ends)
             if b in d.inertial_branches:
                 speed = f"v(x{part.name}.speed_{b.name})".lower()
                 result[f"{part.name}.v"] = Vector(speed, VELOCITY.factor, VELOCITY.unit)
         for name, node in inner_nodes(d).items():
-            value = _inner(build, part, node, reference_node(d)).lower()
+            value = _inner_voltage(build, part, node, reference_node(d)).lower()
             result[f"{part.name}.{name}"] = Vector(value, 1.0, "SI")
         return result
 
@@ -172,12 +172,12 @@ class DeclaredPart(PartType[KeysT]):
     def checks(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Any]:
         """Limits, impacts, and the balance of the energy through pins, stored energy and losses."""
         d = self.built_declaration(part, build)
-        known = {} if "frequency" in waves else self._recorded(part, build, waves)
-        yield from _limit_checks(d, part, known)
+        known = {} if "frequency" in waves else self._recorded_variables(part, build, waves)
+        yield from _check_limits(d, part, known)
         if build.scene.analysis.type == "op":
             yield from self.standing(part, build, waves)
         if "time" in waves:
-            yield from energies(d, part, known, waves)
+            yield from balance_energy(d, part, known, waves)
             forces = map(d.direct_flow, d.acting_branches)
             for tree in dict.fromkeys(chain.from_iterable(map(kinks, forces))):
                 if names(tree).isdisjoint(known):
@@ -189,10 +189,10 @@ class DeclaredPart(PartType[KeysT]):
     def standing(self, part: Part[KeysT], build: Build, point: Waveforms) -> Iterator[Check]:
         """Whether it rests on a stop, about which small signals are those of the stop, or beyond
         its limits."""
-        d, known = self.built_declaration(part, build), self._recorded(part, build, point)
+        d, known = self.built_declaration(part, build), self._recorded_variables(part, build, point)
         small = build.scene.analysis.small
         if small:
-            yield from _limit_checks(d, part, known, " at its operating point")
+            yield from _check_limits(d, part, known, " at its operating point")
         for what, tree in d.stop_trees.items():
             if names(tree) - set(d.parameters) <= set(known):
                 depth = float(np.max(evaluate_tree(tree, d.values(part.keys) | known)))
@@ -200,7 +200,9 @@ class DeclaredPart(PartType[KeysT]):
                 advice = "it has pulled in: lower the bias, or stiffen what holds it"
                 yield Check(name, max(depth, 0.0), 0.0, "m", advice, "fail" if small else "warn")
 
-    def _recorded(self, part: Part[KeysT], build: Build, waves: Waveforms) -> dict[str, np.ndarray]:
+    def _recorded_variables(
+        self, part: Part[KeysT], build: Build, waves: Waveforms
+    ) -> dict[str, np.ndarray]:
         """Coordinates, states and signals over time, as far as the run has them."""
         d = self.built_declaration(part, build)
         result = {}
@@ -216,7 +218,7 @@ class DeclaredPart(PartType[KeysT]):
         yield from starmap(Neglected, self.declared(part, scene).neglected)
 
 
-def _limit_checks(
+def _check_limits(
     d: Declaration, part: Part, known: dict[str, np.ndarray], where: str = ""
 ) -> Iterator[Check]:
     """Whether the limits hold that ``known`` coordinates, states and signals decide."""
@@ -228,7 +230,7 @@ def _limit_checks(
             yield Check(f"{what} of {part.name}{where}", beyond, 0.0, "beyond the limit", advice)
 
 
-def _inner(build: Build, part: Part, node: str, pin: str) -> str:
+def _inner_voltage(build: Build, part: Part, node: str, pin: str) -> str:
     """The voltage of an inner node against a pin."""
     low = build.net(part, pin)
     return f"v(x{part.name}.{node})" + f"-v({low})" * (low != "0")
@@ -295,7 +297,7 @@ def declared_subcircuit(
     Examples
     --------
     >>> from kc2spice.parts.electronics.two_terminal_types import TABLE
-    >>> from kc2spice.parts.electronics.two_terminal_types import declaration as declared
+    >>> from kc2spice.parts.electronics.two_terminal_types import declare_element as declared
     >>> from kc2spice.netlist.library import Header
     >>> spring = declared(next(row for row in TABLE if row.name == "spring"))
     >>> declared_subcircuit(Header("demo", "0"), "leaf", spring, {"stiffness": 100.0})
@@ -328,7 +330,7 @@ def across_pins(build: Build, part: Part, branch: Branch) -> str:
     return f"v({a})" if b == "0" else f"-v({b})" if a == "0" else f"v({a})-v({b})"
 
 
-def energies(
+def balance_energy(
     declaration: Declaration, part: Part, recorded: Mapping[str, np.ndarray], waves: Waveforms
 ) -> Iterator[Balance]:
     """The balance of a transient, where all coordinates were recorded and something moves.
@@ -354,7 +356,7 @@ def energies(
         return np.asarray(evaluate_tree(tree, known) * np.ones_like(time))
 
     stored = over_time(d.stored_energy)
-    heat, rise = _heat(d, known, means, time), np.diff(stored)
+    heat, rise = _step_heat(d, known, means, time), np.diff(stored)
     brought, forces = np.zeros_like(heat), []
     for b in d.open_branches:
         known_as = f"{part.name}.{b.across if b.flows else b.through}"
@@ -366,8 +368,8 @@ def energies(
             running_integral(over_time(d.direct_flow(b)), time)
         )
         middle = (recorded[b.name][1:] + recorded[b.name][:-1]) / 2
-        brought = brought + middle * _integrated(pins, time, increase)
-    brought = brought + _work(forces, rise + heat - brought, jumps=bool(slopes))
+        brought = brought + middle * _integrate_steps(pins, time, increase)
+    brought = brought + _step_work(forces, rise + heat - brought, jumps=bool(slopes))
     missing = np.cumsum(brought - heat - rise)
     entries = {
         "brought in by pins": float(brought.sum()),
@@ -380,7 +382,7 @@ def energies(
     yield Balance(entries, float(np.abs(missing).max(initial=0.0)), turned, _UNEXPLAINED)
 
 
-def _heat(
+def _step_heat(
     declaration: Declaration,
     known: Mapping[str, Any],
     means: Mapping[str, np.ndarray],
@@ -400,7 +402,7 @@ def _heat(
     return np.asarray(power / 2 * np.diff(time))
 
 
-def _work(
+def _step_work(
     forces: Iterable[tuple[np.ndarray, np.ndarray]], near: np.ndarray, *, jumps: bool
 ) -> np.ndarray:
     """The work (nt - 1,) in each step of forces (nt,) on their ways (nt - 1,): by their means, or
@@ -409,17 +411,17 @@ def _work(
     for force, displacement in forces:
         means += (force[1:] + force[:-1]) / 2 * displacement
         ends += force[1:] * displacement
-    return _nearer(near, means, ends) if jumps else means
+    return _select_nearer(near, means, ends) if jumps else means
 
 
-def _nearer(near: np.ndarray, *tried: np.ndarray) -> np.ndarray:
+def _select_nearer(near: np.ndarray, *tried: np.ndarray) -> np.ndarray:
     """At each place, the value of two arrays that is nearer to ``near``."""
     first, second = tried
     return np.where(np.abs(second - near) < np.abs(first - near), second, first)
 
 
-def _integrated(rate: np.ndarray, time: np.ndarray, near: np.ndarray) -> np.ndarray:
+def _integrate_steps(rate: np.ndarray, time: np.ndarray, near: np.ndarray) -> np.ndarray:
     """The integral (nt - 1,) of a rate over each step as simulators have it: by the trapezoidal
     rule, or by the end of a step behind a jump, whichever is nearer to ``near`` (nt - 1,)."""
     step = np.diff(time)
-    return _nearer(near, step * (rate[1:] + rate[:-1]) / 2, step * rate[1:])
+    return _select_nearer(near, step * (rate[1:] + rate[:-1]) / 2, step * rate[1:])

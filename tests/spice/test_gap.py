@@ -11,7 +11,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies.bimorph import bimorph_body
-from kc2spice.parts.electrostatics.gap import branches_of
+from kc2spice.parts.electrostatics.gap import count_film_branches
 from kc2spice.physics.symbolic import evaluate_tree
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
@@ -116,7 +116,11 @@ def test_the_branches_of_a_film_follow_from_the_band(top):
         assert abs(found.imag / exact.imag - 1) < 0.0105
     scene = load_scene(tables)
     slow = load_scene(film(None, ends=("1 Hz", "2 Hz")))
-    assert branches_of(slow.parts["plate"], slow) == 3 < branches_of(scene.parts["plate"], scene)
+    assert (
+        count_film_branches(slow.parts["plate"], slow)
+        == 3
+        < count_film_branches(scene.parts["plate"], scene)
+    )
     told = scene.parts["plate"].type.notes(scene.parts["plate"], scene)
     (row,) = [n for n in told if isinstance(n, Neglected) and "terms of the film" in n.effect]
     damping = found.imag / (2 * np.pi * top)

@@ -60,7 +60,7 @@ def test_strain_enters_a_glued_layer_over_the_stated_length():
     force = stiffness[1] * np.diff(u[1])[::-1]  # of the other bar, from the pulled end
     deep = stiffness[1] / sum(stiffness)
     found = h * (1 + np.searchsorted(force, deep * (1 - np.exp(-1))))
-    assert found == pytest.approx(_neglected.glued_edge(below, above), rel=0.01)
+    assert found == pytest.approx(_neglected.shear_transfer_length(below, above), rel=0.01)
 
 
 def test_explain_lists_what_a_body_leaves_out(tmp_path):

@@ -75,7 +75,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         model = build.model(part, LinearModel)
         result = model.certificate
         if result is not None:
-            yield from self._reduced(part, build, waves, result)
+            yield from self._check_reduction(part, build, waves, result)
             if result.stable is False:
                 full_is_stable = prove_stability(model.pencil.dense(), result.band_hz).stable
                 advice, then = (LOST, "fail") if full_is_stable else (GROWS, "warn")
@@ -84,16 +84,16 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             highest = float(waves["frequency"].real.max())
             limit = (1 + 1e-9) * result.band_hz[1]  # a last point that is rounded
             yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE, "warn")
-        yield from self._within_rating(part, build, waves)
+        yield from self._check_rating(part, build, waves)
         if "time" not in waves:
             return
-        if (balance := self._balance(part, build, waves)) is not None:
+        if (balance := self._balance_energy(part, build, waves)) is not None:
             yield balance
         if result is not None:
-            yield from self._excited(part, build, waves, result)
-        yield from self._leaked(part, build)
+            yield from self._check_band(part, build, waves, result)
+        yield from self._check_leak(part, build)
 
-    def _within_rating(
+    def _check_rating(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Check]:
         """Whether the voltage at each electrode stays within its rating.
@@ -109,7 +109,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 largest = float(np.abs(waves[f"{name}.voltage"]).max())
                 yield Check(f"rating of {name}", largest, volts, "V", BEYOND, "warn")
 
-    def _leaked(self, part: Part[LinearKeysT], build: Build) -> Iterator[Check]:
+    def _check_leak(self, part: Part[LinearKeysT], build: Build) -> Iterator[Check]:
         """Check of the charge that a floating electrode loses through the netlist's leak."""
         leaked = -math.expm1(-build.scene.stop * LEAK_RATE)
         ports = names_of(paired_ports(build.model(part, LinearModel).ports))
@@ -118,7 +118,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             advice = "the netlist's leak: a resistor across the electrode states the real one"
             yield Check(name, leaked, KEPT, "of it lost", advice, "warn")
 
-    def _reduced(
+    def _check_reduction(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms, certificate: Certificate
     ) -> Iterator[Check]:
         """Yield the check of the reduced model's error.
@@ -188,7 +188,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         errors = time_errors(model, rich, t[:count], load[:count], [*groups.values()])
         return None if errors is None else (max(errors.values(), default=0.0), rich.order)
 
-    def _excited(
+    def _check_band(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms, certificate: Certificate
     ) -> Iterator[Check]:
         """Yield checks whether the band contains the frequencies of the drives.
@@ -238,7 +238,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 result[port.name] = sum(map(acting.__getitem__, joined), start=still)
         return result
 
-    def _balance(self, part: Part[LinearKeysT], build: Build, waves: Waveforms) -> Balance | None:
+    def _balance_energy(
+        self, part: Part[LinearKeysT], build: Build, waves: Waveforms
+    ) -> Balance | None:
         """Work of voltage and forces on the body against its exact response to the same loads.
 
         What the exact response takes in and does not store is damped. The electrical part needs the

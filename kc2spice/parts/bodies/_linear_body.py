@@ -121,9 +121,11 @@ class LinearBody(BodyChecks[LinearKeysT]):
         result = f"{part.name}.current"
         if build.scene.analysis.type != "ac" or result not in build.records[part.name].vectors:
             return {}
-        return {"resonance_hz": LargestRealPart(result)} if self._leads(part, build) else {}
+        return (
+            {"resonance_hz": LargestRealPart(result)} if self._is_driven_alone(part, build) else {}
+        )
 
-    def _leads(self, part: Part[LinearKeysT], build: Build) -> bool:
+    def _is_driven_alone(self, part: Part[LinearKeysT], build: Build) -> bool:
         """Whether a source alone drives the body and its resonance is the largest conductance."""
         from kc2spice.bodies.impedance import analyse
 
@@ -218,7 +220,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         finer = None
         if unknowns <= most:
             try:
-                doubled = with_values(part, {key: TWICE * _value_of(part, key)})
+                doubled = with_values(part, {key: TWICE * _count_of_key(part, key)})
                 with clock.stage("full model", f"{part.name}: mesh half as wide"):
                     finer = self.full(doubled, build.scene, clock).facts
             except UsageError as error:
@@ -237,7 +239,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         return super().discretisation(part, build) or f"mesh: {NOT_ESTIMATED}"
 
 
-def _value_of(part: Part, key: str) -> int:
+def _count_of_key(part: Part, key: str) -> int:
     """Return the value of a dotted key of a part, a number of pieces."""
     value: Any = part.keys
     for name in key.split("."):

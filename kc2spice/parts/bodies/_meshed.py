@@ -144,7 +144,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
             return result
         for item in recovered.extremes:
             quantity, word, *_ = _QUANTITIES[item.quantity]
-            of = f"{_slug(item.material)}_{word}"
+            of = f"{_metric_word(item.material)}_{word}"
             result[f"{quantity}_{of}"] = Metric(item.value, item.unit)
             if item.limit is not None:
                 result[f"{quantity}_limit_{of}"] = Metric(item.limit, item.unit)
@@ -250,7 +250,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
 
     def bonded(self, part: Part[FieldKeysT]) -> Bonded:
         """Blocks, electrodes, supports and ports of the body."""
-        return _bonded(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
+        return _make_bonded(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
 
     def ports(self, part: Part[FieldKeysT], scene: DeclaredScene) -> tuple[Port, ...]:
         return self.bonded(part).every_port
@@ -325,11 +325,11 @@ class BondedBody(MeshedBody[FieldKeysT]):
 
 
 @lru_cache(maxsize=32)
-def _bonded(kind: BondedBody, keys: str, name: str) -> Bonded:
+def _make_bonded(kind: BondedBody, keys: str, name: str) -> Bonded:
     return kind.structure(kind.schema.model_validate_json(keys), name)
 
 
-def _slug(material: str) -> str:
+def _metric_word(material: str) -> str:
     """Part of a metric's name: letters, digits and single underscores."""
     return re.sub(r"[^a-z0-9]+", "_", material.lower()).strip("_")
 

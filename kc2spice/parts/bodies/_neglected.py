@@ -109,11 +109,13 @@ def neglected_effects(name: str, envelope: Envelope, support: str) -> Iterator[N
 
     The compliance of its mounting is one of them if ``support`` names the mounting.
     """
-    yield Neglected(f"{name}: load of the air", "its mass and its radiation", _air(envelope))
+    yield Neglected(
+        f"{name}: load of the air", "its mass and its radiation", _describe_air(envelope)
+    )
     if support:
         yield Neglected(f"{name}: compliance of its mounting", support, UNKNOWN)
-    yield from _glue(name, envelope)
-    yield from _electrodes(name, envelope)
+    yield from _glue_effect(name, envelope)
+    yield from _electrode_effect(name, envelope)
     yield Neglected(f"{name}: hysteresis, depolarisation", "linear material law", UNKNOWN)
     kelvin = 1e-3 / (COOLING * envelope.surface)
     why = "constants of one temperature"
@@ -121,7 +123,7 @@ def neglected_effects(name: str, envelope: Envelope, support: str) -> Iterator[N
     yield Neglected(f"{name}: heating by its own losses", why, size)
 
 
-def _air(envelope: Envelope) -> str:
+def _describe_air(envelope: Envelope) -> str:
     """Size of the air's load: a mass m_a on m lowers a frequency by ``1 - (1 + m_a/m)^-1/2``."""
     if envelope.air is None:
         return UNKNOWN
@@ -131,19 +133,19 @@ def _air(envelope: Envelope) -> str:
     return f"first resonance at most {100 * lower:.2g} % lower, {1e6 * envelope.air:.2g} mg of air"
 
 
-def _glue(name: str, envelope: Envelope) -> Iterator[Neglected]:
+def _glue_effect(name: str, envelope: Envelope) -> Iterator[Neglected]:
     glue = material("epoxy")
     layers = [b for b in envelope.layers if _youngs_modulus(b) > 2 * glue.C[0, 0]]
     joints = [(a, b) for a, b in pairwise(layers) if a.box[-1][1] == b.box[-1][0]]
     if not joints:
         return
-    reach = max(starmap(glued_edge, joints))
+    reach = max(starmap(shear_transfer_length, joints))
     share = 100 * reach / envelope.length
     size = f"{1e6 * GLUE:g} um of epoxy: edges of {1e3 * reach:.2g} mm ({share:.2g} %) less coupled"
     yield Neglected(f"{name}: glue between layers", "bonded where they touch", size)
 
 
-def glued_edge(below: Block, above: Block) -> float:
+def shear_transfer_length(below: Block, above: Block) -> float:
     """Length [m] over which the shear of the glue transfers strain between two layers.
 
     It is ``(t_g / (G (1/(E1 t1) + 1/(E2 t2))))^1/2`` (E. F. Crawley and J. de Luis, AIAA J. 25
@@ -160,7 +162,7 @@ def _youngs_modulus(block: Block) -> float:
     return float(1 / np.linalg.inv(block.material.C)[0, 0])
 
 
-def _electrodes(name: str, envelope: Envelope) -> Iterator[Neglected]:
+def _electrode_effect(name: str, envelope: Envelope) -> Iterator[Neglected]:
     what, why = f"{name}: metal of electrodes, solder, wires", "equipotentials without mass"
     active = [block for block in envelope.layers if block.material.piezoelectric]
     if not active or envelope.mass is None:

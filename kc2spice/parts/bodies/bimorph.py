@@ -185,13 +185,13 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
         fixed,
         masses=[(beam.tip_mass, end)],
         moved=beam.support != "free",
-        grid=_grid(beam, heights),
+        grid=_make_grid(beam, heights),
         damping=beam.damping,
         where=where,
     )
 
 
-def _grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
+def _make_grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
     """Lines along the beam, finer towards clamps, across it and through the layers."""
     refine, rows = beam.mesh.refine, beam.rows or 1
     s = np.linspace(0, 1, LENGTHWISE * refine + 1)

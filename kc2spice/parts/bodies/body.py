@@ -313,8 +313,8 @@ def device(
             splits=0 if keys.size else int(np.ceil(np.log2(keys.refine))),
             merge=keys.merge,
         )
-        solid = _solid(keys, result)
-        assembled = fe.make_device(solid, _setup(keys, result, solid))
+        solid = _make_solid(keys, result)
+        assembled = fe.make_device(solid, _make_setup(keys, result, solid))
     axes = ("radius", "height") if keys.axisymmetric else "xyz"
     sides = zip(axes, 1e3 * np.ptp(result.mesh.p, axis=1), strict=True)
     facts = dict(assembled.model.facts)
@@ -323,7 +323,7 @@ def device(
     return replace(assembled, model=replace(assembled.model, facts=facts))
 
 
-def _solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
+def _make_solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
     owner = np.full(groups.mesh.nelements, -1)
     materials = []
     for number, (name, name_or_table) in enumerate(keys.materials.items()):
@@ -339,7 +339,7 @@ def _solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
                 hint=f"delete materials.{name}, or take the elements out of one group",
             )
         owner[cells] = number
-        made_of = _poled(material(name_or_table, where), keys, name)
+        made_of = _pole_material(material(name_or_table, where), keys, name)
         materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
     if (owner < 0).any():
         solids = [name for name, group in groups.groups.items() if group.codimension == 0]
@@ -351,7 +351,7 @@ def _solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
     return Solid(groups.mesh, tuple(materials), owner, keys.axisymmetric)
 
 
-def _poled(plain: Material, keys: BodyKeys, group: str) -> Material:
+def _pole_material(plain: Material, keys: BodyKeys, group: str) -> Material:
     """Pole the material of a group.
 
     In an axisymmetric body, every poling off its axis turns with the angle.
@@ -378,11 +378,11 @@ def _poled(plain: Material, keys: BodyKeys, group: str) -> Material:
     )
 
 
-def _setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Setup:
+def _make_setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Setup:
     electrodes = {}
     for pin, stated in keys.electrodes.items():
         names = [stated] if isinstance(stated, str) else stated
-        nodes = [_electrode(solid, groups, name, f"electrodes.{pin}") for name in names]
+        nodes = [_electrode_nodes(solid, groups, name, f"electrodes.{pin}") for name in names]
         electrodes[pin] = np.unique(np.concatenate(nodes))
     shapes, faces, base = [], [], []
     for port in keys.ports:
@@ -391,13 +391,13 @@ def _setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Se
         elif port.kind == "base":
             base.append((port.ports[0], port.direction))
         else:
-            force = fe.spread(_shares(port, groups, solid), port.direction, solid)
+            force = fe.spread(_node_shares(port, groups, solid), port.direction, solid)
             shapes.append(fe.ForceShape(port.ports[0], force))
     return fe.Setup(
-        fixed=_fixed(keys, groups, solid),
+        fixed=_clamped_components(keys, groups, solid),
         electrodes=electrodes,
         reference=keys.reference,
-        floating=[_electrode(solid, groups, name, "floating") for name in keys.floating],
+        floating=[_electrode_nodes(solid, groups, name, "floating") for name in keys.floating],
         shapes=shapes,
         faces=faces,
         base=base,
@@ -420,7 +420,9 @@ def _facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
     return np.unique(solid.basis(1).get_dofs(facets).flatten())
 
 
-def _electrode(solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: str) -> np.ndarray:
+def _electrode_nodes(
+    solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: str
+) -> np.ndarray:
     """Nodes of an electrode, which must lie on a piezoelectric material."""
     facets = groups.group(name, where, 1).members
     active = np.array([m.piezoelectric for m in solid.materials])[solid.owner]
@@ -434,7 +436,7 @@ def _electrode(solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: st
     return _facet_nodes(solid, facets)
 
 
-def _fixed(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
+def _clamped_components(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
     d, nodes = solid.components, solid.places.shape[1]
     fixed = np.zeros((nodes, d), bool)
     letters = "xyz" if d == 3 else "xz"
@@ -454,7 +456,7 @@ def _fixed(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.nd
     return fixed.ravel()
 
 
-def _shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
+def _node_shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
     """Parts (nodes,) of a unit force over the port's group."""
     shares = np.zeros(solid.places.shape[1])
     if port.at is not None:
@@ -498,13 +500,13 @@ class Body(MeshedBody[BodyKeys]):
         return result
 
     def files(self, part: Part[BodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
-        _path(part, scene)
+        _mesh_path(part, scene)
         return (part.keys.mesh,)
 
     def problems(self, part: Part[BodyKeys], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         try:
-            path = _path(part, scene)
+            path = _mesh_path(part, scene)
             mesh_file.require_format(path)
             if path.is_file():
                 mesh_file.length_unit(path, part.keys.unit)
@@ -524,11 +526,11 @@ class Body(MeshedBody[BodyKeys]):
 
         def size() -> list[float]:
             with part_named(part.name):
-                path = _path(part, scene)
+                path = _mesh_path(part, scene)
                 sides = mesh_file.length_unit(path, part.keys.unit) * mesh_file.extent(path)
             return list(map(float, sides))
 
-        key = {"file": file_stamp(_path(part, scene)), "unit": part.keys.unit}
+        key = {"file": file_stamp(_mesh_path(part, scene)), "unit": part.keys.unit}
         return cached("extent", key, size, sources=self.sources())
 
     def envelope(self, part: Part[BodyKeys], scene: DeclaredScene) -> Envelope:
@@ -545,7 +547,7 @@ class Body(MeshedBody[BodyKeys]):
         return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
 
     def full_key(self, part: Part[BodyKeys], scene: GovernedScene) -> dict[str, Any]:
-        return {**super().full_key(part, scene), "file": file_stamp(_path(part, scene))}
+        return {**super().full_key(part, scene), "file": file_stamp(_mesh_path(part, scene))}
 
     def figures(
         self, part: Part[BodyKeys], build: Build, waves: Waveforms
@@ -567,7 +569,7 @@ class Body(MeshedBody[BodyKeys]):
         return device(part.keys, scene.home, part.name)
 
 
-def _path(part: Part[BodyKeys], scene: DeclaredScene) -> Path:
+def _mesh_path(part: Part[BodyKeys], scene: DeclaredScene) -> Path:
     return file_in_folder(scene.home, part.keys.mesh, f"{part.name}.mesh")
 
 

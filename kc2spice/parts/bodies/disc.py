@@ -137,8 +137,8 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
     UsageError : a key is wrong, or names electrodes or supports beyond the body.
     """
     disc = validated(DiscKeys, keys, where)
-    pieces = _blocks(disc, where)
-    conductors, series = _conductors(disc, pieces, where), disc.wiring == "series"
+    pieces = _make_blocks(disc, where)
+    conductors, series = _electrode_levels(disc, pieces, where), disc.wiring == "series"
     electrodes = {"anode": [*chain(*conductors[1::2])], "cathode": [*chain(*conductors[::2])]}
     if series:
         electrodes = {"anode": conductors[-1], "cathode": conductors[0]}
@@ -153,7 +153,7 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
         electrodes,
         conductors[1:-1] if series else (),
         {"centre": _face(0.0, patch / 2, top)},
-        _supports(disc, pieces, across / 2),
+        _make_supports(disc, pieces, across / 2),
         size=max(top, across) / (2 * _CELLS),
         refine=disc.mesh.refine,
         damping=disc.damping,
@@ -165,7 +165,7 @@ def _face(inner: float, outer: float, height: float) -> Box:
     return (inner, outer), (height, height)
 
 
-def _blocks(disc: DiscKeys, where: str) -> list[Block]:
+def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
     result = []
     ends = pairwise(accumulate((layer.thickness for layer in disc.layers), initial=0.0))
     for i, (layer, span) in enumerate(zip(disc.layers, ends, strict=True)):
@@ -191,7 +191,7 @@ def _blocks(disc: DiscKeys, where: str) -> list[Block]:
     return result
 
 
-def _conductors(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Box]]:
+def _electrode_levels(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Box]]:
     """Faces of each electrode in order of height; a metal layer is one electrode."""
     result: list[list[Box]] = []
     last_metal: int | None = None
@@ -236,7 +236,7 @@ def _electrode_faces(
     return [_face(*pair, height) for pair in ((0.0, inner), (outer, radius)) if pair[0] < pair[1]]
 
 
-def _supports(disc: DiscKeys, pieces: list[Block], radius: float) -> list[tuple[str, Box]]:
+def _make_supports(disc: DiscKeys, pieces: list[Block], radius: float) -> list[tuple[str, Box]]:
     if disc.support == "free":
         return []
     if isinstance(disc.support, Node):

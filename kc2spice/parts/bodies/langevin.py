@@ -143,7 +143,7 @@ def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin
     UsageError : a key is wrong, or the parts do not fit into one another.
     """
     body = validated(LangevinKeys, keys, where)
-    pieces, rings = _blocks(body, where), body.rings
+    pieces, rings = _make_blocks(body, where), body.rings
     boxes = np.array([piece.box for piece in pieces])
     bottom, top = float(boxes[:, 1].min()), float(boxes[:, 1].max())
     under = (body.bolt.head_diameter or body.back[-1].diameter) / 2
@@ -164,7 +164,7 @@ def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin
     )
 
 
-def _blocks(body: LangevinKeys, where: str) -> list[Block]:
+def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
     """Rings from z = 0 up, front above, back below, then the bolt in place of their cores."""
     result: list[Block] = []
 

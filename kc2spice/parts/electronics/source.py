@@ -184,7 +184,7 @@ class Source(PartType[SourceKeys]):
         return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
 
     def numerics(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[Numerics]:
-        yield from drive_scales(part.name, part.keys.waveform(scene.home))
+        yield from drive_numerics(part.name, part.keys.waveform(scene.home))
         pulse = part.keys.pulse
         if pulse is not None and pulse.count is None and pulse.period:
             yield Numerics(part.name, period=pulse.period)
@@ -214,7 +214,7 @@ class Source(PartType[SourceKeys]):
         ends = [build.net(part, "out"), build.net(part, "ret")]
         if kind.letter == "I":  # the current leaves the source at "out" and enters it at "ret"
             ends.reverse()
-        if _returns(part, build.scene):
+        if _sweeps_back(part, build.scene):
             swept = _sweep_cards(part, build, kind, ends)
             return tuple(card.valued(kind.value_unit) for card in swept)
         wave = part.keys.waveform(build.scene.home).spice(kind.scale)
@@ -224,13 +224,13 @@ class Source(PartType[SourceKeys]):
         return (card.valued(kind.value_unit),)
 
     def inner_names(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[tuple[str, ...]]:
-        if _returns(part, scene):
+        if _sweeps_back(part, scene):
             yield part.name, "swept"
             yield part.name, "folded"
 
     def settable(self, part: Part[SourceKeys], build: Build) -> Mapping[str, Swept]:
         kind = KINDS[part.keys.kind]
-        if _returns(part, build.scene):
+        if _sweeps_back(part, build.scene):
             return {"dc": Swept(f"V{build.inner_name(part, part.name, 'swept')}", kind.scale)}
         return {"dc": Swept(f"{kind.letter}{part.name}", kind.scale)}
 
@@ -265,7 +265,7 @@ class Source(PartType[SourceKeys]):
     def law(self, part: Part[SourceKeys], build: Build) -> laws.Equations:
         n, keys = part.name, part.keys
         wave = part.keys.waveform(build.scene.home)
-        unloaded = keys.kind == "voltage" and _unloaded(part, build)
+        unloaded = keys.kind == "voltage" and _drives_signals_alone(part, build)
         ac = quantity(keys.ac, keys.unit)
         law = laws.IdealSource(n, "signal" if unloaded else keys.kind, wave, complex(ac))
         signal = law.signal
@@ -287,7 +287,7 @@ def _filtered_frequency(wave: Waveform, stop: float, share: float, constant: flo
     return waveform_frequency(wave, stop, share * constant)
 
 
-def _returns(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
+def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
     """Whether a dc sweep moves it to the end and back."""
     selected = scene.analysis
     moved = selected.type == "dc" and selected.sweep == f"{part.name}.dc"
@@ -316,7 +316,7 @@ def _sweep_cards(
         yield Element.of(f"V{part.name}", ends[0], folded, "0")
 
 
-def drive_scales(name: str, wave: Waveform) -> Iterator[Numerics]:
+def drive_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
     """Yield the largest steps and frequencies of a wave: sines that start, or edges (``EDGE``)."""
     if not wave.straight:
         f = wave.frequency
@@ -329,7 +329,7 @@ def drive_scales(name: str, wave: Waveform) -> Iterator[Numerics]:
             yield Numerics(f"edges of {name}, {moving.min():g} s", content=EDGE / moving.min())
 
 
-def _unloaded(part: Part[SourceKeys], build: Build) -> bool:
+def _drives_signals_alone(part: Part[SourceKeys], build: Build) -> bool:
     """Whether its voltage drives inputs of signals alone, which draw no current."""
     scene = build.scene
     flows = {scene.terminals[end].flow for end in scene.joined(part.name, "out")}

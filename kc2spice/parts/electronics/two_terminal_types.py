@@ -82,7 +82,7 @@ TABLE = (
 )  # fmt: skip
 
 
-def declaration(row: Row) -> Declaration:
+def declare_element(row: Row) -> Declaration:
     """The row's physics with its key, an example and its equations as documentation."""
     noun = row.name.replace("_", " ")
     value = Field(gt=0, description=f"{row.key.capitalize()} of the {noun}")
@@ -225,7 +225,7 @@ def _meter(part: Part, build: Build) -> str:
     return build.inner_name(part, f"V{part.name}", "meter")
 
 
-DECLARED = {row.name: declaration(row) for row in TABLE}
+DECLARED = {row.name: declare_element(row) for row in TABLE}
 
 
 def element(name: str, kind: str, value: float) -> DeclaredLaw:

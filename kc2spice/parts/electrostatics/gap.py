@@ -156,7 +156,7 @@ class Gap(Patched[GapKeys]):
     discretisations = ("film.branches",)
 
     def declared(self, part: Part[GapKeys], scene: GovernedScene) -> Declaration:
-        return self._with_branches(part, scene, branches_of(part, scene))
+        return self._with_branches(part, scene, count_film_branches(part, scene))
 
     def built_declaration(self, part: Part[GapKeys], build: Build) -> Declaration:
         finer = build.models.get(part.name)
@@ -168,7 +168,7 @@ class Gap(Patched[GapKeys]):
         self, part: Part[GapKeys], scene: Scene, clock: Clock, full: bool = False
     ) -> int | None:
         """In ``full`` the branches of its film, :data:`FINER` times those of its netlist."""
-        return FINER * branches_of(part, scene) or None if full else None
+        return FINER * count_film_branches(part, scene) or None if full else None
 
     def law(self, part: Part[GapKeys], build: Build) -> laws.Equations:
         """Return the law without the pins of branches that the netlist does not have."""
@@ -179,7 +179,7 @@ class Gap(Patched[GapKeys]):
         self, part: Part[GapKeys], scene: GovernedScene, branches: int
     ) -> Declaration:
         keys, top = part.keys, highest_frequency(scene) if part.keys.film else 0.0
-        return _declared(keys.model_dump_json(), len(patches(part, scene)), branches, top)
+        return _declare(keys.model_dump_json(), len(patches(part, scene)), branches, top)
 
     def problems(self, part: Part[GapKeys], scene: GovernedScene) -> Iterator[UsageError]:
         keys, ports = part.keys, patches(part, scene)
@@ -204,8 +204,8 @@ class Gap(Patched[GapKeys]):
         point never falls with ``v^2``.
         """
         yield from super().checks(part, build, waves)
-        yield from _film_checks(part, build, waves)
-        d, recorded = self.declared(part, build.scene), self._recorded(part, build, waves)
+        yield from _check_film(part, build, waves)
+        d, recorded = self.declared(part, build.scene), self._recorded_variables(part, build, waves)
         if "sweep" not in waves or waves.scale.size < 2 or set(recorded) != set(d.coordinates):
             return
         (branch,) = (b for b in d.branches if b.kind == "voltage")
@@ -265,7 +265,7 @@ def patches(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
     return tuple(f"{name}.{port}" for port in row)
 
 
-def branches_of(part: Part[GapKeys], scene: GovernedScene) -> int:
+def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
     """Return the number of terms of its film that have a spring; 0 without a film."""
     keys = part.keys
     if keys.film is None:
@@ -274,13 +274,13 @@ def branches_of(part: Part[GapKeys], scene: GovernedScene) -> int:
         return keys.film.branches
     top = highest_frequency(scene)
     for count in range(FEWEST, MOST):
-        if truncation(keys.film, keys.gap, count, top) <= keys.film.tolerance:
+        if truncation_error(keys.film, keys.gap, count, top) <= keys.film.tolerance:
             return count
     return MOST
 
 
 @lru_cache(maxsize=256)
-def truncation(film: Film, gap: float, branches: int, frequency: float) -> float:
+def truncation_error(film: Film, gap: float, branches: int, frequency: float) -> float:
     """Relative error of the damping or of the force at a frequency [Hz] of a series of which
     ``branches`` terms have their spring, the larger one.
 
@@ -289,7 +289,7 @@ def truncation(film: Film, gap: float, branches: int, frequency: float) -> float
     """
     if not frequency:
         return 0.0
-    c, k, _ = _terms(film)
+    c, k, _ = _series_terms(film)
     drag = 2j * np.pi * frequency * c / gap**3
     terms = drag / (1 + drag * gap / k)
     total, off = terms.sum(), (drag - terms)[branches:].sum()
@@ -302,7 +302,7 @@ def _waves_of(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarr
     return [wave for name, wave in waves.data.items() if name.startswith(prefix)]
 
 
-def _film_checks(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
+def _check_film(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
     """Yield checks of the film's series at the highest frequency of a run.
 
     It is that of the response, or the one below which the velocity of the patches has 99.9 % of its
@@ -319,8 +319,8 @@ def _film_checks(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterato
         time = waves["time"]
         for x in _waves_of(part, "x", waves):
             frequency = max(frequency, energy_frequency(time, np.gradient(x, time)))
-    branches = branches_of(part, build.scene)
-    error = truncation(film, part.keys.gap, branches, frequency)
+    branches = count_film_branches(part, build.scene)
+    error = truncation_error(film, part.keys.gap, branches, frequency)
     name = f"{branches} branches of the film of {part.name} at {frequency:.3g} Hz"
     advice = f"raise {part.name}.film.branches"
     unit = "of damping and force"
@@ -328,7 +328,7 @@ def _film_checks(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterato
 
 
 @lru_cache(maxsize=32)
-def _declared(text: str, count: int, film_branches: int, top: float) -> Declaration:
+def _declare(text: str, count: int, film_branches: int, top: float) -> Declaration:
     """The physics of a gap with so many patches and branches of its film, which follow from the
     highest frequency ``top`` [Hz]."""
     keys = GapKeys.model_validate_json(text)
@@ -362,7 +362,7 @@ def _declared(text: str, count: int, film_branches: int, top: float) -> Declarat
     content = []
     if keys.film is not None:
         mean = f"({'+'.join(gaps)})"
-        terms, rest = _film(keys.film, count, film_branches)
+        terms, rest = _split_series(keys.film, count, film_branches)
         for n, (damper, spring, parts) in enumerate(terms, 1):
             numbers |= {f"c{n}": f"{damper!r}/gap^3", f"k{n}": f"{spring!r}/gap"}
             branches.append(displacement(f"y{n}", f"film{n}", "b", f"film_force{n}"))
@@ -396,7 +396,7 @@ def _neglected(keys: GapKeys, branches: int, top: float) -> Iterator[tuple[str, 
     if keys.film is None:
         yield "squeezed gas", "no key film", "not estimated"
     else:
-        error = truncation(keys.film, keys.gap, branches, top)
+        error = truncation_error(keys.film, keys.gap, branches, top)
         what, size = f"the springs of all but {branches} terms of the film's series", "none at rest"
         if top:
             size = f"{100 * error:.2g} % of its damping or force at {top:.4g} Hz"
@@ -409,7 +409,7 @@ def _neglected(keys: GapKeys, branches: int, top: float) -> Iterator[tuple[str, 
     yield _stop.NEGLECTED
 
 
-def _terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _series_terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Dampers times gap^3 (n,), springs times gap (n,) and orders along the length (n,) of all
     terms, the largest dampers first."""
     area, odd = film.length * film.width, np.arange(1, TERMS + 1, 2)
@@ -421,12 +421,12 @@ def _terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return dampers[order], springs[order], m[order]
 
 
-def _film(
+def _split_series(
     film: Film, count: int, branches: int
 ) -> tuple[list[tuple[float, float, np.ndarray]], float]:
     """Terms (damper times gap^3, spring times gap, part of each patch in its motion) that keep
     their spring, and the dampers of all others times gap^3."""
-    dampers, springs, orders = _terms(film)
+    dampers, springs, orders = _series_terms(film)
     edges = np.linspace(0, 1, count + 1)
     result = []
     for k in range(branches):
@@ -459,4 +459,4 @@ part = "source"
 dc = "3 V"
 """
 _USUAL = GapKeys(a="mass.a", area=1e-8, gap=2e-6, travel=1.5e-6, side="above")
-register(Gap(_declared(_USUAL.model_dump_json(), 1, 0, 0.0)))
+register(Gap(_declare(_USUAL.model_dump_json(), 1, 0, 0.0)))

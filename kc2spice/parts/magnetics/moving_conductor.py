@@ -283,7 +283,7 @@ class MovingBody(DeclaredPart[MovingT]):
         tolerance = (CLOSER if full else 1.0) * keys.tolerance
         rings = (FINER if full else 1) * getattr(keys, "rings", 1)
         if full and frequency:
-            frequency = FINER * max(frequency, highest_frequency(scene, _lag(part, scene)))
+            frequency = FINER * max(frequency, highest_frequency(scene, _shortest_lag(part, scene)))
 
         def build() -> Ladder:
             fixed = []
@@ -390,7 +390,9 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
 
     def resolved(self, part: Part[MovingConductorKeys], scene: Scene) -> float:
         """Frequency [Hz] up to which its eddy currents are resolved."""
-        return float(part.keys.frequency or max(LEAST, highest_frequency(scene, _lag(part, scene))))
+        return float(
+            part.keys.frequency or max(LEAST, highest_frequency(scene, _shortest_lag(part, scene)))
+        )
 
     def field(
         self,
@@ -420,9 +422,10 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
             f"{len(keys.coils)} coils, eddy currents as loops to {keys.tolerance:g} of flux and "
             f"force up to {frequency:.4g} Hz, exact in currents, power series of the height"
         )
+        depth = 1e3 * _skin_depth(keys, frequency)
         yield Neglected(
             f"eddy currents above {frequency:.4g} Hz",
-            f"loops up to there, where the skin depth is {1e3 * _depth(keys, frequency):.2g} mm",
+            f"loops up to there, where the skin depth is {depth:.2g} mm",
             "a run compares its currents and finer rings with it",
         )
         yield Neglected("eddy currents in the coils' wires", "thin wires", "not estimated")
@@ -455,7 +458,7 @@ def turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]
     return result
 
 
-def _depth(keys: MovingConductorKeys, frequency: float) -> float:
+def _skin_depth(keys: MovingConductorKeys, frequency: float) -> float:
     """Skin depth [m]: ``1 / sqrt(pi f MU_0 conductivity)``."""
     return 1 / math.sqrt(math.pi * frequency * MU_0 * keys.conductivity)
 
@@ -468,10 +471,10 @@ def _divided(keys: MovingConductorKeys, rings: int, frequency: float) -> Cells:
         return np.asarray(r**2 + z**2 < keys.radius**2)
 
     ball = keys.shape == "sphere"
-    return divide_section(*box, inside if ball else None, _depth(keys, frequency))
+    return divide_section(*box, inside if ball else None, _skin_depth(keys, frequency))
 
 
-def _lag(part: Part[Moving], scene: WiredScene) -> float:
+def _shortest_lag(part: Part[Moving], scene: WiredScene) -> float:
     """The least time constant [s] of its coils with the resistors in series."""
     result = []
     for name, coil, winding in zip(

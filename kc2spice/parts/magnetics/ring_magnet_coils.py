@@ -101,7 +101,7 @@ SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *PLACE)
 
 
 class Lookup(NamedTuple):
-    """A function of the height as the lines of its two tables (:func:`smooth`), and a comment."""
+    """A function of the height as lines of two tables (:func:`smooth_lookup`), and a comment."""
 
     name: str
     values: list[str]
@@ -149,7 +149,7 @@ def coils_subcircuit(
     height = np.linspace(table.y[0], table.y[-1], points)
     micrometres = DISPLACEMENT.per_unit * height
     low, spacing = micrometres[0], DISPLACEMENT.per_unit * (height[1] - height[0])
-    values = _inductive(table, height) if apart else _resistive(table, height)
+    values = _inductive_lookups(table, height) if apart else _resistive_lookups(table, height)
     errors = mesh_words(table.mesh_errors)
     return library(
         "coil" if apart else "catch",
@@ -173,26 +173,26 @@ def coils_subcircuit(
     )
 
 
-def _resistive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
+def _resistive_lookups(table: EMTable, height: np.ndarray) -> dict[str, Any]:
     """Variables of the template ``catch``."""
     values, functions = table.splines(height), []
     for power, (name, weights) in enumerate(SERIES.items()):
-        functions.append(Lookup(name, *smooth(values @ weights), "V(i)*" * power))
+        functions.append(Lookup(name, *smooth_lookup(values @ weights), "V(i)*" * power))
     return {"functions": functions}
 
 
-def _inductive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
+def _inductive_lookups(table: EMTable, height: np.ndarray) -> dict[str, Any]:
     """Variables of the template ``coil``."""
     henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
     inverse = henry * np.linalg.inv(table.coenergy.inductances(height))
     default = inverse.mean(axis=0)
     functions = []
     for name, values, unit in zip(FORCE, table.splines(height).T, UNITS, strict=True):
-        functions.append(Lookup(name, *smooth(values), f"{name}(y): {unit}"))
+        functions.append(Lookup(name, *smooth_lookup(values), f"{name}(y): {unit}"))
     for k, l in ((0, 0), (0, 1), (1, 1)):
         g = f"g{k + 1}{l + 1}"
         doc = f"{g}(y): {henry:.6g} H times the inverse of L, less its mean"
-        functions.append(Lookup(g, *smooth((inverse - default)[:, k, l]), doc))
+        functions.append(Lookup(g, *smooth_lookup((inverse - default)[:, k, l]), doc))
     windings = [
         {"k": 1, "name": "lower", "plus": "lp", "minus": "ln", "own": default[0, 0]},
         {"k": 2, "name": "upper", "plus": "up", "minus": "un", "own": default[1, 1]},
@@ -201,7 +201,7 @@ def _inductive(table: EMTable, height: np.ndarray) -> dict[str, Any]:
     return result | {"force": coils.write_force()}
 
 
-def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
+def smooth_lookup(values: np.ndarray) -> tuple[list[str], list[str]]:
     """Lines of the lookups ``f`` and ``b`` whose ``f(s) - w(s) b(s)`` has a continuous slope.
 
     ``s`` counts cells from the first of the equally spaced ``values``, ``b`` are half the second
@@ -218,10 +218,10 @@ def smooth(values: np.ndarray) -> tuple[list[str], list[str]]:
     halves = np.diff(f[[0, *range(f.size), -1]], 2) / 2
     # Fourth differences are to second ones as those to the values; the corners at both ends apart.
     largest, second = float(np.abs(values).max()), float(np.abs(2 * halves[2:-2]).max())
-    return _lookup(f), _lookup(halves, second**2 / 4 / (largest or 1.0))
+    return _table_lines(f), _table_lines(halves, second**2 / 4 / (largest or 1.0))
 
 
-def _lookup(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
+def _table_lines(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
     """Lines of a ``pwl()`` table of ``values`` at -1, 0, 1, ..., flat beyond both ends.
 
     ngspice extrapolates the outer segments, so each end gets a second point of equal value. Five
@@ -263,7 +263,7 @@ class RingMagnetCoils(Touching[Coils]):
 
     def pins(self, part: Part[Coils], scene: JoinedScene) -> tuple[Terminal, ...]:
         if not has_real_coils(part, scene):
-            rest = None if _driven(part, scene) else "gnd"
+            rest = None if _is_driven(part, scene) else "gnd"
             return (*(replace(end, default=rest) for end in SERIES_PINS[:2]), *PLACE)
         return tuple(
             replace(pin, default=f"{part.name}.un") if pin.name == "ln" else pin for pin in PINS
@@ -389,7 +389,7 @@ class RingMagnetCoils(Touching[Coils]):
         return (coils_subcircuit(header, build.model(part, EMTable), name, **words),)
 
     def vectors(self, part: Part[Coils], build: Build) -> Mapping[str, Vector]:
-        if not _driven(part, build.scene):
+        if not _is_driven(part, build.scene):
             return {}
         prefix, inst = label(part), f"x{part.name.lower()}"
         result = {
@@ -546,7 +546,7 @@ class RingMagnetCoils(Touching[Coils]):
             f"A = 0 at radius {keys.air_radius:g} m",
             f"compare with {part.name}.air_radius and {part.name}.air_height doubled",
         )
-        if _driven(part, scene) and not has_real_coils(part, scene):
+        if _is_driven(part, scene) and not has_real_coils(part, scene):
             yield Neglected(
                 "coil voltage, inductance and self-heating",
                 "an ideal current source feeds the coils",
@@ -609,7 +609,7 @@ def _coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]
     return result
 
 
-def _driven(part: Part[Coils], scene: JoinedScene) -> bool:
+def _is_driven(part: Part[Coils], scene: JoinedScene) -> bool:
     """Whether the part joins pins, or another part joins a pin of its coils."""
     targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", *ENDS)}
     for other in scene.parts.values():
@@ -625,7 +625,7 @@ def largest_current(part: Part[Coils], scene: JoinedScene) -> float:
     It is 1 A if another part drives the coils, and 0 if nothing drives them.
     """
     limits = [pid.keys.current_limit for pid in scene.of_schema("pid", Control)]
-    return float(max(limits, default=1.0 if _driven(part, scene) else 0.0))
+    return float(max(limits, default=1.0 if _is_driven(part, scene) else 0.0))
 
 
 def interpolation_error(table: EMTable, current: float) -> float:

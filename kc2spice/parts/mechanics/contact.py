@@ -70,10 +70,10 @@ class Contact(DeclaredPart[ContactKeys]):
         pair = pair_of(part, scene)
         radius, distance = pair.b.radius, pair.a.distance
         under = None if radius is None else (radius, tuple(map(float, distance)))
-        return _declared(pair, pair.normal, under, part.keys.groove)
+        return _declare(pair, pair.normal, under, part.keys.groove)
 
     def pins(self, part: Part[ContactKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        d = _declared(pair_of(part, scene), Normal(1.0, friction=part.keys.friction))
+        d = _declare(pair_of(part, scene), Normal(1.0, friction=part.keys.friction))
         ends = {"rail": "gnd", "base": "gnd"}
         return tuple(
             Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name == "slide")
@@ -117,7 +117,7 @@ class Contact(DeclaredPart[ContactKeys]):
                 expected=f"less than {b.part}.radius, {b.radius:g} m",
             )
         if part.keys.shape == "pressure":
-            yield from _pressure_problems(pair)
+            yield from _check_pressure(pair)
         else:
             assert pair.normal  # says what it cannot know
 
@@ -134,7 +134,7 @@ class Contact(DeclaredPart[ContactKeys]):
             result[f"{n}.friction"] = row
         total = "+".join(item[f"force.{port}"] for port in pair.ports)
         ends = {"force": (("v", "b", CARRIED), ("va",))}
-        for word, by in _sums(pair).items():
+        for word, by in _sum_factors(pair).items():
             result[f"{n}.{word}"] = Vector(total, by, "N", *ends.get(word, ()))
         return result
 
@@ -167,20 +167,20 @@ class Contact(DeclaredPart[ContactKeys]):
             yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
         place = pair.place(waves)
         if "time" in waves:
-            yield from _events(pair, waves)
+            yield from _check_events(pair, waves)
         if place is not None:
             if "time" in waves:
-                yield from _balance(pair, waves, place)
-                yield from _start(pair, waves, place)
-            yield from _open_ports(pair, build, waves, place)
-            yield from _within_law(pair, waves, place)
+                yield from _balance_energy(pair, waves, place)
+                yield from _check_start(pair, waves, place)
+            yield from _check_open_ports(pair, build, waves, place)
+            yield from _check_depth(pair, waves, place)
 
     def figures(self, part: Part[ContactKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
         force = waves.data.get(f"{part.name}.force")
         if force is None:
             return
         pair = pair_of(part, build.scene)
-        inside = _loaded(force) if "time" in waves else slice(None)
+        inside = _loaded_interval(force) if "time" in waves else slice(None)
         scale = next(iter(waves.data.values()))
         x, factor = time_axis(scale[inside])
         if (depth := pair.pushed(waves)) is not None:
@@ -200,7 +200,7 @@ class Contact(DeclaredPart[ContactKeys]):
         n, pair, result = part.name, pair_of(part, build.scene), super().law(part, build)
         forces = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
         sums = {}
-        for word, share in _sums(pair).items():
+        for word, share in _sum_factors(pair).items():
             sums[f"{n}.{word}"] = laws.Reading(tuple(product([share], forces)))
         return replace(result, results=result.results | sums)
 
@@ -257,7 +257,7 @@ class Contact(DeclaredPart[ContactKeys]):
             yield Neglected(f"contact at {a.ports[count]}{last}", why, error)
 
 
-def _declared(
+def _declare(
     pair: Pair,
     law: Normal,
     under: tuple[float, tuple[float, ...]] | None = None,
@@ -269,12 +269,12 @@ def _declared(
     return contact(ports, gaps, law, **words)
 
 
-def _sums(pair: Pair) -> dict[str, float]:
+def _sum_factors(pair: Pair) -> dict[str, float]:
     """Results that are the sum of all forces, and by what times: in a groove that on a flank."""
     return {"force": 1.0} | ({} if pair.flank is None else {"flank": 1 / (2 * pair.flank)})
 
 
-def _pressure_problems(pair: Pair) -> Iterator[UsageError]:
+def _check_pressure(pair: Pair) -> Iterator[UsageError]:
     part, a, b = pair.part, pair.a, pair.b
     hint = 'shape = "rings" takes ports as they are'
     if a.compliance is None:
@@ -296,7 +296,7 @@ def _pressure_problems(pair: Pair) -> Iterator[UsageError]:
 # --- what the waveforms say -----------------------------------------------------------------------
 
 
-def _loaded(force: np.ndarray) -> slice:
+def _loaded_interval(force: np.ndarray) -> slice:
     """From the first contact to the last of the first tenth of all that have a load."""
     loaded = np.flatnonzero(force > 1e-2 * force.max(initial=0.0))
     if loaded.size == 0:
@@ -306,7 +306,7 @@ def _loaded(force: np.ndarray) -> slice:
     return slice(max(int(loaded[0]) - 2, 0), int(last) + 3)
 
 
-def _balance(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Balance]:
+def _balance_energy(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Balance]:
     """Work that closes the springs against what they store, and what their damping takes.
 
     Springs give back all they took: energy gained here is a bounce higher than the last. The scale
@@ -338,7 +338,7 @@ def _balance(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Balanc
     yield Balance(entries, float(np.abs(missing).max()), scale, MISSING, advice)
 
 
-def _start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
+def _check_start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     """The operating point may hold the sphere elsewhere: other forces balance its weight there."""
     force, other = waves.data.get(f"{pair.part.name}.force"), pair.b.part
     if pair.b.radius is None or force is None or pair.scene.movers.get(other) or pair.thrown:
@@ -350,7 +350,7 @@ def _start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     yield Check(name, above, ALOFT, "m", advice, action)
 
 
-def _events(pair: Pair, waves: Waveforms) -> Iterator[Check]:
+def _check_events(pair: Pair, waves: Waveforms) -> Iterator[Check]:
     """The deepest penetration, and contacts of the port that has most of them while the drive
     moves."""
     n, scene, forces = pair.part.name, pair.scene, pair.forces(waves)
@@ -374,7 +374,9 @@ def _events(pair: Pair, waves: Waveforms) -> Iterator[Check]:
     yield Check("touches", most, limit, "contact events", advice, action, coarse=True)
 
 
-def _open_ports(pair: Pair, build: Build, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
+def _check_open_ports(
+    pair: Pair, build: Build, waves: Waveforms, place: np.ndarray
+) -> Iterator[Check]:
     """*outer_ring* or *ring_left_out*: the first port without a spring stays open.
 
     Nothing records that port. Without contact it would rise with the outermost kept one and the
@@ -401,7 +403,7 @@ def _open_ports(pair: Pair, build: Build, waves: Waveforms, place: np.ndarray) -
         yield Check("outer_ring", float(force[-1].max()), 0.0, "N", advice, action)
 
 
-def _within_law(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
+def _check_depth(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     """The law of a pressure ends where the contact is as wide as half of its patch, and knows
     little of one that a few basis functions carry (:data:`CARRYING`)."""
     height = pair.a.height(pair.a.ports[0], waves)
