@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import kc2spice as kc
-from kc2spice.report.run_page import devices, draw_circuit
+from kc2spice.report.drawings import devices, draw_circuit
 
 SCENE = "buzzer_7bb_20_6"
 FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"

@@ -436,7 +436,7 @@ def _verify(
     with caller.progress() as progress:
         result = verify_scenes(loaded, out, full=full, deck=deck, trust=trust, progress=progress)
     if caller.reads(result if all_ else next(iter(result["scenes"].values())), out):
-        from kc2spice.report.pages import verdict_sections
+        from kc2spice.report.verify_page import verdict_sections
 
         for name, item in result["scenes"].items():
             show(verdict_sections(name, item))
@@ -670,7 +670,7 @@ def _fit(
         out = out or Path(f"{part}_fit")
         result = fit_study(scene, part, data, vary or (), out, progress, shunt=shunt)
     if caller.reads(result):
-        from kc2spice.report.pages import fit_sections
+        from kc2spice.report.fit_page import fit_sections
 
         show(fit_sections(result))
         print(f"values, for --set: {result['overrides']}\nwith plots: {result['page']}")
@@ -701,7 +701,7 @@ def _bench(
         record = measure(loaded, out, **options, progress=progress)
     best = record["recommended"]
     if caller.reads(record, out):
-        from kc2spice.report.pages import bench_sections
+        from kc2spice.report.bench_page import bench_sections
 
         front = [point for point in record["points"] if point["front"] or point["own"]]
         show(bench_sections({**record, "points": front}))

@@ -30,7 +30,7 @@ from kc2spice.core.errors import SimulationError, UsageError, unknown
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import write_record
-from kc2spice.report.pages import write_bench
+from kc2spice.report.bench_page import write_bench
 from kc2spice.scene.axes import Axis, axes, finest_axes, keys_at
 from kc2spice.scene.model import Scene
 from kc2spice.sim.ngspice import find_ngspice

@@ -26,7 +26,7 @@ from kc2spice.fem.body_keys import Damping
 from kc2spice.parts.bodies._body_model import damping_of, loss_tangent
 from kc2spice.parts.bodies._box import Varied, make_varied, number_of, values_of_part
 from kc2spice.parts.bodies._linear_body import LinearBody
-from kc2spice.report.pages import write_fit
+from kc2spice.report.fit_page import write_fit
 from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import clamped_tangent, permittivity

@@ -7,7 +7,7 @@ import sqlite3
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.report.pages import yields
+from kc2spice.report.sweep_page import yields
 from kc2spice.workflow.sweep.engine import RowStore, columns, write_csv
 from kc2spice.workflow.sweep.grid import make_plan
 from kc2spice.workflow.sweep.point import PointResult

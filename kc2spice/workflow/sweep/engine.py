@@ -694,7 +694,7 @@ def _open_rows(definition: Sweep, out: Path, table_format: str) -> RowStore:
 
 def _publish(definition: Sweep, rows: RowStore, out: Path, table_format: str) -> dict[str, Any]:
     """Write table, figures and page; what the summary says of them."""
-    from kc2spice.report.pages import write_sweep, yields
+    from kc2spice.report.sweep_page import write_sweep, yields
 
     table = columns(rows.outcomes, definition.plan, definition.metrics)
     name = table_name(table_format)

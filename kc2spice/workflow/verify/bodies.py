@@ -19,7 +19,7 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import full_model
 from kc2spice.parts.bodies._linear_body import LinearBody
-from kc2spice.report.pages import Findings, responses
+from kc2spice.report.verify_page import Findings, responses
 from kc2spice.rom.error_estimate import adaptive_frequencies, relative_error
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
