@@ -20,7 +20,7 @@ from kc2spice.core import __version__
 from kc2spice.core.figure import Figure
 from kc2spice.core.prefix import PREFIXES, prefix_power
 from kc2spice.netlist.spelling import templates
-from kc2spice.report.charts import figure_html
+from kc2spice.report.charts import render_figure
 
 # Units that carry a prefix already: the one that takes another prefix, and how many of it.
 _PREFIXED = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
@@ -173,5 +173,5 @@ def _command() -> list[str]:
 def render_page(template: str, **values: object) -> str:
     """A page or a drawing; whatever text it is given stays text in it."""
     pages = templates(autoescape=True)
-    pages.filters.update(figure=figure_html, px="{:.1f}".format)
+    pages.filters.update(figure=render_figure, px="{:.1f}".format)
     return str(pages.get_template(template).render(**values))

@@ -13,7 +13,7 @@ import pytest
 
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.charts import figure_html
+from kc2spice.report.charts import render_figure
 from kc2spice.report.figures import draw_all
 from kc2spice.report.html import PageSection, format_quantity, value_and_limit, write_page
 from kc2spice.report.run_page import operating_rows, result_sections, write_run
@@ -190,7 +190,7 @@ def test_sketch_names_every_part_and_net(page: Page) -> None:
 
 def shown(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
     """The points of a curve that a page has."""
-    html = figure_html(Figure("", "", "", (Panel("", "", (curve,)),)))
+    html = render_figure(Figure("", "", "", (Panel("", "", (curve,)),)))
     data = json.loads(re.search(r"json\">(.*?)</script>", html)[1])["panels"][0]["curves"][0]
     x, y = (np.frombuffer(base64.b64decode(data[k]), "<f4") for k in "xy")
     return x, y
@@ -199,9 +199,9 @@ def shown(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
 def test_a_panel_without_curves_is_left_out():
     """An operating point, for example, has no curve over time."""
     empty = Panel("x", "y", ())
-    assert figure_html(Figure("nothing", "Nothing", "No curve.", (empty,))) == ""
+    assert render_figure(Figure("nothing", "Nothing", "No curve.", (empty,))) == ""
     full = Panel("x", "y", (Curve("rise", np.arange(3.0), np.arange(3.0)),))
-    both = figure_html(Figure("one", "One", "A curve.", (empty, full)))
+    both = render_figure(Figure("one", "One", "A curve.", (empty, full)))
     assert len(json.loads(re.search(r">({.*})</script>", both)[1])["panels"]) == 1
 
 
