@@ -28,7 +28,7 @@ from kc2spice.core.errors import Kc2spiceError, UsageError
 from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import write_record
-from kc2spice.report.figures import draw_all
+from kc2spice.report.figures import draw_pngs
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.sweep.engine import cores
 
@@ -70,7 +70,7 @@ def bench(out, parts, *, quick, repeats):
             record["seconds"][part] = time.perf_counter() - begin
         record = write_record(record, directory, "bench.json")
         (directory / "bench.md").write_text(bench_tables(record), encoding="utf-8")
-        draw_all(directory, [*bench_figures(record)])
+        draw_pngs(directory, [*bench_figures(record)])
 
 
 def _points(plane):

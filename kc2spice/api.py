@@ -527,20 +527,20 @@ class Result:
         ------
         UsageError : no such wave or figure, or a single point.
         """
-        from kc2spice.report.figures import notebook_figure
-        from kc2spice.report.run_page import probe_figures
+        from kc2spice.report.figures import make_notebook_figure
+        from kc2spice.report.run_page import plot_probes
 
         if not names and self.figures:
             names = (next(iter(self.figures)),)
         if len(names) == 1 and names[0] in self.figures:
-            return notebook_figure(self.figures[names[0]])
+            return make_notebook_figure(self.figures[names[0]])
         known = [name for name in self.waves if name != self.scale]
         for name in names:
             if name not in known:
                 raise unknown("no such wave or figure", name, [*self.figures, *known], self.scene)
         probes = {name: Probe(of=name) for name in names or known}
-        for figure in probe_figures(probes, Waveforms(dict(self.waves), {}), self.units):
-            return notebook_figure(figure)
+        for figure in plot_probes(probes, Waveforms(dict(self.waves), {}), self.units):
+            return make_notebook_figure(figure)
         raise UsageError("a single point is no curve", where=self.scene, got=self.scale)
 
     def to_xarray(self) -> Any:

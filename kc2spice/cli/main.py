@@ -436,10 +436,10 @@ def _verify(
     with caller.progress() as progress:
         result = verify_scenes(loaded, out, full=full, deck=deck, trust=trust, progress=progress)
     if caller.reads(result if all_ else next(iter(result["scenes"].values())), out):
-        from kc2spice.report.verify_page import verdict_sections
+        from kc2spice.report.verify_page import format_verification
 
         for name, item in result["scenes"].items():
-            show(verdict_sections(name, item))
+            show(format_verification(name, item))
             print(*(f"  {note}\n" for note in item["notes"]), sep="", end="")
         print(f"all of it, with errors and plots: {out / 'verify.html'}")
     if not result["passed"]:
@@ -464,14 +464,14 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     head = {"scene": loaded.name, "hash": scene_hash(loaded), "largest_step": step}
     record = {**head, **plan(build)}
     if caller.reads(record):
-        from kc2spice.report.run_page import plan_sections
+        from kc2spice.report.run_page import format_plan
 
         print(textwrap.fill(f"{record['scene']}: {loaded.title}", COLUMNS))
         print(f"scene hash {record['hash']}\n")
         print_table("joined", [(line,) for line in record["joins"]])
         if record["frames"]:
             print_table("displacements", [(line,) for line in record["frames"]])
-        show(plan_sections(record))
+        show(format_plan(record))
         budget = "X" if record["error_budget"] is None else f"{record['error_budget']:g}"
         effect = "refines the settings until every metric's error is below"
         print(f"error_budget = {budget} {effect} {budget}\n")
@@ -572,7 +572,7 @@ def _reduce(
     with _arguments_as_options(options), caller.progress() as progress:
         result = reduce_study(model, out, **options, progress=progress)
     if caller.reads(result):
-        from kc2spice.report.run_page import above_band_rows
+        from kc2spice.report.run_page import format_above_band
 
         low, high = result["band_hz"]
         form = result.get("full_form", result["form"])
@@ -582,7 +582,7 @@ def _reduce(
             ("states", states),
             ("band", f"{low:g} … {high:g} Hz"),
             ("error estimate", f"{result['error_estimate']:.3g}, {result['norm']}"),
-            *above_band_rows(result),
+            *format_above_band(result),
             ("stable", {True: "yes", False: "NO", None: "not known"}[result["stable"]]),
             ("passive", "yes" if result["passive"] else "not shown"),
             ("method", result["method"]),
@@ -670,9 +670,9 @@ def _fit(
         out = out or Path(f"{part}_fit")
         result = fit_study(scene, part, data, vary or (), out, progress, shunt=shunt)
     if caller.reads(result):
-        from kc2spice.report.fit_page import fit_sections
+        from kc2spice.report.fit_page import format_fit
 
-        show(fit_sections(result))
+        show(format_fit(result))
         print(f"values, for --set: {result['overrides']}\nwith plots: {result['page']}")
 
 
@@ -701,10 +701,10 @@ def _bench(
         record = measure(loaded, out, **options, progress=progress)
     best = record["recommended"]
     if caller.reads(record, out):
-        from kc2spice.report.bench_page import bench_sections
+        from kc2spice.report.bench_page import format_bench
 
         front = [point for point in record["points"] if point["front"] or point["own"]]
-        show(bench_sections({**record, "points": front}))
+        show(format_bench({**record, "points": front}))
         if best is not None:
             settings = [word for item in set_ or () for word in ("--set", item)]
             print("kc2spice run", shlex.join([scene, *settings, *best["set"]]))

@@ -157,15 +157,15 @@ def show(sections: Iterable[PageSection]) -> None:
 
 def show_result(result: Mapping[str, Any], directory: Path, *, verbose: bool = False) -> None:
     """Print the answer of a run in at most 15 lines; ``verbose`` adds all tables of its report."""
-    from kc2spice.report.run_page import result_sections, summary_section
+    from kc2spice.report.run_page import format_results, format_summary
 
-    answer = summary_section(result, MOST_METRICS)
+    answer = format_summary(result, MOST_METRICS)
     count = len(result["files"])
     rows = [*answer.rows[:MOST_ROWS], ("report", f"{directory / 'report.html'} ({count} files)")]
     show([replace(answer, title=str(result.get("scene", "")), rows=rows)])
     if not verbose:
         return
-    show(result_sections(result))
+    show(format_results(result))
     print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
     for raw in (name for name in result["files"] if name.endswith(".raw")):
         rows = [

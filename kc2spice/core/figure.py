@@ -119,6 +119,11 @@ def time_axis(t: np.ndarray) -> tuple[str, float]:
     return ("time in ms", 1e3) if t[-1] - t[0] >= 1e-3 else ("time in µs", 1e6)
 
 
+def label_axis(name: str, unit: str) -> str:
+    """Return the label ``quantity in unit``, or the quantity alone if it has no unit."""
+    return f"{name} in {unit}" if unit else name
+
+
 def scale_axis(name: str, x: np.ndarray) -> tuple[str, float]:
     """Return the label of the axis of a run's scale, and the factor to its unit.
 

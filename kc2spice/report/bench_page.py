@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -13,54 +14,59 @@ import numpy as np
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.report.html import PageSection, format_quantity, write_page
 
-_LEAST = 1e-16  # an error of zero is drawn here
+SMALLEST_ERROR = 1e-16  # place of an error of zero on the logarithmic axis
 
 
 def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
-    """Write the page of the ``record`` of ``bench``."""
+    """Write the page of a benchmark from its ``record``."""
     sections = [
-        PageSection("Error against time", figures=[_figure(record)]),
-        *bench_sections(record),
+        PageSection("Error against time", figures=[plot_bench(record)]),
+        *format_bench(record),
     ]
     lead = f"{record['simulator']}; CPU time of the simulator, median of {record['repeats']}"
     write_page(directory / "bench.html", f"Settings of {title}", lead, sections)
 
 
-def bench_sections(record: Mapping[str, Any]) -> list[PageSection]:
-    """Results of ``bench`` for the page and the terminal, the fastest settings first."""
-    points = [
-        (
-            point["label"],
-            f"{point['error']:.1e}",
-            f"{point['bound']:.1e}",
-            format_quantity(point["time_s"], "s", 3),
-            " … ".join(format_quantity(point[f"time_{end}_s"], "s", 3) for end in ("low", "high")),
-            "front" if point["front"] else "",
-        )
-        for point in record["points"]
-    ]
-    failed = [(item["label"], item["why"]) for item in record["failed"]]
+def format_bench(record: Mapping[str, Any]) -> list[PageSection]:
+    """Return the results of ``bench`` for page and terminal, the fastest settings first."""
     head = ("setting", "error", "sum of errors", "CPU time", "spread", "")
+    failed = list(map(itemgetter("label", "why"), record["failed"]))
     return [
-        PageSection("Recommended", recommendation(record)),
-        PageSection("Settings", points, head),
+        PageSection("Recommended", format_recommendation(record)),
+        PageSection("Settings", list(map(_setting_row, record["points"])), head),
         PageSection("Settings without a result", failed, ("setting", "why")),
     ]
 
 
-def recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Recommended settings, settings of the scene, and the reference of the errors."""
-    current = next(point for point in record["points"] if point["own"])
+def _setting_row(point: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the row of a setting: errors, CPU time and the spread of the CPU time."""
+    low, high = point["time_low_s"], point["time_high_s"]
+    return (
+        point["label"],
+        f"{point['error']:.1e}",
+        f"{point['bound']:.1e}",
+        format_quantity(point["time_s"], "s", 3),
+        f"{format_quantity(low, 's', 3)} … {format_quantity(high, 's', 3)}",
+        "front" if point["front"] else "",
+    )
+
+
+def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return rows of recommended settings, settings of the scene, and the reference."""
+    current = next(filter(itemgetter("own"), record["points"]))
     best, reference = record["recommended"], record["reference"]
-    rows = [("error of", _names(record["metrics"])), ("the scene as it is", _cost(current))]
+    rows = [
+        ("error of", _list_metrics(record["metrics"])),
+        ("the scene as it is", _format_cost(current)),
+    ]
     if best is None:
         nearest = min(record["points"], key=lambda p: max(p["error"], p["bound"]))
         rows.append((f"within {record['limit']:g}", "none of the settings"))
-        rows.append(("nearest", f"{nearest['label']}: {_cost(nearest)}"))
+        rows.append(("nearest", f"{nearest['label']}: {_format_cost(nearest)}"))
     else:
         words = " ".join(map(shlex.quote, best["set"])) or "the scene as it is"
         rows.append((f"cheapest within {record['limit']:.2g}", words))
-        rows.append(("", _cost(best)))
+        rows.append(("", _format_cost(best)))
     rows.append(
         ("reference", f"{reference['label']}: {format_quantity(reference['time_s'], 's', 3)}")
     )
@@ -74,36 +80,44 @@ def recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def _names(metrics: Sequence[str]) -> str:
-    """Names in one line, those of one group by the group."""
+def _list_metrics(metrics: Sequence[str]) -> str:
+    """Return the names of the metrics in one line, groups of curves by their common name."""
     groups = Counter(name.partition(".")[0] for name in metrics)
     return ", ".join(n if count == 1 else f"{n} ({count} curves)" for n, count in groups.items())
 
 
-def _cost(point: Mapping[str, Any]) -> str:
+def _format_cost(point: Mapping[str, Any]) -> str:
+    """Return error and CPU time of a setting in words."""
     bound = f"{point['bound']:.1e} if nothing cancelled"
     return (
         f"error {point['error']:.1e} ({bound}) in {format_quantity(point['time_s'], 's', 3)} of CPU"
     )
 
 
-def _figure(record: Mapping[str, Any]) -> Figure:
+def plot_bench(record: Mapping[str, Any]) -> Figure:
+    """Plot CPU time over error for all settings."""
     points, best = record["points"], record["recommended"]
-
-    def curve(label: str, selected: list[Mapping[str, Any]], style: str = "o") -> Curve:
-        error = np.maximum([p["error"] for p in selected], _LEAST)
-        time = np.array([p["time_s"] for p in selected])
-        return Curve(label, error, time, style, tuple(p["label"] for p in selected))
-
-    front = sorted((p for p in points if p["front"]), key=lambda p: p["error"])
-    curves = [curve("settings", points), curve("front", front, "step")]
-    curves.append(curve("the scene as it is", [p for p in points if p["own"]]))
-    curves += [curve("recommended", [best])] if best is not None else []
-    limit, unsure = max(record["limit"], _LEAST), record["reference"]["error"]
-    both = (limit, f"error {limit:.2g}"), (unsure, "uncertainty of the reference")
-    marks = tuple(mark for mark in both if mark[0] > 0.0)
-    ends = [*curves[0].x, *(place for place, _ in marks)]
+    front = sorted(filter(itemgetter("front"), points), key=itemgetter("error"))
+    curves = [
+        _plot_settings("settings", points),
+        _plot_settings("front", front, "step"),
+        _plot_settings("the scene as it is", list(filter(itemgetter("own"), points))),
+    ]
+    if best is not None:
+        curves.append(_plot_settings("recommended", [best]))
+    limit, uncertainty = max(record["limit"], SMALLEST_ERROR), record["reference"]["error"]
+    marks = [(limit, f"error {limit:.2g}")]
+    if uncertainty > 0.0:
+        marks.append((uncertainty, "uncertainty of the reference"))
+    ends = [*curves[0].x, *map(itemgetter(0), marks)]
     look: Any = {"span": (0.5 * min(ends), 2.0 * max(ends)), "log_x": True, "log_y": True}
     labels = "largest relative error", "CPU time of the simulator in s"
-    panel = Panel(*labels, tuple(curves), marks=marks, **look)
+    panel = Panel(*labels, tuple(curves), marks=tuple(marks), **look)
     return Figure("bench", "Error against time", "Lower left is better.", (panel,))
+
+
+def _plot_settings(label: str, points: Sequence[Mapping[str, Any]], style: str = "o") -> Curve:
+    """Return the curve of CPU time over error through some settings."""
+    columns = map(itemgetter("error", "time_s", "label"), points)
+    error, time, names = zip(*columns, strict=True) if points else ((), (), ())
+    return Curve(label, np.maximum(error, SMALLEST_ERROR), np.array(time), style, names)

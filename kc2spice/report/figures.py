@@ -1,4 +1,4 @@
-"""Figures that are data drawn by matplotlib: PNG files, and pictures for notebooks."""
+"""Figures drawn by matplotlib, as PNG files and in notebooks."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, BLACK, GREY = "#56B4E9", "#CC79A7", "#222222", "#8A8A8A"
 PALETTE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
 
-MANY = 4  # labels in one line above the axes; more stand beside them, where they cover no data
-_ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": MANY}
-_BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
+LABELS_ABOVE = 4  # largest number of labels above the axes; a longer legend is beside them
+_LEGEND_ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": LABELS_ABOVE}
+_LEGEND_BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
 _MARKS = ("o", "s", "^", "D", "v", "P")
 _LINES: dict[str, Any] = {"-": "-", "--": "--", ":": ":", "reference": (0, (1, 3)), "step": "-"}
 _STYLE: Any = {
@@ -35,27 +35,29 @@ _STYLE: Any = {
 }
 
 
-def draw_all(directory: Path, figures: Sequence[Figure]) -> list[str]:
-    """Draw every figure into ``directory`` as ``NAME.png``; return the names of the files."""
+def draw_pngs(directory: Path, figures: Sequence[Figure]) -> list[str]:
+    """Draw every figure into ``directory`` as ``NAME.png`` and return the names of the files."""
+    names = []
     for figure in figures:
-        page = notebook_figure(figure)
-        # The layout once, here: left to savefig, it would cost another drawing of everything.
+        page = make_notebook_figure(figure)
+        names.append(f"{figure.name}.png")
+        # savefig would draw everything once more for the layout.
         page.get_layout_engine().execute(page)
         page.set_layout_engine("none")
         page.savefig(
-            directory / f"{figure.name}.png",
+            directory / names[-1],
             metadata={"Software": "kc2spice"},
-            pil_kwargs={"compress_level": 2},  # the default takes longer than all the drawing
+            pil_kwargs={"compress_level": 2},  # the default takes longer than the drawing
         )
-    return [f"{figure.name}.png" for figure in figures]
+    return names
 
 
-def notebook_figure(figure: Figure) -> Any:
-    """The matplotlib figure of ``figure``, which notebooks show by themselves."""
+def make_notebook_figure(figure: Figure) -> Any:
+    """Return ``figure`` as a figure of matplotlib, which notebooks display."""
     import matplotlib
-    from matplotlib.figure import Figure as Sheet
+    from matplotlib.figure import Figure as MatplotlibFigure
 
-    class Shown(Sheet):
+    class NotebookFigure(MatplotlibFigure):
         """Figure that notebooks display as PNG."""
 
         def _repr_png_(self) -> bytes:
@@ -67,7 +69,7 @@ def notebook_figure(figure: Figure) -> Any:
         count, columns = len(figure.panels), figure.columns
         rows = -(-count // columns)
         size = (3.6 * columns, 2.7 * rows) if columns > 1 else (7.0, max(2.6 * rows, 4.0))
-        page = Shown(figsize=size, layout="constrained")
+        page = NotebookFigure(figsize=size, layout="constrained")
         axes = page.subplots(rows, columns, sharex=columns == 1, squeeze=False)
         for item, panel in zip(axes.flat, figure.panels, strict=False):
             _draw_panel(item, panel)
@@ -93,23 +95,23 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
         axes.figure.colorbar(mesh, ax=axes, label=field.label)
     for axis, log in ((axes.xaxis, panel.log_x), (axes.yaxis, panel.log_y)):
         if log:
-            _plain_log(axes, axis)
+            _set_log_scale(axes, axis)
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim")
     elif panel.span is not None:
         axes.set_xlim(*panel.span)
     elif panel.map is None and panel.curves and panel.curves[0].style in _LINES:
-        axes.set_xlim(panel.curves[0].x.min(), panel.curves[0].x.max())  # a loop goes back
+        axes.set_xlim(panel.curves[0].x.min(), panel.curves[0].x.max())
     axes.set(xlabel=panel.x, ylabel=panel.y)
     labels = axes.get_legend_handles_labels()[1]
     if len(labels) > 1:
         inches = axes.get_window_extent().width / axes.figure.dpi
         long = sum(map(len, labels)) + 6 * len(labels) > 16 * inches  # letters and handles
-        axes.legend(**(_BESIDE if len(labels) > MANY or long else _ABOVE))
+        axes.legend(**(_LEGEND_BESIDE if len(labels) > LABELS_ABOVE or long else _LEGEND_ABOVE))
 
 
 def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
-    """The ``k``-th of its panel; each further plain line has marks, to be distinct in print."""
+    """Draw the ``k``-th curve of a panel; further lines have marks, to differ in print."""
     colour = BLACK if curve.style == "reference" else PALETTE[k % len(PALETTE)]
     look: dict[str, Any] = {"color": colour, "label": curve.label or None}
     marks = {"marker": _MARKS[k % len(_MARKS)], "ms": 4}
@@ -127,9 +129,11 @@ def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
     axes.plot(curve.x, curve.y, **look)
 
 
-def _plain_log(axes: Any, axis: Any) -> None:
-    """Plain numbers at 1, 2, 5, … of a logarithmic axis, or at decades where there are many: small
-    ticks and powers of ten take longer than all the rest of a sheet."""
+def _set_log_scale(axes: Any, axis: Any) -> None:
+    """Make an axis logarithmic, with plain numbers at 1, 2, 5, … or at decades if there are many.
+
+    Minor ticks and powers of ten would take longer to draw than the rest of a figure.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     axes.set(**{f"{axis.axis_name}scale": "log"})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,13 @@ def write_fit(
     before: np.ndarray,
     after: np.ndarray,
 ) -> None:
-    """Write the page of ``record``; ``Y``, ``before`` and ``after`` (n,) are admittances [S] at
-    ``f`` [Hz]."""
-    figures = fit_figures(f, Y, before, after)
-    sections = [*fit_sections(record), PageSection("Impedance", figures=figures)]
+    """Write the page of a fit from its ``record`` and its admittances.
+
+    ``Y`` is measured, ``before`` and ``after`` (n,) are those of the scene and of the fit [S], all
+    at ``f`` [Hz].
+    """
+    figures = plot_fit(f, Y, before, after)
+    sections = [*format_fit(record), PageSection("Impedance", figures=figures)]
     lead = (
         f"The values for which {record['part']} is that of {Path(record['data']).name}. Export "
         "with --set fit.toml --set box.toml writes a netlist with these keys as parameters."
@@ -31,13 +34,41 @@ def write_fit(
     write_page(path, f"{record['part']}, fitted", lead, sections)
 
 
-def fit_sections(record: Mapping[str, Any]) -> list[PageSection]:
-    """Results of ``fit`` for the page and the terminal."""
-    values = [
-        (key, f"{item['value']:.6g}", f"{item['sigma']:.2g}",
-         f"{item['low']:g} to {item['high']:g}", "met" if item["at_bound"] else "")
-        for key, item in record["parameters"].items()
+def format_fit(record: Mapping[str, Any]) -> list[PageSection]:
+    """Return the results of ``fit`` for page and terminal."""
+    keys = tuple(record["parameters"])
+    return [
+        PageSection("Values", list(map(_value_row, keys, record["parameters"].values())),
+                    ("key", "value", "standard error", "range", "bound")),
+        PageSection("Fit", _format_quality(record)),
+        PageSection("Resonances", list(map(_number_row, record["resonances"])),
+                    ("measured in Hz", "at the scene's values", "fitted"),
+                    note="peaks of the conductance, in their order"),
+        PageSection("Starts", list(map(_number_row, record["starts"])),
+                    (*keys, "half the sum of squares")),
+        PageSection("Correlation", list(map(_correlation_row, keys, record["correlation"])),
+                    ("", *keys)),
     ]  # fmt: skip
+
+
+def _value_row(key: str, item: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the row of a fitted key: value, standard error and range."""
+    limits = f"{item['low']:g} to {item['high']:g}"
+    bound = "met" if item["at_bound"] else ""
+    return key, f"{item['value']:.6g}", f"{item['sigma']:.2g}", limits, bound
+
+
+def _number_row(numbers: Mapping[str, float | None]) -> tuple[str, ...]:
+    """Return numbers as a row; a missing number is an empty cell."""
+    return tuple("" if value is None else f"{value:.6g}" for value in numbers.values())
+
+
+def _correlation_row(key: str, coefficients: Sequence[float]) -> tuple[str, ...]:
+    return key, *map("{:+.3f}".format, coefficients)
+
+
+def _format_quality(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return rows of the deviation, its statistics, and what the data do not determine."""
     error = record["error"]
     facts = [
         ("deviation of |Z|", f"{error['rms']:.2g} rms, {error['largest']:.2g} at most"),
@@ -51,30 +82,13 @@ def fit_sections(record: Mapping[str, Any]) -> list[PageSection]:
     for item in record["undetermined"]:
         text = ", ".join(f"{weight:+.2f} log {key}" for key, weight in item.items())
         facts.append(("not determined by the data", text))
-    resonances = [
-        tuple("" if value is None else f"{value:.6g}" for value in row.values())
-        for row in record["resonances"]
-    ]
-    starts = [tuple(f"{value:.6g}" for value in item.values()) for item in record["starts"]]
-    keys = tuple(record["parameters"])
-    correlation = [
-        (key, *(f"{value:+.3f}" for value in row))
-        for key, row in zip(keys, record["correlation"], strict=True)
-    ]
-    return [
-        PageSection("Values", values, ("key", "value", "standard error", "range", "bound")),
-        PageSection("Fit", facts),
-        PageSection("Resonances", resonances, ("measured in Hz", "at the scene's values", "fitted"),
-                note="peaks of the conductance, in their order"),
-        PageSection("Starts", starts, (*keys, "half the sum of squares")),
-        PageSection("Correlation", correlation, ("", *keys)),
-    ]  # fmt: skip
+    return facts
 
 
-def fit_figures(
+def plot_fit(
     f: np.ndarray, Y: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> tuple[Figure, ...]:
-    """Impedance and phase of all three, and what is left over."""
+    """Plot magnitude and phase of the three impedances, and the deviation of the fit."""
     x, factor = scale_axis("frequency", f)
     f = factor * f
     three = {"measured": (Y, "o"), "scene": (before, "--"), "fitted": (after, "-")}

@@ -1,8 +1,7 @@
 """One self-contained HTML page: sections with a table, a note and figures each.
 
-The browser draws the figures: a page has their curves as data, the library uPlot, and one script,
-``plots.js``.
-Numbers stand there as people read them: with SI prefixes, under the names of what they are.
+The browser draws the figures: a page contains their curves as data, the library uPlot, and the
+script ``plots.js``. Numbers have SI prefixes, and keys of ``result.json`` become words.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ from kc2spice.core.prefix import PREFIXES, prefix_power
 from kc2spice.netlist.spelling import templates
 from kc2spice.report.charts import render_figure
 
-# Units that carry a prefix already: the one that takes another prefix, and how many of it.
-_PREFIXED = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
-# Words of keys that are none.
-_WORDS = {
+# Units that contain a prefix: the unit without it, and the factor of the prefix.
+_PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
+# Parts of keys that differ from the words of a label.
+_LABEL_WORDS = {
     "bvd": "equivalent circuit",
     "quality": "Q factor",
     "c0": "C0",
@@ -33,39 +32,40 @@ _WORDS = {
     "lm": "Lm",
     "cm": "Cm",
 }
-# Whole keys: of a resonance it takes the electrical condition, and whether it was measured.
-_NAMES = {
+# Labels of keys whose words do not state the electrical condition of a resonance.
+_LABELS = {
     "resonance_short_hz": "natural frequency, electrodes shorted",
     "resonance_open_hz": "natural frequency, electrodes open",
     "resonance_hz": "series resonance of the impedance",
     "antiresonance_hz": "parallel resonance of the impedance",
 }
-# Suffix of a key of result.json, by the unit in its record.
-_SUFFIXES = {
+# Suffixes of keys of result.json by the unit in their records.
+_UNIT_SUFFIXES = {
     "m per 100 V": "_m_per_100v", "m/V": "_m_per_v", "m/s": "_m_s", "V/m": "_v_m", "N/m": "_n_m",
     "N s/m": "_n_s_m", "Ohm": "_ohm",
 }  # fmt: skip
 _SHOWN_UNITS = {"Ohm": "Ω"}
-NOISE = 1e-12  # limit of rounding errors, relative to the scale of a number
+ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a number
+FEW = 8  # values of a list that one row contains
 
 
 def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
-    """A number with an SI prefix: ``quantity(5.0573e-4, "s")`` is ``505.7 µs``."""
+    """Return a number with an SI prefix: ``505.7 µs`` for 5.0573e-4 and ``s``."""
     if value is None:
         return "—"
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g} {unit}".strip()
-    if _is_words(unit):
+    if not _takes_prefix(unit):
         return f"{value:.{digits}g} {unit}".strip()
-    if unit in _PREFIXED:
-        plain, factor = _PREFIXED[unit]
+    if unit in _PREFIXED_UNITS:
+        plain, factor = _PREFIXED_UNITS[unit]
         return format_quantity(factor * value, plain, digits)
     return _with_prefix(value, unit, digits, prefix_power(value))
 
 
-def _is_words(unit: str) -> bool:
-    """Whether a unit takes no prefix: it is empty or a phrase such as ``of the peak``."""
-    return not unit or (" " in unit and " per " not in unit)
+def _takes_prefix(unit: str) -> bool:
+    """Return False for an empty unit and for a phrase such as ``of the peak``."""
+    return bool(unit) and (" " not in unit or " per " in unit)
 
 
 def _with_prefix(value: float, unit: str, digits: int, power: int) -> str:
@@ -74,17 +74,18 @@ def _with_prefix(value: float, unit: str, digits: int, power: int) -> str:
     return f"{sign}{digits_text} {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
 
 
-def value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
-    """Both with the same prefix: ``value_and_limit(4.06e5, 5e5, "Hz")`` is 406 kHz, 500 kHz.
+def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
+    """Return both with one prefix: 406 kHz and 500 kHz for 4.06e5, 5e5 and ``Hz``.
 
     A limit of another order of magnitude has its own prefix. Rounding errors, relative to the
     limit, or to 1 for ratios, are printed as 0.
     """
-    words = _is_words(unit)
-    if abs(value) < NOISE * max(abs(limit), 1.0 if words else 0.0):
+    prefixed = _takes_prefix(unit)
+    if abs(value) < ROUNDING_NOISE * max(abs(limit), 0.0 if prefixed else 1.0):
         value = 0.0
     near = value and limit and 1e-3 < abs(limit / value) < 1e4
-    if words or unit in _PREFIXED or not near or not math.isfinite(value + limit):
+    plain = prefixed and unit not in _PREFIXED_UNITS
+    if not plain or not near or not math.isfinite(value + limit):
         return format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
     power = prefix_power(value)
     digits_text = f"{abs(limit) / 10.0**power:.10g}"
@@ -92,31 +93,37 @@ def value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
     return _with_prefix(value, unit, 3, power), _with_prefix(limit, unit, digits, power)
 
 
-def leaves(value: Any, joint: str = ".", path: str = "") -> Iterator[tuple[str, Any]]:
-    """Values of nested mappings, by their names joined to one."""
+def format_times(seconds: Mapping[str, float]) -> list[tuple[str, str]]:
+    """Return rows of stages and their wall times."""
+    return [(stage, format_quantity(float(time), "s", 3)) for stage, time in seconds.items()]
+
+
+def flatten_mapping(value: Any, joint: str = ".", path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested mappings with their joined names."""
     if isinstance(value, Mapping):
         for name, item in value.items():
-            yield from leaves(item, joint, f"{path}{joint}{name}" if path else str(name))
+            yield from flatten_mapping(item, joint, f"{path}{joint}{name}" if path else str(name))
     else:
         yield path, value
 
 
-def fact(key: str, value: Any, unit: str = "") -> tuple[str, str]:
-    """A key of result.json and its value as words, in the ``unit`` of its record.
+def label_key(key: str, unit: str = "") -> str:
+    """Return a key of ``result.json`` as words, without a suffix that spells its ``unit``."""
+    suffix = _UNIT_SUFFIXES.get(unit, f"_{unit.lower()}" if unit else "")
+    words = (_LABEL_WORDS.get(word, word) for word in key.removesuffix(suffix).split("_"))
+    return _LABELS.get(key) or " ".join(words)
 
-    The key's end is left out where it spells that unit.
-    """
-    suffix = _SUFFIXES.get(unit, f"_{unit.lower()}" if unit else "")
-    words = (_WORDS.get(word, word) for word in key.removesuffix(suffix).split("_"))
-    name = _NAMES.get(key) or " ".join(words)
-    if isinstance(value, (list, tuple)) and len(value) > 8:
-        return name, f"{len(value)} values, in result.json"
+
+def format_fact(key: str, value: Any, unit: str = "") -> tuple[str, str]:
+    """Return a key of ``result.json`` and its value as words, in the ``unit`` of its record."""
     values = value if isinstance(value, (list, tuple)) else [value]
-    return name, ", ".join(format_value(v, unit) for v in values)
+    if len(values) > FEW:
+        return label_key(key, unit), f"{len(values)} values, in result.json"
+    return label_key(key, unit), ", ".join(format_value(item, unit) for item in values)
 
 
 def format_value(value: Any, unit: str = "") -> str:
-    """A number with its unit, yes or no, or the word for what was not reached."""
+    """Return a number with its unit, yes or no, or ``not reached``."""
     if value is None:
         return "not reached"
     if isinstance(value, bool):
@@ -128,8 +135,10 @@ def format_value(value: Any, unit: str = "") -> str:
 
 @dataclass(frozen=True)
 class PageSection:
-    """A heading with, in this order and where given, a drawing (HTML that needs no escaping), a
-    table, links to files, a note and figures."""
+    """Section of a page: a heading above a drawing, a table, links, a note and figures.
+
+    Each of these is optional. The ``drawing`` is HTML that needs no escaping.
+    """
 
     title: str
     rows: Sequence[Sequence[str]] = ()
@@ -138,6 +147,11 @@ class PageSection:
     figures: Sequence[Figure] = ()
     drawing: str = ""
     links: Sequence[str] = ()
+
+    @property
+    def has_content(self) -> bool:
+        """Whether the section contains more than a note."""
+        return bool(self.rows or self.figures or self.drawing or self.links)
 
 
 def write_page(
@@ -148,30 +162,30 @@ def write_page(
     *,
     origin: Sequence[str] = (),
 ) -> Path:
-    """Render ``sections`` that have more than a note to ``path``; nothing is loaded from elsewhere.
+    """Write a page without external files; sections that contain only a note are left out.
 
-    ``lead`` stands below the title. The foot states version, date, command and ``origin``.
+    ``lead`` is the text below the title. The footer states version, date, command and ``origin``.
     """
     text = render_page(
         "report.html.j2",
         title=title,
         lead=lead,
-        sections=[s for s in sections if s.rows or s.figures or s.drawing or s.links],
-        footer=", ".join([f"kc2spice {__version__}", f"{date.today()}", *_command(), *origin]),
+        sections=[section for section in sections if section.has_content],
+        footer=", ".join([f"kc2spice {__version__}", f"{date.today()}", *_command_line(), *origin]),
         plots=any(section.figures for section in sections),
     )
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def _command() -> list[str]:
-    """The command line that makes the page, where it is one of ours."""
+def _command_line() -> list[str]:
+    """Return the command that writes the page; nothing in other programs."""
     name, *words = sys.argv or [""]
     return [shlex.join(["kc2spice", *words])] if Path(name).stem == "kc2spice" else []
 
 
 def render_page(template: str, **values: object) -> str:
-    """A page or a drawing; whatever text it is given stays text in it."""
+    """Render a page or a drawing; markup in ``values`` is escaped."""
     pages = templates(autoescape=True)
     pages.filters.update(figure=render_figure, px="{:.1f}".format)
     return str(pages.get_template(template).render(**values))

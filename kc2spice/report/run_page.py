@@ -1,182 +1,225 @@
-"""``report.html`` of a run: sketches of its devices from the side, to scale, and of its circuit,
-figures, metrics, checks with wall times, model facts, omissions.
-"""
+"""``report.html`` of a run: drawings, figures, metrics, checks, wall times and omitted effects."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
+from kc2spice.core.figure import Curve, Figure, Panel, label_axis, scale_axis
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.drawings import devices, draw_circuit
+from kc2spice.report.drawings import draw_circuit, draw_devices
 from kc2spice.report.html import (
-    NOISE,
+    FEW,
+    ROUNDING_NOISE,
     PageSection,
-    fact,
+    flatten_mapping,
+    format_fact,
     format_quantity,
+    format_times,
     format_value,
-    leaves,
-    value_and_limit,
+    format_value_and_limit,
     write_page,
 )
 from kc2spice.scene.model import Scene, scene_hash
 from kc2spice.scene.settings import Probe
 
-FEW = 8  # entries of a list that a row shows
-WIDE = 20.0  # a range of frequencies beyond this ratio has a logarithmic axis
+WIDE_RANGE = 20.0  # ratio of frequencies above which their axis is logarithmic
+OPERATING_RESULTS = 6  # results at the operating point that a terminal shows
 LEAD = "Finite-element models, reduced, exported as a netlist and run in ngspice."
-NETS = (
+NETS_NOTE = (
     "Pins by what they carry: blue electrical, orange mechanical, green signals. The names of the "
     "nets are those of the netlist."
 )
-HOW = (
+FIGURES_NOTE = (
     "Move the pointer to read values, drag to enlarge, double-click to see all; click a name of a "
     "legend to hide its curve. A shaded curve is the envelope of more cycles than the screen "
     "resolves."
 )
-LINEARISED = "About which the small signals are linear; results that are zero there are left out."
-POINT = 6  # results at the operating point that a terminal shows
-CHECKED = (
+OPERATING_NOTE = (
+    "About which the small signals are linear; results that are zero there are left out."
+)
+CHECKS_NOTE = (
     "Laws of physics that the netlist does not contain. The last column states the effect of a "
     "violation."
 )
-MODES = (
+MODES_NOTE = (
     "Of the reduced model within its band, electrodes shorted, nothing pressing on it. k is the "
     "effective coupling factor; at other ports stands what the mode adds to the static answer."
 )
-ESTIMATED = "Relative errors; a run with error_budget estimates those of all metrics."
-TRIED = "Every setting that was tried; the last one gave this result."
+SETTINGS_NOTE = "Relative errors; a run with error_budget estimates those of all metrics."
+RETRIES_NOTE = "Every setting that was tried; the last one gave this result."
 
-Rows = list[tuple[str, ...]]
+Rows = list[tuple[str, str]]
 
 
 def write_run(
     path: Path, result: Mapping[str, Any], scene: Scene, figures: Sequence[Figure]
 ) -> Path:
-    """Write the page of ``kc2spice run`` from ``result.json``'s content: what it is, what it did,
-    then the numbers."""
-    energies = (
-        PageSection(f"Energy: {name}", _facts(entries, dict.fromkeys(entries, "J")))
-        for name, entries in result.get("energy_j", {}).items()
-    )
-    figures = sorted(figures, key=lambda figure: not figure.main)  # keeps the order of equals
+    """Write the page of ``kc2spice run`` from the content of ``result.json``."""
+    figures = sorted(figures, key=attrgetter("main"), reverse=True)  # keeps the order of equals
+    energies, modes = result.get("energy_j", {}), result.get("modes", {})
     sections = [
-        summary_section(result),
-        PageSection("Device", drawing=devices(scene), note="Side view, to scale."),
-        PageSection("Main result", figures=figures[:1], note=HOW),
-        PageSection("Circuit", drawing=draw_circuit(scene), note=NETS),
+        format_summary(result),
+        PageSection("Device", drawing=draw_devices(scene), note="Side view, to scale."),
+        PageSection("Main result", figures=figures[:1], note=FIGURES_NOTE),
+        PageSection("Circuit", drawing=draw_circuit(scene), note=NETS_NOTE),
         PageSection("Further figures", figures=figures[1:]),
-        *result_sections(result),
-        *energies,
-        *(_modes(part, answer) for part, answer in result.get("modes", {}).items()),
-        *plan_sections(result["plan"], result.get("convergence", {})),
-        PageSection("Simulator", _simulator(result, scene)),
+        *format_results(result),
+        *map(_format_energy, energies, energies.values()),
+        *map(_format_modes, modes, modes.values()),
+        *format_plan(result["plan"], result.get("convergence", {})),
+        PageSection("Simulator", _simulator_rows(result, scene)),
         PageSection("Files", links=result.get("files", ())),
     ]
     title = f"{scene.name}: {scene.title}" if scene.title else scene.name
     return write_page(path, title, LEAD, sections, origin=(f"scene {scene_hash(scene)}",))
 
 
-def result_sections(result: Mapping[str, Any]) -> list[PageSection]:
-    """The numbers of ``result.json``, for the page and for the terminal."""
-    rom = result.get("rom", {})
-    facts = {k: v for k, v in rom.items() if v is not None and not k.startswith("above_band")}
-    attempts = result.get("simulator", {}).get("attempts", ())
+def format_results(result: Mapping[str, Any]) -> list[PageSection]:
+    """Return the numbers of ``result.json``, for page and terminal."""
     wall = result.get("wall_s", {})
     times = {**wall, "sum": sum(wall.values())} if wall else {}
-    checks, tried = [], []
-    for item in result.get("checks", ()):
-        values = value_and_limit(item["value"], item["limit"], item["unit"])
-        mark = "ok" if item["passed"] else "VIOLATED"
-        checks.append((mark, _check_name(item), *values, item["action"]))
-    for item in attempts if len(attempts) > 1 else ():
-        outcome = (
-            item["cause"] or "succeeded",
-            item["part"] or "",
-            format_quantity(item["wall_s"], "s", 3),
-        )
-        tried.append((item["setting"], item["settings"], *outcome))
-    models, units = result.get("model", {}).items(), result.get("model_units", {})
-    spent = [(stage, format_quantity(float(seconds), "s", 3)) for stage, seconds in times.items()]
+    checks = list(map(_check_row, result.get("checks", ())))
+    attempts = result.get("simulator", {}).get("attempts", ())
+    tried = list(map(_attempt_row, attempts)) if len(attempts) > 1 else []
+    models, units = [], result.get("model_units", {})
+    for name, facts in result.get("model", {}).items():
+        models.append(PageSection(f"Model: {name}", _fact_rows(facts, units.get(name, {}))))
+    metrics = _fact_rows(result.get("metrics", {}), result.get("metric_units", {}))
+    check_head = ("", "check", "value", "limit", "action")
+    attempt_head = ("setting", "changes", "outcome", "blamed", "time")
     return [
-        PageSection("Metrics", _facts(result.get("metrics", {}), result.get("metric_units", {}))),
-        PageSection("Operating point", operating_rows(result), ("result", "value"), LINEARISED),
-        PageSection("Physics checks", checks, ("", "check", "value", "limit", "action"), CHECKED),
-        *(PageSection(f"Model: {n}", _facts(answer, units.get(n, {}))) for n, answer in models),
-        PageSection("Reduced model", [*_facts(facts, {"band_hz": "Hz"}), *above_band_rows(rom)]),
-        PageSection("Retries", tried, ("setting", "changes", "outcome", "blamed", "time"), TRIED),
-        PageSection("Wall time", spent, ("stage", "time"), "0 s: taken from the cache."),
+        PageSection("Metrics", metrics),
+        PageSection(
+            "Operating point", format_operating_point(result), ("result", "value"), OPERATING_NOTE
+        ),
+        PageSection("Physics checks", checks, check_head, CHECKS_NOTE),
+        *models,
+        PageSection("Reduced model", _certificate_rows(result.get("rom", {}))),
+        PageSection("Retries", tried, attempt_head, RETRIES_NOTE),
+        PageSection(
+            "Wall time", format_times(times), ("stage", "time"), "0 s: taken from the cache."
+        ),
     ]
 
 
-def operating_rows(result: Mapping[str, Any], most: int | None = None) -> Rows:
-    """Rows of nonzero values at the small-signal operating point, at most ``most``."""
-    point = result.get("operating_point", {})
-    units = {name: item["unit"] for name, item in point.items()}
-    numbers = {name: float(item["value"]) for name, item in point.items()}
-    scales = _scales(numbers, units)
-    rounded = {name: _chop_rounding(value, scales, units[name]) for name, value in numbers.items()}
-    values = {name: value for name, value in rounded.items() if value}
-    first = list(values.items())[:most]
-    rows: Rows = [(name, format_quantity(value, units[name])) for name, value in first]
-    if len(first) < len(values):
-        rows.append(("further results", f"{len(values) - len(first)}, in the report"))
-    return rows
+def _check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the row of a check: verdict, name, value, limit and action."""
+    value, limit = format_value_and_limit(check["value"], check["limit"], check["unit"])
+    mark = "ok" if check["passed"] else "VIOLATED"
+    return mark, _label_check(check), value, limit, check["action"]
 
 
-def _check_name(check: Mapping[str, Any]) -> str:
+def _attempt_row(attempt: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the row of an attempt of the simulator: settings, outcome and wall time."""
+    return (
+        attempt["setting"],
+        attempt["settings"],
+        attempt["cause"] or "succeeded",
+        attempt["part"] or "",
+        format_quantity(attempt["wall_s"], "s", 3),
+    )
+
+
+def _certificate_rows(certificate: Mapping[str, Any]) -> Rows:
+    """Return the facts of a reduction within its band, then those above it."""
+    facts = {}
+    for name, value in certificate.items():
+        if value is not None and not name.startswith("above_band"):
+            facts[name] = value
+    return [*_fact_rows(facts, {"band_hz": "Hz"}), *format_above_band(certificate)]
+
+
+def format_operating_point(result: Mapping[str, Any], most: int | None = None) -> Rows:
+    """Return rows of at most ``most`` nonzero values at the small-signal operating point."""
+    units, numbers = {}, {}
+    for name, item in result.get("operating_point", {}).items():
+        units[name], numbers[name] = item["unit"], float(item["value"])
+    scales = _largest_by_unit(numbers, units)
+    rows = []
+    for name, number in numbers.items():
+        value = _chop_rounding(number, scales, units[name])
+        if value:
+            rows.append((name, format_quantity(value, units[name])))
+    return _shorten(rows, most, "results")
+
+
+def _shorten(rows: Rows, most: int | None, kind: str) -> Rows:
+    """Return at most ``most`` rows, and a row that counts the others."""
+    if most is None or len(rows) <= most:
+        return rows
+    return [*rows[:most], (f"further {kind}", f"{len(rows) - most}, in the report")]
+
+
+def _label_check(check: Mapping[str, Any]) -> str:
+    """Return the name of a check as words."""
     name: str = check["name"]
     return name if " " in name else name.replace("_", " ")
 
 
-def summary_section(result: Mapping[str, Any], most: int | None = None) -> PageSection:
-    """The answer of a run: its verdict, its metrics that are single numbers, its error estimates.
+def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSection:
+    """Return the verdict of a run, its metrics that are single numbers, and error estimates.
 
     ``most`` is the largest number of metrics.
     """
+    checks = result.get("checks", ())
+    violated = [check for check in checks if not check["passed"]]
+    point = format_operating_point(result, OPERATING_RESULTS)
+    rows = [
+        ("checks", format_verdict(checks)),
+        *map(_violation_row, violated),
+        *_shorten(_metric_rows(result), most, "metrics"),
+        *((f"at the operating point: {name}", text) for name, text in point),
+        *_model_rows(result),
+    ]
+    return PageSection("Result", rows)
+
+
+def _violation_row(check: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the row of a violated check as one sentence."""
+    value, limit = format_value_and_limit(check["value"], check["limit"], check["unit"])
+    if " " in check["unit"]:  # the sentence contains a phrase once
+        limit = limit.removesuffix(f" {check['unit']}")
+    return "VIOLATED", f"{_label_check(check)}: {value}, limit {limit}"
+
+
+def _metric_rows(result: Mapping[str, Any]) -> Rows:
+    """Return rows of the metrics that are single numbers, with their error estimates."""
     units = result.get("metric_units", {})
     errors = result.get("convergence", {}).get("errors", {})
-    metrics = {name: v for name, v in leaves(result.get("metrics", {})) if _single(v)}
-    rows: Rows = [("checks", verdict_text(result.get("checks", ())))]
-    for check in result.get("checks", ()):
-        if not check["passed"]:
-            value, limit = value_and_limit(check["value"], check["limit"], check["unit"])
-            if " " in check["unit"]:  # a phrase stands once in the sentence
-                limit = limit.removesuffix(f" {check['unit']}")
-            rows.append(("VIOLATED", f"{_check_name(check)}: {value}, limit {limit}"))
-    scales = _scales(metrics, units)
-    for name, value in list(metrics.items())[:most]:
+    leaves = flatten_mapping(result.get("metrics", {}))
+    metrics = {name: value for name, value in leaves if _is_single(value)}
+    scales = _largest_by_unit(metrics, units)
+    rows = []
+    for name, value in metrics.items():
         error = errors.get(name)
         estimate = "" if error is None else f" (error estimate {100 * error:.2g} %)"
-        label, text = _fact(name, value, units, scales)
+        label, text = _fact_row(name, value, units, scales)
         rows.append((label, text + estimate))
-    if most is not None and len(metrics) > most:
-        rows.append(("further metrics", f"{len(metrics) - most}, in the report"))
-    rows += [(f"at the operating point: {n}", text) for n, text in operating_rows(result, POINT)]
-    return PageSection("Result", [*rows, *_model_errors(result)])
+    return rows
 
 
-def verdict_text(checks: Sequence[Mapping[str, Any]]) -> str:
-    """``17 checks passed``, or how many of them."""
-    passed = sum(bool(check["passed"]) for check in checks)
+def format_verdict(checks: Sequence[Mapping[str, Any]]) -> str:
+    """Return ``17 checks passed``, or how many of them passed."""
+    passed = sum(map(bool, map(itemgetter("passed"), checks)))
     if passed == len(checks):
         return f"{passed} check{'s' * (passed != 1)} passed"
     return f"{passed} of {len(checks)} checks passed"
 
 
-def _single(value: Any) -> bool:
+def _is_single(value: Any) -> bool:
     return not isinstance(value, (list, tuple, Mapping))
 
 
-def _model_errors(result: Mapping[str, Any]) -> Rows:
-    """States, band and error estimate of each reduced model."""
+def _model_rows(result: Mapping[str, Any]) -> Rows:
+    """Return rows of each reduced model: states, band and error estimate."""
     models = (result.get("roms") or {"": result["rom"]}) if result.get("rom") else {}
-    rows: Rows = []
+    rows = []
     for name, rom in models.items():
         label = f"reduced model {name}".strip()
         text = f"{rom['order']} states"
@@ -187,8 +230,8 @@ def _model_errors(result: Mapping[str, Any]) -> Rows:
     return rows
 
 
-def _scales(values: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, float]:
-    """Largest magnitude among numbers of one unit."""
+def _largest_by_unit(values: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, float]:
+    """Return the largest magnitude among the numbers of each unit."""
     result: dict[str, float] = {}
     for name, value in values.items():
         if isinstance(value, float) and math.isfinite(value):
@@ -198,48 +241,59 @@ def _scales(values: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, fl
 
 
 def _chop_rounding(value: Any, scales: Mapping[str, float], unit: str) -> Any:
-    """0 for a number that is rounding noise beside others of its unit."""
-    noise = isinstance(value, float) and abs(value) < NOISE * scales.get(unit, 0.0)
+    """Return 0 for a number that is a rounding error beside others of its unit."""
+    noise = isinstance(value, float) and abs(value) < ROUNDING_NOISE * scales.get(unit, 0.0)
     return 0.0 if noise else value
 
 
-def above_band_rows(rom: Mapping[str, Any]) -> Rows:
-    """Rows of what a certificate says of the compliance above its band."""
-    errors = rom.get("above_band_compliance_error", ())
-    return [
-        (f"compliance at {f:g} Hz", f"{error:.2g} off, above the band")
-        for f, error in zip(rom.get("above_band_hz", ()), errors, strict=True)
-    ]
+def format_above_band(certificate: Mapping[str, Any]) -> Rows:
+    """Return rows of the error of the compliance above the band of a reduction."""
+    frequencies = certificate.get("above_band_hz", ())
+    errors = certificate.get("above_band_compliance_error", ())
+    rows = []
+    for frequency, error in zip(frequencies, errors, strict=True):
+        rows.append((f"compliance at {frequency:g} Hz", f"{error:.2g} off, above the band"))
+    return rows
 
 
-def plan_sections(
+def format_plan(
     planned: Mapping[str, Any], converged: Mapping[str, Any] | None = None
 ) -> list[PageSection]:
-    """Sections of models, numerical settings and neglected effects.
+    """Return sections of models, numerical settings and neglected effects.
 
     Each setting is listed with its effect on the metrics, if a refined run computed it.
     """
     result = converged or {}
     shares = result.get("shares", {})
-    rows = [(k, f"{v:g}", shares.get(k, e)) for k, v, e in map(dict.values, planned["settings"])]
-    rows += [(f"error of {name}", "", error) for name, error in result.get("errors", {}).items()]
-    settings = [(*row, "not estimated" if e is None else f"{e:.2g}") for *row, e in rows]
-    parts, omitted = ([[*row.values()] for row in planned[key]] for key in ("parts", "left_out"))
+    settings = []
+    for key, value, error in map(dict.values, planned["settings"]):
+        settings.append((key, f"{value:g}", _format_error(shares.get(key, error))))
+    for name, error in result.get("errors", {}).items():
+        settings.append((f"error of {name}", "", _format_error(error)))
+    parts = list(map(tuple, map(dict.values, planned["parts"])))
+    omitted = list(map(tuple, map(dict.values, planned["left_out"])))
     return [
         PageSection("What is modelled", parts, ("part", "source", "model")),
-        PageSection("Numerical settings", settings, ("key", "value", "error"), ESTIMATED),
+        PageSection("Numerical settings", settings, ("key", "value", "error"), SETTINGS_NOTE),
         PageSection("What is left out", omitted, ("effect", "why", "size")),
     ]
 
 
-def _facts(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
-    """Rows of single numbers, whose ``units`` are by dotted name; curves are in the figures.
+def _format_error(error: float | None) -> str:
+    return "not estimated" if error is None else f"{error:.2g}"
 
-    Of lists, only a range and a few words are rows.
+
+def _fact_rows(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
+    """Return rows of single numbers, ranges and a few words.
+
+    ``units`` are by dotted name. Figures show the curves.
     """
-    values = {name: value for name, value in leaves(facts) if _single(value) or _is_short(value)}
-    scales = _scales(values, units)
-    return [_fact(name, value, units, scales) for name, value in values.items()]
+    values = {}
+    for name, value in flatten_mapping(facts):
+        if _is_single(value) or _is_short(value):
+            values[name] = value
+    scales = _largest_by_unit(values, units)
+    return [_fact_row(name, value, units, scales) for name, value in values.items()]
 
 
 def _is_short(values: Sequence[Any]) -> bool:
@@ -247,46 +301,53 @@ def _is_short(values: Sequence[Any]) -> bool:
     return len(values) <= (FEW if words else 2)
 
 
-def _fact(
+def _fact_row(
     name: str, value: Any, units: Mapping[str, str], scales: Mapping[str, float]
 ) -> tuple[str, str]:
-    """Label and text of a number beside others whose largest magnitudes are ``scales``."""
+    """Return label and text of a number; ``scales`` are the largest magnitudes beside it."""
     unit = units.get(name, "")
-    return fact(name.replace(".", "_"), _chop_rounding(value, scales, unit), unit)
+    return format_fact(name.replace(".", "_"), _chop_rounding(value, scales, unit), unit)
 
 
-def _modes(part: str, table: Mapping[str, Any]) -> PageSection:
-    """Table of the modes of one body; a port that no mode moves has no column."""
+def _format_energy(name: str, entries: Mapping[str, float]) -> PageSection:
+    """Return the table of an energy balance."""
+    return PageSection(f"Energy: {name}", _fact_rows(entries, dict.fromkeys(entries, "J")))
+
+
+def _format_modes(part: str, table: Mapping[str, Any]) -> PageSection:
+    """Return the table of the modes of one body, without ports that no mode moves."""
     units, modes = table["units"], table["modes"]
-    coupled = [port for port in units if any(mode["couplings"][port] > 0 for mode in modes)]
+    coupled = []
+    head = ["frequency", "Q"]
+    for port, unit in units.items():
+        if any(mode["couplings"][port] > 0 for mode in modes):
+            coupled.append(port)
+            head.append(port if unit else f"k of {port}")
     rows = []
     for mode in modes:
-        moved = (format_quantity(mode["couplings"][port], units[port], 3) for port in coupled)
-        rows.append(
-            (
-                format_quantity(mode["frequency_hz"], "Hz"),
-                format_quantity(mode["quality"], "", 4),
-                *moved,
-            )
-        )
-    head = ("frequency", "Q", *(port if units[port] else f"k of {port}" for port in coupled))
-    return PageSection(f"Modes: {part}", rows, head, MODES)
+        row = [format_quantity(mode["frequency_hz"], "Hz"), format_quantity(mode["quality"], "")]
+        for port in coupled:
+            row.append(format_quantity(mode["couplings"][port], units[port], 3))
+        rows.append(row)
+    return PageSection(f"Modes: {part}", rows, head, MODES_NOTE)
 
 
-def _simulator(result: Mapping[str, Any], scene: Scene) -> Rows:
-    rows: Rows = [(k, str(v)) for k, v in result.get("simulator", {}).items() if k != "attempts"]
+def _simulator_rows(result: Mapping[str, Any], scene: Scene) -> Rows:
+    """Return rows of the simulator, its time points and its settings."""
+    facts = dict(result.get("simulator", {}))
+    facts.pop("attempts", None)
+    rows: Rows = list(zip(facts, map(str, facts.values()), strict=True))
     if scene.analysis.type != "transient":
         return [*rows, ("analysis", scene.analysis.type)]
+    for kind, count in result.get("steps", {}).items():
+        rows.append((f"{kind} time points", format_value(count)))
     solver, step = scene.solver, result.get("largest_step")
+    largest = f"{format_quantity(step['s'], 's')}: {step['why']}" if step else "unknown"
     return [
         *rows,
-        *((f"{k} time points", format_value(v, "")) for k, v in result.get("steps", {}).items()),
         ("reltol", f"{solver.reltol:g}"),
         ("method", solver.method),
-        (
-            "largest step",
-            f"{format_quantity(step['s'], 's')}: {step['why']}" if step else "unknown",
-        ),
+        ("largest step", largest),
         ("stop", format_quantity(scene.stop, "s")),
     ]
 
@@ -294,42 +355,49 @@ def _simulator(result: Mapping[str, Any], scene: Scene) -> Rows:
 # --- figures ----------------------------------------------------------------------------------
 
 
-def probe_figures(
+def plot_probes(
     probes: Mapping[str, Probe], waves: Waveforms, units: Mapping[str, str]
 ) -> Iterator[Figure]:
-    """One figure with a panel for each unit; responses by their magnitude.
-
-    A mark stands where a probe takes its largest value, a level where it waits for a crossing.
-    """
+    """Plot all probed results, one panel for each unit; responses by their magnitude."""
     scale = next(iter(waves.data))
     x = waves[scale].real
     if not probes or x.size < 2:
         return
+    by_unit: dict[str, dict[str, Probe]] = {}
+    for name, probe in probes.items():
+        group = by_unit.setdefault(units.get(probe.of, ""), {})
+        if probe.of in waves:
+            group[name] = probe
+    panels = tuple(_plot_unit(unit, group, waves, scale) for unit, group in by_unit.items())
+    caption = "What the scene's probes look at, over the whole run."
+    yield Figure("probes", "Probed results", caption, panels, main=True)
+
+
+def _plot_unit(unit: str, probes: Mapping[str, Probe], waves: Waveforms, scale: str) -> Panel:
+    """Plot the probed results of one unit.
+
+    Marks show the places that probes read, levels the values whose crossing they return.
+    """
+    x = waves[scale].real
     label, factor = scale_axis(scale, x)
-    log = scale == "frequency" and bool(x[0] > 0 and x[-1] / x[0] > WIDE)
-    panels = []
-    for unit in dict.fromkeys(units.get(probe.of, "") for probe in probes.values()):
-        panel_probes = {
-            n: p for n, p in probes.items() if units.get(p.of, "") == unit and p.of in waves
-        }
-        complex_ = any(np.iscomplexobj(waves[p.of]) for p in panel_probes.values())
-        curves_by_result = {
-            p.of: np.abs(waves[p.of]) if complex_ else waves[p.of] for p in panel_probes.values()
-        }
-        size = "magnitude" if complex_ else "value"
-        places = {
-            n: float(x[curves_by_result[p.of].argmax()] if p.at is None else p.at)
-            for n, p in panel_probes.items()
-            if p.take in ("argmax", "value")
-        }
-        look: dict[str, Any] = {
-            "levels": tuple((p.level, n) for n, p in panel_probes.items() if p.level is not None),
-            "marks": tuple((factor * place, n) for n, place in places.items()),
-            "log_x": log,
-            "log_y": complex_ and all((v != 0).all() for v in curves_by_result.values()),
-        }
-        curves = tuple(Curve(of, factor * x, values) for of, values in curves_by_result.items())
-        panels.append(Panel(label, f"{size} in {unit}" if unit else size, curves, **look))
-    if panels:
-        caption = "What the scene's probes look at, over the whole run."
-        yield Figure("probes", "Probed results", caption, tuple(panels), main=True)
+    log_x = scale == "frequency" and bool(x[0] > 0 and x[-1] / x[0] > WIDE_RANGE)
+    complex_ = any(np.iscomplexobj(waves[probe.of]) for probe in probes.values())
+    curves: dict[str, Curve] = {}
+    levels, marks = [], []
+    for name, probe in probes.items():
+        values = np.abs(waves[probe.of]) if complex_ else waves[probe.of]
+        curves[probe.of] = Curve(probe.of, factor * x, values)
+        if probe.level is not None:
+            levels.append((probe.level, name))
+        if probe.take in ("argmax", "value"):
+            place = float(x[values.argmax()] if probe.at is None else probe.at)
+            marks.append((factor * place, name))
+    return Panel(
+        label,
+        label_axis("magnitude" if complex_ else "value", unit),
+        tuple(curves.values()),
+        levels=tuple(levels),
+        marks=tuple(marks),
+        log_x=log_x,
+        log_y=complex_ and all(curve.y.all() for curve in curves.values()),
+    )

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
+from kc2spice.core.figure import Curve, Figure, Panel, label_axis, scale_axis
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import (
     PageSection,
-    fact,
+    format_fact,
     format_quantity,
-    value_and_limit,
+    format_times,
+    format_value_and_limit,
     write_page,
 )
 from kc2spice.scene.checks import PAIRS, Check
 
-MET = {True: "ok", False: "MISSED"}
-MOST = 4  # panels of one figure
-FLOOR = 1e-17  # a difference of nothing, on a logarithmic axis
+OUTCOMES = {True: "ok", False: "MISSED"}
+PANELS = 4  # largest number of panels in one figure
+SMALLEST_DIFFERENCE = 1e-17  # place of a difference of zero on a logarithmic axis
 
 Solutions = Mapping[str, Waveforms]
 
@@ -31,9 +33,10 @@ Solutions = Mapping[str, Waveforms]
 class Findings:
     """Results of the verification of one scene.
 
-    ``errors`` has those of :data:`kc2spice.scene.checks.PAIRS` (largest relative), ``wall_s`` the
-    time of each stage; ``left_out`` names the parts without a law. ``answers`` has the metrics of
-    each solution: ``ngspice``, ``rom`` (laws) and ``fom`` (with full models, as far as followed).
+    ``errors`` contains the largest relative error of each of :data:`kc2spice.scene.checks.PAIRS`.
+    ``wall_s`` contains the time of each stage, ``left_out`` the names of parts without a law.
+    ``answers`` contains the metrics of each solution: ``ngspice``, ``rom`` (laws) and ``fom``
+    (full models, for the part of the run that they cover).
     """
 
     checks: list[Check] = field(default_factory=list)
@@ -49,71 +52,74 @@ class Findings:
 
     @property
     def passed(self) -> bool:
-        """Whether every check is."""
-        return all(check.passed for check in self.checks)
+        """Whether every check passed."""
+        return all(map(attrgetter("passed"), self.checks))
 
     def record(self) -> dict[str, Any]:
-        """Record for ``verify.json``."""
-        result = {
-            key: value for key, value in vars(self).items() if key not in ("figures", "units")
-        }
-        checks = [check.record() for check in self.checks]
-        outputs = list(map(asdict, self.outputs))
-        return {"passed": self.passed, **result, "checks": checks, "outputs": outputs}
+        """Return the content of ``verify.json``."""
+        result = {"passed": self.passed, **vars(self)}
+        del result["figures"], result["units"]
+        result["checks"] = list(map(Check.record, self.checks))
+        result["outputs"] = list(map(asdict, self.outputs))
+        return result
 
 
 def write_verify(path: Path, findings_by_scene: Mapping[str, Findings]) -> Path:
-    """Write the page for the findings of each scene, by its name."""
-    rows = [
-        (
-            scene,
-            MET[item.passed],
-            *(format_quantity(item.errors.get(pair), "", 2) for pair in PAIRS),
-        )
-        for scene, item in findings_by_scene.items()
-    ]
+    """Write the page of the findings of each scene, which are by its name."""
+    rows = list(map(_summary_row, findings_by_scene, findings_by_scene.values()))
     head = ("scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full")
     sections = [PageSection("Summary", rows, head, "Errors are the largest relative ones.")]
     for scene, findings in findings_by_scene.items():
-        sections += [*verdict_sections(scene, findings.record()), *_details(scene, findings)]
+        sections += format_verification(scene, findings.record())
+        sections += _format_details(scene, findings)
     lead = "Full model, reduced model and ngspice on the emitted netlist, against each other."
     return write_page(path, "Verification", lead, sections)
 
 
-def verdict_sections(scene: str, record: Mapping[str, Any]) -> list[PageSection]:
-    """Gates and times of one scene's record, for the page and for the terminal."""
-    checks = []
-    for check in record["checks"]:
-        unit = "" if check["unit"] == "1" else check["unit"]
-        value, limit = (
-            None if v is None or np.isnan(v) else v for v in (check["value"], check["limit"])
-        )
-        if value is None or limit is None:
-            texts = format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
-        else:
-            texts = value_and_limit(value, limit, unit)
-        checks.append((MET[check["passed"]], check["name"], *texts))
-    times = [(stage, format_quantity(time, "s", 3)) for stage, time in record["wall_s"].items()]
+def _summary_row(scene: str, findings: Findings) -> tuple[str, ...]:
+    """Return the row of a scene: its verdict and the errors between solutions."""
+    errors = (format_quantity(findings.errors.get(pair), "", 2) for pair in PAIRS)
+    return scene, OUTCOMES[findings.passed], *errors
+
+
+def format_verification(scene: str, record: Mapping[str, Any]) -> list[PageSection]:
+    """Return gates and times of one scene's record, for page and terminal."""
+    checks = list(map(_check_row, record["checks"]))
+    times = format_times(record["wall_s"])
     return [
         PageSection(f"{scene}: gates", checks, ("", "check", "value", "limit")),
         PageSection(f"{scene}: time", times, ("stage", "wall time")),
     ]
 
 
-def _details(scene: str, findings: Findings) -> list[PageSection]:
-    outputs = [
-        (e.pair.replace("_vs_", " to "), e.output, f"{e.largest:.2g}", f"{e.rms:.2g}")
-        for e in findings.outputs
-    ]
-    numbers = {k: v for k, v in findings.metrics.items() if not isinstance(v, Mapping)}
+def _check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the row of a check; a dash marks a value or limit that is not a number."""
+    unit = "" if check["unit"] == "1" else check["unit"]
+    value, limit = _drop_nan(check["value"]), _drop_nan(check["limit"])
+    if value is None or limit is None:
+        texts = format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
+    else:
+        texts = format_value_and_limit(value, limit, unit)
+    return OUTCOMES[check["passed"]], check["name"], *texts
+
+
+def _drop_nan(value: float | None) -> float | None:
+    return None if value is None or np.isnan(value) else value
+
+
+def _format_details(scene: str, findings: Findings) -> list[PageSection]:
+    """Return errors of each output, metrics, notes and figures of one scene."""
     head = ("solutions", "output", "largest error", "rms error")
-    facts, notes = (
-        [fact(k, v, findings.units.get(k, "")) for k, v in numbers.items()],
-        " ".join(findings.notes),
-    )
+    errors, facts = [], []
+    for error in findings.outputs:
+        pair = error.pair.replace("_vs_", " to ")
+        errors.append((pair, error.output, f"{error.largest:.2g}", f"{error.rms:.2g}"))
+    for name, value in findings.metrics.items():
+        if not isinstance(value, Mapping):
+            facts.append(format_fact(name, value, findings.units.get(name, "")))
     return [
-        PageSection(f"{scene}: each output", outputs, head),
-        PageSection(f"{scene}: results", facts, note=notes),
+        PageSection(f"{scene}: each output", errors, head),
+        PageSection(f"{scene}: results", facts, note=" ".join(findings.notes)),
         PageSection(f"{scene}: figures", figures=findings.figures),
     ]
 
@@ -121,45 +127,44 @@ def _details(scene: str, findings: Findings) -> list[PageSection]:
 # --- figures: solutions over each other, and their differences ----------------------------------
 
 
-def comparison(
+def plot_comparison(
     name: str, title: str, solutions: Solutions, units: Mapping[str, str]
 ) -> Iterator[Figure]:
-    """The waves that all solutions have, the first one as the reference, with their differences.
+    """Plot the waves that all solutions contain, and their differences to the first solution.
 
-    One panel for each of the largest waves of a unit, one for the differences of all of these.
+    One panel shows the largest wave of each unit, one further figure the differences of all.
     """
     (first, exact), *others = solutions.items()
     scale = next(iter(exact))
     label, factor = scale_axis(scale, exact[scale].real)
-    common = [n for n in exact if n != scale and all(n in w for _, w in others)]
-    selected = _largest(common, exact, units)
+    common = set.intersection(*map(set, solutions.values())) - {scale}
+    selected = _largest_waves(filter(common.__contains__, exact), exact, units)
     if not selected or np.ptp(exact[scale]) == 0:
         return
     panels = []
     for wave in selected:
         curves = tuple(
-            Curve(n, factor * w[scale].real, _size(w[wave]), "-" if k else "reference")
+            Curve(n, factor * w[scale].real, _real_values(w[wave]), "-" if k else "reference")
             for k, (n, w) in enumerate(solutions.items())
         )
-        unit = units.get(wave, "")
-        panels.append(Panel(label, f"{wave} in {unit}" if unit else wave, curves))
+        panels.append(Panel(label, label_axis(wave, units.get(wave, "")), curves))
     over, caption = f"{title}: solutions over each other", f"Reference (dotted): {first}."
     yield Figure(f"{name}_solutions", over, caption, tuple(panels))
-    x = exact[scale].real
-    errors = tuple(
-        Curve(f"{n}, {wave}", factor * x, np.maximum(_difference(w, exact, scale, wave), FLOOR))
-        for n, w in others
-        for wave in selected
-    )
-    panel = Panel(label, f"difference to {first} / largest value", errors, log_y=True)
+    x = factor * exact[scale].real
+    errors = []
+    for n, waves in others:
+        for wave in selected:
+            difference = _relative_difference(waves, exact, scale, wave)
+            errors.append(Curve(f"{n}, {wave}", x, np.maximum(difference, SMALLEST_DIFFERENCE)))
+    panel = Panel(label, f"difference to {first} / largest value", tuple(errors), log_y=True)
     caption = f"Differences to {first}, each over the wave's largest value."
     yield Figure(f"{name}_differences", f"{title}: differences", caption, (panel,))
 
 
-def responses(name: str, curves: Solutions) -> Iterator[Figure]:
-    """Responses of one body port by port to itself, every solution of it."""
+def plot_responses(name: str, curves: Solutions) -> Iterator[Figure]:
+    """Plot the response of each port of a body to a load on the same port, in every solution."""
     last = list(curves.values())[-1]
-    pairs = [n for n in last if ">" in n and len({*n.split(">")}) == 1][:MOST]
+    pairs = list(filter(_is_driving_point, last))[:PANELS]
     end = float(last["frequency"].real[-1]) / 1e3
     panels = []
     for pair in pairs:
@@ -176,25 +181,32 @@ def responses(name: str, curves: Solutions) -> Iterator[Figure]:
         yield Figure(f"{name}_response", title, f"{caption}full model.", tuple(panels))
 
 
-def _largest(names: list[str], waves: Waveforms, units: Mapping[str, str]) -> list[str]:
-    """The largest wave of each unit, in order."""
+def _is_driving_point(response: str) -> bool:
+    """Return whether a response ``LOAD>PORT`` is that of the loaded port."""
+    load, _, port = response.partition(">")
+    return load == port
+
+
+def _largest_waves(names: Iterable[str], waves: Waveforms, units: Mapping[str, str]) -> list[str]:
+    """Return the largest wave of each unit, in the order of the units."""
     best: dict[str, str] = {}
     for name in names:
         unit = units.get(name, "")
         size = np.abs(waves[name]).max(initial=0.0)
         if size > 0 and (unit not in best or size > np.abs(waves[best[unit]]).max()):
             best[unit] = name
-    return list(best.values())[:MOST]
+    return list(best.values())[:PANELS]
 
 
-def _size(values: np.ndarray) -> np.ndarray:
+def _real_values(values: np.ndarray) -> np.ndarray:
+    """Return real values, or the magnitudes of complex ones."""
     return np.abs(values) if np.iscomplexobj(values) else values
 
 
-def _difference(waves: Waveforms, exact: Waveforms, scale: str, name: str) -> np.ndarray:
-    """At the points of ``exact``, over its largest value."""
-    ours, y = waves[name], exact[name]
-    if ours.shape != y.shape or scale == "time":
+def _relative_difference(waves: Waveforms, exact: Waveforms, scale: str, name: str) -> np.ndarray:
+    """Return the difference at the points of ``exact``, relative to its largest value."""
+    values, y = waves[name], exact[name]
+    if values.shape != y.shape or scale == "time":
         t, unique = np.unique(waves[scale].real, return_index=True)
-        ours = np.interp(exact[scale].real, t, ours[unique])
-    return np.abs(ours - y) / np.abs(y).max()
+        values = np.interp(exact[scale].real, t, values[unique])
+    return np.abs(values - y) / np.abs(y).max()

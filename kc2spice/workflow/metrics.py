@@ -13,7 +13,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.waveforms import SCALES, Waveforms, interpolate
-from kc2spice.report.html import leaves
+from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Balance, Check, Gate, Metric, Verdict
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.results import WAVE, resolve_dc_sweep, result_units
@@ -96,7 +96,7 @@ def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> Metrics
     A name that several parts have gets the part's name in front: ``left.kick_stroke_m``.
     """
     rows = _metrics(waves, build, partial=partial)
-    units = {name: item.unit for name, item in leaves(rows) if isinstance(item, Metric)}
+    units = {name: item.unit for name, item in flatten_mapping(rows) if isinstance(item, Metric)}
     return Metrics(_plain(rows), {name: unit for name, unit in units.items() if unit})
 
 

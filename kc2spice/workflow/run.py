@@ -15,8 +15,8 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import write_record, write_waveforms
 from kc2spice.netlist.printers.plot_script import plot_script
-from kc2spice.report.figures import draw_all
-from kc2spice.report.run_page import probe_figures, write_run
+from kc2spice.report.figures import draw_pngs
+from kc2spice.report.run_page import plot_probes, write_run
 from kc2spice.scene.axes import plan
 from kc2spice.scene.checks import require
 from kc2spice.scene.load import load_scene
@@ -48,7 +48,7 @@ class Completed:
         result: list[Figure | Written] = []
         if build.noisy:
             result += noise_analysis.noise_figures(waves, units[WAVE])
-        result += probe_figures(build.scene.probes, waves, units)
+        result += plot_probes(build.scene.probes, waves, units)
         for part in build.scene.parts.values():
             result += part.type.figures(part, build, waves)
         return tuple(result)
@@ -235,7 +235,7 @@ def write_run_files(
             if isinstance(item, Written):
                 item.write(work / item.name)
                 files.append(item.name)
-        files += draw_all(work, figures) if png else []
+        files += draw_pngs(work, figures) if png else []
     spare = [work / f"{scene.name}.raw", *work.glob(f"{scene.name}*.log")]
     files += [path.name for path in spare if keep and path.exists()]
     record["files"] = [*files, "report.html", "result.json"]

@@ -20,7 +20,7 @@ import numpy as np
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms, save_arrays, slope, write_record
 from kc2spice.netlist.deck import Deck, PowerTerm
-from kc2spice.report.html import leaves
+from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Verdict
 from kc2spice.scene.model import Build
 from kc2spice.scene.rows import Sampled
@@ -58,7 +58,9 @@ class Run(Outcome):
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
         """Metrics that are numbers or arrays of numbers by dotted name; what is missing is nan."""
-        result = {n: np.asarray(np.nan if v is None else v) for n, v in leaves(self.metrics)}
+        result = {
+            n: np.asarray(np.nan if v is None else v) for n, v in flatten_mapping(self.metrics)
+        }
         return {name: value for name, value in result.items() if value.dtype.kind in "bif"}
 
     @property

@@ -9,7 +9,7 @@ from films import FILM
 from scipy.integrate import solve_ivp
 
 import kc2spice as kc
-from kc2spice.report.run_page import result_sections
+from kc2spice.report.run_page import format_results
 from kc2spice.workflow import bench, refine
 from kc2spice.workflow.models import fact_units
 
@@ -123,7 +123,7 @@ def test_records_state_the_units_of_all_metrics(result):
 
 
 def test_reports_print_the_unit_of_the_record(result):
-    rows = dict(result_sections(result.record)[0].rows)
+    rows = dict(format_results(result.record)[0].rows)
     assert rows["t m"] == rows["drive final"] == "1 kV"
     assert rows["mass speed"].endswith("mm/s")
 
@@ -132,7 +132,7 @@ def test_a_damping_is_no_length(tmp_path):
     path = tmp_path / "film.toml"
     path.write_text(FILM)
     result = kc.run(path)
-    rows = dict(result_sections(result.record)[0].rows)
+    rows = dict(format_results(result.record)[0].rows)
     assert rows["gap stiffness"].endswith(" kN/m")
     assert rows["gap damping"] == f"{result.metrics['gap_damping_n_s_m']:.4g} N s/m"
 

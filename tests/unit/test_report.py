@@ -14,9 +14,9 @@ import pytest
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.charts import render_figure
-from kc2spice.report.figures import draw_all
-from kc2spice.report.html import PageSection, format_quantity, value_and_limit, write_page
-from kc2spice.report.run_page import operating_rows, result_sections, write_run
+from kc2spice.report.figures import draw_pngs
+from kc2spice.report.html import PageSection, format_quantity, format_value_and_limit, write_page
+from kc2spice.report.run_page import format_operating_point, format_results, write_run
 from kc2spice.scene.axes import plan
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
@@ -27,25 +27,25 @@ TEMPLATES = Path(__file__).parents[2] / "templates"
 
 
 def test_a_limit_has_the_unit_and_the_prefix_of_its_value() -> None:
-    assert value_and_limit(4.06e5, 5e5, "Hz") == ("406 kHz", "500 kHz")
-    assert value_and_limit(2.23e-5, 1e-3, "of its swing") == (
+    assert format_value_and_limit(4.06e5, 5e5, "Hz") == ("406 kHz", "500 kHz")
+    assert format_value_and_limit(2.23e-5, 1e-3, "of its swing") == (
         "2.23e-05 of its swing", "0.001 of its swing",
     )  # fmt: skip
-    assert value_and_limit(1.56e-5, 4.89e-3, "A2 s") == ("1.56e-05 A2 s", "0.00489 A2 s")
+    assert format_value_and_limit(1.56e-5, 4.89e-3, "A2 s") == ("1.56e-05 A2 s", "0.00489 A2 s")
 
 
 def test_a_rounding_error_prints_0() -> None:
-    assert value_and_limit(2.84e-14, 1e-3, "of its swing")[0] == "0 of its swing"
-    assert value_and_limit(1e-15, 0.5, "V")[0] == "0 V"
-    assert value_and_limit(1e-9, 0.5, "V")[0] == "1 nV"
+    assert format_value_and_limit(2.84e-14, 1e-3, "of its swing")[0] == "0 of its swing"
+    assert format_value_and_limit(1e-15, 0.5, "V")[0] == "0 V"
+    assert format_value_and_limit(1e-9, 0.5, "V")[0] == "1 nV"
     point = {"a.i": (2.0, "A"), "b.i": (3e-13, "A"), "c.v": (3e-13, "V")}
     result = {"operating_point": {n: {"value": v, "unit": u} for n, (v, u) in point.items()}}
-    assert operating_rows(result) == [("a.i", "2 A"), ("c.v", "300 fV")]
+    assert format_operating_point(result) == [("a.i", "2 A"), ("c.v", "300 fV")]
 
 
 def test_a_table_has_no_rows_of_numbers() -> None:
     metrics = {"peaks_m": [1.0, 2.0, 3.0], "band_hz": [1.0, 2.0], "first_m": 1.0}
-    rows = {s.title: s.rows for s in result_sections({"metrics": metrics})}["Metrics"]
+    rows = {s.title: s.rows for s in format_results({"metrics": metrics})}["Metrics"]
     assert [name for name, _ in rows] == ["band hz", "first m"]
 
 
@@ -216,7 +216,7 @@ def test_a_peak_of_one_point_is_drawn_wherever_it_is() -> None:
 
 def test_figures_as_files(tmp_path: Path) -> None:
     drawn = [replace(figure, columns=2) for figure in figures(loop_waves())]
-    assert draw_all(tmp_path, drawn) == ["trajectory.png", "response.png"]
+    assert draw_pngs(tmp_path, drawn) == ["trajectory.png", "response.png"]
     for name in ("trajectory.png", "response.png"):
         width, height = png_size(tmp_path / name)
         assert width >= 1000  # 7 inches at 150 dots

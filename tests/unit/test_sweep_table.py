@@ -7,7 +7,7 @@ import sqlite3
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.report.sweep_page import yields
+from kc2spice.report.sweep_page import compute_yields
 from kc2spice.workflow.sweep.engine import RowStore, columns, write_csv
 from kc2spice.workflow.sweep.grid import make_plan
 from kc2spice.workflow.sweep.point import PointResult
@@ -99,7 +99,7 @@ def test_damaged_rows_are_named(row, tmp_path):
 def test_yield_has_the_exact_binomial_interval():
     # Clopper-Pearson for 8 of 10 at 95 %: 0.4439 … 0.9748 (tabulated, e.g. Altman 1991).
     table = {"k": [1.0] * 10, "caught": [True] * 8 + [False, None], "flag": [None] * 10}
-    found = yields(table, ["k"])
+    found = compute_yields(table, ["k"])
     assert list(found) == ["caught"]
     assert found["caught"]["share"] == 0.8
     assert found["caught"]["low"] == pytest.approx(0.4439, abs=5e-5)

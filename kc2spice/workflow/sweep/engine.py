@@ -694,11 +694,11 @@ def _open_rows(definition: Sweep, out: Path, table_format: str) -> RowStore:
 
 def _publish(definition: Sweep, rows: RowStore, out: Path, table_format: str) -> dict[str, Any]:
     """Write table, figures and page; what the summary says of them."""
-    from kc2spice.report.sweep_page import write_sweep, yields
+    from kc2spice.report.sweep_page import compute_yields, write_sweep
 
     table = columns(rows.outcomes, definition.plan, definition.metrics)
     name = table_name(table_format)
-    shares = yields(table, definition.plan.keys) if definition.plan.random else {}
+    shares = compute_yields(table, definition.plan.keys) if definition.plan.random else {}
     plan = definition.describe()
     with staged(out) as work:
         WRITERS[table_format](table, work / name)

@@ -31,7 +31,7 @@ from kc2spice.netlist.transforms import (
     parameter_defaults,
     with_parameters,
 )
-from kc2spice.report.html import leaves
+from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.load import gallery, load_scene, toml
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve_again, resolve_build
@@ -253,14 +253,14 @@ def _numbers(run: Run) -> PointResult:
     return PointResult(
         _scalars(run.metrics),
         _scalars({**facts, "checks": checks}),
-        {**run.units, **dict(leaves(units))},
+        {**run.units, **dict(flatten_mapping(units))},
     )
 
 
 def _scalars(value: Mapping[str, Any]) -> dict[str, Number]:
     """Numbers, yes or no, and what is missing, by their dotted names."""
     result: dict[str, Number] = {}
-    for name, item in leaves(value):
+    for name, item in flatten_mapping(value):
         item = item.item() if isinstance(item, np.generic) else item
         if item is None or isinstance(item, bool):
             result[name] = item

@@ -25,7 +25,7 @@ from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Deck, PowerTerm
 from kc2spice.netlist.include_scan import Flat, checked
 from kc2spice.netlist.library import Subcircuit, subcircuits
-from kc2spice.report.verify_page import Findings, comparison, write_verify
+from kc2spice.report.verify_page import Findings, plot_comparison, write_verify
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import PAIRS, Check, Gate, Verdict
 from kc2spice.scene.model import Build, Scene
@@ -481,7 +481,7 @@ class _Verification:
             outputs += errors
         self.outcome.outputs += outputs
         curves = {SOLUTIONS[key]: solutions[key].waves for key in reversed(list(solutions))}
-        self.outcome.figures += comparison(name, self.build.scene.name, curves, self.units)
+        self.outcome.figures += plot_comparison(name, self.build.scene.name, curves, self.units)
         return outputs
 
     def _generic(
