@@ -38,12 +38,13 @@ from kc2spice.core.untrusted_files import (
     read_bounded,
     text_of,
 )
-from kc2spice.scene.compose import unsettled, with_joins
+from kc2spice.scene.compose import with_joins
 from kc2spice.scene.model import GROUND, SHORT, Names, Part, PartType, Scene
 from kc2spice.scene.parttype import part_type, type_names
 from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
 from kc2spice.scene.resolve import EVEN, resolve, with_governed
 from kc2spice.scene.settings import SCALE_OF, Analysis, Frame
+from kc2spice.scene.start_conditions import unsettled
 
 MOST_POINTS = 1e7  # time points of a transient at its largest step
 CLOSEST = 1e-12  # smallest step that a simulator resolves, relative to the last frequency

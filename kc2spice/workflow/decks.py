@@ -29,7 +29,6 @@ from kc2spice.netlist.scope import INCLUDES, Scope, circuit, has_vector
 from kc2spice.netlist.spelling import comment, number, tidy
 from kc2spice.netlist.transforms import quiet
 from kc2spice.scene.axes import MAX_STEP, plan
-from kc2spice.scene.compose import Free, free, unsettled
 from kc2spice.scene.frames import MOTIONS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.plausible import built, judged
@@ -41,6 +40,7 @@ from kc2spice.scene.results import (
     resolve_dc_sweep,
     result_vectors,
 )
+from kc2spice.scene.start_conditions import Free, free, unsettled
 from kc2spice.synthesis.header import plan_lines
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.edits import changed, element_text, instance, with_value

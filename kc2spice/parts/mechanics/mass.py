@@ -18,7 +18,6 @@ from kc2spice.parts.mechanics._touching import Surface, Touching
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.declaration import frame_acceleration
 from kc2spice.scene.checks import Metric
-from kc2spice.scene.compose import free, rigid
 from kc2spice.scene.model import (
     GROUND,
     Build,
@@ -31,6 +30,7 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rows import Rest, Shake
 from kc2spice.scene.settings import Probe
+from kc2spice.scene.start_conditions import free, rigid
 
 _FRAME = "frame"  # pin of the acceleration of a frame; of a second one frame2
 
