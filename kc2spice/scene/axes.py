@@ -98,7 +98,7 @@ def _axes(build: Build) -> Iterator[Axis]:
         yield replace(axis, decades=_decades(scene.analysis))
     yield from _reductions(build)
     for part in scene.parts.values():
-        yield from _marked(part.keys, key_prefix(part))
+        yield from _marked(part.keys, part.key_prefix)
 
 
 def _decades(analysis: Analysis) -> float:
@@ -106,11 +106,6 @@ def _decades(analysis: Analysis) -> float:
     if analysis.scale == "linear":
         return 0.0
     return math.log10(float(analysis.stop or analysis.start) / analysis.start)
-
-
-def key_prefix(part: Part) -> str:
-    """Where the scene has the keys of a part."""
-    return ".".join(map(str, part.at or (part.name,)))
 
 
 def _marked(keys: BaseModel, prefix: str) -> Iterator[Axis]:
@@ -134,7 +129,7 @@ def _reductions(build: Build) -> Iterator[Axis]:
         if rom is None:
             continue
         separate = getattr(part.keys, "rom", None) is not None
-        prefix = f"{key_prefix(part)}.rom" if separate or not _alone(part, scene) else "rom"
+        prefix = f"{part.key_prefix}.rom" if separate or not _alone(part, scene) else "rom"
         if prefix in known:
             continue
         known.add(prefix)
@@ -202,7 +197,7 @@ def _mesh_error(axis: Axis, build: Build) -> float | None:
     """The largest estimated error of the mesh that an axis refines, None where it is not known."""
     if not axis.mesh:
         return None
-    parts = [p for p in build.scene.parts.values() if axis.name.startswith(f"{key_prefix(p)}.")]
+    parts = [p for p in build.scene.parts.values() if axis.name.startswith(f"{p.key_prefix}.")]
     errors = (mesh_errors(build.facts(part)).values() for part in parts)
     return max(chain.from_iterable(errors), default=None)
 

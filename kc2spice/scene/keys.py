@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from kc2spice.core.quantities import entries, unit_of
 from kc2spice.core.untrusted_files import parse_toml
 from kc2spice.scene.load import gallery, load_scene
-from kc2spice.scene.model import TABLES, Part, Scene, Terminal
+from kc2spice.scene.model import DEFAULT_TABLES, Part, Scene, Terminal
 from kc2spice.scene.parttype import part_types
 from kc2spice.scene.settings import Frame, Probe
 
@@ -70,7 +70,7 @@ def scene_keys() -> Iterator[Key]:
     """
     yield from model_keys(Frame)
     for name, kind in part_types().items():
-        yield from model_keys(kind.schema, f"{TABLES.get(name, name)}.")
+        yield from model_keys(kind.schema, f"{DEFAULT_TABLES.get(name, name)}.")
 
 
 def keys_of(scene: Scene) -> dict[str, Key]:
@@ -80,8 +80,7 @@ def keys_of(scene: Scene) -> dict[str, Key]:
         result += model_keys(Probe, f"probes.{name}.")
     for part in scene.parts.values():
         if part.at != (part.name,):  # else another part's keys say all
-            prefix = ".".join(map(str, part.at or (part.name,)))
-            part_keys = model_keys(type(part.keys), f"{prefix}.")
+            part_keys = model_keys(type(part.keys), f"{part.key_prefix}.")
             result += [_with_unit(key, getattr(part.keys, "unit", None)) for key in part_keys]
     return {key.name: key for key in result}
 
@@ -130,7 +129,7 @@ def part_docs() -> Iterator[PartDoc]:
             tuple(model_keys(kind.schema)),
             example.strip(),
             scene_name,
-            (TABLES[name],) if name in TABLES else (),
+            (DEFAULT_TABLES[name],) if name in DEFAULT_TABLES else (),
         )
 
 

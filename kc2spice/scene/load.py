@@ -39,7 +39,7 @@ from kc2spice.core.untrusted_files import (
     text_of,
 )
 from kc2spice.scene.compose import with_joins
-from kc2spice.scene.model import GROUND, SHORT, Names, Part, PartType, Scene
+from kc2spice.scene.model import DEFAULT_TYPES, GROUND, Names, Part, PartType, Scene
 from kc2spice.scene.parttype import part_type, type_names
 from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
 from kc2spice.scene.resolve import EVEN, resolve, with_governed
@@ -364,7 +364,7 @@ def load_scene(
 
 def _only_parts_of(data: Mapping[str, Any], stated: Sequence[str], source: _Source) -> None:
     """Refuse overrides of a part that the scene lacks; one with a type adds a part."""
-    known = {*stated, *Frame.model_fields, *SHORT}
+    known = {*stated, *Frame.model_fields, *DEFAULT_TYPES}
     for name, table in data.items():
         if name in known or not isinstance(table, Mapping) or "part" in table:
             continue
@@ -456,7 +456,7 @@ def _part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, An
     for name, table in data.items():
         if name in Frame.model_fields:
             continue
-        if not isinstance(table, Mapping) and name in SHORT:
+        if not isinstance(table, Mapping) and name in DEFAULT_TYPES:
             expected = f"a table, [{name}]"
             raise UsageError("not a table", where=name, got=display_text(table), expected=expected)
         if not isinstance(table, Mapping):
@@ -486,7 +486,7 @@ def _unknown(name: str, data: Mapping[str, Any]) -> UsageError:
     parts = {
         n: t for n, t in data.items() if isinstance(t, Mapping) and n not in Frame.model_fields
     }
-    kinds = {item: table.get("part", SHORT.get(item)) for item, table in parts.items()}
+    kinds = {item: table.get("part", DEFAULT_TYPES.get(item)) for item, table in parts.items()}
     schemas = {n: kind.schema for n, k in kinds.items() if (kind := part_type(str(k))) is not None}
     part_keys: list[str] = []
     for item, schema in schemas.items():
@@ -501,9 +501,9 @@ def _unknown(name: str, data: Mapping[str, Any]) -> UsageError:
 
 
 def _type(name: str, table: Mapping[str, Any]) -> PartType:
-    selected = table.get("part", SHORT.get(name))
+    selected = table.get("part", DEFAULT_TYPES.get(name))
     if selected is None:
-        near = did_you_mean(name, [*Frame.model_fields, *SHORT])
+        near = did_you_mean(name, [*Frame.model_fields, *DEFAULT_TYPES])
         raise UsageError(
             "this table states no part type",
             where=name,

@@ -1,7 +1,8 @@
-"""A scene as data, and what each part type must answer: parts by name, joined at typed pins.
+"""Scenes as data, and the base class of all part types.
 
-Scene, part, part type and build refer to each other. No part type is named here: types are classes
-in other modules that register themselves (:mod:`kc2spice.scene.parttype`).
+A scene contains parts by name, which are joined at typed pins. Scene, part, part type and build
+refer to each other. Part types are classes in other modules, which register them
+(:mod:`kc2spice.scene.parttype`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import json
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, cast
 
@@ -49,8 +52,8 @@ if TYPE_CHECKING:
     from kc2spice.scene.checks import Balance, Check, Gate
 
 GROUND = "gnd"
-# Tables that need no ``part`` key, and the type that each means.
-SHORT = {
+# Part types of tables that need no key ``part``, by the names of the tables.
+DEFAULT_TYPES = {
     "kick": "piezo_stack",
     "contact": "contact",
     "sphere": "sphere",
@@ -61,21 +64,22 @@ SHORT = {
     "harmonic": "port_loads",
     "em_force": "current_cases",
 }
-TABLES = {kind: name for name, kind in SHORT.items()}
+DEFAULT_TABLES = {kind: name for name, kind in DEFAULT_TYPES.items()}
 T = TypeVar("T")
 S = TypeVar("S", bound=Section)
 KeysT = TypeVar("KeysT", bound=Section, default=Section, covariant=True)
 M = TypeVar("M")
-Function = Callable[[float, Mapping[str, float]], float]  # of a controller: time, inputs -> output
+# Output of a controller from the time [s] and its inputs.
+ControllerFunction = Callable[[float, Mapping[str, float]], float]
 
 
 @dataclass(frozen=True)
 class Terminal:
-    """A pin of a part: what 1 V and 1 A on it mean (``flow="-"`` for a signal).
+    """Pin of a part: the meaning of 1 V and 1 A on it (``flow="-"`` for a signal).
 
-    ``default`` is where it goes when the scene says nothing (``"gnd"`` or ``"part.pin"``).
-    A ``required`` pin must be joined. ``signal_out`` marks the one pin that sets a signal.
-    ``rated`` [V] is the largest voltage that an electrode stands, where it is known.
+    ``default`` is the target of a pin that the scene does not join (``"gnd"`` or ``"part.pin"``).
+    A ``required`` pin must be joined. ``signal_out`` marks the pin that sets a signal.
+    ``rated`` [V] is the largest voltage that an electrode withstands, if it is known.
     """
 
     name: str
@@ -88,12 +92,12 @@ class Terminal:
 
     @classmethod
     def of(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
-        """A conservative pin of a domain."""
+        """Make a conservative pin of a domain."""
         return cls(name, *domain.units, default)
 
     @classmethod
     def speed(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
-        """A conservative pin that carries the rate of the quantity across pins of a domain."""
+        """Make a pin with the rate of the across quantity of a domain, such as a velocity."""
         assert domain.rate is not None, f"{domain.name} has no rate"
         return cls(name, domain.rate.pin_unit, domain.flow, default)
 
@@ -101,7 +105,7 @@ class Terminal:
     def signal(
         cls, name: str, quantity: Quantity, *, required: bool = False, signal_out: bool = False
     ) -> Terminal:
-        """A signal pin that carries a quantity."""
+        """Make a signal pin of a quantity."""
         return cls(name, quantity.pin_unit, SIGNAL, required=required, signal_out=signal_out)
 
     @property
@@ -111,12 +115,12 @@ class Terminal:
 
     @property
     def moving(self) -> bool:
-        """Whether something moves along it under a force."""
+        """Whether its quantity is a motion under a force."""
         return self.domain is not None and bool(self.domain.frame)
 
     @property
     def needs_path(self) -> bool:
-        """Whether its net has no operating point without a path to the reference of its domain."""
+        """Whether its net needs a path to the reference for an operating point."""
         return self.domain is not None and bool(self.domain.path)
 
     @property
@@ -127,10 +131,10 @@ class Terminal:
 
 @dataclass(frozen=True)
 class Part(Generic[KeysT]):
-    """One part of a scene: its checked keys, an instance of the type's schema, and its joined pins.
+    """Part of a scene with its checked keys and its joined pins.
 
-    ``at`` is where the file has the keys of a part that another one brings along, which is under
-    that part's keys; empty for a part with a table of its own.
+    ``keys`` is an instance of the type's schema. A part with its own table has an empty ``at``.
+    Another part may have expanded to this part: then ``at`` is the path of the keys in that part.
     """
 
     name: str
@@ -140,7 +144,7 @@ class Part(Generic[KeysT]):
     at: tuple[str | int, ...] = ()
 
     def with_schema(self, schema: builtins.type[S]) -> Part[S]:
-        """The part itself, whose keys are of the class ``schema``.
+        """Return the part after a check that its keys are of the class ``schema``.
 
         Raises
         ------
@@ -151,13 +155,18 @@ class Part(Generic[KeysT]):
         return cast("Part[S]", self)
 
     @property
+    def key_prefix(self) -> str:
+        """Dotted key under which the scene contains the keys of the part."""
+        return ".".join(map(str, self.at or (self.name,)))
+
+    @property
     def netlist(self) -> bool:
-        """Whether it is a subcircuit out of a file of the user's, which has names of its own."""
+        """Whether the part is a subcircuit from a file of the user."""
         return hasattr(self.keys, "subckt")
 
     @property
     def reduced(self) -> bool:
-        """Whether it is a body, whose model is a reduced one, so that ``rom`` matters."""
+        """Whether the part is a body, whose model is reduced according to ``rom``."""
         return hasattr(self.keys, "rom")
 
     @property
@@ -168,7 +177,7 @@ class Part(Generic[KeysT]):
 
     @property
     def declares(self) -> bool:
-        """Whether it is a body out of files, whose author declares its ports."""
+        """Whether the part is a body from files, whose author declares its ports."""
         return self.reduced and self.type.ports_of_files
 
     def wrong(
@@ -179,22 +188,22 @@ class Part(Generic[KeysT]):
         expected: str | None = None,
         hint: str | None = None,
     ) -> UsageError:
-        """The error of one of its keys, or of itself without a key."""
+        """Return an error at one of its keys, or at the part if ``key`` is empty."""
         where = f"{self.name}.{key}" if key else self.name
         return UsageError(message, where=where, got=got, expected=expected, hint=hint)
 
     def __repr__(self) -> str:
-        joined = ", ".join(f"{pin} = {target}" for pin, target in self.pins.items())
+        joined = ", ".join(map("{} = {}".format, self.pins, self.pins.values()))
         return f"<{self.type.name} {self.name}{': ' + joined if joined else ''}>"
 
 
 @dataclass(frozen=True)
 class Record(Generic[T]):
-    """Answers of one part of a scene; :mod:`kc2spice.scene.resolve` asks for each of them once.
+    """Answers of one part of a scene, before any model is built.
 
-    ``detail`` is the answer of :meth:`PartType.detail`, in a class of the part's package.
-    The other fields are those of the methods of :class:`PartType` with these names, before any
-    model is built; ``rest`` is that of :meth:`PartType.at_rest`.
+    :mod:`kc2spice.scene.resolve` calls the method of :class:`PartType` for each of them once.
+    ``rest`` is the result of :meth:`PartType.at_rest`, ``detail`` an object of a class of the
+    part's package. The other fields have the names of their methods.
     """
 
     part: Part
@@ -207,14 +216,14 @@ class Record(Generic[T]):
 
 
 class Names:
-    """A name for each key, the preferred one unless it is ``reserved``, in whatever case."""
+    """Allocator of names that differ in more than case, for keys of any kind."""
 
     def __init__(self, reserved: Iterable[str] = ()) -> None:
-        self.reserved = {name.lower() for name in reserved}
+        self.reserved = set(map(str.lower, reserved))
         self.assigned: dict[Hashable, str] = {}
 
     def name(self, key: Hashable, preferred: str) -> str:
-        """The name of ``key``, assigned at its first use."""
+        """Return the name of ``key``: at its first use ``preferred``, or a similar free name."""
         if key not in self.assigned:
             free, count = preferred, 1
             while free.lower() in self.reserved:
@@ -226,7 +235,7 @@ class Names:
 
 
 class SceneSource(Protocol):
-    """Text of a scene's file with the overrides on top of it."""
+    """Text of a scene's file together with its overrides."""
 
     def where(self, key: str) -> str:
         """File, line and name of a key."""
@@ -234,14 +243,14 @@ class SceneSource(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class DeclaredScene:
-    """A scene as its file declares it: checked keys and parts, before any part type has answered.
+    """Scene as its file declares it: checked keys and parts.
 
-    ``parts`` are in the order of the file, what they expand to behind them; ``home`` is the folder
-    of the scene's file. Bodies keep the ``ports`` that are needed, in an export all that their
-    author declares, joined or not (:attr:`Part.declares`), for documentation all of them.
+    ``parts`` are in the order of the file; parts that others expand to follow them. ``home`` is the
+    folder of the file. ``ports`` selects the ports of bodies: those that are needed, in an export
+    all that their author declares (:attr:`Part.declares`), for documentation all of them.
     ``resolved_frequency`` [Hz] is the highest frequency that the parts resolve, None if it follows
-    from the analysis. ``workspace`` has large results, such as meshes, that scenes which are made
-    from this one may use as well.
+    from the analysis. ``workspace`` contains large results, such as meshes, for this scene and for
+    scenes that are made from it.
     """
 
     frame: Frame
@@ -313,16 +322,21 @@ class DeclaredScene:
 
     @property
     def stop(self) -> float:
-        """End of a transient [s]: ``analysis.stop``, else ``solver.stop``."""
+        """End of a transient [s]: ``analysis.stop``, otherwise ``solver.stop``."""
         stop = self.analysis.stop if self.analysis.type == "transient" else None
         return float(self.solver.stop if stop is None else stop)
 
+    @property
+    def bodies(self) -> tuple[Part, ...]:
+        """Parts whose models are reduced, in order."""
+        return tuple(part for part in self.parts.values() if part.reduced)
+
     def of(self, *types: str) -> tuple[Part, ...]:
-        """All parts of these types, in order."""
+        """Return all parts of these types, in order."""
         return tuple(part for part in self.parts.values() if part.type.name in types)
 
     def of_schema(self, kind: str, schema: type[S]) -> tuple[Part[S], ...]:
-        """All parts of the type ``kind``, whose keys are of the class ``schema``, in order."""
+        """Return all parts of the type ``kind``, with keys of the class ``schema``, in order."""
         return tuple(part.with_schema(schema) for part in self.of(kind))
 
     @property
@@ -331,12 +345,12 @@ class DeclaredScene:
         return tuple(part for part in self.parts.values() if part.reduced)
 
     def only(self, *types: str) -> Part | None:
-        """The part of one of these types if there is exactly one, else None."""
+        """Return the part of one of these types, or None if there is not exactly one."""
         result = self.of(*types)
         return result[0] if len(result) == 1 else None
 
     def part(self, name: str, where: str = "scene") -> Part:
-        """The part of this name.
+        """Return the part of this name.
 
         Raises
         ------
@@ -347,13 +361,13 @@ class DeclaredScene:
         return self.parts[name]
 
     def partner(self, part: Part, kind: str, key: str = "") -> Part:
-        """The part of type ``kind`` that ``part`` names under ``key``, else the only one.
+        """Return the part of a type that ``part`` names under ``key``, or the only one.
 
         Raises
         ------
         UsageError : none is named and there is not exactly one.
         """
-        name, table = getattr(part.keys, key, None), TABLES.get(kind, kind)
+        name, table = getattr(part.keys, key, None), DEFAULT_TABLES.get(kind, kind)
         if name is not None:
             return self.part(name, f"{part.name}.{key}")
         result = self.of(kind)
@@ -367,25 +381,25 @@ class DeclaredScene:
             raise UsageError(
                 f"{part.name} needs to know which {kind} is meant",
                 where=f"{part.name}.{key}",
-                got=", ".join(item.name for item in result),
+                got=", ".join(map(attrgetter("name"), result)),
                 expected=f"{key or 'one'} = NAME",
             )
         return result[0]
 
     def is_target(self, part: str, pin: str) -> bool:
-        """Whether the ``pins`` of another part name this one, so that no default joins it."""
-        target = f"{part}.{pin}"
-        return any(target in other.pins.values() for other in self.parts.values())
+        """Return whether the ``pins`` of a part name this one, so that no default joins it."""
+        targets = chain.from_iterable(other.pins.values() for other in self.parts.values())
+        return f"{part}.{pin}" in targets
 
 
 @dataclass(frozen=True, eq=False)
 class GovernedScene(DeclaredScene):
-    """A scene whose parts have stated what they govern, and the details of their packages.
+    """Scene whose parts have stated what they govern, and the details of their packages.
 
-    ``records`` has the answers of each part, by its name. From them follow ``movers``, the part
-    that prescribes all motion of another one, ``initial_states`` of the parts whose state at t = 0
-    is stated, and ``without_cards``, the parts that others copy or move. ``frames`` has the shaken
-    frame that the displacement of a pin is relative to, if it is not absolute.
+    ``records`` contains the answers of each part by its name. Three fields follow from them:
+    ``movers`` names the part that prescribes all motion of another part. ``initial_states``
+    contains the stated states at t = 0. ``without_cards`` names the parts that others copy or move.
+    ``frames`` contains the shaken frame of each pin whose displacement is not absolute.
     """
 
     records: Mapping[str, Record[object]] = field(default_factory=dict)
@@ -395,39 +409,39 @@ class GovernedScene(DeclaredScene):
     frames: Mapping[tuple[str, str], ShakenFrame] = field(default_factory=dict)
 
     def record(self, part: Part) -> Record[object] | None:
-        """Answers of a part; None for a part that the scene has with other keys."""
+        """Return the answers of a part, or None if the scene has this part with other keys."""
         result = self.records.get(part.name)
         return result if result is not None and result.part is part else None
 
 
 @dataclass(frozen=True, eq=False)
 class JoinedScene(GovernedScene):
-    """A scene with the targets of pins that follow from keys: ``joins``, by part."""
+    """Scene with the targets of pins that follow from keys: ``joins``, by part."""
 
     joins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class WiredScene(JoinedScene):
-    """A scene whose pins are on nets.
+    """Scene whose pins are joined to nets.
 
-    ``terminals`` has every pin by ``(part, pin)``, ``nets`` its node of the netlist (``"0"`` is
-    ground).
+    ``terminals`` contains every pin by ``(part, pin)``, ``nets`` its node of the netlist (``"0"``
+    is ground).
     """
 
     terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict)
     nets: Mapping[tuple[str, str], str] = field(default_factory=dict)
 
     def pins(self, part: str) -> tuple[Terminal, ...]:
-        """Pins of a part in the order of its subcircuit."""
+        """Return the pins of a part in the order of its subcircuit."""
         return tuple(pin for (name, _), pin in self.terminals.items() if name == part)
 
     def net(self, part: str, pin: str) -> str:
-        """Node of the netlist that a pin is joined to."""
+        """Return the node of the netlist that a pin is joined to."""
         return self.nets[part, pin]
 
     def joined(self, part: str, pin: str) -> tuple[tuple[str, str], ...]:
-        """The other pins on the net of this one; none for ground."""
+        """Return the other pins on the net of a pin; none on ground."""
         net = self.nets[part, pin]
         if net == "0":
             return ()
@@ -440,14 +454,14 @@ class WiredScene(JoinedScene):
 
 @dataclass(frozen=True, eq=False)
 class Scene(WiredScene):
-    """A checked scene with the answers of all its parts.
+    """Checked scene with the answers of all its parts.
 
-    Each class that it is derived from is what part types see at one stage of
-    :func:`kc2spice.scene.resolve.resolve`. ``numerics`` are the time scales of all parts,
-    ``period`` [s] that of all that drives the scene, None without a common one; ``meters`` has the
-    names of the ammeters at pins, ``names`` those of all other nodes and cards by
-    ``(part, *words)`` (:meth:`Build.inner_name`). ``tables`` is what the file says with all
-    overrides, ``source`` its text, by which :meth:`where` finds the line of a key.
+    Part types receive one of its base classes at each stage of
+    :func:`kc2spice.scene.resolve.resolve`. ``numerics`` are the time scales of all parts.
+    ``period`` [s] is the common period of all drives, None without one. ``meters`` contains the
+    names of the ammeters at pins. ``names`` contains the names of all other nodes and cards by
+    ``(part, *words)`` (:meth:`Build.inner_name`). ``tables`` are those of the file with all
+    overrides, and ``source`` is its text, in which :meth:`where` searches for keys.
     """
 
     numerics: tuple[Numerics, ...] = ()
@@ -458,7 +472,7 @@ class Scene(WiredScene):
     source: SceneSource | None = None
 
     def where(self, key: str) -> str:
-        """File, line and name of a key, for errors; the name alone of a scene without a file."""
+        """Return file, line and name of a key; the name alone without a file."""
         return key if self.source is None else self.source.where(key)
 
     @property
@@ -472,34 +486,36 @@ class Scene(WiredScene):
 
 
 def scene_hash(scene: Scene) -> str:
-    """First 16 hex digits of the SHA-256 of all numbers and choices that a netlist depends on.
+    """Return 16 hex digits of the SHA-256 of all values that a netlist depends on.
 
-    Names and titles are free, and so are gates and what is done about a run that fails; keys that
-    are not given do not count, so that a new one changes no old scene. Floats enter with all their
-    digits, so equal hashes mean bit-equal netlists.
+    Names, titles, gates and the actions on a failed run have no effect. Keys without a value have
+    none either, so that a new key leaves old hashes unchanged. Floats enter with all their digits:
+    equal hashes mean bit-equal netlists.
     """
     without = {"name", "title", "checks", "gates", "bench"}
     content = scene.frame.model_dump(mode="json", exclude=without, exclude_none=True)
     del content["solver"]["retries"]
-    content["parts"] = {
-        part.name: [
-            part.type.name,
-            part.keys.model_dump(mode="json", exclude_none=True),
-            dict(part.pins),
-        ]
-        for part in scene.parts.values()
-    }
-    several = scene.parts.values() if len(scene.parts) > 1 else ()  # one keeps all in any case
-    if scene.ports == "declared" and (bodies := [p.name for p in several if p.declares]):
-        content["every_port"] = bodies
+    parts, declaring = {}, []
+    for part in scene.parts.values():
+        keys = part.keys.model_dump(mode="json", exclude_none=True)
+        parts[part.name] = [part.type.name, keys, dict(part.pins)]
+        if part.declares:
+            declaring.append(part.name)
+    content["parts"] = parts
+    # A part alone has all of its ports in any case.
+    if scene.ports == "declared" and len(parts) > 1 and declaring:
+        content["every_port"] = declaring
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)
 class BuildRecord:
-    """Answers of one part about a build: those of the methods of :class:`PartType` named
-    ``rest_with_model``, ``vectors`` and ``settable``. A part without cards has no results."""
+    """Answers of one part about a build; a part without cards has no results.
+
+    They are those of :meth:`PartType.rest_with_model`, :meth:`PartType.vectors` and
+    :meth:`PartType.settable`.
+    """
 
     rest: Rest
     vectors: Mapping[str, Vector] = field(default_factory=dict)
@@ -508,17 +524,16 @@ class BuildRecord:
 
 @dataclass(frozen=True)
 class Build:
-    """A scene with the models of its parts: what netlist, metrics and checks are made from.
+    """Scene with the models of its parts, from which netlist, metrics and checks follow.
 
-    ``models`` has what :meth:`PartType.build` gave, by part; ``libraries`` maps a part to the name
-    of its subcircuit. ``unjudged`` are parts whose keys do not tell what the deck has, because
-    somebody changed parameters there: they are asked for no checks and no energy balance.
-    ``largest`` is the largest step of a transient. ``records`` has the answers of its parts by
-    name, which :func:`kc2spice.scene.resolve.resolve_build` asks for. ``laws`` are the laws of its
-    parts, which :func:`kc2spice.equations.scene_laws.scene_laws` returns. ``linearised`` has their
-    motions about rest in a transient, which
-    :func:`kc2spice.workflow.time_step.linearised_scene` returns. ``workspace`` has large results of
-    its latest run.
+    ``models`` contains the results of :meth:`PartType.build` by part, ``libraries`` the names of
+    the subcircuits. ``unjudged`` are parts whose parameters differ in the deck from their keys:
+    they have neither checks nor an energy balance. ``largest`` is the largest step of a transient.
+    ``records`` contains the answers of the parts by name
+    (:func:`kc2spice.scene.resolve.resolve_build`). ``laws`` are the laws of the parts
+    (:func:`kc2spice.equations.scene_laws.scene_laws`). ``linearised`` contains the motions about
+    rest in a transient (:func:`kc2spice.workflow.time_step.linearised_scene`). ``workspace``
+    contains large results of the latest run.
     """
 
     scene: Scene
@@ -526,7 +541,7 @@ class Build:
     libraries: Mapping[str, str] = field(default_factory=dict)
     trust: bool = False
     unjudged: frozenset[str] = frozenset()
-    functions: Mapping[str, Function] = field(default_factory=dict)
+    functions: Mapping[str, ControllerFunction] = field(default_factory=dict)
     largest: StepLimit | None = None
     records: Mapping[str, BuildRecord] = field(default_factory=dict)
     laws: object = None
@@ -539,7 +554,7 @@ class Build:
         return self.scene.analysis.type == "noise"
 
     def model(self, part: Part, kind: type[M]) -> M:
-        """The model of a part, which is of the class ``kind``.
+        """Return the model of a part, which is of the class ``kind``.
 
         Raises
         ------
@@ -556,36 +571,38 @@ class Build:
         return self.scene.rests | {name: record.rest for name, record in self.records.items()}
 
     def facts(self, part: Part) -> Mapping[str, float]:
-        """``model`` of ``result.json``: the numbers by which an engineer knows the part's model."""
+        """Return the characteristic numbers of a part's model, ``model`` of ``result.json``."""
         result: Mapping[str, float] = getattr(self.models.get(part.name), "facts", {})
         return result
 
     def net(self, part: Part, pin: str) -> str:
-        """Node of the netlist that a pin is joined to."""
+        """Return the node of the netlist that a pin is joined to."""
         return self.scene.net(part.name, pin)
 
     def across(self, part: Part, pin: str) -> Vector:
-        """Displacement, voltage or signal of a pin in SI."""
+        """Return displacement, voltage or signal of a pin in SI units."""
         unit = self.scene.terminals[part.name, pin].unit
         quantity = across_of(unit)
         factor, si = (quantity.factor, quantity.unit) if quantity else (1.0, unit)
         return Vector(f"v({self.net(part, pin)})", factor, si)
 
     def meter(self, part: Part, pin: str) -> str | None:
-        """Name of the ammeter at a pin and of the node behind it, None where no probe asks."""
+        """Return the name of the ammeter at a pin and of its node; None without a meter."""
         return self.scene.meters.get((part.name, pin))
 
     def inner_name(self, part: Part, *words: str) -> str:
-        """Name of one of a part's :meth:`PartType.inner_names`: the words with ``_`` in between, or
-        one like it where that is taken."""
+        """Return a name out of a part's :meth:`PartType.inner_names`.
+
+        It is the words joined by ``_``, or a similar name if that is not free.
+        """
         return self.scene.names[part.name, *words]
 
 
 class PartType(Generic[KeysT]):
     """Base of all part types, generic in the class of their keys, which is ``schema``.
 
-    ``name`` is what a scene writes behind ``part =``, ``title`` one line for ``scenes --parts``. A
-    subclass overrides the methods that it needs.
+    Scenes contain ``part = name``, and ``scenes --parts`` prints ``title``. A subclass overrides
+    the methods that it needs.
     """
 
     name: str
@@ -607,65 +624,72 @@ class PartType(Generic[KeysT]):
     #: what has noise: cards of its subcircuit that are resistors of the device, or words for it
     noise: tuple[str, ...] | str = ()
 
-    # --- scene: keys, pins, what a part brings along -------------------------------------------
+    # --- scene: keys, pins, further parts ------------------------------------------------------
 
     def expand(
         self, part: Part[KeysT], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Tables of further parts that this one stands for; ``data`` is the whole scene.
+        """Return tables of further parts that this part expands to; ``data`` is the whole scene.
 
-        Where the file has such a table itself, ``at`` in it names its keys: ``("kick", "drive")``.
-        A table ``analysis`` is the one that it asks for where the scene has none.
+        ``at`` in a table is the path of its keys in the file, such as ``("kick", "drive")``. A
+        table ``analysis`` applies if the scene has none.
         """
         return {}
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Its pins in the order of its subcircuit."""
+        """Return its pins in the order of its subcircuit."""
         return ()
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Joins ``pin: target`` that follow from its keys; the scene's ``pins`` come first."""
+        """Return targets of pins that follow from its keys; ``pins`` of the scene override them."""
         return {}
 
     def files(self, part: Part[KeysT], scene: DeclaredScene) -> tuple[str, ...]:
-        """Names of the files beside the scene that it reads: that of its key ``file``."""
+        """Return the files beside the scene that it reads, by default that of its key ``file``."""
         file = getattr(part.keys, "file", None)
         return () if file is None else (file,)
 
     def governs(self, part: Part[KeysT], scene: DeclaredScene) -> Mapping[str, State | Governed]:
-        """Parts of which it decides how their motion begins, all of their motion, or that they are
-        copied, see :class:`State` and :data:`Governed`."""
+        """Return the parts whose initial state or whole motion it prescribes, or that it copies.
+
+        See :class:`State` and :data:`Governed`.
+        """
         return {}
 
     def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterable[tuple[str, ...]]:
-        """Words of the names of its nodes and cards besides its pins' nodes and ``LETTERname``;
-        :meth:`Build.inner_name` returns the names."""
+        """Return the words of the names of its inner nodes and of cards other than ``LETTERname``.
+
+        :meth:`Build.inner_name` returns the names.
+        """
         return ()
 
     def detail(self, part: Part[KeysT], scene: GovernedScene) -> object:
-        """Data that parts of the same package need of it, in a class of that package; they are in
-        its :class:`Record`. It follows from keys and from what parts govern."""
+        """Return data for parts of the same package, in a class of that package.
+
+        It follows from keys and from what parts govern. Its :class:`Record` contains it.
+        """
         return None
 
     def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
-        """Constraints and loads of the part at rest on pins that need a path to their reference.
+        """Return constraints and loads of the part at rest, before its model is built.
 
-        They apply before its model is built. By default the part holds all of its pins in place.
+        They concern pins that need a path to their reference. By default the part clamps all of
+        these pins.
         """
         return Rest(tuple((p.name, GROUND) for p in scene.pins(part.name) if p.needs_path))
 
     def directions(
         self, part: Part[KeysT], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Unit vectors of the translations and accelerations at its pins, as far as known."""
+        """Return the known unit vectors of translations and accelerations at its pins."""
         return {}
 
     def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Pins that move against inertia of its own."""
+        """Return the pins that move against inertia of the part."""
         return ()
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[UsageError]:
-        """Faults of the part in this scene, ``where`` a dotted key.
+        """Return the faults of the part in this scene; ``where`` is a dotted key.
 
         Keys that can be computed but hardly exist (:func:`kc2spice.scene.plausible.within`) are
         warnings or nothing by ``checks.plausible``.
@@ -675,39 +699,45 @@ class PartType(Generic[KeysT]):
     # --- models and netlist --------------------------------------------------------------------
 
     def reduction(self, part: Part[KeysT], scene: Scene) -> Rom | None:
-        """Settings of its reduction, None where its model is not a reduced one."""
+        """Return the settings of its reduction, None if its model is not reduced."""
         return None
 
     def build(self, part: Part[KeysT], scene: Scene, clock: Clock, full: bool = False) -> object:
-        """Its model: fields, reduced matrices, tables; cached by all that it depends on.
+        """Return its model: fields, reduced matrices or tables, from the cache if possible.
 
-        In ``full`` what that approximates, in the same form: the full
-        :class:`kc2spice.rom.linear_model.LinearModel` of a reduced one, a table of more nodes.
-        ``verify`` solves the scene with it; None where there is none.
+        With ``full`` it is the more accurate model in the same form: the full
+        :class:`kc2spice.rom.linear_model.LinearModel`, or a table of more nodes. ``verify`` solves
+        the scene with it; None if there is no such model.
         """
         return None
 
     def library(self, part: Part[KeysT], scene: Scene) -> str:
-        """Name of its subcircuit: the type's where the scene has one part of it, else its own."""
+        """Return the name of its subcircuit: that of the type for the only part of this type."""
         return self.name if len(scene.of(self.name)) == 1 else part.name
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Its subcircuit, behind those that it needs; empty for a part of plain cards."""
+        """Return the subcircuits that it needs and its own; empty for a part of plain cards."""
         return ()
 
     def cards(self, part: Part[KeysT], build: Build) -> tuple[Item, ...]:
-        """Its elements in the deck: an instance of its subcircuit with the meters that probes ask
-        for, unless the type overrides this method."""
-        pins = {pin.name: build.net(part, pin.name) for pin in build.scene.pins(part.name)}
-        meters = {pin: name for pin in pins if (name := build.meter(part, pin))}
-        nodes = {**pins, **meters}.values()
-        read = (Element.of(name, pins[pin], name, "0") for pin, name in meters.items())
-        return (Element.of(f"X{part.name}", *nodes, build.libraries[part.name]), *read)
+        """Return its elements in the deck.
+
+        By default these are an instance of its subcircuit, and an ammeter for each flow that a
+        probe reads.
+        """
+        nodes, ammeters = [], []
+        for pin in build.scene.pins(part.name):
+            net, meter = build.net(part, pin.name), build.meter(part, pin.name)
+            nodes.append(meter or net)
+            if meter:
+                ammeters.append(Element.of(meter, net, meter, "0"))
+        instance = Element.of(f"X{part.name}", *nodes, build.libraries[part.name])
+        return (instance, *ammeters)
 
     def settable(self, part: Part[KeysT], build: Build) -> Mapping[str, Swept | Sampled | float]:
-        """Quantities that the equations of the part do not determine.
+        """Return quantities that the equations of the part do not determine.
 
         By key: the source that a dc sweep moves, or the function that runs beside the simulator.
         By node: the voltage at t = 0 (``.ic``).
@@ -715,71 +745,78 @@ class PartType(Generic[KeysT]):
         return {}
 
     def drives(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
-        """Whether it sets small signals of an ``ac`` analysis."""
+        """Return whether it sets small signals of an ``ac`` analysis."""
         return False
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterable[Numerics]:
-        """Numerical requirements of the part.
+        """Return numerical requirements of the part.
 
-        They are frequency and edges of a source, a carrier, a contact, time steps, and options.
+        Examples are the frequency and edges of a source, a carrier, a contact, time steps and
+        options of the simulator.
         """
         return ()
 
     def rails(self, part: Part[KeysT]) -> tuple[float, float]:
-        """Lower and upper supply voltage [V] of its output, infinite where it has none."""
+        """Return the lower and upper supply voltage [V] of its output, infinite without one."""
         return -math.inf, math.inf
 
     def voltage(self, part: Part[KeysT], scene: DeclaredScene) -> Waveform | None:
-        """Voltage [V] over time that it prescribes from ``ret`` to ``out``, None of other parts."""
+        """Return the voltage [V] over time that it prescribes from ``ret`` to ``out``, if any."""
         return None
 
     def highest_frequency(self, part: Part[KeysT], scene: DeclaredScene) -> HighestFrequency | None:
-        """Frequency [Hz] up to which what it prescribes in a transient has nearly all of its
-        energy, as a function of the time constant [s] behind which a voltage or force acts."""
+        """Return the frequency [Hz] below which its waves in a transient have nearly all energy.
+
+        It is a function of the time constant [s] behind which a voltage or force acts.
+        """
         return None
 
     def rest_with_model(self, part: Part[KeysT], build: Build) -> Rest:
-        """Constraints and loads of the part on moving pins at rest, with its model."""
+        """Return constraints and loads of the part on moving pins at rest, with its model."""
         return build.scene.records[part.name].rest
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
-        """Its results by name."""
+        """Return its results by name."""
         return {}
 
     def forces(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
-        """Forces [N] over time on what its mechanical pins are joined to, by pin.
+        """Return the forces [N] over time that it exerts at its mechanical pins, by pin.
 
-        Each is the sum of the results that leave the part there. Pins without a result are absent.
+        Each force is the sum of the results that leave the part at the pin. Pins without a result
+        are absent.
         """
         result = {}
         for pin in build.scene.pins(part.name):
-            rows = flows(build.records[part.name].vectors, pin.name).items()
+            rows = find_flows(build.records[part.name].vectors, pin.name).items()
             leaving = [sign * waves[name] for name, (_, sign) in rows if name in waves]
             if leaving:
                 result[pin.name] = np.sum(leaving, axis=0)
         return result
 
-    # --- what a run says -----------------------------------------------------------------------
+    # --- results of a run ----------------------------------------------------------------------
 
     def metrics(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, object]:
-        """Numbers that describe what it did, each a :class:`kc2spice.scene.checks.Metric` with its
-        unit, or a mapping of such; a plain number has no unit."""
+        """Return numbers that describe its behaviour, by name.
+
+        Each is a :class:`kc2spice.scene.checks.Metric` with its unit, or a mapping of metrics. A
+        plain number has no unit.
+        """
         return {}
 
     def main_metrics(
         self, part: Part[KeysT], build: Build
     ) -> Mapping[str, Probe | LargestRealPart]:
-        """Those of its metrics that a simulator can take, by how it reads them off its results."""
+        """Return the metrics that a simulator can compute, as probes of its results."""
         return {}
 
     def checks(
         self, part: Part[KeysT], build: Build, waves: Waveforms
     ) -> Iterable[Check | Balance | Gate]:
-        """Checks of a result.
+        """Return checks of a result.
 
-        They are physical laws that the netlist does not contain, the energy balance after a
-        transient if the run saved all its terms, and for ``verify`` the results of interest with
-        the allowed difference between two solution paths.
+        They are physical laws that the netlist does not contain. If a transient saved all terms,
+        they include the energy balance. For ``verify`` they include the results of interest with
+        the largest difference between two solutions.
         """
         return ()
 
@@ -788,47 +825,51 @@ class PartType(Generic[KeysT]):
     ) -> Iterable[Check | str]:
         """Compare its model with that of a mesh half as wide, of at most so many unknowns.
 
-        Plane meshes may have :data:`kc2spice.core.mesh_error.IN_PLANE` times as many.
-        Yields checks of the differences, or in words why there is none. Keys of which a ``full``
-        model has more need none.
+        Plane meshes may have :data:`kc2spice.core.mesh_error.IN_PLANE` times as many. The results
+        are checks of the differences, or the reason for their absence. Keys that a ``full`` model
+        refines need no such check.
         """
         return ()
 
     def standing(self, part: Part[KeysT], build: Build, point: Waveforms) -> Iterable[Check]:
-        """Whether small signals about the operating ``point`` of a scene mean anything."""
+        """Return checks that small signals about the operating ``point`` have a meaning."""
         return ()
 
     def law(self, part: Part[KeysT], build: Build) -> Equations | None:
-        """Its equations for the independent integrator; None where it has none."""
+        """Return its equations for the independent integrator; None if it has none."""
         return None
 
     def figures(
         self, part: Part[KeysT], build: Build, waves: Waveforms
     ) -> Iterable[Figure | Written]:
-        """Plots of its results for the report, and further files of a run, arrays or fields."""
+        """Return plots for the report, and further files of a run with arrays or fields."""
         return ()
 
     def outline(self, part: Part[KeysT], scene: Scene) -> Iterable[Shape]:
-        """Its side view for the report; the upper face of a body is at y = 0, its axis at x = 0."""
+        """Return its side view: the upper face of a body is at y = 0, its axis at x = 0."""
         return ()
 
-    # --- what explain says ---------------------------------------------------------------------
+    # --- text for explain ----------------------------------------------------------------------
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
-        """Text about the model of the part, and the effects that it neglects."""
+        """Return text about the model of the part, and the effects that it neglects."""
         yield self.title
 
     def discretisation(self, part: Part[KeysT], build: Build) -> str:
-        """Error estimate of the mesh that it is solved on, in words; empty without a mesh."""
+        """Return the error estimate of its mesh in words; empty without a mesh."""
         text = mesh_words(build.facts(part))
         return f"error estimate of its mesh: {text}" if text else ""
 
 
-def flows(vectors: Mapping[str, Vector], pin: str) -> dict[str, tuple[Vector, float]]:
-    """Those of a part's results that are currents or forces at a pin, by name: with 1 where they
-    leave it there, with -1 where they enter."""
-    return {
-        name: (row, 1.0 if pin in row.leaves else -1.0)
-        for name, row in vectors.items()
-        if pin in (*row.leaves, *row.enters)
-    }
+def find_flows(vectors: Mapping[str, Vector], pin: str) -> dict[str, tuple[Vector, float]]:
+    """Return the currents or forces at a pin among the results of a part, by name.
+
+    The second value is 1 if the flow leaves the part there, and -1 if the flow enters it.
+    """
+    result = {}
+    for name, vector in vectors.items():
+        if pin in vector.leaves:
+            result[name] = vector, 1.0
+        elif pin in vector.enters:
+            result[name] = vector, -1.0
+    return result

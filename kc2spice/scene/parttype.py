@@ -20,7 +20,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.scene.model import Build, Part, PartType, flows
+from kc2spice.scene.model import Build, Part, PartType, find_flows
 from kc2spice.scene.rows import Vector
 
 PACKAGE = "kc2spice.parts"
@@ -35,7 +35,7 @@ def current_into(part: Part, pin: str, build: Build) -> Vector | None:
     if len(others) != 1 or build.scene.parts[others[0][0]].reduced:
         return None
     ((name, end),) = others
-    rows = list(flows(build.records[name].vectors, end).values())
+    rows = list(find_flows(build.records[name].vectors, end).values())
     if len(rows) != 1:
         return None
     ((row, sign),) = rows

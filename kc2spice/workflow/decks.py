@@ -122,7 +122,7 @@ def make_deck(build: Build) -> Deck:
 
 def _controls(part: Part, scene: Scene) -> bool:
     """Whether it measures a motion and sets a voltage or current, which may close a loop."""
-    pins = [pin for (name, _), pin in scene.terminals.items() if name == part.name]
+    pins = scene.pins(part.name)
     sees = any(p.flow == SIGNAL and p.unit in MOTIONS and not p.signal_out for p in pins)
     acts = any(p.domain is ELECTRICAL and p.default is None for p in pins)
     return sees and acts and not any(p.moving for p in pins)

@@ -24,7 +24,7 @@ from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.progress import ERROR_BUDGET, Clock
 from kc2spice.core.waveforms import interpolate
 from kc2spice.parts.bodies._meshed import MeshedBody
-from kc2spice.scene.axes import Axis, axes, finest_axes, key_prefix, keys_at
+from kc2spice.scene.axes import Axis, axes, finest_axes, keys_at
 from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
@@ -124,7 +124,7 @@ class Runs:
         """The body whose mesh an axis refines."""
         parts = self.start.build.scene.parts.values()
         bodies = (p for p in parts if isinstance(p.type, MeshedBody) and axis.model)
-        return next((p for p in bodies if axis.name.startswith(f"{key_prefix(p)}.")), None)
+        return next((p for p in bodies if axis.name.startswith(f"{p.key_prefix}.")), None)
 
     @property
     def any_left(self) -> bool:

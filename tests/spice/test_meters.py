@@ -7,7 +7,7 @@ from device import models
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import flows
+from kc2spice.scene.model import find_flows
 from kc2spice.scene.parttype import pin_forces
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.simulate import simulate_deck
@@ -141,7 +141,7 @@ def test_what_leaves_parts_at_a_net_is_nothing_together(tmp_path):
     assert forces[1].max() == pytest.approx(0.1, rel=1e-3)  # the source pushes upwards
     assert np.abs(sum(forces)).max() < 1e-6 * max(np.abs(f).max() for f in forces)
     at_drive = [("drive", "out"), *scene.joined("drive", "out")]
-    read = [flows(build.records[n].vectors, p).items() for n, p in at_drive]
+    read = [find_flows(build.records[n].vectors, p).items() for n, p in at_drive]
     amperes = [sign * waves[name] for rows in read for name, (_, sign) in rows]
     assert len(amperes) == 3
     assert np.abs(sum(amperes)).max() < 1e-6 * np.abs(amperes[0]).max()

@@ -220,7 +220,7 @@ def body_of(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Stack]:
             problem, got = "this part has no rings to load", f"{body.name}, a {body.type.name}"
             raise part.wrong("of", problem, got, "the name of a piezo_stack")
         return body.with_schema(Stack)
-    result = scene.reduced_parts
+    result = scene.bodies
     if len(result) != 1 or not isinstance(result[0].keys, Stack):
         problem = f"{part.name} needs to know which piezo_stack it loads"
         got = ", ".join(names_of(result)) or "no body"

@@ -13,7 +13,6 @@ from pydantic import Field, field_validator
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
-from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import AIR_DENSITY, Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.fem.materials import Material, material
@@ -163,7 +162,7 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
         )
 
     def problems(self, part: Part[SphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        bodies = names_of(scene.reduced_parts)
+        bodies = [body.name for body in scene.bodies]
         if bodies and not scene.of("contact") and scene.analysis.type == "transient":
             yield UsageError(
                 "nothing touches the sphere",
