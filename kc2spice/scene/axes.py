@@ -18,8 +18,8 @@ from pydantic.fields import FieldInfo
 
 from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.quantities import Notch
-from kc2spice.scene.compose import drawing
-from kc2spice.scene.frames import frame_lines
+from kc2spice.scene.compose import describe_nets
+from kc2spice.scene.frames import describe_frames
 from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.rows import Neglected
 from kc2spice.scene.settings import Analysis, Rom, Solver
@@ -227,8 +227,8 @@ def plan(build: Build) -> dict[str, Any]:
         "parts": [
             {"part": p.name, "source": p.type.source, "detail": detail[p.name]} for p in parts
         ],
-        "joins": drawing(scene),
-        "frames": list(frame_lines(scene)),
+        "joins": describe_nets(scene),
+        "frames": list(describe_frames(scene)),
         "left_out": list(map(asdict, dict.fromkeys(left_out))),
         "error_budget": scene.error_budget,
         "settings": settings,

@@ -1,36 +1,37 @@
 """From parts and their pins to nets: what is joined, what may be joined, and what must be.
 
-A target is ``"gnd"`` or ``"part.pin"``. All pins that are joined, directly or over others, are one
-net; its name in the netlist is that of its first pin in the order of the scene. Every name that a
-deck has at its top goes through one allocator, so that no two nets and no two cards share one.
+A target is ``"gnd"`` or ``"part.pin"``. All pins that are joined, directly or over other pins, are
+one net. The netlist names it after its first pin in the order of the scene. One allocator
+distributes all names at the top of a deck, so that nets and cards have different names.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from itertools import chain, combinations
+from itertools import combinations, product
+from operator import attrgetter
 from string import ascii_lowercase
 from typing import Any
 
 from kc2spice.core.domains import ELECTRICAL, Domain
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
-from kc2spice.scene.frames import frames
+from kc2spice.scene.frames import find_frames
 from kc2spice.scene.model import GROUND, Build, BuildRecord, Names, Part, PartType, Scene, Terminal
 from kc2spice.scene.parttype import current_into
 from kc2spice.scene.rows import Rest
 
 Pin = tuple[str, str]
 _GROUND: Pin = (GROUND, "")
-MOST_NAMED = 5  # pins that an error lists
-METER = "meter"  # word of an ammeter's name, behind those of its pin
+LISTED_PINS = 5  # pins that an error lists
+METER = "meter"  # last word of the name of an ammeter
 
 
-def composed(scene: Scene) -> Scene:
+def join_parts(scene: Scene) -> Scene:
     """Return the scene with its nets and the reference frame of each net.
 
     Parts in a shaken frame have additional pins for its acceleration. These pins are joined after
-    the frames are found.
+    the frames are known.
 
     Raises
     ------
@@ -39,78 +40,87 @@ def composed(scene: Scene) -> Scene:
         one, two outputs or a loop of ideal sources on one net, displacements in different frames;
         ``where`` is a dotted key.
     """
-    scene = _joined(replace(scene, frames={}, nets={}))
-    if known := frames(scene):
-        scene = _joined(replace(scene, frames=known))
-        scene = replace(scene, frames=frames(scene))  # nodes may be named after the further pins
+    scene = _with_nets(replace(scene, frames={}, nets={}))
+    if frames := find_frames(scene):
+        scene = _with_nets(replace(scene, frames=frames))
+        scene = replace(scene, frames=find_frames(scene))  # the further pins may name nodes
     return scene
 
 
 def with_joins(scene: Scene) -> Scene:
-    """Return ``scene`` with the targets of pins that follow from the keys of its parts."""
-    joins = {name: r.part.type.default_joins(r.part, scene) for name, r in scene.records.items()}
+    """Return the scene with the targets of pins that follow from keys of its parts."""
+    joins = {}
+    for name, record in scene.records.items():
+        joins[name] = record.part.type.default_joins(record.part, scene)
     return replace(scene, joins=joins)
 
 
-def _joined(scene: Scene) -> Scene:
-    """``scene`` with its nets; pins of parts in a frame follow from the nets that it has."""
+def with_rests(scene: Scene) -> Scene:
+    """Return the scene with constraints and loads of its parts at rest."""
+    records = {}
+    for name, record in scene.records.items():
+        records[name] = replace(record, rest=record.part.type.at_rest(record.part, scene))
+    return replace(scene, records=records)
+
+
+def _with_nets(scene: Scene) -> Scene:
+    """Return the scene with its nets and all names of its netlist."""
     scene = with_joins(scene)
-    terminals = {
-        (part.name, pin.name): pin
-        for part in scene.parts.values()
-        for pin in part.type.pins(part, scene)
-    }
-    _told_apart(terminals)
+    terminals = {}
+    for part in scene.parts.values():
+        for terminal in part.type.pins(part, scene):
+            terminals[part.name, terminal.name] = terminal
+    _require_distinct_pins(terminals)
     scene = replace(scene, terminals=terminals)
     union = Groups([_GROUND, *terminals])
     for part in scene.parts.values():
-        for pin, target, where in _joins(part, scene):
-            other = _target(target, scene, where)
-            _same_kind((part.name, pin), other, scene, where)
+        for pin, target, where in _list_joins(part, scene):
+            other = _find_target(target, scene, where)
+            _require_same_kind((part.name, pin), other, scene, where)
             union.join((part.name, pin), other)
-    groups = union.groups()
+    groups = union.list_groups()
     for net in groups:
-        _one_kind(net, scene)
-    scene = replace(scene, nets=_names(groups, scene))
-    rests = {name: r.part.type.at_rest(r.part, scene) for name, r in scene.records.items()}
-    records = {name: replace(r, rest=rests[name]) for name, r in scene.records.items()}
-    scene = _with_inner_names(replace(scene, records=records))
-    _required(scene, {net[0] for net in groups if len(net) == 1})
-    _outputs(scene)
-    _across_nothing(scene)
-    _source_loops(scene)
-    _grounded(scene)
+        _require_one_kind(net, scene)
+    scene = with_rests(replace(scene, nets=_name_nets(groups, scene)))
+    scene = _with_inner_names(scene)
+    _require_joined(scene, {net[0] for net in groups if len(net) == 1})
+    _require_one_output(scene)
+    _require_distinct_ends(scene)
+    _require_no_source_loop(scene)
+    _require_ground(scene)
     return scene
 
 
-def _joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
-    """Pin, target and the key that joins them: the scene's own, then links, then defaults.
+def _list_joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
+    """Yield pin, target and the key that joins them.
 
-    A pin that any part of the scene names is where the scene says, not at its default as well.
+    Pins of the scene come first, then joins that follow from keys, then defaults. A default does
+    not apply to a pin that another part of the scene names.
     """
-    targets = set(chain.from_iterable(other.pins.values() for other in scene.parts.values()))
-    pins = {pin for name, pin in scene.terminals if name == part.name}
+    names = set(map(attrgetter("name"), scene.pins(part.name)))
     for pin, target in part.pins.items():
         where = f"{part.name}.pins.{pin}"
-        if pin not in pins:
-            raise unknown(f"{part.type.name} has no such pin", pin, sorted(pins), where)
+        if pin not in names:
+            raise unknown(f"{part.type.name} has no such pin", pin, sorted(names), where)
         yield pin, target, where
-    links = {k: v for k, v in scene.joins[part.name].items() if k not in part.pins}
-    yield from ((pin, target, part.name) for pin, target in links.items())
-    for pin in sorted(pins - {*links, *part.pins}):
+    joins = scene.joins[part.name]
+    for pin, target in joins.items():
+        if pin not in part.pins:
+            yield pin, target, part.name
+    for pin in sorted(names - joins.keys() - part.pins.keys()):
         default = scene.terminals[part.name, pin].default
-        if default is not None and f"{part.name}.{pin}" not in targets:
+        if default is not None and not scene.is_target(part.name, pin):
             yield pin, default, part.name
 
 
-def _target(target: str, scene: Scene, where: str) -> Pin:
-    """The pin that a target names."""
+def _find_target(target: str, scene: Scene, where: str) -> Pin:
+    """Return the pin that a target names."""
     if target in (GROUND, "0"):
         return _GROUND
     name, dot, pin = target.partition(".")
     if (name, pin) in scene.terminals:
         return (name, pin)
-    pins = [f"{name}.{other}" for part, other in scene.terminals if part == name]
+    pins = [f"{name}.{terminal.name}" for terminal in scene.pins(name)]
     if pins and not dot:
         expected = f"{name} with one of its pins: {candidates(target, pins)}"
     elif pins:
@@ -124,11 +134,12 @@ def _target(target: str, scene: Scene, where: str) -> Pin:
     )
 
 
-def _same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
+def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
+    """Refuse a join of pins of different kinds."""
     if _GROUND in (a, b):
         return
     first, second = scene.terminals[a], scene.terminals[b]
-    if not _compatible(first, second):
+    if not _are_compatible(first, second):
         raise UsageError(
             "joins pins of different kinds",
             where=where,
@@ -137,19 +148,19 @@ def _same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
         )
 
 
-def _compatible(a: Terminal, b: Terminal) -> bool:
-    """The same unit, and the same flow unless one only listens."""
+def _are_compatible(a: Terminal, b: Terminal) -> bool:
+    """Return whether two pins have the same unit and flow; a signal pin has no flow."""
     return a.unit == b.unit and (a.flow == b.flow or "-" in (a.flow, b.flow))
 
 
-def _one_kind(net: list[Pin], scene: Scene) -> None:
-    """A signal may listen to two conservative pins only if these fit each other as well."""
+def _require_one_kind(net: list[Pin], scene: Scene) -> None:
+    """Refuse a net on which a signal pin joins two pins of different kinds."""
     for a, b in combinations(() if _GROUND in net else net, 2):
-        _same_kind(a, b, scene, f"{a[0]}.pins.{a[1]}")
+        _require_same_kind(a, b, scene, f"{a[0]}.pins.{a[1]}")
 
 
-def _told_apart(terminals: Mapping[Pin, Terminal]) -> None:
-    """No two pins of a part are one to a simulator, which does not tell case apart."""
+def _require_distinct_pins(terminals: Mapping[Pin, Terminal]) -> None:
+    """Refuse two pins of a part whose names a simulator does not distinguish."""
     spellings: dict[Pin, str] = {}
     for name, pin in terminals:
         first = spellings.setdefault((name, pin.lower()), pin)
@@ -162,7 +173,8 @@ def _told_apart(terminals: Mapping[Pin, Terminal]) -> None:
             )
 
 
-def _names(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
+def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
+    """Return the node of each pin, named after the first pin on its net."""
     names, nets = Names(("0", GROUND)), dict[Pin, str]()
     for group in groups:
         preferred = group[0], "_".join(group[0]).lower()
@@ -171,8 +183,8 @@ def _names(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
 
 
 def _with_inner_names(scene: Scene) -> Scene:
-    """``scene`` with the names besides those of nets and of cards ``LETTERname``."""
-    cards = (f"{letter}{name}" for name in scene.parts for letter in ascii_lowercase)
+    """Return the scene with the names of ammeters, inner nodes and further cards."""
+    cards = map("".join, product(ascii_lowercase, scene.parts))
     free = Names((*scene.nets.values(), *cards))
     names: dict[tuple[str, ...], str] = {}
     for part in scene.parts.values():
@@ -180,18 +192,17 @@ def _with_inner_names(scene: Scene) -> Scene:
             key = part.name, *words
             names[key] = free.name(key, "_".join(words))
     scene = replace(scene, names=names)
-    meters = {
-        (part, pin): free.name((METER, part, pin), f"v{part}_{pin}_{METER}".lower())
-        for part, pin in _metered(scene)
-    }
+    meters = {}
+    for name, pin in _list_metered(scene):
+        preferred = f"v{name}_{pin}_{METER}".lower()
+        meters[name, pin] = free.name((METER, name, pin), preferred)
     return replace(scene, meters=meters)
 
 
 def metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
-    """Its pins off ground whose flow can be metered, with their domains, in order.
+    """Return the pins of a part off ground whose flow can be metered, with their domains.
 
-    The flow at a reference pin, such as ``ambient``, is the sum of those at the others where power
-    is the flow itself.
+    If the flow is a power, that at a reference pin, such as ``ambient``, is the sum of the others.
     """
     result: dict[str, Domain] = {}
     for pin in scene.pins(part.name):
@@ -204,20 +215,22 @@ def metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 
 
 def powered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
-    """Its pins by which power enters in one domain: electrical ones where it has any, otherwise
-    those of the domain of its first pin."""
+    """Return the pins by which power enters a part in one domain.
+
+    This is the electrical domain if the part has such pins, otherwise that of the first pin.
+    """
     pins = metered_pins(part, scene)
     domains = [*pins.values()]
-    one = ELECTRICAL if ELECTRICAL in domains else next(iter(domains), None)
-    return {pin: domain for pin, domain in pins.items() if domain is one}
+    powered = ELECTRICAL if ELECTRICAL in domains else next(iter(domains), None)
+    return {pin: domain for pin, domain in pins.items() if domain is powered}
 
 
-def _metered(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Pins of subcircuits whose flow probes ask for and no neighbour has as a result.
+def _list_metered(scene: Scene) -> Iterator[Pin]:
+    """Yield pins of subcircuits whose flow a probe reads and no other part has as a result.
 
-    Probes ask for it by ``PART.power``, by ``PART.PIN.current`` or another flow such as
-    ``PART.PIN.force``, and by ``PART.current``, the one of the first pin. ``PART.force`` is a
-    result of the part itself.
+    Probes read it as ``PART.power``, as ``PART.PIN.current`` or another flow such as
+    ``PART.PIN.force``, and as ``PART.current``, which is that of the first pin. ``PART.force`` is a
+    result of the part.
     """
     for of in dict.fromkeys(probe.of for probe in scene.probes.values()):
         name, _, quantity = of.partition(".")
@@ -232,40 +245,44 @@ def _metered(scene: Scene) -> Iterator[tuple[str, str]]:
             if (
                 (quantity == "power" and pin in powered)
                 or quantity in (f"{pin}.power", f"{pin}.{flow}")
-                or (first and quantity == flow and not (paired and _is_read(part, pin, scene)))
+                or (first and quantity == flow and not (paired and _is_result(part, pin, scene)))
             ):
                 yield name, pin
 
 
-def _is_read(body: Part, pin: str, scene: Scene) -> bool:
-    """Whether a result of the part that is joined to a pin of a body is the current there."""
-    build, rest = Build(scene, {}), Rest()
-    names = [name for name, _ in scene.joined(body.name, pin) if not scene.parts[name].reduced]
-    parts = [scene.parts[name] for name in names]
-    records = {part.name: BuildRecord(rest, part.type.vectors(part, build)) for part in parts}
+def _is_result(body: Part, pin: str, scene: Scene) -> bool:
+    """Return whether a part at a pin of a body has the current there as a result."""
+    build = Build(scene, {})
+    records = {}
+    for name, _ in scene.joined(body.name, pin):
+        part = scene.parts[name]
+        if not part.reduced:
+            records[name] = BuildRecord(Rest(), part.type.vectors(part, build))
     return current_into(body, pin, replace(build, records=records)) is not None
 
 
-def _required(scene: Scene, alone: Collection[Pin]) -> None:
+def _require_joined(scene: Scene, alone: Collection[Pin]) -> None:
+    """Refuse a required pin that is not joined."""
     for (name, pin), terminal in scene.terminals.items():
         if terminal.required and (name, pin) in alone:
-            raise _not_joined(name, terminal, alone, scene)
+            raise _unjoined_error(name, terminal, alone, scene)
 
 
-def _not_joined(name: str, terminal: Terminal, alone: Collection[Pin], scene: Scene) -> UsageError:
-    """The error of a pin that must be joined.
+def _unjoined_error(
+    name: str, terminal: Terminal, alone: Collection[Pin], scene: Scene
+) -> UsageError:
+    """Return the error of a required pin.
 
-    It suggests a pin that waits for a partner too. Any other pin may have a potential of its own,
-    such as that of a bias, which the new joint would short; ground would hold what shall move.
+    It suggests another pin that is not joined. Any other pin may have a potential, such as that of
+    a bias, which the new joint would short. Ground would clamp a motion.
     """
-    fitting = [
-        end
-        for end, other in scene.terminals.items()
-        if end[0] != name and _compatible(terminal, other)
-    ]
-    waiting = [end for end in fitting if end in alone]
-    names = list(map(".".join, waiting + [e for e in fitting if e not in waiting]))
-    pin, more = terminal.name, "" if len(names) <= MOST_NAMED else ", …"
+    fitting: list[Pin] = []
+    waiting: list[Pin] = []
+    for end, other in scene.terminals.items():
+        if end[0] != name and _are_compatible(terminal, other):
+            (waiting if end in alone else fitting).append(end)
+    names = list(map(".".join, waiting + fitting))
+    pin, more = terminal.name, "" if len(names) <= LISTED_PINS else ", …"
     if waiting:
         hint = f'add  pins = {{ {pin} = "{names[0]}" }}  to [{name}]'
     elif fitting:
@@ -280,12 +297,13 @@ def _not_joined(name: str, terminal: Terminal, alone: Collection[Pin], scene: Sc
     return UsageError(
         f"pin {pin} of {name} is not joined",
         where=f"{name}.pins.{pin}",
-        expected=f"{what}: {', '.join([*names[:MOST_NAMED], *ground]) or 'none is here'}{more}",
+        expected=f"{what}: {', '.join([*names[:LISTED_PINS], *ground]) or 'none is here'}{more}",
         hint=hint,
     )
 
 
-def _outputs(scene: Scene) -> None:
+def _require_one_output(scene: Scene) -> None:
+    """Refuse a net that two outputs set, or an output on ground."""
     drivers = {"0": "ground"}
     for (name, pin), terminal in scene.terminals.items():
         net = scene.nets[name, pin]
@@ -298,35 +316,31 @@ def _outputs(scene: Scene) -> None:
             drivers[net] = f"{name}.{pin}"
 
 
-def _across_nothing(scene: Scene) -> None:
-    """A part of two pins alone does nothing if both are on one net; most often a slip."""
+def _require_distinct_ends(scene: Scene) -> None:
+    """Refuse a part of two pins that are on one net: it has no effect."""
     for part in scene.parts.values():
-        pins = [pin for (name, _), pin in scene.terminals.items() if name == part.name]
-        if len(pins) != 2 or any(pin.flow == "-" for pin in pins):
+        pins = scene.pins(part.name)
+        if len(pins) != 2 or pins[0].kind != pins[1].kind or pins[0].flow == "-":
             continue
-        a, b = pins
-        net, other = (scene.nets[part.name, pin.name] for pin in pins)
-        if a.kind == b.kind and net == other:
-            ends, at = (
-                f"{part.name}.{a.name} and {part.name}.{b.name}",
-                "gnd" if net == "0" else net,
-            )
+        a, b = map(attrgetter("name"), pins)
+        net, other = scene.nets_of(part.name, (a, b))
+        if net == other:
             raise part.wrong(
-                f"pins.{a.name}",
+                f"pins.{a}",
                 "both ends are on one net",
-                f"{ends} on {at}",
+                f"{part.name}.{a} and {part.name}.{b} on {'gnd' if net == '0' else net}",
                 "two nets",
-                f'join one of them elsewhere: pins = {{ {a.name} = "part.pin" }}',
+                f'join one of them elsewhere: pins = {{ {a} = "part.pin" }}',
             )
 
 
-def _source_loops(scene: Scene) -> None:
-    """No two ideal sources in parallel, no loop of them: their currents would be undetermined."""
+def _require_no_source_loop(scene: Scene) -> None:
+    """Refuse loops of ideal sources, in which currents have no unique value."""
     union = Groups(["0", *scene.nets.values()])
     for part in scene.parts.values():
         for plus, minus in scene.records[part.name].rest.ideal:
-            a, b = scene.nets[part.name, plus], scene.nets[part.name, minus]
-            if union.together(a, b):
+            a, b = scene.nets_of(part.name, (plus, minus))
+            if union.are_joined(a, b):
                 raise part.wrong(
                     "",
                     "closes a loop of ideal sources",
@@ -337,49 +351,49 @@ def _source_loops(scene: Scene) -> None:
             union.join(a, b)
 
 
-def _grounded(scene: Scene) -> None:
-    """Every part is joined to ground, over others if need be: else its potentials are open."""
+def _require_ground(scene: Scene) -> None:
+    """Refuse parts without a connection to ground, whose potentials have no unique value."""
     union = Groups(["0", *scene.nets.values()])
     first: dict[str, str] = {}
     for (part, _), net in scene.nets.items():
         union.join(first.setdefault(part, net), net)
-    free = [pin for pin, net in scene.nets.items() if not union.together(net, "0")]
-    if free:
+    floating = [pin for pin, net in scene.nets.items() if not union.are_joined(net, "0")]
+    if floating:
         raise UsageError(
             "nothing of this circuit is on ground",
-            where=free[0][0],
-            got=", ".join(map(".".join, free)),
+            where=floating[0][0],
+            got=", ".join(map(".".join, floating)),
             expected='one of these pins at "gnd"',
         )
 
 
 class Groups:
-    """Members that are joined, directly or over others, in the order in which they are given."""
+    """Disjoint groups of members, in the order of the members."""
 
     def __init__(self, members: Iterable[Hashable]) -> None:
-        self._of = {member: [member] for member in members}
+        self._groups = {member: [member] for member in members}
 
-    def together(self, a: Hashable, b: Hashable) -> bool:
-        """Whether both are joined."""
-        return self._of[a] is self._of[b]
+    def are_joined(self, a: Hashable, b: Hashable) -> bool:
+        """Return whether two members are in one group."""
+        return self._groups[a] is self._groups[b]
 
     def join(self, a: Hashable, b: Hashable) -> None:
-        """Join the groups of both."""
-        one, two = self._of[a], self._of[b]
-        if one is not two:
-            one += two
-            self._of.update(dict.fromkeys(two, one))
+        """Join the groups of two members."""
+        first, second = self._groups[a], self._groups[b]
+        if first is not second:
+            first += second
+            self._groups.update(dict.fromkeys(second, first))
 
-    def groups(self) -> list[list[Any]]:
-        """All groups by their first members."""
+    def list_groups(self) -> list[list[Any]]:
+        """Return all groups in the order of their first members."""
         result: dict[int, list[Any]] = {}
-        for member, group in self._of.items():
+        for member, group in self._groups.items():
             result.setdefault(id(group), []).append(member)
         return list(result.values())
 
 
-def drawing(scene: Scene) -> tuple[str, ...]:
-    """The composition as text: one line for each net with more than one pin."""
+def describe_nets(scene: Scene) -> tuple[str, ...]:
+    """Return one line of text for each net with more than one pin."""
     nets: dict[str, list[str]] = {}
     for (part, pin), net in scene.nets.items():
         nets.setdefault(net, []).append(f"{part}.{pin}")

@@ -1,8 +1,8 @@
-"""Reference frames of displacements: the ground, or a frame that an acceleration shakes.
+"""Reference frames of displacements: the ground, or a frame under acceleration.
 
-A body whose pin of kind ``m/s2`` is joined is fixed to a shaken frame, and its displacements are
-relative to that frame. So are those of every net that parts couple to it; ``gnd`` is the frame
-there. In the frame a mass m along the unit vector e feels the force of the acceleration a besides::
+A body whose pin of kind ``m/s2`` is joined is fixed to a shaken frame. The displacements of the
+body and of all nets that parts couple to it are relative to this frame, and ``gnd`` is the frame.
+The acceleration a of the frame adds a force on a mass m that moves along the unit vector e::
 
     m x'' = F - m a . e
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
+from operator import mul
 
 from kc2spice.core.domains import ACCELERATION, TRANSLATION, VELOCITY
 from kc2spice.core.errors import UsageError
@@ -20,75 +21,80 @@ from kc2spice.scene.rows import SQUARE, Shake, ShakenFrame
 MOTIONS = (TRANSLATION.across.pin_unit, VELOCITY.pin_unit)  # units of pins that move or sense it
 
 
-def frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
-    """The frame of every pin whose displacement is relative to a shaken one, by part and pin.
+def find_frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
+    """Return the shaken frame of every pin whose displacement is relative to one.
 
     Raises
     ------
     UsageError : nets that parts couple are in different frames, a part with inertia does not follow
         the frame, or a direction is not known.
     """
-    bodies = {part.name: shaken for part in scene.parts.values() if (shaken := _ports(part, scene))}
+    bodies = {}
+    for part in scene.bodies:
+        if shaken := _find_body_frames(part, scene):
+            bodies[part.name] = shaken
     if not bodies:
         return {}
     result = dict[str, ShakenFrame]()
     for name, pins in bodies.items():
         for pin, frame in pins.items():
-            _put(result, scene.nets[name, pin], frame, f"{name}.{pin}")
+            _set_frame(result, scene.nets[name, pin], frame, f"{name}.{pin}")
     changed = True
     while changed:
         before = len(result)
         for part in scene.parts.values():
             if not part.reduced:
-                _spread(part, scene, result)
+                _spread_frame(part, scene, result)
         changed = len(result) > before
     for part in scene.parts.values():
-        _compared(part, scene, result)
-        _followed(part, scene, result, bodies.get(part.name, {}))
+        _require_one_frame(part, scene, result)
+        _require_inertial_force(part, scene, result, bodies.get(part.name, {}))
     return {pin: result[net] for pin, net in scene.nets.items() if net in result}
 
 
-def _ports(part: Part, scene: Scene) -> dict[str, ShakenFrame]:
-    """Frames of a body's motions by pin; none where nothing shakes it."""
-    if not part.reduced:
-        return {}
-    known = part.type.directions(part, scene)
-    ends = {pin: end for (name, pin), end in scene.terminals.items() if name == part.name}
-    shaken = [
-        pin
-        for pin, end in ends.items()
-        if end.domain is ACCELERATION and scene.nets[part.name, pin] != "0"
-    ]
-    if not shaken:
+def _find_body_frames(part: Part, scene: Scene) -> dict[str, ShakenFrame]:
+    """Return the frames of the motions of a body by pin; none without an acceleration."""
+    directions = part.type.directions(part, scene)
+    accelerations = {}
+    for terminal in scene.pins(part.name):
+        net = scene.net(part.name, terminal.name)
+        if terminal.domain is ACCELERATION and net != "0":
+            accelerations[terminal.name] = net
+    if not accelerations:
         return {}
     result = {}
-    for pin in _moving(part, scene):
-        rows = ((other, _cosine(known.get(pin), known.get(other))) for other in shaken)
-        shakes = (Shake(scene.nets[part.name, a], (part.name, a), share) for a, share in rows)
-        acting = (s for s in shakes if s.along is None or abs(s.along) > SQUARE)
-        result[pin] = ShakenFrame(part.name, tuple(acting))
+    for pin in _moving_pins(part, scene):
+        shakes = []
+        for source, net in accelerations.items():
+            share = _compute_cosine(directions.get(pin), directions.get(source))
+            if share is None or abs(share) > SQUARE:
+                shakes.append(Shake(net, (part.name, source), share))
+        result[pin] = ShakenFrame(part.name, tuple(shakes))
     return result
 
 
-def _cosine(a: tuple[float, ...] | None, b: tuple[float, ...] | None) -> float | None:
+def _compute_cosine(a: tuple[float, ...] | None, b: tuple[float, ...] | None) -> float | None:
+    """Return the cosine between two unit vectors, None if one is not known."""
     if a is None or b is None:
         return None
-    return float(sum(x * y for x, y in zip(a, b, strict=True)))
+    return float(sum(map(mul, a, b)))
 
 
-def _moving(part: Part, scene: Scene, *, listening: bool = False) -> list[str]:
-    """Pins of a part on nets of displacements or velocities that are not ground; ``listening`` ones
-    too that only see them."""
+def _moving_pins(part: Part, scene: Scene, *, listening: bool = False) -> list[str]:
+    """Return the pins of a part that move and are not on ground.
+
+    With ``listening`` they include signal inputs that read a displacement or velocity.
+    """
     result = []
-    for (name, pin), end in scene.terminals.items():
-        mechanical = end.moving or (listening and end.unit in MOTIONS and not end.signal_out)
-        if name == part.name and mechanical and scene.nets[name, pin] != "0":
-            result.append(pin)
+    for terminal in scene.pins(part.name):
+        reads = listening and terminal.unit in MOTIONS and not terminal.signal_out
+        if (terminal.moving or reads) and scene.net(part.name, terminal.name) != "0":
+            result.append(terminal.name)
     return result
 
 
-def _put(known: dict[str, ShakenFrame], net: str, frame: ShakenFrame, where: str) -> None:
-    """State the frame of a net."""
+def _set_frame(known: dict[str, ShakenFrame], net: str, frame: ShakenFrame, where: str) -> None:
+    """Set the frame of a net; refuse a net in two frames."""
     if net == "0":
         return
     first = known.setdefault(net, frame)
@@ -103,25 +109,28 @@ def _put(known: dict[str, ShakenFrame], net: str, frame: ShakenFrame, where: str
         )
 
 
-def _spread(part: Part, scene: Scene, known: dict[str, ShakenFrame]) -> None:
-    """All nets that a part couples are in one frame."""
-    nets = [scene.nets[part.name, pin] for pin in _moving(part, scene)]
-    frame = next((known[net] for net in nets if net in known), None)
+def _spread_frame(part: Part, scene: Scene, known: dict[str, ShakenFrame]) -> None:
+    """Set the frame of all nets that a part couples."""
+    nets = scene.nets_of(part.name, _moving_pins(part, scene))
+    frame = next(filter(None, map(known.get, nets)), None)
     if frame is not None:
         for net in nets:
-            _put(known, net, frame, part.name)
+            _set_frame(known, net, frame, part.name)
 
 
-def _compared(part: Part, scene: Scene, known: Mapping[str, ShakenFrame]) -> None:
+def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, ShakenFrame]) -> None:
     """Refuse a part that compares a relative displacement with an absolute one."""
-    moving = {scene.nets[key] for key, end in scene.terminals.items() if end.moving} - {"0"}
-    nets = {pin: scene.nets[part.name, pin] for pin in _moving(part, scene, listening=True)}
-    nets = {pin: net for pin, net in nets.items() if net in moving}
-    acts = {known[net].acts if net in known else None for net in nets.values()}
-    if len(acts) > 1 and not part.reduced:
-        frames = [
-            f"{part.name}.{pin} in {_frame_name(known.get(net))}" for pin, net in nets.items()
-        ]
+    if part.reduced:
+        return
+    moving = {scene.nets[key] for key, terminal in scene.terminals.items() if terminal.moving}
+    acts, frames = set(), []
+    for pin in _moving_pins(part, scene, listening=True):
+        net = scene.net(part.name, pin)
+        if net in moving:
+            frame = known.get(net)
+            acts.add(frame and frame.acts)
+            frames.append(f"{part.name}.{pin} in {_name_frame(frame)}")
+    if len(acts) > 1:
         raise UsageError(
             "compares displacements in different frames",
             where=part.name,
@@ -131,22 +140,23 @@ def _compared(part: Part, scene: Scene, known: Mapping[str, ShakenFrame]) -> Non
         )
 
 
-def _frame_name(frame: ShakenFrame | None) -> str:
+def _name_frame(frame: ShakenFrame | None) -> str:
+    """Return the frame in words; None is that of the ground."""
     return "the frame of the ground" if frame is None else f"the frame that {frame.words} shakes"
 
 
-def _followed(
+def _require_inertial_force(
     part: Part, scene: Scene, known: Mapping[str, ShakenFrame], shaken: Mapping[str, ShakenFrame]
 ) -> None:
-    """Refuse a part whose inertia does not follow the frame it is in; warn if that is unknown."""
+    """Refuse a part without the force of its frame on its inertia; warn if that is unknown."""
     if shaken:
         return
-    for pin in _moving(part, scene):
+    for pin in _moving_pins(part, scene):
         frame = known.get(scene.nets[part.name, pin])
         if frame is None or not frame.shakes:
             continue
         if part.netlist:
-            advice = f"in {_frame_name(frame)} its masses need the force -m a of their own"
+            advice = f"in {_name_frame(frame)} its masses need the force -m a of their own"
             warnings.warn(f"{part.name}.{pin}: {advice}", stacklevel=2)
         elif pin not in part.type.inertial(part, scene):
             continue
@@ -157,7 +167,7 @@ def _followed(
             raise UsageError(
                 "has inertia, but nothing that shakes it with the frame it is joined to",
                 where=f"{part.name}.{pin}",
-                got=f"joined to {_frame_name(frame)}",
+                got=f"joined to {_name_frame(frame)}",
                 expected="a body with a port of kind base" if body else "a part that follows it",
                 hint=f'add a port of kind "base" to {part.name} and {cure}' if body else other,
             )
@@ -165,15 +175,15 @@ def _followed(
             raise UsageError(
                 "is in a frame whose acceleration has no known direction at this net",
                 where=f"{part.name}.{pin}",
-                got=f"joined to {_frame_name(frame)}",
+                got=f"joined to {_name_frame(frame)}",
                 expected="ports and accelerations whose directions the body states",
                 hint=f"state axis or dof of the ports of {frame.body}, or put the mass into its "
                 "matrices",
             )
 
 
-def frame_lines(scene: Scene) -> Iterator[str]:
-    """Reference frame of the displacements of each net, for ``explain``."""
+def describe_frames(scene: Scene) -> Iterator[str]:
+    """Yield the reference frame of the displacements of each net, for ``explain``."""
     nets: dict[str, list[str]] = {}
     for (part, pin), net in scene.nets.items():
         end = scene.terminals[part, pin]

@@ -42,9 +42,9 @@ from kc2spice.scene.compose import with_joins
 from kc2spice.scene.model import DEFAULT_TYPES, GROUND, Names, Part, PartType, Scene
 from kc2spice.scene.parttype import part_type, type_names
 from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
-from kc2spice.scene.resolve import EVEN, resolve, with_governed
+from kc2spice.scene.resolve import PERIOD_TOLERANCE, resolve, with_governed
 from kc2spice.scene.settings import SCALE_OF, Analysis, Frame
-from kc2spice.scene.start_conditions import unsettled
+from kc2spice.scene.start_conditions import find_start_errors
 
 MOST_POINTS = 1e7  # time points of a transient at its largest step
 CLOSEST = 1e-12  # smallest step that a simulator resolves, relative to the last frequency
@@ -225,7 +225,7 @@ def _no_periods(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
             expected="sines and pulse trains whose periods divide the longest one",
             hint='give the window by from and to, such as from = "8 ms"',
         )
-    elif count * period > scene.stop * (1 + EVEN):
+    elif count * period > scene.stop * (1 + PERIOD_TOLERANCE):
         got = f"{count} periods of {period:.4g} s"
         expected = f"at most {scene.stop:g} s, the end of the transient"
         yield UsageError("the window is longer than the run", where=where, got=got,
@@ -415,7 +415,7 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
         raise problem
     scene = resolve(_driven(scene))
     wild = judged(drive_levels(scene), scene.checks.plausible)
-    for problem in chain(_without_periods(scene), unsettled(scene, scene.rests), wild):
+    for problem in chain(_without_periods(scene), find_start_errors(scene, scene.rests), wild):
         raise problem
     return scene
 

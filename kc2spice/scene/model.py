@@ -440,6 +440,10 @@ class WiredScene(JoinedScene):
         """Return the node of the netlist that a pin is joined to."""
         return self.nets[part, pin]
 
+    def nets_of(self, part: str, pins: Iterable[str]) -> list[str]:
+        """Return the nodes that pins of a part are joined to, in the order of the pins."""
+        return [self.nets[part, pin] for pin in pins]
+
     def joined(self, part: str, pin: str) -> tuple[tuple[str, str], ...]:
         """Return the other pins on the net of a pin; none on ground."""
         net = self.nets[part, pin]

@@ -1,7 +1,7 @@
-"""Resolve a scene: ask each part once, in order of dependence, and keep the answers as records.
+"""Calls of the methods of part types, once for each part, in the order of dependence.
 
-A scene with checked keys goes in. The scene that comes out has one :class:`Record` for each part,
-its nets and its reference frames. Later stages read the records; they do not ask part types again.
+A scene with checked keys goes in. The resolved scene contains one :class:`Record` for each part,
+nets and reference frames. Later stages read the records and do not call the methods again.
 """
 
 from __future__ import annotations
@@ -9,29 +9,32 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from itertools import chain
+from operator import attrgetter
 from typing import Any
 
-from kc2spice.scene.compose import composed
+import numpy as np
+
+from kc2spice.scene.compose import join_parts, with_rests
 from kc2spice.scene.model import Build, BuildRecord, Part, Record, Scene
-from kc2spice.scene.rows import Numerics, State
+from kc2spice.scene.rows import Governed, Numerics, State
 
 
 def resolve(scene: Scene) -> Scene:
-    """Return the scene with its nets, its reference frames and all answers of its parts.
+    """Return the scene with nets, reference frames and all answers of its parts.
 
     Raises
     ------
-    UsageError : as :func:`kc2spice.scene.compose.composed`.
+    UsageError : as :func:`kc2spice.scene.compose.join_parts`.
     """
     if any(scene.record(part) is None for part in scene.parts.values()):
         scene = with_governed(scene)
-    return with_numerics(composed(scene))
+    return with_numerics(join_parts(scene))
 
 
 def resolve_build(build: Build) -> Build:
-    """Return the build with the answers of its parts about it: their results, and what can be set.
+    """Return the build with the results of its parts, and the quantities that can be set.
 
-    What can be set on a part follows from what holds the others at rest.
+    The quantities of a part that can be set depend on the parts at rest around it.
     """
     build = with_vectors(build)
     records = dict(build.records)
@@ -42,15 +45,14 @@ def resolve_build(build: Build) -> Build:
 
 
 def with_vectors(build: Build, without: Collection[str] = ()) -> Build:
-    """Return the build with its parts at rest and with their results, ``without`` those of some.
+    """Return the build with its parts at rest and their results, except parts ``without``.
 
     The current of a body follows from the results of the parts that are joined to it. Parts without
-    cards have neither results nor anything that can be set.
+    cards have no results.
     """
-    records = {
-        name: BuildRecord(part.type.rest_with_model(part, build))
-        for name, part in build.scene.parts.items()
-    }
+    records = {}
+    for name, part in build.scene.parts.items():
+        records[name] = BuildRecord(part.type.rest_with_model(part, build))
     for reduced in (False, True):
         build = replace(build, records=dict(records))
         for part in _with_cards(build):
@@ -61,27 +63,28 @@ def with_vectors(build: Build, without: Collection[str] = ()) -> Build:
 
 
 def _with_cards(build: Build) -> list[Part]:
-    """The parts that no other one copies or moves."""
+    """Return the parts that no other part copies or moves."""
     scene = build.scene
     return [part for name, part in scene.parts.items() if name not in scene.without_cards]
 
 
 def with_governed(scene: Scene) -> Scene:
-    """Return the scene with what its parts govern, and with the details of their own packages.
+    """Return the scene with the answers that follow from keys: governed parts and details.
 
-    The details may depend on each other: each is computed at its first use.
+    Details may depend on each other; each is computed at its first use.
     """
-    governs = {part.name: part.type.governs(part, scene) for part in scene.parts.values()}
-    records: dict[str, Record[Any]] = {
-        name: Record(part, governs[name], part.type.highest_frequency(part, scene))
-        for name, part in scene.parts.items()
-    }
+    governs: dict[str, Mapping[str, State | Governed]] = {}
+    records: dict[str, Record[Any]] = {}
+    for name, part in scene.parts.items():
+        governs[name] = part.type.governs(part, scene)
+        frequency = part.type.highest_frequency(part, scene)
+        records[name] = Record(part, governs[name], frequency)
     scene = replace(
         scene,
         records=records,
-        movers=_movers(governs),
-        initial_states=_initial_states(governs),
-        without_cards=_without_cards(governs),
+        movers=_find_movers(governs),
+        initial_states=_find_initial_states(governs),
+        without_cards=_find_without_cards(governs),
     )
     for part in scene.parts.values():
         detail = part.type.detail(part, scene)
@@ -89,20 +92,22 @@ def with_governed(scene: Scene) -> Scene:
     return scene
 
 
-def _movers(governs: Mapping[str, Mapping[str, State | str]]) -> dict[str, str]:
-    """The first part that prescribes all motion of another one, by the name of that one."""
+def _find_movers(governs: Mapping[str, Mapping[str, State | Governed]]) -> dict[str, str]:
+    """Return the first part that prescribes all motion of each moved part."""
     result: dict[str, str] = {}
     for owner, answer in governs.items():
-        for name, what in answer.items():
-            if what == "moved":
+        for name, governed in answer.items():
+            if governed == "moved":
                 result.setdefault(name, owner)
     return result
 
 
-def _initial_states(governs: Mapping[str, Mapping[str, State | str]]) -> dict[str, State]:
-    """The parts whose state at t = 0 is stated; a transient then has no operating point.
+def _find_initial_states(
+    governs: Mapping[str, Mapping[str, State | Governed]],
+) -> dict[str, State]:
+    """Return the stated states at t = 0, with which a transient has no operating point.
 
-    What another part states of one replaces what its own keys state.
+    A state from another part replaces the state from the keys of a part.
     """
     result: dict[str, State] = {}
     for owner, answer in governs.items():
@@ -112,39 +117,43 @@ def _initial_states(governs: Mapping[str, Mapping[str, State | str]]) -> dict[st
     return result
 
 
-def _without_cards(governs: Mapping[str, Mapping[str, State | str]]) -> frozenset[str]:
-    """Parts without cards of their own: those of others have copies of them, or move them."""
+def _find_without_cards(
+    governs: Mapping[str, Mapping[str, State | Governed]],
+) -> frozenset[str]:
+    """Return the parts without cards, which other parts copy or move."""
     rows = chain.from_iterable(answer.items() for answer in governs.values())
-    return frozenset(name for name, what in rows if isinstance(what, str))
+    return frozenset(name for name, governed in rows if isinstance(governed, str))
 
 
-EVEN = 1e-6  # relative, of a period that divides another
+PERIOD_TOLERANCE = 1e-6  # relative deviation of a period that divides another one
 
 
-def drive_period(rows: Iterable[Numerics]) -> float | None:
-    """The period [s] of all that drives a scene: the longest, where the others divide it."""
-    periods = {row.period for row in rows} - {0.0}
-    longest = max(periods, default=None)
-    if longest is None or any(abs(longest / p - round(longest / p)) > EVEN for p in periods):
+def find_period(rows: Iterable[Numerics]) -> float | None:
+    """Return the period [s] of all drives: the longest one, if the others divide it."""
+    periods = set(map(attrgetter("period"), rows)) - {0.0}
+    longest: float | None = max(periods, default=None)
+    if longest is None:
         return None
-    return longest
+    ratios = longest / np.array(list(periods))
+    return None if np.any(abs(ratios - ratios.round()) > PERIOD_TOLERANCE) else longest
 
 
 def with_numerics(scene: Scene) -> Scene:
-    """Return a scene with nets, with the numerical requirements and the reductions of its parts."""
-    rows = {n: tuple(r.part.type.numerics(r.part, scene)) for n, r in scene.records.items()}
-    records = {name: replace(r, numerics=rows[name]) for name, r in scene.records.items()}
-    scales = tuple(chain.from_iterable(rows.values()))
-    scene = replace(scene, records=records, numerics=scales, period=drive_period(scales))
-    reductions = {n: r.part.type.reduction(r.part, scene) for n, r in records.items()}
-    return replace(
-        scene, records={n: replace(r, reduction=reductions[n]) for n, r in records.items()}
-    )
+    """Return a scene with nets, with numerical requirements and reductions of its parts."""
+    records = {}
+    rows: list[Numerics] = []
+    for name, record in scene.records.items():
+        numerics = tuple(record.part.type.numerics(record.part, scene))
+        records[name] = replace(record, numerics=numerics)
+        rows += numerics
+    scene = replace(scene, records=records, numerics=tuple(rows), period=find_period(rows))
+    reduced = {}
+    for name, record in records.items():
+        reduction = record.part.type.reduction(record.part, scene)
+        reduced[name] = replace(record, reduction=reduction)
+    return replace(scene, records=reduced)
 
 
 def resolve_again(scene: Scene) -> Scene:
-    """Return the scene after a change of keys or of its frame, with the pins and nets it has."""
-    scene = with_governed(scene)
-    rests = {name: r.part.type.at_rest(r.part, scene) for name, r in scene.records.items()}
-    records = {name: replace(r, rest=rests[name]) for name, r in scene.records.items()}
-    return with_numerics(replace(scene, records=records))
+    """Return the scene after a change of keys or of its frame, with the same pins and nets."""
+    return with_numerics(with_rests(with_governed(scene)))

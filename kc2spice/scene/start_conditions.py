@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 
 from kc2spice.core.domains import TRANSLATION, Domain
 from kc2spice.core.errors import UsageError
@@ -11,14 +12,16 @@ from kc2spice.scene.compose import Groups
 from kc2spice.scene.model import GROUND, Scene
 from kc2spice.scene.rows import Rest
 
+Pairs = tuple[tuple[str, str], ...]  # pairs of pins of one part
+
 
 @dataclass(frozen=True)
-class Free:
-    """Nets that are held against each other at most: they move together without any force.
+class FloatingNets:
+    """Nets without a path to their reference, which move together without any force.
 
-    ``nets`` are those of displacements, none for a sphere, whose pins are a velocity and signals.
-    ``parts`` have a pin there, ``bodies`` of them move along by states of their own. ``domain`` is
-    that of the pins: heat and flow without a path are no motion.
+    ``nets`` are the nets of displacements; a sphere has none, because its pins are a velocity and
+    signals. ``parts`` have a pin on the nets. ``bodies`` of them move by their own states.
+    ``domain`` is that of the pins; in heat and sound, the potential floats instead of a position.
     """
 
     nets: tuple[str, ...]
@@ -27,49 +30,54 @@ class Free:
     domain: Domain
 
 
-def free(scene: Scene, rests: Mapping[str, Rest]) -> tuple[Free, ...]:
-    """The groups of nets without an equilibrium of their own, in the order of the scene.
+def find_floating_nets(scene: Scene, rests: Mapping[str, Rest]) -> tuple[FloatingNets, ...]:
+    """Return the groups of nets without an equilibrium, in the order of the scene.
 
-    Parts whose model is not built yet count as held.
+    Parts without a model count as clamps.
     """
-    return tuple(_free(group, scene) for group in _unheld(scene, rests))
+    return tuple(_describe_group(group, scene) for group in _floating_groups(scene, rests))
 
 
-def rigid(scene: Scene, without: str = "") -> list[frozenset[str]]:
-    """Nets whose displacements ideal sources, all but ``without``, tie to each other; alone where
-    nothing does."""
-    rests = ((name, rest) for name, rest in scene.rests.items() if name != without)
-    return _groups(scene, {name: rest.ideal for name, rest in rests})
+def find_rigid_groups(scene: Scene, without: str = "") -> list[frozenset[str]]:
+    """Return groups of nets whose displacements ideal sources tie together.
 
-
-def unsettled(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
-    """Why the analysis cannot begin: nets without an operating point, and sources that make the
-    velocity of inertia jump with nothing that yields in between. Their force is an impulse, and a
-    simulator gives what its step makes of it, ringing after it.
-
-    Parts whose model is not built yet count as held and as yielding.
+    The source ``without`` is ignored. A net without such a source is a group alone.
     """
-    for group in _unheld(scene, rests):
-        adrift = _free(group, scene)
-        why = _unheld_problem if adrift.domain.position else _undrained_problem
-        yield from why(adrift, group, scene, rests)
+    rests = scene.rests
+    rests.pop(without, None)
+    return _group_nets(scene, ((name, rest.ideal) for name, rest in rests.items()))
+
+
+def find_start_errors(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
+    """Yield the reasons why the analysis cannot begin.
+
+    A net has no operating point, or a source makes the velocity of an inertia jump. Such a force
+    is an impulse: the result of a simulator would depend on its time step.
+
+    Parts without a model count as clamps that yield.
+    """
+    for group in _floating_groups(scene, rests):
+        floating = _describe_group(group, scene)
+        find = _position_errors if floating.domain.position else _storage_errors
+        yield from find(floating, group, scene, rests)
     if scene.analysis.type == "transient":
-        yield from _jumps(scene, rests)
+        yield from _jump_errors(scene, rests)
 
 
-def _unheld(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[frozenset[str]]:
-    clamps = {name: rest.paths for name, rest in rests.items()}
-    return (group for group in _groups(scene, clamps) if "0" not in group)
+def _floating_groups(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[frozenset[str]]:
+    """Yield groups of nets without a path to their reference."""
+    groups = _group_nets(scene, ((name, rest.paths) for name, rest in rests.items()))
+    return (group for group in groups if "0" not in group)
 
 
-def _unheld_problem(
-    result: Free, group: frozenset[str], scene: Scene, rests: Mapping[str, Rest]
+def _position_errors(
+    result: FloatingNets, group: frozenset[str], scene: Scene, rests: Mapping[str, Rest]
 ) -> Iterator[UsageError]:
-    """Why the analysis has no operating point of these nets of positions to begin at."""
+    """Yield the reasons why floating positions have no operating point."""
     kind, path = scene.analysis.type, result.domain.path
     heavy = [name for name, rest in rests.items() if rest.inert and name in result.parts]
     part_name = (*result.bodies, *heavy, *result.parts)[0]
-    pushed = _pushing(group, scene, rests)
+    pushed = _list_loads(group, scene, rests)
     by = "pushed by " + ", ".join(pushed) if pushed else ""
     if kind in ("op", "dc"):
         yield UsageError(
@@ -98,25 +106,28 @@ def _unheld_problem(
         )
 
 
-def _pushing(group: frozenset[str], scene: Scene, rests: Mapping[str, Rest]) -> list[str]:
-    """Parts that put a constant force or flow on these nets at t = 0."""
-    on_group = ((n, {scene.nets[n, pin] for pin in rest.pushed}) for n, rest in rests.items())
-    return [name for name, nets in on_group if nets & group]
+def _list_loads(group: frozenset[str], scene: Scene, rests: Mapping[str, Rest]) -> list[str]:
+    """Return the parts with a constant force or flow on these nets at t = 0."""
+    result = []
+    for name, rest in rests.items():
+        if not group.isdisjoint(scene.nets_of(name, rest.pushed)):
+            result.append(name)
+    return result
 
 
-def _undrained_problem(
-    result: Free, group: frozenset[str], scene: Scene, rests: Mapping[str, Rest]
+def _storage_errors(
+    result: FloatingNets, group: frozenset[str], scene: Scene, rests: Mapping[str, Rest]
 ) -> Iterator[UsageError]:
-    """Why the analysis has no operating point of these nets of heat or sound to begin at.
+    """Yield the reason why floating temperatures or pressures have no operating point.
 
-    Without a constant flow it has one: small signals and pulses are stored.
+    Without a constant flow they have one: small signals and pulses are stored.
     """
     kind, domain = scene.analysis.type, result.domain
-    pushed = _pushing(group, scene, rests)
+    pushed = _list_loads(group, scene, rests)
     if kind not in ("op", "dc") and not pushed:
         return
-    ends = ((n, pin) for (n, pin), end in scene.terminals.items() if end.domain is domain)
-    pin = next(".".join(key) for key in ends if scene.nets[key] in group)
+    ends = (key for key, terminal in scene.terminals.items() if terminal.domain is domain)
+    pin = next(end for end in ends if scene.nets[end] in group)
     flow = domain.quantity("through").name.replace("_", " ")
     stored = next((name for name in result.parts if name not in pushed), result.parts[0])
     later = "" if kind in ("op", "dc", "ac", "noise") else f"; or a {flow} that is zero at t = 0"
@@ -126,23 +137,25 @@ def _undrained_problem(
         got=", ".join([f"analysis {kind}", *(f"{flow} of {name}" for name in pushed)]),
         expected=f"{domain.path}{later}",
         hint=f'add [path] with part = "{domain.path_part}", its resistance and  '
-        f'pins = {{ a = "{pin}" }}',
+        f'pins = {{ a = "{".".join(pin)}" }}',
     )
 
 
-def _jumps(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
+def _jump_errors(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
+    """Yield errors of prescribed displacements that make the velocity of an inertia jump."""
     inert: dict[str, str] = {}
     for name, rest in rests.items():
-        inert |= {scene.nets[name, pin]: name for pin in rest.inert}
+        inert |= dict.fromkeys(scene.nets_of(name, rest.inert), name)
     inert.pop("0", None)
     for name, rest in rests.items():
         if not rest.kinked:
             continue
         part = scene.parts[name]
-        ends = {scene.nets[name, pin] for pair in rest.ideal for pin in pair}
-        sides = [nets for nets in rigid(scene, name) if nets & ends]
-        driven = [inert[net] for nets in sides for net in sorted(nets) if net in inert]
-        if driven and len(sides) > 1 and all(nets & {"0", *inert} for nets in sides):
+        ends = set(scene.nets_of(name, chain.from_iterable(rest.ideal)))
+        sides = [nets for nets in find_rigid_groups(scene, name) if nets & ends]
+        nets = chain.from_iterable(map(sorted, sides))
+        driven = [inert[net] for net in nets if net in inert]
+        if driven and len(sides) > 1 and all(map({"0", *inert}.intersection, sides)):
             yield part.wrong(
                 rest.kinked,
                 f"the velocity of {driven[0]} jumps with this displacement, which takes an "
@@ -154,31 +167,38 @@ def _jumps(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
             )
 
 
-def _moving(scene: Scene) -> dict[str, str]:
-    """Nets of pins that need a path and the unit there, in the order of the scene."""
-    ends = ((key, pin.unit) for key, pin in scene.terminals.items() if pin.needs_path)
-    return {"0": ""} | {scene.nets[key]: unit for key, unit in ends}
+def _units_of_nets(scene: Scene) -> dict[str, str]:
+    """Return the units of nets that need a path to their reference, in the order of the scene."""
+    result = {"0": ""}
+    for key, terminal in scene.terminals.items():
+        if terminal.needs_path:
+            result[scene.nets[key]] = terminal.unit
+    return result
 
 
-def _groups(
-    scene: Scene, joined: Mapping[str, tuple[tuple[str, str], ...]]
-) -> list[frozenset[str]]:
-    """Nets that move by what pairs of pins join; pairs of others, such as voltages, say nothing."""
-    union = Groups(nets := _moving(scene))
-    for name, pairs in joined.items():
+def _group_nets(scene: Scene, pairs_of_parts: Iterable[tuple[str, Pairs]]) -> list[frozenset[str]]:
+    """Return nets that pairs of pins join, in groups.
+
+    Pairs on nets that need no path, such as those of voltages, have no effect.
+    """
+    union = Groups(units := _units_of_nets(scene))
+    for name, pairs in pairs_of_parts:
         for pins in pairs:
-            a, b = ("0" if pin == GROUND else scene.nets[name, pin] for pin in pins)
-            if a in nets and b in nets:
+            a, b = ("0" if pin == GROUND else scene.net(name, pin) for pin in pins)
+            if a in units and b in units:
                 union.join(a, b)
-    return list(map(frozenset, union.groups()))
+    return list(map(frozenset, union.list_groups()))
 
 
-def _free(group: frozenset[str], scene: Scene) -> Free:
-    rows = scene.terminals.items()
-    ends = {key: pin for key, pin in rows if pin.needs_path and scene.nets[key] in group}
-    parts = tuple(dict.fromkeys(name for name, _ in ends))
-    domain = next(pin.domain for pin in ends.values() if pin.domain is not None)
-    placed = [net for net, unit in _moving(scene).items() if unit == TRANSLATION.across.pin_unit]
-    nets = tuple(net for net in placed if net in group)
-    bodies = tuple(name for name in parts if scene.parts[name].reduced)
-    return Free(nets, parts, bodies, domain)
+def _describe_group(group: frozenset[str], scene: Scene) -> FloatingNets:
+    """Return a group of nets with the parts on it and its domain."""
+    domains: dict[str, Domain] = {}  # of the first pin of each part
+    for key, terminal in scene.terminals.items():
+        if terminal.domain is not None and terminal.needs_path and scene.nets[key] in group:
+            domains.setdefault(key[0], terminal.domain)
+    nets = []
+    for net, unit in _units_of_nets(scene).items():
+        if net in group and unit == TRANSLATION.across.pin_unit:
+            nets.append(net)
+    bodies = tuple(name for name in domains if scene.parts[name].reduced)
+    return FloatingNets(tuple(nets), tuple(domains), bodies, next(iter(domains.values())))

@@ -40,7 +40,7 @@ from kc2spice.scene.results import (
     resolve_dc_sweep,
     result_vectors,
 )
-from kc2spice.scene.start_conditions import Free, free, unsettled
+from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
 from kc2spice.synthesis.header import plan_lines
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.edits import changed, element_text, instance, with_value
@@ -84,9 +84,10 @@ def make_deck(build: Build) -> Deck:
         operating point to begin at.
     """
     scene = build.scene
-    loose, wild = free(scene, build.rests), judged(built(build), scene.checks.plausible)
-    for problem in chain(unsettled(scene, build.rests), wild):
+    implausible = judged(built(build), scene.checks.plausible)
+    for problem in chain(find_start_errors(scene, build.rests), implausible):
         raise problem
+    loose = find_floating_nets(scene, build.rests)
     header = Header(scene.name, scene_hash(scene))
     ours = () if scene.solver.max_step else (MAX_STEP,)  # a line of its own says why
     notes = (*header.origin(), *plan_lines(plan(build), ours))
@@ -150,7 +151,9 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
                 )
 
 
-def _items(build: Build, loose: Sequence[Free], noise_items: Iterable[Item]) -> Iterator[Item]:
+def _items(
+    build: Build, loose: Sequence[FloatingNets], noise_items: Iterable[Item]
+) -> Iterator[Item]:
     scene = build.scene
     for part in scene.parts.values():
         cards = () if part.name in scene.without_cards else part.type.cards(part, build)
@@ -217,7 +220,7 @@ def _command(build: Build, sweep: DcSweep | None) -> Command:
     return dc(sweep.source, sweep.scale * values[0], sweep.scale * values[-1], values.size)
 
 
-def _initial(build: Build, loose: Sequence[Free]) -> dict[str, float]:
+def _initial(build: Build, loose: Sequence[FloatingNets]) -> dict[str, float]:
     if build.scene.analysis.type != "transient":
         return {}
     rows = {name: record.settable.items() for name, record in build.records.items()}

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.scene.compose import drawing
+from kc2spice.scene.compose import describe_nets
 from kc2spice.scene.load import load_scene
 
 DIVIDER = """\
@@ -33,7 +33,7 @@ def test_joined_pins_share_a_net(scene_file):
     assert scene.net("supply", "out") == scene.net("upper", "a")
     assert scene.net("upper", "b") == scene.net("lower", "a") != scene.net("upper", "a")
     assert scene.net("lower", "b") == scene.net("supply", "ret") == "0"
-    assert drawing(scene) == (
+    assert describe_nets(scene) == (
         "supply.out -- upper.a",
         "gnd: supply.ret, lower.b",
         "upper.b -- lower.a",

@@ -30,7 +30,7 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import dimensions
 from kc2spice.scene.rows import Rest, Shake
 from kc2spice.scene.settings import Probe
-from kc2spice.scene.start_conditions import free, rigid
+from kc2spice.scene.start_conditions import find_floating_nets, find_rigid_groups
 
 _FRAME = "frame"  # pin of the acceleration of a frame; of a second one frame2
 
@@ -158,10 +158,11 @@ class PointMass(Touching[MassKeys], DeclaredPart[MassKeys]):
         if scene.analysis.type == "transient" and scene.initial_states:
             return state
         net = scene.nets[part.name, "a"]
-        group = next((group for group in free(scene, build.rests) if net in group.nets), None)
+        groups = find_floating_nets(scene, build.rests)
+        group = next((group for group in groups if net in group.nets), None)
         if group is None or group.bodies:
             return None
-        fixed = next(nets for nets in rigid(scene) if net in nets)
+        fixed = next(nets for nets in find_rigid_groups(scene) if net in nets)
         masses = (m.name for m in scene.of(part.type.name) if scene.nets[m.name, "a"] in fixed)
         return state if next(masses) == part.name else None
 
