@@ -41,7 +41,7 @@ from kc2spice.core.untrusted_files import (
 from kc2spice.scene.compose import with_joins
 from kc2spice.scene.model import DEFAULT_TYPES, GROUND, Names, Part, PartType, Scene
 from kc2spice.scene.parttype import part_type, type_names
-from kc2spice.scene.plausible import ImplausibleError, drive_levels, judged
+from kc2spice.scene.plausible import ImplausibleError, apply_action, check_drive_levels
 from kc2spice.scene.resolve import PERIOD_TOLERANCE, resolve, with_governed
 from kc2spice.scene.settings import SCALE_OF, Analysis, Frame
 from kc2spice.scene.start_conditions import find_start_errors
@@ -67,7 +67,7 @@ def problems(scene: Scene) -> Iterator[UsageError]:
             doubtful.append(item)
         else:
             yield item
-    yield from judged(doubtful, scene.checks.plausible)
+    yield from apply_action(doubtful, scene.checks.plausible)
     selected, solver = scene.analysis, scene.solver
     if scene.include and not any(part.netlist for part in scene.parts.values()):
         yield UsageError(
@@ -414,7 +414,7 @@ def _scene(data: dict[str, Any], source: _Source) -> Scene:
     for problem in problems(scene):
         raise problem
     scene = resolve(_driven(scene))
-    wild = judged(drive_levels(scene), scene.checks.plausible)
+    wild = apply_action(check_drive_levels(scene), scene.checks.plausible)
     for problem in chain(_without_periods(scene), find_start_errors(scene, scene.rests), wild):
         raise problem
     return scene

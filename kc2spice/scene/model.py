@@ -695,8 +695,8 @@ class PartType(Generic[KeysT]):
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[UsageError]:
         """Return the faults of the part in this scene; ``where`` is a dotted key.
 
-        Keys that can be computed but hardly exist (:func:`kc2spice.scene.plausible.within`) are
-        warnings or nothing by ``checks.plausible``.
+        Implausible keys (:func:`kc2spice.scene.plausible.check_range`) are errors, warnings or
+        nothing, according to ``checks.plausible``.
         """
         return ()
 

@@ -31,7 +31,7 @@ from kc2spice.netlist.transforms import quiet
 from kc2spice.scene.axes import MAX_STEP, plan
 from kc2spice.scene.frames import MOTIONS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
-from kc2spice.scene.plausible import built, judged
+from kc2spice.scene.plausible import apply_action, check_models
 from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.scene.results import (
     DcSweep,
@@ -84,7 +84,7 @@ def make_deck(build: Build) -> Deck:
         operating point to begin at.
     """
     scene = build.scene
-    implausible = judged(built(build), scene.checks.plausible)
+    implausible = apply_action(check_models(build), scene.checks.plausible)
     for problem in chain(find_start_errors(scene, build.rests), implausible):
         raise problem
     loose = find_floating_nets(scene, build.rests)

@@ -21,7 +21,6 @@ from kc2spice.fem.body_keys import Damping
 from kc2spice.parts.bodies._body_ports import BodyPorts, massless
 from kc2spice.parts.bodies._box import (
     PARAMETERS,
-    check_corners,
     middle_values,
     values_of_part,
     varied,
@@ -38,7 +37,7 @@ from kc2spice.scene.model import (
     Part,
     Scene,
 )
-from kc2spice.scene.plausible import dimensions
+from kc2spice.scene.plausible import check_dimensions
 from kc2spice.scene.settings import Rom
 
 if TYPE_CHECKING:
@@ -79,8 +78,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return {"keys": part.keys.model_dump(mode="json", exclude=_NO_MODEL)}
 
     def problems(self, part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
-        yield from dimensions(part.name, part.keys)
-        yield from check_corners(part, scene)
+        yield from check_dimensions(part.name, part.keys)
+        yield from corners(part, scene)
 
     def _chosen(self, part: Part[LinearKeysT], scene: Scene) -> Rom | None:
         """The reduction that somebody chose: the body's own, which may as well say no more than

@@ -43,7 +43,7 @@ from kc2spice.scene.model import (
     Part,
     Scene,
 )
-from kc2spice.scene.plausible import layers as plausible_layers
+from kc2spice.scene.plausible import check_layers
 from kc2spice.scene.rows import Neglected
 
 if TYPE_CHECKING:
@@ -297,11 +297,11 @@ class BondedBody(MeshedBody[FieldKeysT]):
         """
         yield from super().problems(part, scene)
         layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)
-        result = []
-        for layer, block in zip(layers, self.bonded(part).blocks, strict=False):
-            piezoelectric = block.material.piezoelectric
-            result.append((width or layer.diameter, layer.thickness, piezoelectric))
-        yield from plausible_layers(f"{part.name}.layers", result, plate=width is None)
+        result = [
+            (width or layer.diameter, layer.thickness, block.material.piezoelectric)
+            for layer, block in zip(layers, self.bonded(part).blocks, strict=False)
+        ]
+        yield from check_layers(f"{part.name}.layers", result, plate=width is None)
 
     def outline(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Shape]:
         """Yield the blocks from the side, with the highest face at zero.

@@ -39,7 +39,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.parttype import register
-from kc2spice.scene.plausible import within
+from kc2spice.scene.plausible import check_range
 from kc2spice.scene.rows import Neglected, Numerics
 from kc2spice.scene.settings import Rom
 from kc2spice.synthesis.realize import COARSE, THROWING, StepWeights
@@ -193,15 +193,15 @@ class PiezoStack(MeshedBody[Stack]):
             yield part.wrong("drive.start", problem, f"{drive.start:g} s", expected)
         reason = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
         wide = "side" if keys.diameter is None else "diameter"
-        yield from within(f"{name}.{wide}", 2 * max(keys.half), "m", 1e-4, 0.1, reason)
-        yield from within(f"{name}.height", keys.height, "m", 1e-5, 0.2, reason)
+        yield from check_range(f"{name}.{wide}", 2 * max(keys.half), "m", 1e-4, 0.1, reason)
+        yield from check_range(f"{name}.height", keys.height, "m", 1e-5, 0.2, reason)
         layer = keys.height / keys.layers
         tape = "ceramic tape is cast from 1 um to some millimetres; height over layers"
-        yield from within(f"{name}.layers", layer, "m a layer", 1e-6, 5e-3, tape)
+        yield from check_range(f"{name}.layers", layer, "m a layer", 1e-6, 5e-3, tape)
         if drive is not None and keys.driver is None:
             field = abs(drive.voltage) / layer
             why = f"{drive.voltage:g} V across {layer:.3g} m; the ceramic breaks down"
-            yield from within(f"{name}.drive.voltage", field, "V/m", 0.0, 2e7, why)
+            yield from check_range(f"{name}.drive.voltage", field, "V/m", 0.0, 2e7, why)
 
     def surface(
         self, part: Part[Stack], scene: GovernedScene, ports: tuple[str, ...] = ()

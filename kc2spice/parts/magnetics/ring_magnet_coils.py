@@ -48,7 +48,7 @@ from kc2spice.scene.model import (
     Terminal,
 )
 from kc2spice.scene.parttype import register
-from kc2spice.scene.plausible import within
+from kc2spice.scene.plausible import check_range
 from kc2spice.scene.rows import Neglected, Vector
 from kc2spice.synthesis.header import library
 
@@ -315,11 +315,11 @@ class RingMagnetCoils(Touching[Coils]):
             fill = float(copper / (body.height * (body.outer - body.inner)))
             why = f"{keys.turns} turns of {keys.wire_diameter:g} m wire do not fit into "
             why += f"{name}.{coil}"
-            yield from within(f"{name}.turns", fill, "of its section", 0.0, 1.01, why)
+            yield from check_range(f"{name}.turns", fill, "of its section", 0.0, 1.01, why)
         magnet = "no permanent magnet has more"
-        yield from within(f"{name}.remanence", keys.remanence, "T", 0.0, 1.6, magnet)
+        yield from check_range(f"{name}.remanence", keys.remanence, "T", 0.0, 1.6, magnet)
         long = "field and force fall off with the fourth power of the distance"
-        yield from within(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
+        yield from check_range(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
 
     def penetrations(self, part: Part[Coils], scene: GovernedScene) -> Iterator[Penetration]:
         sphere = sphere_of(part, scene)

@@ -27,7 +27,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.parttype import register
-from kc2spice.scene.plausible import dimensions
+from kc2spice.scene.plausible import check_dimensions
 from kc2spice.scene.rows import Rest, Shake
 from kc2spice.scene.settings import Probe
 from kc2spice.scene.start_conditions import find_floating_nets, find_rigid_groups
@@ -120,7 +120,7 @@ class PointMass(Touching[MassKeys], DeclaredPart[MassKeys]):
         if _has_initial_state(part) and scene.analysis.type != "transient":
             problem = "a position or velocity at t = 0 begins a transient"
             yield part.wrong("", problem, f"analysis {scene.analysis.type}", "neither of them")
-        yield from dimensions(part.name, part.keys)
+        yield from check_dimensions(part.name, part.keys)
 
     def settable(self, part: Part[MassKeys], build: Build) -> Mapping[str, float]:
         state = self.initial_motion(part, build)

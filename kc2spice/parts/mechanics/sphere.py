@@ -36,7 +36,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.parttype import pin_forces, register
-from kc2spice.scene.plausible import within
+from kc2spice.scene.plausible import check_range
 from kc2spice.scene.rows import Neglected, Rest, State, Vector
 from kc2spice.scene.settings import Probe
 from kc2spice.synthesis.header import SIGN
@@ -173,9 +173,9 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
             )
         keys, name = part.keys, part.name
         small = "grains below stick by adhesion, no transducer moves balls above"
-        yield from within(f"{name}.radius", keys.radius, "m", 1e-6, 0.1, small)
+        yield from check_range(f"{name}.radius", keys.radius, "m", 1e-6, 0.1, small)
         solid = "no solid is lighter than an aerogel or heavier than osmium"
-        yield from within(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
+        yield from check_range(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
 
     def surface(
         self, part: Part[SphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
