@@ -141,7 +141,8 @@ def domains_page() -> str:
 def scenes_page() -> str:
     """The built-in scenes, and the keys outside of parts."""
     from kc2spice.scene.keys import model_keys
-    from kc2spice.scene.load import gallery, load_scene
+    from kc2spice.scene.load import load_scene
+    from kc2spice.scene.scene_file import gallery
     from kc2spice.scene.settings import Frame
 
     loaded = {name: load_scene(name) for name in gallery()}

@@ -31,8 +31,9 @@ from kc2spice.netlist import read_lib
 from kc2spice.netlist.printers.dialect_registry import NGSPICE, dialect_names
 from kc2spice.netlist.printers.kicad import Symbol, element_symbols, part_symbol, symbol_library
 from kc2spice.netlist.read import statements
-from kc2spice.scene.load import gallery, load_scene
+from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
+from kc2spice.scene.scene_file import gallery
 from kc2spice.workflow.export import export_scene
 
 ROOT = Path(__file__).parents[1]

@@ -419,7 +419,7 @@ def _verify(
 
     Writes verify.json and verify.html into DIR. Exit code 4 if an error exceeds its gate.
     """
-    from kc2spice.scene.load import gallery
+    from kc2spice.scene.scene_file import gallery
     from kc2spice.workflow.verify.verify import verify_scenes
 
     if (scene is None) is not all_:
@@ -485,7 +485,8 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
     from dataclasses import asdict
 
     from kc2spice.scene.keys import part_docs, scene_keys
-    from kc2spice.scene.load import gallery, load_scene
+    from kc2spice.scene.load import load_scene
+    from kc2spice.scene.scene_file import gallery
 
     if keys and parts:
         raise UsageError(
@@ -735,7 +736,7 @@ def _sweep(
     Writes a table with one row for each point, and sweep.html with curves. An interrupted sweep
     continues if the same command is given again. A failed point is a row that states the cause.
     """
-    from kc2spice.scene.load import override_texts
+    from kc2spice.scene.overrides import override_texts
     from kc2spice.workflow.sweep import engine
 
     table = engine.table_name(table_format)

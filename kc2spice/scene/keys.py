@@ -13,9 +13,10 @@ from pydantic.fields import FieldInfo
 
 from kc2spice.core.quantities import entries, unit_of
 from kc2spice.core.untrusted_files import parse_toml
-from kc2spice.scene.load import gallery, load_scene
+from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import DEFAULT_TABLES, Part, Scene, Terminal
 from kc2spice.scene.parttype import part_types
+from kc2spice.scene.scene_file import gallery
 from kc2spice.scene.settings import Frame, Probe
 
 

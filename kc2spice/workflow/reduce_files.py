@@ -41,7 +41,8 @@ from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear_model import PORT_KINDS, LinearModel
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.stability import DENSE, prove_stability
-from kc2spice.scene.load import gallery, load_scene
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.scene_file import gallery
 from kc2spice.sim.ngspice import write_files
 from kc2spice.synthesis.emitted import require_circuit
 from kc2spice.synthesis.realize import apply_unit_load, subcircuit

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from kc2spice.netlist.translate import dialect_files
-from kc2spice.scene.load import gallery, load_scene
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.scene_file import gallery
 from kc2spice.sim.ngspice import write_files
 from kc2spice.sim.output import read_raw
 

@@ -7,7 +7,7 @@ import pytest
 import kc2spice as kc
 from kc2spice.netlist.printers.dialect_registry import deck_dialects, dialect_names
 from kc2spice.netlist.translate import dialect_files, translate
-from kc2spice.scene.load import gallery
+from kc2spice.scene.scene_file import gallery
 
 QUICK = ("buzzer_square", "em_force", "harvester", "impact", "newtons_cradle", "pwm_coil")
 

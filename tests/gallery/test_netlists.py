@@ -15,7 +15,8 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import literal
 from kc2spice.netlist.library import read_lib
 from kc2spice.parts.bodies._linear_body import LinearBody
-from kc2spice.scene.load import gallery, load_scene
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.scene_file import gallery
 from kc2spice.sim.ngspice import run_deck
 
 NETLISTS = Path(__file__).parents[2] / "netlists"

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from commands import asked
 
-from kc2spice.scene.load import gallery, load_scene
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.scene_file import gallery
 
 CONTRACT = {
     "scene", "version", "netlist", "simulator", "model", "steps", "metrics", "wall_s", "files",

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kc2spice.netlist.deck import Deck
-from kc2spice.scene.load import gallery
+from kc2spice.scene.scene_file import gallery
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.output import classify_log
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import kc2spice as kc
-from kc2spice.scene.load import gallery
 from kc2spice.scene.parttype import part_types
+from kc2spice.scene.scene_file import gallery
 
 ROOT = Path(__file__).parents[2]
 

@@ -22,9 +22,10 @@ from kc2spice.parts.electronics.two_terminal_types import TABLE
 from kc2spice.physics import contact, law
 from kc2spice.physics.contact import Normal
 from kc2spice.physics.part import declared_subcircuit
-from kc2spice.scene.load import gallery, load_scene
+from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.parttype import part_types
+from kc2spice.scene.scene_file import gallery
 
 DECLARED = {n: kind for n, kind in part_types().items() if hasattr(kind, "declaration")}
 DIALECTS = dialect_names()

@@ -11,8 +11,9 @@ import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.scene.axes import plan
-from kc2spice.scene.load import _scene, _Source, load_scene
+from kc2spice.scene.load import _scene, load_scene
 from kc2spice.scene.model import Build
+from kc2spice.scene.scene_file import SceneFile
 
 STEEL = {"density": 7800.0, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3}
 MASS, SPRING, AMPLITUDE, TONE, STOP = 3e-3, 300.0, 5.0, 60.0, 40e-3
@@ -204,7 +205,7 @@ def test_a_netlist_on_a_shaken_body_warns(tmp_path: Path):
         "units": {"a": "um/N", "base": "um/N"},
         "pins": {"a": "beam.tip"},
     }
-    source = _Source("scene", "scene", "", tmp_path)  # a scene in Python whose files are there
+    source = SceneFile("scene", "scene", "", tmp_path)  # a scene in Python whose files are there
     with pytest.warns(UserWarning, match="-m a"):
         _scene(beam(own=table), source)
 

@@ -11,7 +11,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import checked
 from kc2spice.netlist.lint import lint
-from kc2spice.scene.load import gallery
+from kc2spice.scene.scene_file import gallery
 from kc2spice.sim.output import read_raw
 
 TOKENS = (

@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
+from kc2spice.core.untrusted_files import MAX_BYTES
 from kc2spice.scene.keys import scene_keys
-from kc2spice.scene.load import MAX_BYTES, gallery, load_scene
+from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import scene_hash
+from kc2spice.scene.scene_file import gallery
 
 
 def test_gallery_has_the_papers_experiments():

@@ -49,8 +49,8 @@ from kc2spice.core.untrusted_files import MAX_BYTES, parse_toml, read_bounded, t
 from kc2spice.core.waveforms import plain_cell
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import keys_of
-from kc2spice.scene.load import toml
 from kc2spice.scene.model import Scene, scene_hash
+from kc2spice.scene.overrides import toml
 from kc2spice.workflow.sweep.grid import (
     PARAMETER,
     Plan,

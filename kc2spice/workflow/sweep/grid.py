@@ -18,7 +18,7 @@ import numpy as np
 from kc2spice.core.errors import UsageError, candidates, did_you_mean
 from kc2spice.core.quantities import quantity
 from kc2spice.scene.keys import Key
-from kc2spice.scene.load import override_value
+from kc2spice.scene.overrides import override_value
 
 MAX_POINTS = 10_000_000
 PARAMETER = re.compile(r"param\.(\w+\.\w+)")  # PART.NAME of a subcircuit, not a scene key

@@ -32,9 +32,11 @@ from kc2spice.netlist.transforms import (
     with_parameters,
 )
 from kc2spice.report.html import flatten_mapping
-from kc2spice.scene.load import gallery, load_scene, toml
+from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build, Scene
+from kc2spice.scene.overrides import toml
 from kc2spice.scene.resolve import resolve_again, resolve_build
+from kc2spice.scene.scene_file import gallery
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.edits import with_value
 from kc2spice.workflow.models import fact_units

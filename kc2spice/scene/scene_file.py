@@ -1,0 +1,116 @@
+"""Text of a scene from the gallery or a TOML file, and the lines of its keys."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
+
+from kc2spice.core.errors import UsageError, candidates, did_you_mean
+from kc2spice.core.quantities import clipped, dotted
+from kc2spice.core.toml_errors import parse_toml_file
+from kc2spice.core.untrusted_files import MAX_BYTES, lines_of, read_bounded, text_of
+
+
+def gallery() -> dict[str, Traversable]:
+    """Built-in scenes by name."""
+    files = (resources.files("kc2spice") / "scenes").iterdir()
+    result = {file.name[:-5]: file for file in files if file.name.endswith(".toml")}
+    return dict(sorted(result.items()))
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """Text of a scene with the overrides on top of it, to say where a key was set."""
+
+    label: str
+    stem: str
+    text: str
+    folder: Path
+    overrides: dict[tuple[str, ...], str] = field(default_factory=dict)
+
+    def parse(self) -> dict[str, Any]:
+        return parse_toml_file(self.text, self.label)
+
+    def where(self, key: str) -> str:
+        """The override or the line that sets ``key``, entries of lists by numbers between dots."""
+        names = tuple(key.split("."))
+        for path, text in self.overrides.items():
+            if path[: len(names)] == names or names[: len(path)] == path:
+                return f"--set {clipped(text)!r}"
+        line = _line_of(self.text, names)
+        place = self.label if line is None else f"{self.label}, line {line}"
+        return f"{place}, key {dotted(tuple(int(n) if n.isdigit() else n for n in names))}"
+
+
+def open_scene(name_or_path: str | Path) -> SceneFile:
+    scenes, name = gallery(), str(name_or_path)
+    if name in scenes:
+        text = scenes[name].read_text(encoding="utf-8")
+        return SceneFile(f"scene {name}", name, text, Path(str(scenes[name])).parent)
+    path = Path(name_or_path)
+    try:
+        text = text_of(read_bounded(path, MAX_BYTES))
+    except UnicodeDecodeError:
+        raise UsageError("not a text file", where=name, expected="TOML in UTF-8") from None
+    except (FileNotFoundError, IsADirectoryError):
+        raise _not_found(name, path, scenes) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UsageError(f"cannot be read: {reason}", where=name) from None
+    folder = Path.cwd() if path.parent == Path() else path.parent  # Path() is: no folder
+    return SceneFile(name, path.stem, text, folder)
+
+
+def _not_found(name: str, path: Path, scenes: Iterable[str]) -> UsageError:
+    """The error of a file that does not exist, or of a name that no built-in scene has."""
+    listing = "kc2spice scenes lists the built-in scenes"
+    if path.suffix != ".toml" and len(path.parts) == 1:
+        expected = (
+            f"a TOML file, or a built-in scene: {candidates(name, scenes, 'kc2spice scenes')}"
+        )
+        hint = did_you_mean(name, scenes) or listing
+        return UsageError("no such scene", got=repr(name), expected=expected, hint=hint)
+    with contextlib.suppress(OSError):
+        near = did_you_mean(path.stem, (file.stem for file in path.parent.glob("*.toml")))
+        listing = near or listing
+    message = "is a directory" if path.is_dir() else "this file does not exist"
+    return UsageError(message, where=name, expected="the path of a TOML file", hint=listing)
+
+
+def _numbered(table: tuple[str, ...], counts: Mapping[tuple[str, ...], int]) -> tuple[str, ...]:
+    """The path of a table with the number of the entry behind each list of tables."""
+    result: list[str] = []
+    for end in range(1, len(table) + 1):
+        result.append(table[end - 1])
+        if table[:end] in counts:
+            result.append(str(counts[table[:end]]))
+    return tuple(result)
+
+
+def _line_of(text: str, path: tuple[str, ...]) -> int | None:
+    """Line that sets ``path`` or, failing that, the longest part of it; for messages only."""
+    table: tuple[str, ...] = ()
+    counts: dict[tuple[str, ...], int] = {}  # of the entries of each list of tables
+    best: tuple[int, int | None] = (0, None)
+    for number, line in enumerate(lines_of(text), start=1):
+        line = line.strip()
+        key = re.match(r"([\w.]+)\s*=", line)
+        if line.startswith("["):
+            header = line.partition("]")[0].lstrip("[")
+            table = tuple(part.strip() for part in header.split("."))
+            if line.startswith("[["):
+                counts[table] = counts.get(table, -1) + 1
+            table = names = _numbered(table, counts)
+        elif key:
+            names = table + tuple(key[1].split("."))
+        else:
+            continue
+        if names == path[: len(names)] and len(names) > best[0]:
+            best = (len(names), number)
+    return best[1]
