@@ -142,10 +142,10 @@ def scenes_page() -> str:
     """The built-in scenes, and the keys outside of parts."""
     from kc2spice.scene.keys import model_keys
     from kc2spice.scene.load import load_scene
-    from kc2spice.scene.scene_file import gallery
+    from kc2spice.scene.scene_file import list_gallery
     from kc2spice.scene.settings import Frame
 
-    loaded = {name: load_scene(name) for name in gallery()}
+    loaded = {name: load_scene(name) for name in list_gallery()}
     rows = [
         (f"`{name}`", s.title, s.analysis.type, ", ".join(dict.fromkeys(
             f"[{p.type.name}](parts.md#{p.type.name})" for p in s.parts.values())))

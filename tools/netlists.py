@@ -33,7 +33,7 @@ from kc2spice.netlist.printers.kicad import Symbol, element_symbols, part_symbol
 from kc2spice.netlist.read import statements
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
-from kc2spice.scene.scene_file import gallery
+from kc2spice.scene.scene_file import list_gallery
 from kc2spice.workflow.export import export_scene
 
 ROOT = Path(__file__).parents[1]
@@ -191,7 +191,7 @@ def write() -> None:
     """Everything that is committed."""
     for old in [path for path in NETLISTS.iterdir() if path.is_dir()]:
         shutil.rmtree(old)
-    for scene in sorted(gallery(), key=lambda name: (name in SHARED, name)):
+    for scene in sorted(list_gallery(), key=lambda name: (name in SHARED, name)):
         print(f"{scene}: {commit(scene)} files", flush=True)
     SYMBOLS.write_text(all_symbols(), encoding="utf-8")
     PAGE.write_text(page(), encoding="utf-8")

@@ -419,7 +419,7 @@ def _verify(
 
     Writes verify.json and verify.html into DIR. Exit code 4 if an error exceeds its gate.
     """
-    from kc2spice.scene.scene_file import gallery
+    from kc2spice.scene.scene_file import list_gallery
     from kc2spice.workflow.verify.verify import verify_scenes
 
     if (scene is None) is not all_:
@@ -431,7 +431,7 @@ def _verify(
             expected="kc2spice verify SCENE, or kc2spice verify --all",
             hint=f"for example  kc2spice verify {scene or 'impact'}",
         )
-    loaded = [_load(name, set_) for name in ([scene] if scene else gallery())]
+    loaded = [_load(name, set_) for name in ([scene] if scene else list_gallery())]
     out = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
     with caller.progress() as progress:
         result = verify_scenes(loaded, out, full=full, deck=deck, trust=trust, progress=progress)
@@ -486,7 +486,7 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
 
     from kc2spice.scene.keys import part_docs, scene_keys
     from kc2spice.scene.load import load_scene
-    from kc2spice.scene.scene_file import gallery
+    from kc2spice.scene.scene_file import list_gallery
 
     if keys and parts:
         raise UsageError(
@@ -515,7 +515,7 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
             ]
             print_table(f"{doc.name}: {doc.title}", rows, names=1)
     else:
-        titles = {name: load_scene(name).title for name in gallery()}
+        titles = {name: load_scene(name).title for name in list_gallery()}
         if caller.reads(titles):
             print_table("scenes", list(titles.items()))
 
@@ -736,12 +736,14 @@ def _sweep(
     Writes a table with one row for each point, and sweep.html with curves. An interrupted sweep
     continues if the same command is given again. A failed point is a row that states the cause.
     """
-    from kc2spice.scene.overrides import override_texts
+    from kc2spice.scene.overrides import expand_overrides
     from kc2spice.workflow.sweep import engine
 
     table = engine.table_name(table_format)
     options: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
-    answer = engine.named_sweep(scene, override_texts(set_ or ()), metrics=metric or (), **options)
+    answer = engine.named_sweep(
+        scene, expand_overrides(set_ or ()), metrics=metric or (), **options
+    )
     out = out or Path(f"{answer.scene.name}_sweep")
     count = workers or engine.cores()
     pool = engine.processes(count) if dask is None else engine.dask(dask, count)

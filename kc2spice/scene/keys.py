@@ -16,7 +16,7 @@ from kc2spice.core.untrusted_files import parse_toml
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import DEFAULT_TABLES, Part, Scene, Terminal
 from kc2spice.scene.parttype import part_types
-from kc2spice.scene.scene_file import gallery
+from kc2spice.scene.scene_file import list_gallery
 from kc2spice.scene.settings import Frame, Probe
 
 
@@ -119,7 +119,7 @@ def part_docs() -> Iterator[PartDoc]:
         elif name in examples:
             scene_name, part, scene = examples[name]
             pins = kind.pins(part, replace(scene, ports="all"))
-            tables = gallery()[scene_name].read_text().split("\n\n")
+            tables = list_gallery()[scene_name].read_text().split("\n\n")
             heading = rf"(#.*\n)*\[{part.name}[].]"
             example = "\n\n".join(table for table in tables if re.match(heading, table))
         yield PartDoc(
@@ -137,7 +137,7 @@ def part_docs() -> Iterator[PartDoc]:
 def _in_gallery() -> dict[str, tuple[str, Part, Scene]]:
     """The first built-in scene with a part of each type."""
     result: dict[str, tuple[str, Part, Scene]] = {}
-    for name in gallery():
+    for name in list_gallery():
         scene = load_scene(name)
         for part in scene.parts.values():
             result.setdefault(part.type.name, (name, part, scene))

@@ -1,4 +1,4 @@
-"""From a gallery name or a TOML file to a checked :class:`Scene`, with errors that say where."""
+"""Scenes from the list_gallery, TOML files or mappings, checked and resolved."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from kc2spice.core.untrusted_files import (
 )
 from kc2spice.scene.compose import with_joins
 from kc2spice.scene.model import DEFAULT_TYPES, GROUND, Names, Part, PartType, Scene
-from kc2spice.scene.overrides import override_texts, parse_override, set_key
+from kc2spice.scene.overrides import read_overrides, set_key
 from kc2spice.scene.parttype import part_type, type_names
 from kc2spice.scene.plausible import apply_action, check_drive_levels
-from kc2spice.scene.problems import check_periods, problems
+from kc2spice.scene.problems import check_periods, check_scene
 from kc2spice.scene.resolve import resolve, with_governed
 from kc2spice.scene.scene_file import SceneFile, open_scene
 from kc2spice.scene.settings import Analysis, Frame
 from kc2spice.scene.start_conditions import find_start_errors
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
-_PARTS = "kc2spice scenes --parts"  # lists the part types with their keys
-_GRAMMAR = ("part", "pins")  # keys of every part table
+_PARTS_COMMAND = "kc2spice scenes --parts"  # lists the part types with their keys
+_GRAMMAR_KEYS = ("part", "pins")  # keys of every part table
 
 
 def load_scene(
@@ -83,9 +83,9 @@ def load_scene(
             hint='write for example kc.load_scene("impact")',
         )
     if isinstance(scene, Scene):
-        source, data = SceneFile("scene", scene.name, "", scene.home), _copied(scene.tables)
+        source, data = SceneFile("scene", scene.name, "", scene.home), _copy_tables(scene.tables)
     elif isinstance(scene, Mapping):
-        source, data = SceneFile("scene", "scene", "", Path()), _copied(scene)
+        source, data = SceneFile("scene", "scene", "", Path()), _copy_tables(scene)
     else:
         source = open_scene(scene)
         data = source.parse()
@@ -98,31 +98,30 @@ def load_scene(
             expected='a list such as ["KEY=VALUE"], or a mapping such as {"KEY": VALUE}',
             hint=f"write overrides=[{clipped(overrides)!r}]",
         )
-    if isinstance(overrides, Mapping):
-        changes = [(name, value, f"{name}={value}") for name, value in overrides.items()]
-    else:
-        changes = [(*parse_override(text), text) for text in override_texts(overrides)]
-    stated = [name for name, table in data.items() if isinstance(table, Mapping)]
-    for name, value, text in changes:
+    tables = [name for name, table in data.items() if isinstance(table, Mapping)]
+    for name, value, text in list(read_overrides(overrides)):
         source.overrides[set_key(data, name, value, text)] = text
-    _only_parts_of(data, stated, source)
+    _require_known_parts(data, tables, source)
     try:
-        result = _scene(data, source)
+        result = _make_scene(data, source)
         return replace(result, workspace=scene.workspace) if isinstance(scene, Scene) else result
     except UsageError as problem:
-        # a file that the scene names is a place of its own, not a key
+        # an absolute path is that of a file, not a key
         if problem.where is not None and not Path(problem.where).is_absolute():
             problem.where = source.where(problem.where)
         raise
 
 
-def _only_parts_of(data: Mapping[str, Any], stated: Sequence[str], source: SceneFile) -> None:
-    """Refuse overrides of a part that the scene lacks; one with a type adds a part."""
-    known = {*stated, *Frame.model_fields, *DEFAULT_TYPES}
+def _require_known_parts(data: Mapping[str, Any], tables: Sequence[str], source: SceneFile) -> None:
+    """Refuse overrides of a part that the scene lacks; one with a type adds a part.
+
+    ``tables`` are those of the scene without overrides.
+    """
+    known = {*tables, *Frame.model_fields, *DEFAULT_TYPES}
     for name, table in data.items():
         if name in known or not isinstance(table, Mapping) or "part" in table:
             continue
-        parts = [part for part in stated if part not in Frame.model_fields]
+        parts = [part for part in tables if part not in Frame.model_fields]
         raise UsageError(
             f"this scene has no part {name!r}",
             where=source.where(name),
@@ -131,63 +130,74 @@ def _only_parts_of(data: Mapping[str, Any], stated: Sequence[str], source: Scene
         )
 
 
-def _copied(value: Any) -> Any:
-    """A copy whose tables and lists may be changed."""
+def _copy_tables(value: Any) -> Any:
+    """Return a copy with tables and lists that may be changed."""
     if isinstance(value, Mapping):
-        return {key: _copied(item) for key, item in value.items()}
-    return list(map(_copied, value)) if isinstance(value, (list, tuple)) else value
+        return {key: _copy_tables(item) for key, item in value.items()}
+    return list(map(_copy_tables, value)) if isinstance(value, (list, tuple)) else value
 
 
-def _scene(data: dict[str, Any], source: SceneFile) -> Scene:
-    """The scene that ``data`` says; of errors ``where`` is a key."""
-    home = source.folder
-    types = {name: _type(name, table) for name, table in _part_tables(data)}
+def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
+    """Return the checked and resolved scene of tables; ``where`` of errors is a key."""
+    types = {name: _find_type(name, table) for name, table in _list_part_tables(data)}
     frame = {key: data[key] for key in data if key not in types}
-    scene = Scene(_validated(Frame, frame, ()), {}, home=home)
-    parts = {}
-    for name, kind in types.items():
-        short = () if "part" in data[name] else tuple(data)
-        parts[name] = _part(name, data[name], kind, home, short=short)
-    analysis = None
-    for part in list(parts.values()):
-        for name, table in part.type.expand(part, data).items():
-            if name == "analysis":
-                analysis = analysis or _validated(Analysis, table, (part.name,))
-                continue
-            if name.lower() in map(str.lower, parts):
-                expected = f"another name: {part.name} brings a part of this one along"
-                raise UsageError("this name is taken", where=name, got=name, expected=expected)
-            keys = {key: value for key, value in table.items() if key != "at"}
-            at = table.get("at")
-            place = at if isinstance(at, tuple) else (name,)
-            parts[name] = _part(name, keys, _type(name, keys), home, place)
-    scene = replace(scene, parts=parts, tables=_copied(data), source=source)
+    scene = Scene(_validate_table(Frame, frame, ()), {}, home=source.folder)
+    parts, analysis = _make_parts(data, types, source.folder)
+    scene = replace(scene, parts=parts, tables=_copy_tables(data), source=source)
     if analysis is not None and "analysis" not in data:
         scene = replace(scene, frame=scene.frame.model_copy(update={"analysis": analysis}))
     scene = with_governed(scene)
-    for problem in problems(scene):
+    for problem in check_scene(scene):
         raise problem
-    scene = resolve(_driven(scene))
-    wild = apply_action(check_drive_levels(scene), scene.checks.plausible)
-    for problem in chain(check_periods(scene), find_start_errors(scene, scene.rests), wild):
+    scene = resolve(_with_default_drive(scene))
+    implausible = apply_action(check_drive_levels(scene), scene.checks.plausible)
+    start_errors = find_start_errors(scene, scene.rests)
+    for problem in chain(check_periods(scene), start_errors, implausible):
         raise problem
     return scene
 
 
-def _driven(scene: Scene) -> Scene:
-    """``scene``; of an ``ac`` that nothing drives with 1 V on its body's first electrical port.
+def _make_parts(
+    data: Mapping[str, Any], types: Mapping[str, PartType], home: Path
+) -> tuple[dict[str, Part], Analysis | None]:
+    """Return all parts with those that they expand to, and the analysis that they expand to."""
+    parts = {}
+    for name, kind in types.items():
+        short = () if "part" in data[name] else tuple(data)
+        parts[name] = _make_part(name, data[name], kind, home, short=short)
+    analysis = None
+    for part in list(parts.values()):
+        for name, table in part.type.expand(part, data).items():
+            if name == "analysis":
+                analysis = analysis or _validate_table(Analysis, table, (part.name,))
+                continue
+            if name.lower() in map(str.lower, parts):
+                expected = f"another name: {part.name} brings a part of this one along"
+                raise UsageError("this name is taken", where=name, got=name, expected=expected)
+            keys = dict(table)
+            at = keys.pop("at", None)
+            place = at if isinstance(at, tuple) else (name,)
+            parts[name] = _make_part(name, keys, _find_type(name, keys), home, place)
+    return parts, analysis
+
+
+def _with_default_drive(scene: Scene) -> Scene:
+    """Return the scene with 1 V at its electrical port if nothing drives an ``ac`` analysis.
 
     Raises
     ------
-    UsageError : nothing drives it, and there is no such port or something is joined to it.
+    UsageError : nothing drives it, and the scene has not exactly one free electrical port.
     """
     parts = scene.parts
     if scene.analysis.type != "ac" or any(part.type.drives(part, scene) for part in parts.values()):
         return scene
     exported = replace(with_joins(scene), ports="all")
-    bodies = [part for part in parts.values() if part.reduced]
-    electrical = ([p for p in part.type.pins(part, exported) if p.unit == "V"] for part in bodies)
-    ports = [(b.name, pins[0].name) for b, pins in zip(bodies, electrical, strict=True) if pins]
+    ports = []
+    for body in scene.bodies:
+        for pin in body.type.pins(body, exported):
+            if pin.unit == "V":
+                ports.append((body.name, pin.name))
+                break  # the first electrical port of each body
     if len(ports) != 1 or ports[0][1] in parts[ports[0][0]].pins or scene.is_target(*ports[0]):
         at = f" at {', '.join(map('.'.join, ports))}" if ports else ""
         raise UsageError(
@@ -197,15 +207,15 @@ def _driven(scene: Scene) -> Scene:
             expected=f'a source with ac = "1 V"{at}',
             hint="a body whose electrical port nothing is joined to is driven by 1 V",
         )
-    body = ports[0][0]
-    name = Names(parts).name(body, f"{body}_drive")
+    driven = ports[0][0]
+    name = Names(parts).name(driven, f"{driven}_drive")
     table = {"part": "source", "ac": "1 V", "pins": {"out": ".".join(ports[0])}}
-    drive = _part(name, table, _type(name, table), scene.home)
+    drive = _make_part(name, table, _find_type(name, table), scene.home)
     return replace(scene, parts={**parts, name: drive})
 
 
-def _part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Top-level tables that are parts."""
+def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield the tables of parts with their names."""
     spellings: dict[str, str] = {}
     for name, table in data.items():
         if name in Frame.model_fields:
@@ -214,7 +224,7 @@ def _part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, An
             expected = f"a table, [{name}]"
             raise UsageError("not a table", where=name, got=display_text(table), expected=expected)
         if not isinstance(table, Mapping):
-            raise _unknown(name, data)
+            raise _unknown_key_error(name, data)
         if not _NAME.fullmatch(name) or name.lower() == GROUND:
             raise UsageError(
                 "not a name for a part",
@@ -235,16 +245,15 @@ def _part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, An
         yield name, table
 
 
-def _unknown(name: str, data: Mapping[str, Any]) -> UsageError:
-    """The error of a key at the top that is none; perhaps it belongs below the name of a part."""
-    parts = {
-        n: t for n, t in data.items() if isinstance(t, Mapping) and n not in Frame.model_fields
-    }
-    kinds = {item: table.get("part", DEFAULT_TYPES.get(item)) for item, table in parts.items()}
-    schemas = {n: kind.schema for n, k in kinds.items() if (kind := part_type(str(k))) is not None}
-    part_keys: list[str] = []
-    for item, schema in schemas.items():
-        part_keys += [".".join((item, *key)) for key, _ in entries(schema)]
+def _unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
+    """Return the error of an unknown key at the top, which may be the key of a part."""
+    parts, part_keys = [], []
+    for item, table in data.items():
+        if isinstance(table, Mapping) and item not in Frame.model_fields:
+            parts.append(item)
+            kind = part_type(str(table.get("part", DEFAULT_TYPES.get(item))))
+            for path, _ in () if kind is None else entries(kind.schema):
+                part_keys.append(".".join((item, *path)))
     below = f"keys of a part stand below its name: {', '.join(parts)}" if parts else None
     return UsageError(
         "unknown key",
@@ -254,20 +263,21 @@ def _unknown(name: str, data: Mapping[str, Any]) -> UsageError:
     )
 
 
-def _type(name: str, table: Mapping[str, Any]) -> PartType:
+def _find_type(name: str, table: Mapping[str, Any]) -> PartType:
+    """Return the part type that a table or its name states."""
     selected = table.get("part", DEFAULT_TYPES.get(name))
     if selected is None:
         near = did_you_mean(name, [*Frame.model_fields, *DEFAULT_TYPES])
         raise UsageError(
             "this table states no part type",
             where=name,
-            expected=f"part = one of {candidates(name, type_names(), _PARTS)}",
+            expected=f"part = one of {candidates(name, type_names(), _PARTS_COMMAND)}",
             hint=near
             or f'add  part = "TYPE"  to [{name}]; kc2spice scenes --parts lists the types',
         )
     result = part_type(selected) if isinstance(selected, str) else None
     if result is None:
-        error = unknown("unknown part type", selected, type_names(), f"{name}.part", _PARTS)
+        error = unknown("unknown part type", selected, type_names(), f"{name}.part", _PARTS_COMMAND)
         error.hint = error.hint or (
             "a part type of your own needs kc.register_part in Python, or an installed package "
             "with an entry point in the group kc2spice.parts"
@@ -276,7 +286,7 @@ def _type(name: str, table: Mapping[str, Any]) -> PartType:
     return result
 
 
-def _part(
+def _make_part(
     name: str,
     table: Mapping[str, Any],
     kind: PartType,
@@ -284,8 +294,11 @@ def _part(
     at: tuple[str | int, ...] = (),
     short: tuple[str, ...] = (),
 ) -> Part:
-    """A part of its table; ``at`` is where the file has it, if not under its name. ``short`` are
-    the tables of the scene where this one's name says its type, which some keys depend on."""
+    """Return the part of a table.
+
+    ``at`` is the path of the table in the file, if this is not its name. ``short`` are all tables
+    of the scene if the name of the table is its type: some keys then depend on them.
+    """
     pins = table.get("pins", {})
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
         raise UsageError(
@@ -295,28 +308,34 @@ def _part(
             expected="a table of pins, each with the pin that it joins, or gnd",
             hint='write  pins = { PIN = "PART.PIN" }',
         )
-    keys = {key: value for key, value in table.items() if key not in _GRAMMAR}
-    keys, context = _completed(keys, kind.schema), {"home": home, "short": short}
-    checked = _validated(kind.schema, keys, at or (name,), context)
+    keys = _complete_tables(table, kind.schema)
+    for key in _GRAMMAR_KEYS:
+        keys.pop(key, None)
+    checked = _validate_table(kind.schema, keys, at or (name,), {"home": home, "short": short})
     return Part(name, kind, checked, dict(pins), at)
 
 
-def _validated(
+def _validate_table(
     schema: type[BaseModel],
     table: Mapping[str, Any],
     at: tuple[str | int, ...],
     context: Mapping[str, Any] | None = None,
 ) -> Any:
-    """The table ``at`` as its ``schema``, or an error that names its invalid key."""
+    """Return the table ``at`` as an instance of its ``schema``.
+
+    Raises
+    ------
+    UsageError : a key is invalid.
+    """
     try:
         return schema.model_validate(table, context=context)
     except ValidationError as error:
-        path, words = describe_invalid(error, schema, at, _GRAMMAR if at else (), table)
+        path, words = describe_invalid(error, schema, at, _GRAMMAR_KEYS if at else (), table)
         raise UsageError(where=".".join(map(str, path)), **words) from None
 
 
-def _completed(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, Any]:
-    """``table`` whose tables have what the schema's default for them says and they do not.
+def _complete_tables(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, Any]:
+    """Return ``table`` with the keys that the default of the schema adds to its tables.
 
     ``ring = { outer = "6 mm" }`` changes the outer diameter of the usual ring and nothing else.
     """
@@ -325,5 +344,5 @@ def _completed(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, A
         default = field_.default
         if isinstance(default, BaseModel) and isinstance(result.get(name), Mapping):
             stated = {key: getattr(default, key) for key in default.model_fields_set}
-            result[name] = stated | _completed(result[name], type(default))
+            result[name] = stated | _complete_tables(result[name], type(default))
     return result

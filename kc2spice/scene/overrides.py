@@ -14,79 +14,102 @@ from kc2spice.scene.scene_file import open_scene
 
 _WORD, _INDEX = r"[A-Za-z_][A-Za-z0-9_]*", r"\[-?[0-9]{1,6}\]"
 _KEY = re.compile(rf"{_WORD}({_INDEX})*(\.{_WORD}({_INDEX})*)*")
-_ALTERNATIVES = {"rom.order": "tolerance", "rom.tolerance": "order"}  # one replaces the other
-_OVERRIDE = "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"
+_SEPARATOR = re.compile(r"[.\[]")
+_ALTERNATIVES = {"rom.order": "tolerance", "rom.tolerance": "order"}  # keys that exclude each other
+_EXAMPLES = "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"
 
 
-def override_texts(texts: Sequence[str]) -> list[str]:
-    """Overrides, each ``dotted.key=value``; a TOML file gives all that it has.
+def read_overrides(
+    overrides: Sequence[str] | Mapping[str, Any],
+) -> Iterator[tuple[str, Any, str]]:
+    """Yield key, value and text of each override.
 
     Raises
     ------
-    UsageError : a file that is not there, or not TOML.
+    UsageError : a text is no override.
+    """
+    if isinstance(overrides, Mapping):
+        for name, value in overrides.items():
+            yield name, value, f"{name}={value}"
+    else:
+        for text in expand_overrides(overrides):
+            yield (*_parse_override(text), text)
+
+
+def expand_overrides(texts: Sequence[str]) -> list[str]:
+    """Replace names of TOML files by texts ``dotted.key=value`` of all their keys.
+
+    Raises
+    ------
+    UsageError : a file does not exist, or is not TOML.
     """
     result: list[str] = []
     for text in texts:
-        plain = "=" in text or not text.endswith(".toml")
-        result += (
-            [text] if plain else [f"{k}={toml(v)}" for k, v in _flat(open_scene(text).parse())]
-        )
+        if "=" in text or not text.endswith(".toml"):
+            result.append(text)
+            continue
+        for key, value in _flatten_tables(open_scene(text).parse()):
+            result.append(f"{key}={format_toml(value)}")
     return result
 
 
-def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted keys and values of tables in tables; one whose own keys are dotted is a value."""
+def _flatten_tables(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield dotted keys and values of nested tables; a table with dotted keys is a value."""
     for key, value in table.items():
-        if isinstance(value, Mapping) and not any(re.search(r"[.\[]", name) for name in value):
-            yield from _flat(value, f"{above}{key}.")
+        if isinstance(value, Mapping) and not any(map(_SEPARATOR.search, value)):
+            yield from _flatten_tables(value, f"{above}{key}.")
         else:
             yield f"{above}{key}", value
 
 
-def toml(value: Any) -> str:
-    """A value as the text that a scene file would have for it, to the last bit."""
+def format_toml(value: Any) -> str:
+    """Return a value as TOML that a scene file would contain, with all its digits."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{json.dumps(key)} = {toml(v)}" for key, v in value.items()) + "}"
+        items = (f"{json.dumps(key)} = {format_toml(item)}" for key, item in value.items())
+        return "{" + ", ".join(items) + "}"
     if hasattr(value, "tolist"):  # a numpy array or number
-        return toml(value.tolist())
+        return format_toml(value.tolist())
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(toml, value)) + "]"
+        return "[" + ", ".join(map(format_toml, value)) + "]"
     return repr(value) if isinstance(value, float) else json.dumps(value, default=str)
 
 
-def parse_override(text: str) -> tuple[str, Any]:
-    """Key and value of ``dotted.key=value``."""
-    name, equals, value = (part.strip() for part in text.partition("="))
+def _parse_override(text: str) -> tuple[str, Any]:
+    """Return key and value of ``dotted.key=value``."""
+    name, equals, value = map(str.strip, text.partition("="))
     if not equals or not value:
-        raise _no_override(text)
-    return name, override_value(value)
+        raise _syntax_error(text)
+    return name, parse_override_value(value)
 
 
-def _no_override(text: str) -> UsageError:
+def _syntax_error(text: str) -> UsageError:
+    """Return the error of a text that is no override."""
     name, equals, _ = text.partition("=")
     hint = None if equals else f"write {clipped(name)}=VALUE"
     return UsageError(
         "not an override",
         where="--set",
         got=repr(clipped(text)),
-        expected=_OVERRIDE,
+        expected=_EXAMPLES,
         hint=hint,
     )
 
 
 def set_key(data: dict[str, Any], name: str, value: Any, text: str) -> tuple[str, ...]:
-    """Set the key ``name`` and return its path, in which entries of lists are counted from their
-    beginning; tables on the way are made, entries of lists must be there."""
+    """Set the key ``name`` and return its path, with entries of lists by their numbers.
+
+    Missing tables are added. Entries of lists must exist.
+    """
     steps = re.findall(rf"{_WORD}|{_INDEX}", name)
     long = len(steps) > DEEPEST or max(map(len, steps), default=0) > LONGEST_KEY
     if long or not _KEY.fullmatch(name):
-        raise _no_override(text)
+        raise _syntax_error(text)
     path: list[str] = []
     where, so_far = f"--set {clipped(text)!r}", ""
     holder: Any = data
     key: str | int = ""
     for step in steps:
-        key = _place(holder, step, so_far, where)
+        key = _find_key(holder, step, so_far, where)
         path.append(str(key))
         so_far += step if step[0] == "[" or not so_far else f".{step}"
         if len(path) < len(steps):
@@ -97,12 +120,12 @@ def set_key(data: dict[str, Any], name: str, value: Any, text: str) -> tuple[str
     return tuple(path)
 
 
-def _place(holder: Any, step: str, so_far: str, where: str) -> str | int:
-    """Key of a table, or number from the beginning of a list, for a name or ``[index]``.
+def _find_key(holder: Any, step: str, so_far: str, where: str) -> str | int:
+    """Return the key of a table, or the index of a list, for a step of a dotted key.
 
     Raises
     ------
-    UsageError : ``holder``, which the key ``so_far`` names, is not that or has no such entry.
+    UsageError : ``holder``, the value of the key ``so_far``, has no such key or entry.
     """
     if step[0] != "[":
         if isinstance(holder, dict):
@@ -119,10 +142,10 @@ def _place(holder: Any, step: str, so_far: str, where: str) -> str | int:
     return index % count
 
 
-def override_value(text: str) -> Any:
-    """Parse the value of ``key=VALUE``.
+def parse_override_value(text: str) -> Any:
+    """Parse the value of ``key=VALUE`` as TOML.
 
-    It is a TOML value. Other texts, bare words and numbers with a unit, are returned unchanged.
+    Other texts, bare words and numbers with a unit, are returned unchanged.
     """
     try:
         table = parse_toml(f"value = {text}")

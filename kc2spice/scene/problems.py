@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from math import inf
+from operator import attrgetter
 
 from kc2spice.core.errors import UsageError, candidates
 from kc2spice.core.quantities import quantity, unit_of
@@ -13,12 +14,12 @@ from kc2spice.scene.plausible import ImplausibleError, apply_action
 from kc2spice.scene.resolve import PERIOD_TOLERANCE
 from kc2spice.scene.settings import SCALE_OF, Analysis
 
-MOST_POINTS = 1e7  # time points of a transient at its largest step
-CLOSEST = 1e-12  # smallest step that a simulator resolves, relative to the last frequency
+MAX_TIME_POINTS = 1e7  # time points of a transient at its largest step
+SMALLEST_STEP = 1e-12  # smallest step that a simulator resolves, relative to the last frequency
 
 
-def problems(scene: Scene) -> Iterator[UsageError]:
-    """Every violated condition, with the dotted key in ``where``."""
+def check_scene(scene: Scene) -> Iterator[UsageError]:
+    """Yield an error for every violated condition, with the dotted key in ``where``."""
     if not scene.parts:
         yield UsageError(
             "a scene without parts",
@@ -28,14 +29,34 @@ def problems(scene: Scene) -> Iterator[UsageError]:
             hint="kc2spice scenes lists scenes to start from",
         )
         return
-    doubtful = []
-    for item in (item for part in scene.parts.values() for item in part.type.problems(part, scene)):
-        if isinstance(item, ImplausibleError):
-            doubtful.append(item)
-        else:
-            yield item
-    yield from apply_action(doubtful, scene.checks.plausible)
-    selected, solver = scene.analysis, scene.solver
+    yield from _check_parts(scene)
+    yield from _check_includes(scene)
+    yield from _check_largest_step(scene)
+    yield from _check_unused_keys(scene.analysis)
+    yield from _check_sweep_type(scene)
+    yield from _check_frequencies(scene.analysis)
+    yield from _check_noise_output(scene.analysis)
+    if scene.analysis.type == "dc":
+        yield from _check_swept_key(scene)
+    for name, probe in scene.probes.items():
+        for key, place in probe.places.items():
+            yield from _check_place(f"probes.{name}.{key}", place, scene)
+
+
+def _check_parts(scene: Scene) -> Iterator[UsageError]:
+    """Yield errors of parts; implausible values are the last ones."""
+    implausible = []
+    for part in scene.parts.values():
+        for problem in part.type.problems(part, scene):
+            if isinstance(problem, ImplausibleError):
+                implausible.append(problem)
+            else:
+                yield problem
+    yield from apply_action(implausible, scene.checks.plausible)
+
+
+def _check_includes(scene: Scene) -> Iterator[UsageError]:
+    """Yield an error of included netlists that no part uses."""
     if scene.include and not any(part.netlist for part in scene.parts.values()):
         yield UsageError(
             "nothing uses these netlists",
@@ -43,24 +64,34 @@ def problems(scene: Scene) -> Iterator[UsageError]:
             got=", ".join(scene.include),
             expected="a part that names a subcircuit out of them",
         )
-    if selected.type == "transient" and (solver.max_step or 0.0) > scene.stop:
+
+
+def _check_largest_step(scene: Scene) -> Iterator[UsageError]:
+    """Yield errors of a largest time step that is too long or too short for the transient."""
+    step = scene.solver.max_step
+    if scene.analysis.type != "transient" or not step:
+        return
+    if step > scene.stop:
         yield UsageError(
             "longer than the whole simulation",
             where="solver.max_step",
-            got=f"{solver.max_step:g} s",
+            got=f"{step:g} s",
             expected=f"at most the end of the simulation, {scene.stop:g} s",
         )
-    step = solver.max_step if selected.type == "transient" else None
-    points = 0.0 if step is None else scene.stop / step
-    if points > MOST_POINTS:
+    points = scene.stop / step
+    if points > MAX_TIME_POINTS:
         yield UsageError(
             "more time points than a run may have",
             where="solver.max_step",
-            got=f"{scene.stop:g} s in steps of {solver.max_step:g} s: {points:.2g} points",
-            expected=f"at most {MOST_POINTS:g}",
+            got=f"{scene.stop:g} s in steps of {step:g} s: {points:.2g} points",
+            expected=f"at most {MAX_TIME_POINTS:g}",
             hint="raise solver.max_step, or end earlier (analysis.stop or solver.stop)",
         )
-    yield from _without_effect(selected)
+
+
+def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
+    """Yield errors of sweeps, and of return sweeps, in analyses that have none."""
+    selected = scene.analysis
     if selected.type != "dc" and selected.sweep is not None:
         yield UsageError(
             "only dc sweeps a key",
@@ -78,8 +109,14 @@ def problems(scene: Scene) -> Iterator[UsageError]:
                 got=f"{selected.type} of {selected.sweep}",
                 expected='type = "dc" and sweep = "SOURCE.dc", or back = false',
             )
-    stop = selected.stop or 0.0
-    if selected.small and selected.stop is None:
+
+
+def _check_frequencies(selected: Analysis) -> Iterator[UsageError]:
+    """Yield errors of the frequency range of ``ac`` and ``noise``."""
+    if not selected.small:
+        return
+    start, stop = selected.start, selected.stop or 0.0
+    if selected.stop is None:
         yield UsageError(
             f"analysis.stop is missing in {selected.type}",
             where="analysis",
@@ -87,66 +124,79 @@ def problems(scene: Scene) -> Iterator[UsageError]:
             expected='the last frequency, such as stop = "100 kHz"',
             hint='add  stop = "100 kHz"  to [analysis]',
         )
-    elif selected.small and not stop - selected.start > CLOSEST * selected.points * stop:
+    elif not stop - start > SMALLEST_STEP * selected.points * stop:
         yield UsageError(
             "empty frequency range",
             where="analysis.stop",
-            got=f"{selected.start:g} … {stop:g} Hz",
-            expected=f"a stop above the start, {selected.start:g} Hz, and points that differ by "
-            f"more than {CLOSEST:g} of the stop",
+            got=f"{start:g} … {stop:g} Hz",
+            expected=f"a stop above the start, {start:g} Hz, and points that differ by "
+            f"more than {SMALLEST_STEP:g} of the stop",
             hint="raise analysis.stop, or lower analysis.start",
         )
-    if selected.small and selected.scale == "log" and selected.start <= 0:
+    if selected.scale != "log":
+        return
+    if start <= 0:
         yield UsageError(
             "a logarithmic range cannot begin at zero",
             where="analysis.start",
-            got=f"{selected.start:g} Hz",
+            got=f"{start:g} Hz",
             expected='above 0, or scale = "linear"',
         )
-    elif selected.small and selected.scale == "log" and math.isinf(stop / selected.start):
+    elif math.isinf(stop / start):
         yield UsageError(
             "a range of more decades than numbers have",
             where="analysis.start",
-            got=f"{selected.start:g} … {stop:g} Hz",
+            got=f"{start:g} … {stop:g} Hz",
             expected="at most 308 decades",
         )
-    if (selected.type == "noise") != (selected.output is not None):
+
+
+def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
+    """Yield an error of a noise analysis without output, or of an output without noise."""
+    expected = 'output = "PART.RESULT" or "PART.PIN" with type = "noise"'
+    if selected.type == "noise" and selected.output is None:
         yield UsageError(
-            "a noise analysis needs an output"
-            if selected.output is None
-            else f"output has no effect in {selected.type}",
-            where="analysis" if selected.output is None else "analysis.output",
-            got=f'type = "{selected.type}"'
-            + (" without output" if selected.output is None else f', output = "{selected.output}"'),
-            expected='output = "PART.RESULT" or "PART.PIN" with type = "noise"',
-            hint='add  output = "PART.RESULT"  to [analysis]'
-            if selected.output is None
-            else "delete the key output of [analysis]",
+            "a noise analysis needs an output",
+            where="analysis",
+            got='type = "noise" without output',
+            expected=expected,
+            hint='add  output = "PART.RESULT"  to [analysis]',
         )
-    if selected.type == "dc":
-        name, _, _ = (selected.sweep or "").partition(".")
-        if name not in scene.parts:
-            sources = [part.name for part in scene.of("source")] or list(scene.parts)
-            yield UsageError(
-                "analysis.sweep is missing in dc"
-                if selected.sweep is None
-                else f"this scene has no part {name!r}",
-                where="analysis" if selected.sweep is None else "analysis.sweep",
-                got='type = "dc" without sweep' if selected.sweep is None else repr(selected.sweep),
-                expected=f"PART.dc of a source of the scene: {candidates(name, sources)}",
-                hint=f'write  sweep = "{sources[0]}.dc"  in [analysis]',
-            )
-        unit = _scale_unit(scene)
-        for key, value in (("from", selected.from_), ("to", selected.to)):
-            if unit is not None and isinstance(value, str):
-                quantity(value, unit, where=f"analysis.{key}")
-    for name, probe in scene.probes.items():
-        for key, place in probe.places.items():
-            yield from _misplaced(f"probes.{name}.{key}", place, scene)
+    elif selected.type != "noise" and selected.output is not None:
+        yield UsageError(
+            f"output has no effect in {selected.type}",
+            where="analysis.output",
+            got=f'type = "{selected.type}", output = "{selected.output}"',
+            expected=expected,
+            hint="delete the key output of [analysis]",
+        )
 
 
-def _without_effect(selected: Analysis) -> Iterator[UsageError]:
-    """Keys of the analysis that its type does not read; sweep, back and output have own errors."""
+def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
+    """Yield errors of the key that a dc analysis sweeps, and of its range."""
+    selected = scene.analysis
+    name, _, _ = (selected.sweep or "").partition(".")
+    if name not in scene.parts:
+        sources = [part.name for part in scene.of("source")] or list(scene.parts)
+        missing = selected.sweep is None
+        yield UsageError(
+            "analysis.sweep is missing in dc" if missing else f"this scene has no part {name!r}",
+            where="analysis" if missing else "analysis.sweep",
+            got='type = "dc" without sweep' if missing else repr(selected.sweep),
+            expected=f"PART.dc of a source of the scene: {candidates(name, sources)}",
+            hint=f'write  sweep = "{sources[0]}.dc"  in [analysis]',
+        )
+    unit = _scale_unit(scene)
+    for key, value in (("from", selected.from_), ("to", selected.to)):
+        if unit is not None and isinstance(value, str):
+            quantity(value, unit, where=f"analysis.{key}")
+
+
+def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
+    """Yield errors of keys that the type of the analysis does not read.
+
+    The keys ``sweep``, ``back`` and ``output`` have separate checks.
+    """
     readers = {
         "stop": ("transient", "ac", "noise"),
         "start": ("ac", "noise"),
@@ -170,21 +220,22 @@ def _without_effect(selected: Analysis) -> Iterator[UsageError]:
 
 
 def check_periods(scene: Scene) -> Iterator[UsageError]:
-    """Probes of the last periods of a run that has no such periods."""
+    """Yield errors of probes of the last periods, if a run has no such periods."""
     for name, probe in scene.probes.items():
         if probe.periods is not None:
-            yield from _no_periods(f"probes.{name}.periods", probe.periods, scene)
+            yield from _check_window(f"probes.{name}.periods", probe.periods, scene)
 
 
-def _no_periods(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
-    """Why a transient has no such window of its last periods."""
+def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
+    """Yield an error if an analysis has no window of its last ``count`` periods."""
     if scene.analysis.type != "transient":
         got, expected = f"{scene.analysis.type} analysis", "a transient, or from and to"
         yield UsageError("only a transient has periods", where=where, got=got, expected=expected)
         return
-    period, known = scene.period, sorted({row.period for row in scene.numerics} - {0.0})
+    period = scene.period
     if period is None:
-        periods = ", ".join(f"{each:.4g} s" for each in known)
+        known = sorted(set(map(attrgetter("period"), scene.numerics)) - {0.0})
+        periods = ", ".join(map("{:.4g} s".format, known))
         yield UsageError(
             "the sources of this scene have no common period",
             where=where,
@@ -199,8 +250,8 @@ def _no_periods(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
                          expected=expected)  # fmt: skip
 
 
-def _misplaced(where: str, place: float, scene: Scene) -> Iterator[UsageError]:
-    """Why a place is none on the scale of the scene's analysis."""
+def _check_place(where: str, place: float, scene: Scene) -> Iterator[UsageError]:
+    """Yield an error of a place that is not on the scale of the analysis."""
     selected, part_unit = scene.analysis, getattr(place, "unit", "")
     unit = _scale_unit(scene)
     if part_unit and unit is not None and part_unit != unit:
@@ -221,7 +272,7 @@ def _misplaced(where: str, place: float, scene: Scene) -> Iterator[UsageError]:
 
 
 def _scale_unit(scene: Scene) -> str | None:
-    """Unit of the scale of the scene's analysis, None where that is not known."""
+    """Return the unit of the scale of the analysis, None if it is not known."""
     selected = scene.analysis
     if selected.type != "dc":
         return SCALE_OF.get(selected.type)

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from importlib.resources.abc import Traversable
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,8 @@ from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import MAX_BYTES, lines_of, read_bounded, text_of
 
 
-def gallery() -> dict[str, Traversable]:
-    """Built-in scenes by name."""
+def list_gallery() -> dict[str, Traversable]:
+    """Return the files of the built-in scenes by the names of the scenes."""
     files = (resources.files("kc2spice") / "scenes").iterdir()
     result = {file.name[:-5]: file for file in files if file.name.endswith(".toml")}
     return dict(sorted(result.items()))
@@ -26,7 +27,7 @@ def gallery() -> dict[str, Traversable]:
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Text of a scene with the overrides on top of it, to say where a key was set."""
+    """Text of a scene with its overrides, in which :meth:`where` finds the origin of a key."""
 
     label: str
     stem: str
@@ -35,21 +36,29 @@ class SceneFile:
     overrides: dict[tuple[str, ...], str] = field(default_factory=dict)
 
     def parse(self) -> dict[str, Any]:
+        """Return the tables of the text."""
         return parse_toml_file(self.text, self.label)
 
     def where(self, key: str) -> str:
-        """The override or the line that sets ``key``, entries of lists by numbers between dots."""
+        """Return the override or the line that sets ``key``, such as ``disc.layers.0.diameter``."""
         names = tuple(key.split("."))
         for path, text in self.overrides.items():
             if path[: len(names)] == names or names[: len(path)] == path:
                 return f"--set {clipped(text)!r}"
-        line = _line_of(self.text, names)
+        line = _find_line(self.text, names)
         place = self.label if line is None else f"{self.label}, line {line}"
-        return f"{place}, key {dotted(tuple(int(n) if n.isdigit() else n for n in names))}"
+        steps = tuple(int(name) if name.isdigit() else name for name in names)
+        return f"{place}, key {dotted(steps)}"
 
 
 def open_scene(name_or_path: str | Path) -> SceneFile:
-    scenes, name = gallery(), str(name_or_path)
+    """Read a built-in scene, or a TOML file.
+
+    Raises
+    ------
+    UsageError : no such scene or file, or a file that is not text.
+    """
+    scenes, name = list_gallery(), str(name_or_path)
     if name in scenes:
         text = scenes[name].read_text(encoding="utf-8")
         return SceneFile(f"scene {name}", name, text, Path(str(scenes[name])).parent)
@@ -59,7 +68,7 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
     except UnicodeDecodeError:
         raise UsageError("not a text file", where=name, expected="TOML in UTF-8") from None
     except (FileNotFoundError, IsADirectoryError):
-        raise _not_found(name, path, scenes) from None
+        raise _missing_file_error(name, path, scenes) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise UsageError(f"cannot be read: {reason}", where=name) from None
@@ -67,8 +76,8 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
     return SceneFile(name, path.stem, text, folder)
 
 
-def _not_found(name: str, path: Path, scenes: Iterable[str]) -> UsageError:
-    """The error of a file that does not exist, or of a name that no built-in scene has."""
+def _missing_file_error(name: str, path: Path, scenes: Iterable[str]) -> UsageError:
+    """Return the error of a file that does not exist, or of an unknown built-in scene."""
     listing = "kc2spice scenes lists the built-in scenes"
     if path.suffix != ".toml" and len(path.parts) == 1:
         expected = (
@@ -77,14 +86,16 @@ def _not_found(name: str, path: Path, scenes: Iterable[str]) -> UsageError:
         hint = did_you_mean(name, scenes) or listing
         return UsageError("no such scene", got=repr(name), expected=expected, hint=hint)
     with contextlib.suppress(OSError):
-        near = did_you_mean(path.stem, (file.stem for file in path.parent.glob("*.toml")))
+        near = did_you_mean(path.stem, map(attrgetter("stem"), path.parent.glob("*.toml")))
         listing = near or listing
     message = "is a directory" if path.is_dir() else "this file does not exist"
     return UsageError(message, where=name, expected="the path of a TOML file", hint=listing)
 
 
-def _numbered(table: tuple[str, ...], counts: Mapping[tuple[str, ...], int]) -> tuple[str, ...]:
-    """The path of a table with the number of the entry behind each list of tables."""
+def _add_entry_numbers(
+    table: tuple[str, ...], counts: Mapping[tuple[str, ...], int]
+) -> tuple[str, ...]:
+    """Return the path of a table with the number of the entry after each list of tables."""
     result: list[str] = []
     for end in range(1, len(table) + 1):
         result.append(table[end - 1])
@@ -93,8 +104,8 @@ def _numbered(table: tuple[str, ...], counts: Mapping[tuple[str, ...], int]) -> 
     return tuple(result)
 
 
-def _line_of(text: str, path: tuple[str, ...]) -> int | None:
-    """Line that sets ``path`` or, failing that, the longest part of it; for messages only."""
+def _find_line(text: str, path: tuple[str, ...]) -> int | None:
+    """Return the line that sets ``path``, or the longest part of it; for messages only."""
     table: tuple[str, ...] = ()
     counts: dict[tuple[str, ...], int] = {}  # of the entries of each list of tables
     best: tuple[int, int | None] = (0, None)
@@ -103,10 +114,10 @@ def _line_of(text: str, path: tuple[str, ...]) -> int | None:
         key = re.match(r"([\w.]+)\s*=", line)
         if line.startswith("["):
             header = line.partition("]")[0].lstrip("[")
-            table = tuple(part.strip() for part in header.split("."))
+            table = tuple(map(str.strip, header.split(".")))
             if line.startswith("[["):
                 counts[table] = counts.get(table, -1) + 1
-            table = names = _numbered(table, counts)
+            table = names = _add_entry_numbers(table, counts)
         elif key:
             names = table + tuple(key[1].split("."))
         else:

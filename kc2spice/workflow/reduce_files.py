@@ -42,7 +42,7 @@ from kc2spice.rom.linear_model import PORT_KINDS, LinearModel
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.stability import DENSE, prove_stability
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.scene_file import gallery
+from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
 from kc2spice.synthesis.emitted import require_circuit
 from kc2spice.synthesis.realize import apply_unit_load, subcircuit
@@ -355,7 +355,7 @@ def _written(
 def _scene_body(text: str) -> LinearModel | None:
     """The full model of ``SCENE:PART`` with the ports that the scene needs, None for a path."""
     name, colon, part_name = text.rpartition(":")
-    if not colon or Path(text).exists() or not (name in gallery() or name.endswith(".toml")):
+    if not colon or Path(text).exists() or not (name in list_gallery() or name.endswith(".toml")):
         return None
     scene = load_scene(name)
     part = scene.part(part_name, where=text)

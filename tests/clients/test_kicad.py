@@ -11,7 +11,7 @@ import pytest
 
 from kc2spice.netlist.translate import symbol_files
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.scene_file import gallery
+from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
 from kc2spice.sim.output import read_raw
 
@@ -24,7 +24,7 @@ SETTLED = {"pwm_coil": (1e-7, 1e-6), "buzzer_self": (1e-6, 4e-5), "harvester_bri
 QUICK = "kick_and_catch"
 SCENES = [
     pytest.param(name, marks=() if name == QUICK else pytest.mark.slow)
-    for name in sorted(gallery())
+    for name in sorted(list_gallery())
 ]
 
 

@@ -7,14 +7,14 @@ import pytest
 
 from kc2spice.netlist.translate import dialect_files
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.scene_file import gallery
+from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
 from kc2spice.sim.output import read_raw
 
 QUICK = ("buzzer_7bb_20_6", "sphere_on_beam")
 SCENES = [
     pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
-    for name in sorted(gallery())
+    for name in sorted(list_gallery())
 ]
 # ms; the kick is at 0.5 ms, modules take 15 times the time of a netlist
 STOP = {"buzzer_self": 3.0, "harvester_bridge": 100.0, "buzzer_square": 3.0, "sphere_on_beam": 0.5}

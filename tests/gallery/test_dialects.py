@@ -7,7 +7,7 @@ import pytest
 import kc2spice as kc
 from kc2spice.netlist.printers.dialect_registry import deck_dialects, dialect_names
 from kc2spice.netlist.translate import dialect_files, translate
-from kc2spice.scene.scene_file import gallery
+from kc2spice.scene.scene_file import list_gallery
 
 QUICK = ("buzzer_square", "em_force", "harvester", "impact", "newtons_cradle", "pwm_coil")
 
@@ -16,7 +16,7 @@ QUICK = ("buzzer_square", "em_force", "harvester", "impact", "newtons_cradle", "
     "scene",
     [
         pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
-        for name in sorted(gallery())
+        for name in sorted(list_gallery())
     ],
 )
 def test_every_scene_speaks_every_dialect(scene):

@@ -16,7 +16,7 @@ from kc2spice.netlist.expression import literal
 from kc2spice.netlist.library import read_lib
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.scene_file import gallery
+from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import run_deck
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
@@ -153,7 +153,7 @@ def ranged(path):
 
 # Plain buzzers differ in numbers alone; a model over the ranges of its parameters takes 40 s.
 RANGES = {
-    k: v for k, v in tomllib.loads(TOOL["RANGES"].read_text("utf-8")).items() if k in gallery()
+    k: v for k, v in tomllib.loads(TOOL["RANGES"].read_text("utf-8")).items() if k in list_gallery()
 }
 PUBLISHED = tomllib.loads((NETLISTS.parent / "docs" / "published.toml").read_text("utf-8"))
 ONE = "buzzer_7bb_20_3"  # of them, for tests that need not run on all
@@ -166,7 +166,7 @@ def marks(scene):
 
 
 @pytest.mark.parametrize(
-    "scene", [pytest.param(name, marks=marks(name)) for name in sorted(gallery())]
+    "scene", [pytest.param(name, marks=marks(name)) for name in sorted(list_gallery())]
 )
 def test_committed_netlists_are_current(scene, tmp_path):
     written, shared = TOOL["scene_files"](scene, tmp_path), scene in TOOL["SHARED"]
@@ -284,7 +284,7 @@ def test_parameters_reach_every_device_within_the_tolerances_of_its_sheet(scene,
 
 def test_devices_of_data_sheets_have_parameters_or_their_scenes_state_why_not():
     bodies, numbered = {}, []
-    for scene in gallery():
+    for scene in list_gallery():
         for name, part in load_scene(scene).parts.items():
             if isinstance(part.type, LinearBody):
                 bodies[scene, name] = part.keys
@@ -294,7 +294,7 @@ def test_devices_of_data_sheets_have_parameters_or_their_scenes_state_why_not():
     assert len(numbered) >= 12
     for (scene, name), keys in bodies.items():
         device = keys.number or getattr(keys, "layers", None) in numbered
-        text = gallery()[scene].read_text("utf-8")
+        text = list_gallery()[scene].read_text("utf-8")
         assert bool(device) == (name in RANGES.get(scene, {}) or WITHOUT in text), scene
 
 

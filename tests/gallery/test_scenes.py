@@ -9,7 +9,7 @@ import pytest
 from commands import asked
 
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.scene_file import gallery
+from kc2spice.scene.scene_file import list_gallery
 
 CONTRACT = {
     "scene", "version", "netlist", "simulator", "model", "steps", "metrics", "wall_s", "files",
@@ -37,7 +37,7 @@ MORE = ("amplifier_kick", "buzzer_self", "buzzer_square", "coil_rails", "levitat
 ONE_OF = re.compile(r"buzzer_7bb_(?!20_6)|buzzer_ft_(?!39t)")
 SCENES = [
     pytest.param(name, marks=pytest.mark.slow if name in MORE or ONE_OF.match(name) else ())
-    for name in sorted(gallery())
+    for name in sorted(list_gallery())
 ]
 
 
@@ -120,7 +120,7 @@ QUICK = {"harvester": ("--set", "analysis.points=3")}
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in sorted(gallery())],
+    [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in sorted(list_gallery())],
 )
 def test_scene_meets_its_gates(name, tmp_path):
     asked(

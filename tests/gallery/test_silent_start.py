@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kc2spice.netlist.deck import Deck
-from kc2spice.scene.scene_file import gallery
+from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.output import classify_log
 
@@ -25,7 +25,7 @@ def committed(name):
 
 
 @pytest.mark.parametrize("options", ["ours", "ngspice's own"])
-@pytest.mark.parametrize("name", sorted(gallery()))
+@pytest.mark.parametrize("name", sorted(list_gallery()))
 def test_operating_point_is_silent(name, options, tmp_path):
     deck = committed(name)
     if options != "ours":

@@ -25,7 +25,7 @@ from kc2spice.physics.part import declared_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.parttype import part_types
-from kc2spice.scene.scene_file import gallery
+from kc2spice.scene.scene_file import list_gallery
 
 DECLARED = {n: kind for n, kind in part_types().items() if hasattr(kind, "declaration")}
 DIALECTS = dialect_names()
@@ -100,7 +100,7 @@ def example(name):
     if given := part_types()[name].example:
         scene = load_scene({"name": "example", **parse_toml(given)})
     else:
-        scene = next(each for each in map(load_scene, gallery()) if each.of(name))
+        scene = next(each for each in map(load_scene, list_gallery()) if each.of(name))
     return scene, scene.of(name)[0]
 
 

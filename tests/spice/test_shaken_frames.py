@@ -11,7 +11,7 @@ import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.scene.axes import plan
-from kc2spice.scene.load import _scene, load_scene
+from kc2spice.scene.load import _make_scene, load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.scene_file import SceneFile
 
@@ -207,7 +207,7 @@ def test_a_netlist_on_a_shaken_body_warns(tmp_path: Path):
     }
     source = SceneFile("scene", "scene", "", tmp_path)  # a scene in Python whose files are there
     with pytest.warns(UserWarning, match="-m a"):
-        _scene(beam(own=table), source)
+        _make_scene(beam(own=table), source)
 
 
 def test_dialects_have_the_frame_too(tmp_path: Path):

@@ -11,7 +11,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import checked
 from kc2spice.netlist.lint import lint
-from kc2spice.scene.scene_file import gallery
+from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.output import read_raw
 
 TOKENS = (
@@ -94,7 +94,7 @@ def test_damaged_scenes_are_refused_with_key_or_line(chunk, cli, tmp_path, monke
     monkeypatch.setattr(
         "kc2spice.workflow.run.run_scene", lambda *_, **__: {"wall_s": {}, "files": []}
     )
-    texts = [path.read_text(encoding="utf-8") for path in gallery().values()]
+    texts = [path.read_text(encoding="utf-8") for path in list_gallery().values()]
     bad = 0
     for seed in chunk:
         rng = random.Random(f"scene {seed}")
@@ -148,7 +148,9 @@ R1 d 0 1k
 
 @pytest.mark.parametrize("chunk", seeds(50, 400))
 def test_damaged_circuits_are_refused_with_their_line(chunk, tmp_path):
-    text = (gallery()["bring_your_own"].parent / "bring_your_own.lib").read_text(encoding="utf-8")
+    text = (list_gallery()["bring_your_own"].parent / "bring_your_own.lib").read_text(
+        encoding="utf-8"
+    )
     name = re.search(r"(?im)^\.subckt\s+(\w+)", text)[1]
     main = MAIN.replace("driver", name)
     bad = 0

@@ -13,12 +13,12 @@ from kc2spice.core.untrusted_files import MAX_BYTES
 from kc2spice.scene.keys import scene_keys
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import scene_hash
-from kc2spice.scene.scene_file import gallery
+from kc2spice.scene.scene_file import list_gallery
 
 
 def test_gallery_has_the_papers_experiments():
-    assert set(gallery()) >= {"kick_and_catch", "impact", "imprint", "harmonic", "em_force"}
-    for name in gallery():
+    assert set(list_gallery()) >= {"kick_and_catch", "impact", "imprint", "harmonic", "em_force"}
+    for name in list_gallery():
         scene = load_scene(name)
         assert scene.name == name
         assert scene.title

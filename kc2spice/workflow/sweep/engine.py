@@ -50,7 +50,7 @@ from kc2spice.core.waveforms import plain_cell
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import keys_of
 from kc2spice.scene.model import Scene, scene_hash
-from kc2spice.scene.overrides import toml
+from kc2spice.scene.overrides import format_toml
 from kc2spice.workflow.sweep.grid import (
     PARAMETER,
     Plan,
@@ -322,7 +322,7 @@ def write_csv(table: Mapping[str, Sequence[Any]], path: Path) -> None:
 def _csv_cell(value: Any) -> str | None:
     if isinstance(value, str):
         return plain_cell(value)
-    return None if value is None else toml(value)
+    return None if value is None else format_toml(value)
 
 
 def write_parquet(table: Mapping[str, Sequence[Any]], path: Path) -> None:
@@ -479,7 +479,8 @@ def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
     if study is None:
         return make_sweep(scene_text(name), sets, **asked)
     ranges = {
-        key: f"{key}={v if isinstance(v, str) else toml(v)}" for key, v in study.ranges.items()
+        key: f"{key}={v if isinstance(v, str) else format_toml(v)}"
+        for key, v in study.ranges.items()
     }
     ranges |= {text.partition("=")[0].strip(): text for text in sets}
     settings = study.model_dump(include={"zipped", "latin", "seed", "metrics"})

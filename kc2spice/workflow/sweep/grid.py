@@ -18,7 +18,7 @@ import numpy as np
 from kc2spice.core.errors import UsageError, candidates, did_you_mean
 from kc2spice.core.quantities import quantity
 from kc2spice.scene.keys import Key
-from kc2spice.scene.overrides import override_value
+from kc2spice.scene.overrides import parse_override_value
 
 MAX_POINTS = 10_000_000
 PARAMETER = re.compile(r"param\.(\w+\.\w+)")  # PART.NAME of a subcircuit, not a scene key
@@ -183,7 +183,7 @@ def _value(where: str, key: Key, text: str) -> Any:
         expected = "a whole number, or a range of whole numbers"
         raise UsageError("not a whole number", where=where, got=repr(text), expected=expected)
     if key.integer or key.choices or key.unit is None or text[:1] in ("[", "{"):
-        return override_value(text)
+        return parse_override_value(text)
     return parse_value(text, key.unit, where)
 
 

@@ -34,9 +34,9 @@ from kc2spice.netlist.transforms import (
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build, Scene
-from kc2spice.scene.overrides import toml
+from kc2spice.scene.overrides import format_toml
 from kc2spice.scene.resolve import resolve_again, resolve_build
-from kc2spice.scene.scene_file import gallery
+from kc2spice.scene.scene_file import list_gallery
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.edits import with_value
 from kc2spice.workflow.models import fact_units
@@ -91,7 +91,7 @@ def scene_text(name_or_path: str) -> SceneText:
     ------
     UsageError : there is no such scene, or one of its files is missing or not allowed.
     """
-    if name_or_path in gallery():
+    if name_or_path in list_gallery():
         return SceneText(name_or_path, None)
     path = Path(name_or_path)
     scene = load_scene(path)
@@ -171,7 +171,7 @@ class PointResult:
 
 def _overrides(values: Mapping[str, Any]) -> tuple[str, ...]:
     """``key=value`` texts that set the scene's keys, without parameters of subcircuits."""
-    return tuple(f"{k}={toml(v)}" for k, v in values.items() if not PARAMETER.fullmatch(k))
+    return tuple(f"{k}={format_toml(v)}" for k, v in values.items() if not PARAMETER.fullmatch(k))
 
 
 def subcircuit_parameters(values: Mapping[str, Any]) -> Parameters:
