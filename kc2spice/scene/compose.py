@@ -17,7 +17,7 @@ from typing import Any
 from kc2spice.core.domains import ELECTRICAL, Domain
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 from kc2spice.scene.frames import find_frames
-from kc2spice.scene.model import GROUND, Build, BuildRecord, Names, Part, PartType, Scene, Terminal
+from kc2spice.scene.model import GROUND, Build, BuildRecord, Names, Part, Scene, Terminal
 from kc2spice.scene.parttype import current_into
 from kc2spice.scene.rows import Rest
 
@@ -232,10 +232,10 @@ def _list_metered(scene: Scene) -> Iterator[Pin]:
     ``PART.PIN.force``, and as ``PART.current``, which is that of the first pin. ``PART.force`` is a
     result of the part.
     """
-    for of in dict.fromkeys(probe.of for probe in scene.probes.values()):
+    for of in scene.probed:
         name, _, quantity = of.partition(".")
         part = scene.parts.get(name)
-        if part is None or type(part.type).cards is not PartType.cards:
+        if part is None or not part.is_subcircuit:
             continue
         powered = powered_pins(part, scene)
         for pin, domain in metered_pins(part, scene).items():

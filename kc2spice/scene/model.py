@@ -170,6 +170,11 @@ class Part(Generic[KeysT]):
         return hasattr(self.keys, "rom")
 
     @property
+    def is_subcircuit(self) -> bool:
+        """Whether the deck contains the part as an instance of its subcircuit."""
+        return type(self.type).cards is PartType.cards
+
+    @property
     def parameter_ranges(self) -> Mapping[str, tuple[float | str, float | str]]:
         """Ranges of the keys of a body that are parameters of its netlist."""
         rom: Rom | None = getattr(self.keys, "rom", None)
@@ -289,6 +294,11 @@ class DeclaredScene:
     def probes(self) -> Mapping[str, Probe]:
         """Results to read, by the names of their metrics."""
         return self.frame.probes
+
+    @property
+    def probed(self) -> tuple[str, ...]:
+        """Results that probes read, each once."""
+        return tuple(dict.fromkeys(probe.of for probe in self.probes.values()))
 
     @property
     def rom(self) -> Rom:
@@ -567,6 +577,14 @@ class Build:
         result = self.models.get(part.name)
         if not isinstance(result, kind):
             raise TypeError(f"the model of {part.name} is no {kind.__name__}: {result!r:.80}")
+        return result
+
+    @property
+    def vectors(self) -> dict[str, Vector]:
+        """Results of all parts by their names."""
+        result: dict[str, Vector] = {}
+        for record in self.records.values():
+            result |= record.vectors
         return result
 
     @property

@@ -7,7 +7,7 @@ analysis has one output.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,75 +20,82 @@ from kc2spice.netlist.deck import PowerTerm
 from kc2spice.netlist.expression import terms, vector
 from kc2spice.scene.compose import metered_pins, powered_pins
 from kc2spice.scene.keys import model_keys
-from kc2spice.scene.model import Build, Part, PartType, Scene
+from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.resolve import resolve, with_vectors
 from kc2spice.scene.rows import Swept, Vector
 from kc2spice.scene.settings import Analysis
 
-WAVE = "noise"  # spectral density of the output, and the metric of its rms value
-DENSITY = "/sqrt(Hz)"
+NOISE_WAVE = "noise"  # spectral density of the output, and the metric of its rms value
+DENSITY_UNIT = "/sqrt(Hz)"  # behind the unit of a spectral density
 WATT = "W"
+GROUND_VOLTAGE = "v(0)"
 
 
-def noise_output(build: Build) -> Vector:
-    """Return the output of the noise analysis: a result, or the across quantity of a pin.
+def find_noise_output(build: Build) -> Vector:
+    """Return the output of the noise analysis: a result, or the quantity across a pin.
 
     Raises
     ------
     UsageError : there is no such result, or it is no voltage of the netlist.
     """
-    parts, name = build.scene.parts, str(build.scene.analysis.output)
-    known = {k: v for record in build.records.values() for k, v in record.vectors.items()}
-    for part in parts.values():
-        pins = [pin.name for pin in build.scene.pins(part.name)]
-        live = [pin for pin in pins if build.net(part, pin) != "0"]
-        across = {f"{part.name}.{pin}": build.across(part, pin) for pin in live}
-        known |= {item: result for item, result in across.items() if item not in known}
-    voltages = {item: result for item, result in known.items() if output_nodes(result) is not None}
+    name = str(build.scene.analysis.output)
+    known = build.vectors
+    for part in build.scene.parts.values():
+        for pin in build.scene.pins(part.name):
+            if build.net(part, pin.name) != "0":
+                known.setdefault(f"{part.name}.{pin.name}", build.across(part, pin.name))
+    voltages = {}
+    for item, result in known.items():
+        if format_voltage(result) is not None:
+            voltages[item] = result
     if name not in voltages:
         message = "noise is that of a voltage or a motion"
         raise unknown(message, name, voltages, build.scene.where("analysis.output"))
     return voltages[name]
 
 
-def output_nodes(probe_vector: Vector) -> str | None:
-    """Write the voltage in the syntax of the simulator; None if the vector is no voltage."""
-    read = [(sign, vector(text)) for sign, text in terms(probe_vector.expression)]
-    if any(v is None or v.quantity != "v" or len(v.names) > 1 for _, v in read) or len(read) > 2:
+def format_voltage(result: Vector) -> str | None:
+    """Return a voltage in the syntax of the simulator; None if the result is no voltage."""
+    plus: list[str] = []
+    minus: list[str] = []
+    for sign, text in terms(result.expression):
+        read = vector(text)
+        if read is None or read.quantity != "v" or len(read.names) > 1:
+            return None
+        (plus if sign > 0 else minus).append(read.names[0])
+    if max(len(plus), len(minus)) > 1:
         return None
-    nodes = [v.names[0] for sign, v in sorted(read, key=lambda row: -row[0]) if v is not None]
-    return f"v({','.join(nodes)})" if sum(sign for sign, _ in read) in (0, 1, -1) else None
+    return f"v({','.join(plus + minus)})"
 
 
 Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part or pin
 
 
-def result_vectors(build: Build) -> dict[str, Vector]:
-    """Return the results of all parts that have cards; of noise its density alone.
+def collect_results(build: Build) -> dict[str, Vector]:
+    """Return the results of all parts with cards; of a noise analysis its density alone.
 
     Parameters of devices such as ``@b1[i]`` are no results of an ac analysis: ngspice returns
     their value at the operating point there, not a response.
     """
     if build.noisy:
-        of = noise_output(build)
-        return {WAVE: Vector("onoise_spectrum", abs(of.factor), f"{of.unit}{DENSITY}")}
-    result: dict[str, Vector] = {}
-    for record in build.records.values():
-        result |= record.vectors
-    result |= _meter_vectors(build, result)
+        of = find_noise_output(build)
+        return {NOISE_WAVE: Vector("onoise_spectrum", abs(of.factor), f"{of.unit}{DENSITY_UNIT}")}
+    result = build.vectors
+    for name, metered in _collect_metered(build, result).items():
+        result.setdefault(name, metered)
     if build.scene.analysis.type == "ac":
         return {name: item for name, item in result.items() if "@" not in item.expression}
     return result
 
 
-def result_units(build: Build) -> dict[str, str]:
+def collect_units(build: Build) -> dict[str, str]:
     """Return the SI units of all results, including powers."""
-    results = result_vectors(build)
-    units = {name: vector.unit for name, vector in results.items()}
-    return units | dict.fromkeys(powers(build, results), WATT)
+    results = collect_results(build)
+    units = {name: result.unit for name, result in results.items()}
+    return units | dict.fromkeys(collect_powers(build, results), WATT)
 
 
-def require_probed(build: Build) -> None:
+def require_probed_results(build: Build) -> None:
     """Refuse probes of results that the scene does not have.
 
     A part whose results follow from its model is not checked before that model is built.
@@ -100,11 +107,13 @@ def require_probed(build: Build) -> None:
     scene = build.scene
     if not scene.probes or build.noisy:
         return
-    unbuilt = (p for name, p in scene.parts.items() if build.models.get(name) is None)
-    waiting = {part.name for part in unbuilt if part.type.results_of_model}
+    waiting = set()
+    for name, part in scene.parts.items():
+        if part.type.results_of_model and build.models.get(name) is None:
+            waiting.add(name)
     build = build if build.records else with_vectors(build, without=waiting)
-    results = result_vectors(build)
-    known = {*results, *powers(build, results)}
+    results = collect_results(build)
+    known = {*results, *collect_powers(build, results)}
     for name, probe in scene.probes.items():
         owner, dot, _ = probe.of.partition(".")
         if probe.of in known or owner in waiting or not (dot or owner in scene.parts):
@@ -112,48 +121,51 @@ def require_probed(build: Build) -> None:
         where = scene.where(f"probes.{name}.of")
         if owner not in scene.parts:
             raise unknown(f"this scene has no part {owner!r}", probe.of, scene.parts, where)
-        choices = [each for each in _list_results(build, waiting) if each.startswith(f"{owner}.")]
+        choices = _select_prefixed(_list_results(build, waiting), f"{owner}.")
         error = unknown("no such result", probe.of, choices, where)
         error.hint = error.hint or _suggest_result(probe.of, choices)
         raise error
 
 
+def _select_prefixed(names: Iterable[str], prefix: str) -> list[str]:
+    return [name for name in names if name.startswith(prefix)]
+
+
 def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
-    """Suggest a result for an unknown name that begins alike: ``r2.v`` for ``r2.voltage``."""
+    """Suggest a result that begins like an unknown one: ``r2.v`` for ``r2.voltage``."""
     near = list(filter(name.startswith, choices))
-    near = near or [choice for choice in choices if choice.startswith(f"{name}.")][:1]
+    near = near or _select_prefixed(choices, f"{name}.")[:1]
     return f"did you mean {max(near, key=len)!r}?" if near else None
 
 
 def _list_results(build: Build, waiting: Collection[str]) -> list[str]:
     """List all results that a probe may read.
 
-    They include motions at unconnected ports, and the currents and powers that have a meter only if
-    a probe reads them.
+    They include motions at ports that are not joined, and currents and powers that have a meter
+    only if a probe reads them.
     """
     scene = resolve(replace(build.scene, ports="all"))
-    result = dict.fromkeys(result_vectors(with_vectors(replace(build, scene=scene), waiting)))
+    result = dict.fromkeys(collect_results(with_vectors(replace(build, scene=scene), waiting)))
     for part in scene.parts.values():
         result |= dict.fromkeys(_list_metered(part, scene, result))
     return list(result)
 
 
 def _list_metered(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
-    """List flows and powers of a part that probes may read besides the ``known`` results."""
+    """Yield flows and powers of a part that probes may read besides ``known`` results."""
     n, pins, powered = part.name, metered_pins(part, scene), powered_pins(part, scene)
     for domain in dict.fromkeys(powered.values()):
         through = domain.quantity("through")
-        library = type(part.type).cards is PartType.cards
-        if library or f"{n}.{through.symbol}" in known:
+        if part.is_subcircuit or f"{n}.{through.symbol}" in known:
             yield f"{n}.power"
-        if (library and not domain.reference) or f"{n}.{through.symbol}" in known:
+        if (part.is_subcircuit and not domain.reference) or f"{n}.{through.symbol}" in known:
             yield f"{n}.{through.name}"
-    if type(part.type).cards is PartType.cards:
+    if part.is_subcircuit:
         for pin, domain in pins.items():
             yield from (f"{n}.{pin}.{domain.quantity('through').name}", f"{n}.{pin}.power")
 
 
-def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:
+def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:
     """Return the results of pins with a meter, in SI units.
 
     ``PART.PIN.current`` is the current into the part, ``PART.PIN.v`` the voltage. ``PART.current``
@@ -175,47 +187,60 @@ def _meter_vectors(build: Build, known: Mapping[str, Vector]) -> dict[str, Vecto
             if known_as in known:  # flow of an element, under the name that bodies use
                 result.setdefault(f"{part.name}.{quantity_name}", known[known_as])
     for part in _probed_parts(build, "power"):
-        result |= _element_vectors(part, build)
-    return {name: vector for name, vector in result.items() if name not in known}
+        result |= _collect_across(part, build)
+    return result
 
 
-def _element_vectors(part: Part, build: Build) -> dict[str, Vector]:
-    """Return the across quantity of a part with cards of its own and two pins of one domain."""
+def _collect_across(part: Part, build: Build) -> dict[str, Vector]:
+    """Return the quantity across a part of two pins in one domain; none for subcircuits."""
     pins = [pin for pin in build.scene.pins(part.name) if pin.domain is not None]
-    if type(part.type).cards is PartType.cards or len(pins) != 2 or pins[0].kind != pins[1].kind:
+    if part.is_subcircuit or len(pins) != 2 or pins[0].kind != pins[1].kind:
         return {}
-    domain, ends = pins[0].domain, [build.across(part, pin.name) for pin in pins]
+    plus, minus = build.across(part, pins[0].name), build.across(part, pins[1].name)
+    text = ""
+    for sign, node in (("", plus.expression), ("-", minus.expression)):
+        text += "" if node == GROUND_VOLTAGE else sign + node
+    domain = pins[0].domain
     assert domain is not None
-    pairs = zip(("", "-"), (end.expression for end in ends), strict=True)
-    text = "".join(sign + node for sign, node in pairs if node != "v(0)")
     name = f"{part.name}.{domain.across.symbol}"
-    return {name: replace(ends[0], expression=text)} if text else {}
+    return {name: replace(plus, expression=text)} if text else {}
 
 
-def powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
-    """Return the terms of each ``PART.power`` and ``PART.PIN.power`` [W] that a probe reads.
+def collect_powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
+    """Return the terms of each ``PART.power`` and ``PART.PIN.power`` that a probe reads.
 
-    A source delivers its power; any other part absorbs it.
+    A source delivers its power [W]; any other part absorbs it.
     """
     result: dict[str, Powers] = {}
     for part in _probed_parts(build, "power"):
-        n, pins = part.name, powered_pins(part, build.scene)
-        terms = tuple(_pin_power(part, pin, domain, build) for pin, domain in pins.items())
-        if not terms or not all(term.through in known for term in terms):
-            domains = dict.fromkeys(pins.values())
-            terms = tuple(
-                PowerTerm(f"{n}.{d.across.symbol}", f"{n}.{d.quantity('through').symbol}", d.power)
-                for d in domains
-            )
-        if terms and all(term.names <= set(known) for term in terms):
-            result[f"{n}.power"] = terms
+        if power := _find_part_power(part, build, known):
+            result[f"{part.name}.power"] = power
     for name, pin in build.scene.meters:
         part = build.scene.parts[name]
-        result[f"{name}.{pin}.power"] = (
-            _pin_power(part, pin, metered_pins(part, build.scene)[pin], build),
-        )
-    probed = {probe.of for probe in build.scene.probes.values()}
-    return {name: terms for name, terms in result.items() if name in probed}
+        domain = metered_pins(part, build.scene)[pin]
+        if f"{name}.{pin}.power" in build.scene.probed:
+            result[f"{name}.{pin}.power"] = (_pin_power(part, pin, domain, build),)
+    return result
+
+
+def _find_part_power(part: Part, build: Build, known: Collection[str]) -> Powers:
+    """Return the terms of the power of a part; none if a result is missing.
+
+    They are the powers at its pins, or products of its own results.
+    """
+    pins = powered_pins(part, build.scene)
+    at_pins = tuple(_pin_power(part, pin, domain, build) for pin, domain in pins.items())
+    if at_pins and all(term.through in known for term in at_pins):
+        power = at_pins
+    else:
+        power = tuple(_part_power(part.name, domain) for domain in dict.fromkeys(pins.values()))
+    return power if all(term.names <= set(known) for term in power) else ()
+
+
+def _part_power(name: str, domain: Domain) -> PowerTerm:
+    """Return the product of the quantities across and through a part."""
+    across, through = domain.across.symbol, domain.quantity("through").symbol
+    return PowerTerm(f"{name}.{across}", f"{name}.{through}", domain.power)
 
 
 def _pin_power(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
@@ -226,14 +251,12 @@ def _pin_power(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
     return PowerTerm(f"{part.name}.{pin}.{across}", f"{part.name}.{pin}.{through}", power)
 
 
-def _probed_parts(build: Build, what: str) -> list[Part]:
-    """Return the parts whose result ``PART.what`` a probe reads."""
-    names = dict.fromkeys(
-        p.of.partition(".")[0]
-        for p in build.scene.probes.values()
-        if p.of.partition(".")[2] == what
-    )
-    return [build.scene.parts[name] for name in names if name in build.scene.parts]
+def _probed_parts(build: Build, quantity_name: str) -> Iterator[Part]:
+    """Yield the parts whose result ``PART.QUANTITY`` a probe reads."""
+    for result in build.scene.probed:
+        name, _, read = result.partition(".")
+        if read == quantity_name and name in build.scene.parts:
+            yield build.scene.parts[name]
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,13 +318,13 @@ def resolve_dc_sweep(build: Build) -> DcSweep:
 
 def _unit_of_key(part: Part, key: str) -> str:
     """Return the SI unit of a key that a dc analysis sweeps."""
-    units = {item.name: item.unit for item in model_keys(type(part.keys))}
-    return getattr(part.keys, "unit", None) or units.get(key) or ""
+    declared = (item.unit for item in model_keys(type(part.keys)) if item.name == key)
+    return getattr(part.keys, "unit", None) or next(declared, None) or ""
 
 
 def _sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
     """Return first and last value of the sweep in SI units; refuse an empty range."""
-    first, last = (quantity(getattr(selected, name), unit) for name in ("from_", "to"))
+    first, last = quantity(selected.from_, unit), quantity(selected.to, unit)
     if first == last:  # a simulator would step on the spot without end
         got, expected = f"{first:g} … {last:g} {unit}", "two values"
         raise UsageError("empty range", where="analysis.to", got=got, expected=expected)

@@ -35,10 +35,10 @@ from kc2spice.scene.plausible import apply_action, check_models
 from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.scene.results import (
     DcSweep,
-    powers,
-    require_probed,
+    collect_powers,
+    collect_results,
+    require_probed_results,
     resolve_dc_sweep,
-    result_vectors,
 )
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
 from kc2spice.synthesis.header import plan_lines
@@ -64,7 +64,7 @@ def prepared(
 
     Raises as :func:`make_deck` and :func:`edited_deck` do.
     """
-    require_probed(Build(scene, {}, trust=trust, functions=functions or {}))
+    require_probed_results(Build(scene, {}, trust=trust, functions=functions or {}))
     build = build_models(scene, clock, trust=trust, functions=functions)
     with clock.stage("export", "netlists"):
         deck = make_deck(build)
@@ -91,9 +91,9 @@ def make_deck(build: Build) -> Deck:
     header = Header(scene.name, scene_hash(scene))
     ours = () if scene.solver.max_step else (MAX_STEP,)  # a line of its own says why
     notes = (*header.origin(), *plan_lines(plan(build), ours))
-    results = result_vectors(build)
-    watts = powers(build, results)
-    require_probed(build)
+    results = collect_results(build)
+    watts = collect_powers(build, results)
+    require_probed_results(build)
     parts = tuple(_libraries(build, header))
     noise = noise_analysis.noise_cards(build) if build.noisy else None
     sweep = resolve_dc_sweep(build) if scene.analysis.type == "dc" else None

@@ -16,7 +16,7 @@ from kc2spice.core.waveforms import SCALES, Waveforms, interpolate
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Balance, Check, Gate, Metric, Verdict
 from kc2spice.scene.model import Build, Scene
-from kc2spice.scene.results import WAVE, resolve_dc_sweep, result_units
+from kc2spice.scene.results import NOISE_WAVE, collect_units, resolve_dc_sweep
 from kc2spice.scene.settings import Probe
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.time_step import step_checks
@@ -121,8 +121,8 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
         for part, item in result.items()
         for name, value in item.items()
     }
-    records |= noise_analysis.noise_metrics(waves, build) if WAVE in waves else {}
-    units = result_units(build) if scene.probes else {}
+    records |= noise_analysis.noise_metrics(waves, build) if NOISE_WAVE in waves else {}
+    units = collect_units(build) if scene.probes else {}
     probed: dict[str, Any] = {}
     for name, probe in scene.probes.items():
         window = window_of(probe, scene)

@@ -16,7 +16,7 @@ from kc2spice.netlist.elements import titled
 from kc2spice.netlist.scope import Scope
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import Build, Names
-from kc2spice.scene.results import DENSITY, WAVE, noise_output, output_nodes
+from kc2spice.scene.results import DENSITY_UNIT, NOISE_WAVE, find_noise_output, format_voltage
 
 RESOLVED = 0.02  # largest relative change of the rms value with every second frequency
 
@@ -25,14 +25,14 @@ def sources(deck: Deck, build: Build) -> Deck:
     """``deck`` with what each resistor that has noise adds, as ``noise.PART.NAME``."""
     result = dict(_noisy(deck.scope, ""))
     parts = sorted(build.scene.parts, key=len, reverse=True)
-    _, factor = deck.vectors[WAVE]
+    _, factor = deck.vectors[NOISE_WAVE]
     vectors = {}
     for name, path in result.items():
         device = path.partition(".")[0][1:]
         part = next((p for p in parts if device.startswith(p.lower())), None)
         if part is not None:
-            vectors[f"{WAVE}.{part}.{path.rpartition('.')[2]}"] = (f"onoise_{name}", factor)
-    units = dict.fromkeys(vectors, deck.units[WAVE])
+            vectors[f"{NOISE_WAVE}.{part}.{path.rpartition('.')[2]}"] = (f"onoise_{name}", factor)
+    units = dict.fromkeys(vectors, deck.units[NOISE_WAVE])
     return replace(deck, vectors={**deck.vectors, **vectors}, units={**deck.units, **units})
 
 
@@ -50,7 +50,7 @@ def by_part(waves: Waveforms) -> dict[str, np.ndarray]:
     power: dict[str, np.ndarray] = {}
     for name, density in waves.data.items():
         word, _, rest = name.partition(".")
-        if word == WAVE and rest:
+        if word == NOISE_WAVE and rest:
             part = rest.partition(".")[0]
             power[part] = power.get(part, 0.0) + np.abs(density) ** 2
     return {part: np.sqrt(result) for part, result in power.items()}
@@ -58,9 +58,9 @@ def by_part(waves: Waveforms) -> dict[str, np.ndarray]:
 
 def noise_metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
     """rms values over the band: of the output, and what each part adds to it."""
-    f, parts, unit = waves["frequency"].real, by_part(waves), noise_output(build).unit
+    f, parts, unit = waves["frequency"].real, by_part(waves), find_noise_output(build).unit
     added = {part: Metric(_rms(f, result), unit) for part, result in parts.items()}
-    rms: dict[str, Any] = {WAVE: Metric(_rms(f, waves[WAVE]), unit)}
+    rms: dict[str, Any] = {NOISE_WAVE: Metric(_rms(f, waves[NOISE_WAVE]), unit)}
     return rms | ({"noise_by_part": added} if len(added) > 1 else {})
 
 
@@ -74,8 +74,8 @@ class NoiseCards:
 
 def noise_cards(build: Build) -> NoiseCards:
     """Write the command of the noise analysis and its input source, which drives nothing."""
-    selected, ends = build.scene.analysis, output_nodes(noise_output(build))
-    node = Names((*build.scene.parts, *build.scene.nets.values())).name(WAVE, "noise_input")
+    selected, ends = build.scene.analysis, format_voltage(find_noise_output(build))
+    node = Names((*build.scene.parts, *build.scene.nets.values())).name(NOISE_WAVE, "noise_input")
     drive = Element.of(f"V{node}", node, "0", "DC", "0", "AC", "1")
     load = Element.of(f"R{node}", node, "0", "1", noisy="0")
     first, last = selected.start, float(selected.stop or 0.0)
@@ -92,7 +92,7 @@ def checks(waves: Waveforms) -> Iterator[Check]:
     """Check that the noise changes little if every second frequency is left out."""
     if (f := waves["frequency"].real).size > 4:
         even = f.size - (f.size + 1) % 2
-        f, density = f[:even], waves[WAVE][:even]
+        f, density = f[:even], waves[NOISE_WAVE][:even]
         off = abs(_rms(f[::2], density[::2]) / (_rms(f, density) or 1.0) - 1.0)
         advice = (
             "a resonance lies between the frequencies: raise analysis.points, or narrow the band"
@@ -104,13 +104,13 @@ def checks(waves: Waveforms) -> Iterator[Check]:
 
 def noise_figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
     """The spectral density, and what it adds up to from the lowest frequency on."""
-    f, density = waves["frequency"].real, np.abs(waves[WAVE])
+    f, density = waves["frequency"].real, np.abs(waves[NOISE_WAVE])
     label, factor = scale_axis("frequency", f)
     log = bool(f[0] > 0 and f[-1] / f[0] > 20)
     rising = np.sqrt(running_integral(density**2, f))
     rows = (
         (f"density in {unit}", density),
-        (f"rms from the lowest on in {unit.removesuffix(DENSITY)}", rising),
+        (f"rms from the lowest on in {unit.removesuffix(DENSITY_UNIT)}", rising),
     )
     parts = by_part(waves)
     added = [Curve(f"of {part}", factor * f, result, "--") for part, result in parts.items()]

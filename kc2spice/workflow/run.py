@@ -21,7 +21,7 @@ from kc2spice.scene.axes import plan
 from kc2spice.scene.checks import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
-from kc2spice.scene.results import WAVE
+from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.decks import prepared, spare_other_decks
@@ -47,7 +47,7 @@ class Completed:
         build, waves, units = self.run.build, self.run.waves, self.run.deck.units
         result: list[Figure | Written] = []
         if build.noisy:
-            result += noise_analysis.noise_figures(waves, units[WAVE])
+            result += noise_analysis.noise_figures(waves, units[NOISE_WAVE])
         result += plot_probes(build.scene.probes, waves, units)
         for part in build.scene.parts.values():
             result += part.type.figures(part, build, waves)

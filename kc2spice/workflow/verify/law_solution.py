@@ -21,7 +21,7 @@ from kc2spice.reference.integrate import Trajectory, solve_transient
 from kc2spice.reference.small_signal import solve_ac, solve_noise
 from kc2spice.reference.system import assemble_system
 from kc2spice.scene.model import Build
-from kc2spice.scene.results import WAVE, resolve_dc_sweep
+from kc2spice.scene.results import NOISE_WAVE, resolve_dc_sweep
 
 RTOL = 1.5e-9  # integrator; at 1e-8 a sphere ringing at megahertz loses 5e-7 of its energy
 
@@ -96,7 +96,7 @@ def _noise(network: Network, build: Build, points: np.ndarray) -> dict[str, np.n
         output = reading(law_pins[name])
     if output is None or law_of(output.terms[0][1]) not in network.names:
         return {}
-    return {WAVE: solve_noise(network.laws, network.joins, output, points)}
+    return {NOISE_WAVE: solve_noise(network.laws, network.joins, output, points)}
 
 
 def _steady_waves(network: Network, build: Build, points: np.ndarray) -> Mapping[str, np.ndarray]:

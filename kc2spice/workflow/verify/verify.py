@@ -30,7 +30,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import PAIRS, Check, Gate, Verdict
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
-from kc2spice.scene.results import powers
+from kc2spice.scene.results import collect_powers
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.metrics import metrics, verdict
@@ -70,7 +70,8 @@ class OutputError:
 
 def solution(waves: Waveforms, build: Build) -> Solution:
     """A solution with those powers and metrics that follow from its waves."""
-    known = {name: terms for name, terms in powers(build, waves.data).items() if _has(waves, terms)}
+    powers = collect_powers(build, waves.data)
+    known = {name: terms for name, terms in powers.items() if _has(waves, terms)}
     waves = with_powers(waves, known)
     return Solution(waves, *metrics(waves, build, partial=True))
 
