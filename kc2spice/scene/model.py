@@ -349,11 +349,6 @@ class DeclaredScene:
         """Return all parts of the type ``kind``, with keys of the class ``schema``, in order."""
         return tuple(part.with_schema(schema) for part in self.of(kind))
 
-    @property
-    def reduced_parts(self) -> tuple[Part, ...]:
-        """All parts whose model is reduced, in order."""
-        return tuple(part for part in self.parts.values() if part.reduced)
-
     def only(self, *types: str) -> Part | None:
         """Return the part of one of these types, or None if there is not exactly one."""
         result = self.of(*types)

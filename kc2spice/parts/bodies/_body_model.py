@@ -79,7 +79,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     def problems(self, part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         yield from check_dimensions(part.name, part.keys)
-        yield from corners(part, scene)
+        yield from check_corners(part, scene)
 
     def _chosen(self, part: Part[LinearKeysT], scene: Scene) -> Rom | None:
         """The reduction that somebody chose: the body's own, which may as well say no more than

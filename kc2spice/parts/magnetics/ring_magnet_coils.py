@@ -443,7 +443,7 @@ class RingMagnetCoils(Touching[Coils]):
         self, part: Part[Coils], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
         """Yield the changes of force and inductance with cells half as wide."""
-        from kc2spice.fem.magnet_field import catch_table
+        from kc2spice.fem.magnet_field import catch_table, count_compared_positions
 
         table, keys = build.model(part, EMTable), part.keys
         unknowns = FINER**2 * table.facts["unknowns"]
