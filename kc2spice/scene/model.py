@@ -345,6 +345,11 @@ class DeclaredScene:
         """Return all parts of these types, in order."""
         return tuple(part for part in self.parts.values() if part.type.name in types)
 
+    @property
+    def bodies(self) -> tuple[Part, ...]:
+        """Parts with a reduced finite-element model, in order."""
+        return tuple(part for part in self.parts.values() if part.reduced)
+
     def of_schema(self, kind: str, schema: type[S]) -> tuple[Part[S], ...]:
         """Return all parts of the type ``kind``, with keys of the class ``schema``, in order."""
         return tuple(part.with_schema(schema) for part in self.of(kind))
@@ -573,6 +578,10 @@ class Build:
         if not isinstance(result, kind):
             raise TypeError(f"the model of {part.name} is no {kind.__name__}: {result!r:.80}")
         return result
+
+    def models_of(self, kind: type[M]) -> dict[str, M]:
+        """Return the models of the class ``kind`` by the names of their parts."""
+        return {name: item for name, item in self.models.items() if isinstance(item, kind)}
 
     @property
     def vectors(self) -> dict[str, Vector]:

@@ -1,5 +1,7 @@
-"""``verify``: every scene by its parts, one record and one page for all; how far two solutions of a
-scene are apart by the gates of its parts, in metrics and waves.
+"""Verification of scenes by independent solutions.
+
+:func:`verify_scenes` compares the solutions of each scene by the gates of its parts, their metrics
+and their waves. It writes one record and one page for all scenes.
 """
 
 from __future__ import annotations
@@ -9,6 +11,8 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import filterfalse, starmap
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,7 +26,7 @@ from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import Waveforms, write_record
 from kc2spice.equations.replay import replayed_nets, replayed_vectors
 from kc2spice.equations.scene_laws import scene_laws
-from kc2spice.netlist.deck import Deck, PowerTerm
+from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import Flat, checked
 from kc2spice.netlist.library import Subcircuit, subcircuits
 from kc2spice.report.verify_page import Findings, plot_comparison, write_verify
@@ -30,7 +34,6 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import PAIRS, Check, Gate, Verdict
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
-from kc2spice.scene.results import collect_powers
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepared
 from kc2spice.workflow.metrics import metrics, verdict
@@ -69,24 +72,22 @@ class OutputError:
 
 
 def solution(waves: Waveforms, build: Build) -> Solution:
-    """A solution with those powers and metrics that follow from its waves."""
-    powers = collect_powers(build, waves.data)
-    known = {name: terms for name, terms in powers.items() if _has(waves, terms)}
+    """Return a solution with the powers and metrics that follow from its waves."""
+    known = {}
+    for name, terms in powers(build, waves.data).items():
+        if all(term.names <= set(waves) for term in terms):
+            known[name] = terms
     waves = with_powers(waves, known)
     return Solution(waves, *metrics(waves, build, partial=True))
-
-
-def _has(waves: Waveforms, terms: Iterable[PowerTerm]) -> bool:
-    return all(term.names <= set(waves) for term in terms)
 
 
 def gate_limits(
     gates: Iterable[tuple[str, Gate]], pair: str, ours: Solution, exact: Solution
 ) -> tuple[list[Check], float | None]:
-    """Every gate of this pair, and the largest value of those that stand for the scene.
+    """Return a check for each gate of a pair of solutions, and the largest leading difference.
 
-    ``gates`` are by the part that has them: of a metric that several parts have each judges its
-    own.
+    ``gates`` are pairs of a part's name and its gate. If several parts have the same metric, each
+    gate applies to the metric of its part.
     """
     limits, leading = [], []
     words = pair.replace("rom", "ROM").replace("fom", "full model").replace("_vs_", " to ")
@@ -104,8 +105,11 @@ def gate_limits(
 
 
 def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
-    """The difference that a gate asks for, nan where one of both has not reached it; None where
-    neither has it, such as the launch of what never leaves."""
+    """Return the difference that a gate limits.
+
+    It is nan if only one solution has a value. It is None if neither has one, such as the launch
+    velocity of a body that never leaves.
+    """
     if gate.of in exact.metrics:
         a, b = ours.metrics.get(gate.of), exact.metrics[gate.of]
         if a is None or b is None:
@@ -114,92 +118,107 @@ def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None
     names = sorted(fnmatch.filter(set(ours.waves) & set(exact.waves), gate.of))
     if not names:
         return None
-    pairs = [_aligned(ours.waves, exact.waves, name)[1:] for name in names]
-    if gate.share < 1.0:
-        scale = exact.waves.scale
-        low = scale <= gate.share * scale[-1]
-        pairs = [(a[low], b[low]) for a, b in pairs]
-    if gate.measure == "spectral":
-        from kc2spice.rom.error_estimate import (
-            relative_error,
-        )  # which loads scipy; every run is here
+    return _wave_difference(gate, ours.waves, exact.waves, names)
 
-        return relative_error(*(np.stack(item, axis=1) for item in zip(*pairs, strict=True)))
+
+def _wave_difference(gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequence[str]) -> float:
+    """Return the difference of the waves ``names`` by the measure of a gate."""
+    early = exact.scale <= gate.share * exact.scale[-1] if gate.share < 1.0 else slice(None)
+    pairs = []
+    for name in names:
+        _, a, b = align_wave(waves, exact, name)
+        pairs.append((a[early], b[early]))
     if gate.measure == "relative":
-        return max(_each(a, b) for a, b in pairs)
-    apart = max(float(np.abs(a - b).max()) for a, b in pairs)
+        return max(starmap(_relative_difference, pairs))
+    # points by waves
+    ours, true = (np.stack(wave, axis=1) for wave in zip(*pairs, strict=True))
+    if gate.measure == "spectral":
+        # imported here, since scipy loads slowly and every run imports this module
+        from kc2spice.rom.error_estimate import relative_error
+
+        return relative_error(ours, true)
+    largest = float(np.abs(ours - true).max())
     if gate.measure == "absolute":
-        return apart
-    size = max(float(np.abs(b).max()) for _, b in pairs)
+        return largest
+    size = float(np.abs(true).max())
     if gate.measure == "travel":
-        size = max(STILL * size, *(float(np.ptp(b)) for _, b in pairs))
+        size = max(STILL * size, float(np.ptp(true, axis=0).max()))
     # with a zero reference, any difference is infinitely large
-    return apart / size if size else math.inf if apart else 0.0
+    return largest / size if size else math.inf if largest else 0.0
 
 
-def _each(a: np.ndarray, b: np.ndarray) -> float:
-    """Largest difference of a value by its own size."""
+def _relative_difference(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the largest difference relative to the size of the same value of ``b``."""
     size = np.abs(b)
     loaded = size > LOADED * size.max()
     return float((np.abs(a - b)[loaded] / size[loaded]).max(initial=0.0))
 
 
-def _aligned(
+def align_wave(
     waves: Waveforms, exact: Waveforms, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The points that both cover, those of the coarser one, and a wave of both there."""
+    """Return common points of two solutions, and one wave of both at these points.
+
+    The points are those of the coarser solution, within the times that both cover.
+    """
     if "time" not in waves:
         return np.arange(float(waves[name].size)), waves[name], exact[name]
-    t, s = (np.unique(item["time"]) for item in (waves, exact))
-    at = t if t.size <= s.size else s
-    at = at[(at >= max(t[0], s[0])) & (at <= min(t[-1], s[-1]))]
-    return at, _at(at, waves, name), _at(at, exact, name)
+    t, s = np.unique(waves["time"]), np.unique(exact["time"])
+    times = t if t.size <= s.size else s
+    times = times[(times >= max(t[0], s[0])) & (times <= min(t[-1], s[-1]))]
+    return times, _interpolate_wave(times, waves, name), _interpolate_wave(times, exact, name)
 
 
-def _at(at: np.ndarray, waves: Waveforms, name: str) -> np.ndarray:
-    """A wave at times ``at``: a height with its velocity by cubics, others by straight lines."""
+def _interpolate_wave(times: np.ndarray, waves: Waveforms, name: str) -> np.ndarray:
+    """Interpolate a wave at ``times``.
+
+    A displacement with a known velocity is interpolated by cubics, any other wave linearly.
+    """
     t, unique = np.unique(waves["time"], return_index=True)
     stem, _, last = name.rpartition(".")
     if last in ("y", "x") and f"{stem}.v" in waves and t.size > 1:
         from scipy.interpolate import CubicHermiteSpline
 
-        return np.asarray(
-            CubicHermiteSpline(t, waves[name][unique], waves[f"{stem}.v"][unique])(at)
-        )
-    return np.interp(at, t, waves[name][unique])
+        spline = CubicHermiteSpline(t, waves[name][unique], waves[f"{stem}.v"][unique])
+        return np.asarray(spline(times))
+    return np.interp(times, t, waves[name][unique])
 
 
 def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputError]:
-    """Every wave that both have; those that never move are left out.
+    """Return the error of every wave that both solutions contain.
 
-    The rms is one over time: points that a solver crowds into a contact weigh what they last.
+    Waves that are zero but for rounding errors are left out. The rms is an integral over time, so
+    that closely spaced points at a contact do not weigh more than others.
     """
     result = []
     scale = next(iter(exact.data))
     for name in exact.data:
         if name == scale or name not in waves:
             continue
-        at, a, b = _aligned(waves, exact, name)
+        points, a, b = align_wave(waves, exact, name)
         size = float(np.abs(b).max(initial=0.0))
-        if size <= max(_resting(name, exact), NOTHING):
+        if size <= max(_rounding_speed(name, exact), NOTHING):
             continue
         error = np.abs(a - b)
-        power = (
-            np.trapezoid(np.abs(x) ** 2, at) if at.size > 1 else np.abs(x).max() ** 2
-            for x in (error, b)
-        )
-        rms = math.sqrt(float(np.divide(*power)))
-        result.append(OutputError(pair, name, float(error.max()) / size, rms))
+        ratio = np.divide(_integrate_square(error, points), _integrate_square(b, points))
+        result.append(OutputError(pair, name, float(error.max()) / size, math.sqrt(float(ratio))))
     return result
 
 
-def _resting(name: str, waves: Waveforms) -> float:
-    """Speed [m/s] below which a velocity is what rounding makes of a position at rest; else 0."""
+def _integrate_square(values: np.ndarray, points: np.ndarray) -> float:
+    """Integrate the squared magnitude of ``values``; that of a single point is its square."""
+    if points.size > 1:
+        return float(np.trapezoid(np.abs(values) ** 2, points))
+    return float(np.abs(values).max() ** 2)
+
+
+def _rounding_speed(name: str, waves: Waveforms) -> float:
+    """Return the speed [m/s] that rounding errors give a body at rest; 0 for other waves."""
     stem, _, last = name.rpartition(".")
-    place = next((waves[n] for n in (f"{stem}.y", f"{stem}.x") if n in waves), None)
-    if last != "v" or place is None or "time" not in waves:
+    position = next(filter(waves.data.__contains__, (f"{stem}.y", f"{stem}.x")), None)
+    if last != "v" or position is None or "time" not in waves:
         return 0.0
-    return STILL * float(np.abs(place).max()) / float(np.ptp(waves["time"]))
+    return STILL * float(np.abs(waves[position]).max()) / float(np.ptp(waves["time"]))
 
 
 def metric_errors(
@@ -224,23 +243,25 @@ def metric_errors(
             continue
         if x.shape != y.shape or x.size == 0:
             continue
-        base = max(
-            float(np.abs(y).max()), SMALL * _largest(exact.units.get(name, ""), exact.waves, units)
-        )
+        largest = _largest_of_unit(exact.units.get(name, ""), exact.waves, units)
+        base = max(float(np.abs(y).max()), SMALL * largest)
         yield name, float(np.abs(x - y).max()) / (base or 1.0)
 
 
-def _largest(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
-    """The largest wave of the ``unit`` of a metric; for times their span.
+def _largest_of_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
+    """Return the largest value of all waves with a ``unit``; for seconds, the simulated time.
 
-    A metric without a unit, such as a coupling, has no such wave: a frequency would excuse any.
+    It is 0 without a unit: no wave is comparable with a number such as a coupling factor.
     """
     if not unit:
         return 0.0
     if unit == "s" and "time" in waves:
         return float(np.ptp(waves["time"]))
-    sizes = [float(np.abs(v).max()) for k, v in waves.data.items() if units.get(k) == unit]
-    return max(sizes, default=0.0)
+    largest = 0.0
+    for name, values in waves.data.items():
+        if units.get(name) == unit:
+            largest = max(largest, float(np.abs(values).max()))
+    return largest
 
 
 SOLUTIONS = {"ngspice": "netlist, ngspice", "rom": "laws", "fom": "full model"}
@@ -262,16 +283,16 @@ def verify_scenes(
     trust: bool = False,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Verify ``scenes``, write ``verify.json``, ``verify.html`` into ``out``.
+    """Verify ``scenes`` and write ``verify.json`` and ``verify.html`` into ``out``.
 
     Parameters
     ----------
-    full : follow full models to the end of the scene and at every frequency, whatever it takes.
-    deck : a shipped deck of the one scene, run and taken apart instead of the one just emitted.
-    trust : let it, and included netlists, act on the machine.
+    full : solve full models to the end of the run and at every frequency, however long it takes.
+    deck : an exported deck of the single scene, verified instead of a new one.
+    trust : let the deck and included netlists act on the machine.
 
-    Returns ``passed`` and in ``scenes`` the contract's record of each by name; a missed gate is in
-    these, not an exception.
+    Returns ``passed``, and in ``scenes`` the record of each scene by its name. A missed gate is in
+    these records and raises no exception.
 
     Raises
     ------
@@ -288,14 +309,14 @@ def verify_scenes(
             expected="the scene from which the deck was exported",
             hint=f"kc2spice verify SCENE --deck {deck}",
         )
-    libraries = () if deck is None else _libraries(checked(deck, trust=trust))
+    libraries = () if deck is None else _included_subcircuits(checked(deck, trust=trust))
     find_ngspice()
     answer: dict[str, Findings] = {}
     with staged(out) as work:
         for scene in scenes:
             progress("verify", None, scene.name)
             clock = Clock(progress)
-            exported = scene if deck is None else _as_shipped(scene, libraries)
+            exported = scene if deck is None else _with_exported_ports(scene, libraries)
             build, prepared_deck = prepared(exported, clock, trust=trust, edited=deck)
             emitted = prepared_deck.parts if deck is None else libraries
             with TemporaryDirectory() as scratch:
@@ -305,35 +326,44 @@ def verify_scenes(
             answer[scene.name] = result
         write_verify(work / "verify.html", answer)
         records = {name: item.record() for name, item in answer.items()}
-        passed = all(record["passed"] for record in records.values())
+        passed = all(map(itemgetter("passed"), records.values()))
         return write_record({"passed": passed, "scenes": records}, work, "verify.json")
 
 
-def _libraries(flat: Flat) -> tuple[Subcircuit, ...]:
-    """The subcircuits of the files that a deck includes."""
+def _included_subcircuits(flat: Flat) -> tuple[Subcircuit, ...]:
+    """Return the subcircuits of the files that a deck includes."""
     files: dict[str, list[str]] = {}
     for line in flat.lines:
         files.setdefault(line.where.rpartition(":")[0], []).append(line.text)
     _, *included = files.items()
-    return tuple(part for name, text in included for part in subcircuits("\n".join(text), name))
+    result: list[Subcircuit] = []
+    for name, lines in included:
+        result += subcircuits("\n".join(lines), name)
+    return tuple(result)
 
 
-def _as_shipped(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
-    """``scene`` with the ports that an export keeps although nothing joins them, if the libraries
-    have them."""
+def _with_exported_ports(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
+    """Return ``scene`` with the ports of its bodies in the ``libraries``.
+
+    An export keeps the ports that a body declares, even those that nothing is joined to.
+    """
     exported = resolve(replace(scene, ports="declared"))
-    more = {
-        tuple(pin.name for pin in exported.pins(part.name))
-        for part in exported.parts.values()
-        if part.reduced and exported.pins(part.name) != scene.pins(part.name)
-    }
-    shipped = {tuple(pin.name for pin in library.pins) for library in libraries}
-    return exported if more & shipped else scene
+    known = set(map(_pin_names, map(attrgetter("pins"), libraries)))
+    for body in exported.bodies:
+        pins = exported.pins(body.name)
+        if pins != scene.pins(body.name) and _pin_names(pins) in known:
+            return exported
+    return scene
+
+
+def _pin_names(pins: Iterable[Any]) -> tuple[str, ...]:
+    """Return the names of the pins of a part or of its subcircuit."""
+    return tuple(map(attrgetter("name"), pins))
 
 
 @dataclass
 class _Verification:
-    """One scene's verification under way: ``outcome`` has what is known up to now."""
+    """Verification of one scene, with its findings so far in ``outcome``."""
 
     build: Build
     clock: Clock
@@ -343,10 +373,15 @@ class _Verification:
     units: Mapping[str, str] = field(default_factory=dict)
     replayed: Mapping[str, str] = field(default_factory=dict)
     verdict: Verdict = field(default_factory=Verdict)
-    finer: set[str] = field(default_factory=set)  # parts followed with a finer discretisation
+    finer: set[str] = field(default_factory=set)  # parts solved with a finer discretisation
+
+    @property
+    def timed(self) -> bool:
+        """Whether the scene has a transient analysis."""
+        return self.build.scene.analysis.type == "transient"
 
     def findings(self, deck: Deck, libraries: Sequence[Subcircuit]) -> Findings:
-        """Bodies by their ``libraries``, then the scene, then what full models say of it."""
+        """Verify the bodies by their ``libraries``, then the scene, then its full models."""
         result, build = self.outcome, self.build
         self.units = deck.units
         for part in build.scene.parts.values():
@@ -361,8 +396,7 @@ class _Verification:
                     result.notes.append(row)
         laws = scene_laws(build)
         result.left_out = laws.missing
-        timed = build.scene.analysis.type == "transient"
-        replayed = replayed_nets(laws) if result.left_out and timed else None
+        replayed = replayed_nets(laws) if result.left_out and self.timed else None
         if result.left_out:
             note = f"parts without a law are left out: {', '.join(result.left_out)}"
             if replayed is None:
@@ -375,28 +409,30 @@ class _Verification:
             result.notes.append(note)
         self.replayed = replayed or {}
         if result.left_out and replayed is None:
-            waves = self._ngspice(deck)
-            self._own_checks()
+            waves = self._simulate(deck)
+            self._add_run_checks()
             simulated = solution(waves, build)
             result.metrics |= simulated.metrics
             result.units |= simulated.units
         else:
             vectors = replayed_vectors(self.replayed)
-            self._compared(deck.saving(vectors) if vectors else deck)
-        self._summary()
+            self._compare_solutions(deck.saving(vectors) if vectors else deck)
+        self._summarise()
         result.wall_s = {stage: time for stage, time in self.clock.wall_s.items() if time}
         return result
 
-    def _ngspice(self, deck: Deck) -> Waveforms:
+    def _simulate(self, deck: Deck) -> Waveforms:
         with self.clock.stage("simulate", f"ngspice, {self.build.scene.name}") as share:
             waves = ran(self.build, deck, self.work / "scene", share)
         self.verdict = verdict(waves, self.build)
         return waves
 
-    def _compared(self, deck: Deck) -> None:
-        """The scene in ngspice, by its laws, and by those with full models as far as these are
-        followed: each two of the three."""
-        build, waves, result = self.build, self._ngspice(deck), self.outcome
+    def _compare_solutions(self, deck: Deck) -> None:
+        """Compare ngspice, the laws of the scene, and its full models, each with the others.
+
+        The full models may end before the run does.
+        """
+        build, waves, result = self.build, self._simulate(deck), self.outcome
         with self.clock.stage("reference", "laws of the reduced models, events located") as share:
             begin = time.monotonic()
             reference = solve(build, waves, self.replayed, share)
@@ -405,12 +441,12 @@ class _Verification:
         result.metrics |= solutions["ngspice"].metrics
         result.units |= solutions["ngspice"].units
         result.answers |= {key: item.metrics for key, item in solutions.items()}
-        outputs = self._pairs("scene", solutions)
-        result.checks += self._generic(solutions, outputs)
-        result.notes += self._uncompared(solutions)
-        if build.scene.analysis.type == "transient":
-            self._finer(waves, solutions, LONGER * spent + SPARE)
-        self._own_checks()
+        outputs = self._compare_pairs("scene", solutions)
+        result.checks += self._general_checks(solutions, outputs)
+        result.notes += self._uncompared_probes(solutions)
+        if self.timed:
+            self._compare_finer(waves, solutions, LONGER * spent + SPARE)
+        self._add_run_checks()
         if reference.imbalance is not None:
             limit = RECORDED_BALANCE if self.replayed else build.scene.gates.energy
             result.checks.append(
@@ -422,17 +458,24 @@ class _Verification:
         )
         if not followed:
             return
-        cut = {k: solution(_until(s.waves, followed.end), build) for k, s in solutions.items()}
+        early = {
+            key: solution(_cut_waves(item.waves, followed.end), build)
+            for key, item in solutions.items()
+        }
         exact = solution(followed.waves, build)
         result.answers["fom"] = exact.metrics
-        self._pairs("full", cut | {"fom": exact})
+        self._compare_pairs("full", early | {"fom": exact})
         result.notes += followed.notes
         if followed.coarse is not None:
-            self._stepped(followed.waves, followed.coarse)
+            self._compare_steps(followed.waves, followed.coarse)
 
-    def _finer(self, waves: Waveforms, solutions: Mapping[str, Solution], seconds: float) -> None:
-        """The laws with finer discretisations of those parts that state how much these may change,
-        integrated for at most so many ``seconds``; without a limit where the whole is asked for."""
+    def _compare_finer(
+        self, waves: Waveforms, solutions: Mapping[str, Solution], seconds: float
+    ) -> None:
+        """Compare the laws with those of finer discretisations of parts that have a gate for these.
+
+        The integration takes at most ``seconds`` [s], unless the verification is thorough.
+        """
         scene, gates = self.build.scene, self.verdict.gates
         stated = {part for part, gate in gates if "rom_vs_fom" in gate.limits}
         parts = [name for name, part in scene.parts.items() if name in stated and not part.reduced]
@@ -447,7 +490,7 @@ class _Verification:
             return
         try:
             with self.clock.stage("full model", f"finer discretisation of {names}") as progress:
-                share = progress if self.thorough else _limited(progress, seconds)
+                share = progress if self.thorough else _limit_time(progress, seconds)
                 exact = solution(solve(finer, waves, self.replayed, share).results, finer)
         except _TooLongError as error:
             self.outcome.notes.append(
@@ -462,21 +505,24 @@ class _Verification:
         self.outcome.checks += gate_limits(finer_gates, "rom_vs_fom", solutions["rom"], exact)[0]
 
     def _gates_of_models(self) -> list[tuple[str, Gate]]:
-        """The gates without those of discretisations, which only finer ones meet in time."""
-        timed = self.build.scene.analysis.type == "transient"
-        gates = self.verdict.gates
-        return [item for item in gates if not (timed and item[1].discretisation)]
+        """Return the gates; in a transient without those of discretisations.
 
-    def _pairs(self, name: str, solutions: Mapping[str, Solution]) -> list[OutputError]:
-        """Gates of the parts, errors of all waves and figures, of each pair with the last."""
+        In a transient only a finer discretisation can meet such a gate.
+        """
+        gates = self.verdict.gates
+        return [item for item in gates if not (self.timed and item[1].discretisation)]
+
+    def _compare_pairs(self, name: str, solutions: Mapping[str, Solution]) -> list[OutputError]:
+        """Compare each solution with the last one: gates, errors of all waves, and figures."""
         last = list(solutions)[-1]
         outputs: list[OutputError] = []
-        for pair in (p for p in PAIRS if p.endswith(last)):
+        for pair in fnmatch.filter(PAIRS, f"*_vs_{last}"):
             ours, exact = solutions[pair.partition("_")[0]], solutions[last]
             limits, leading = gate_limits(self._gates_of_models(), pair, ours, exact)
             self.outcome.checks += limits
             errors = output_errors(pair, ours.waves, exact.waves)
-            leading = max((e.rms for e in errors), default=None) if leading is None else leading
+            if leading is None:
+                leading = max(map(attrgetter("rms"), errors), default=None)
             if leading is not None:
                 self.outcome.errors[pair] = leading
             outputs += errors
@@ -485,63 +531,83 @@ class _Verification:
         self.outcome.figures += plot_comparison(name, self.build.scene.name, curves, self.units)
         return outputs
 
-    def _generic(
+    def _general_limits(self) -> tuple[float, float]:
+        """Return the largest relative errors of metrics and of waves, ngspice to the laws."""
+        gates, reltol = self.build.scene.gates, self.build.scene.solver.reltol
+        if self.timed:
+            metric, wave = METRICS * reltol, min(WAVES * reltol, ANY_WAVE)
+        elif self.build.noisy:
+            metric, wave = NOISE, NOISE
+        else:
+            metric, wave = STEADY_METRICS, STEADY_WAVES
+        slack = RECORDED if self.replayed else 1.0
+        return slack * (gates.metrics or metric), gates.waves or wave
+
+    def _general_checks(
         self, solutions: Mapping[str, Solution], outputs: Sequence[OutputError]
-    ) -> Iterable[Check]:
-        scene = self.build.scene
-        gates, solver = scene.gates, scene.solver
-        timed = scene.analysis.type == "transient"
-        steady = (NOISE, NOISE) if self.build.noisy else (STEADY_METRICS, STEADY_WAVES)
-        metric = gates.metrics or (METRICS * solver.reltol if timed else steady[0])
-        metric *= RECORDED if self.replayed else 1.0
-        wave = gates.waves or (min(WAVES * solver.reltol, ANY_WAVE) if timed else steady[1])
-        errors = dict(metric_errors(solutions["ngspice"], solutions["rom"], self.units))
-        missed = [name for name, error in errors.items() if error is None]
+    ) -> Iterator[Check]:
+        """Check the worst metric and the worst wave of ngspice against the laws."""
+        metric, wave = self._general_limits()
+        known: dict[str, float] = {}
+        missed: list[str] = []
+        for name, error in metric_errors(solutions["ngspice"], solutions["rom"], self.units):
+            if error is None:
+                missed.append(name)
+            else:
+                known[name] = error
         if missed:
             yield Check(f"metric {missed[0]}, reached by one of both", math.nan, metric)
-        known = {name: error for name, error in errors.items() if error is not None}
         if known:
-            worst = max(known, key=lambda name: known[name])
+            worst = max(known, key=known.__getitem__)
             yield Check(f"every metric, worst {worst}, ngspice to laws", known[worst], metric)
-        # ringing after a launch is coarse by choice, in the waves of the body and of its drive
-        coarse = [n for n, p in scene.parts.items() if p.reduced]
-        coarse = coarse if solver.ringing == "coarse" else []
-        owners = [(output, output.output.partition(".")[0]) for output in outputs]
-        outputs = [o for o, n in owners if not any(n == c or n.startswith(f"{c}_") for c in coarse)]
-        if outputs:
-            last = max(outputs, key=lambda output: output.rms)
+        followed = filterfalse(self._rings_coarsely, outputs)
+        last = max(followed, key=attrgetter("rms"), default=None)
+        if last is not None:
             yield Check(f"every wave (rms), worst {last.output}, ngspice to laws", last.rms, wave)
 
-    def _uncompared(self, solutions: Mapping[str, Solution]) -> Iterator[str]:
-        """A note on the probes whose results the laws do not contain."""
+    def _rings_coarsely(self, output: OutputError) -> bool:
+        """Return whether large time steps may distort a wave after a launch.
+
+        ``solver.ringing`` permits this in the waves of a body and of its drive.
+        """
+        scene, owner = self.build.scene, output.output.partition(".")[0]
+        if scene.solver.ringing != "coarse":
+            return False
+        return any(owner == p.name or owner.startswith(f"{p.name}_") for p in scene.bodies)
+
+    def _uncompared_probes(self, solutions: Mapping[str, Solution]) -> Iterator[str]:
+        """Yield a note on the probes whose results the laws do not contain."""
         simulated, exact = solutions["ngspice"].metrics, solutions["rom"].metrics
-        probes = self.build.scene.probes
-        missing = [name for name in probes if name in simulated and name not in exact]
+        missing = []
+        for name, probe in self.build.scene.probes.items():
+            if name in simulated and name not in exact:
+                missing.append(f"{name} ({probe.of})")
         if missing:
-            words = ", ".join(f"{name} ({probes[name].of})" for name in missing)
+            words = ", ".join(missing)
             yield f"probes that are not compared, as the laws have no such result: {words}"
 
-    def _own_checks(self) -> None:
+    def _add_run_checks(self) -> None:
         """Add checks of the ngspice run to the findings.
 
         These are the checks that can fail a run, and the checks of jumps. In a transient, checks of
         a discretisation are added as well if no finer solution replaces them.
         """
-        timed = self.build.scene.analysis.type == "transient"
-        rows = [c for c in self.verdict.checks if timed and c.discretisation]
-        unfollowed = [c for c in rows if not self.finer & set(c.name.split())]
-        self.outcome.checks += [
-            replace(check, name=f"{check.name}, ngspice")
-            for check in self.verdict.checks
-            if check.action == "fail" or check.name.startswith("jump") or check in unfollowed
-        ]
-        if unfollowed:
+        unsolved = []
+        for check in self.verdict.checks:
+            solved = not (self.timed and check.discretisation) or self.finer & set(
+                check.name.split()
+            )
+            if not solved:
+                unsolved.append(check.name)
+            if not solved or check.action == "fail" or check.name.startswith("jump"):
+                self.outcome.checks.append(replace(check, name=f"{check.name}, ngspice"))
+        if unsolved:
             self.outcome.notes.append(
                 "not solved in time with a finer discretisation, but compared with one at the "
-                f"frequencies of the run: {'; '.join(check.name for check in unfollowed)}"
+                f"frequencies of the run: {'; '.join(unsolved)}"
             )
 
-    def _stepped(self, waves: Waveforms, coarse: Waveforms) -> None:
+    def _compare_steps(self, waves: Waveforms, coarse: Waveforms) -> None:
         """Compare the effect of steps twice as long with each gate."""
         ours, exact = solution(coarse, self.build), solution(waves, self.build)
         for limit in gate_limits(self._gates_of_models(), "rom_vs_fom", ours, exact)[0]:
@@ -549,17 +615,17 @@ class _Verification:
             self.outcome.checks.append(replace(limit, name=words))
         moved = output_errors("steps", coarse, waves)
         if moved:
-            worst = max(moved, key=lambda output: output.rms)
+            worst = max(moved, key=attrgetter("rms"))
             self.outcome.notes.append(
                 f"halving its steps moves the full model's waves by at most {worst.rms:.1e} (rms; "
                 f"{worst.output})"
             )
 
-    def _summary(self) -> None:
-        result, parts = self.outcome, self.build.scene.parts.values()
+    def _summarise(self) -> None:
+        """Add the error of the reduction and the size of a single body to the metrics."""
+        result, bodies = self.outcome, self.build.scene.bodies
         if "rom_vs_fom" in result.errors:
             result.metrics["rom_error"] = result.errors["rom_vs_fom"]
-        bodies = [part for part in parts if part.reduced]
         if len(bodies) == 1:
             model = self.build.model(bodies[0], LinearModel)
             result.metrics["rom_order"] = model.order
@@ -568,20 +634,23 @@ class _Verification:
 
 
 def _most_unknowns() -> float:
-    """Unknowns of the finest mesh in space that the free memory and :data:`MOST_UNKNOWNS` allow."""
+    """Return the largest number of unknowns of a mesh in space.
+
+    Free memory and :data:`MOST_UNKNOWNS` limit the number.
+    """
     share = FREE_SHARE * available_bytes() / factor_bytes(1.0, 3)
     return min(MOST_UNKNOWNS, share**0.75)  # the memory grows by the power 4/3
 
 
 class _TooLongError(Exception):
-    """An integration that was given up at this ``share`` of its run."""
+    """End of an integration that takes too long, at a ``share`` of its run."""
 
     def __init__(self, share: float) -> None:
         super().__init__(share)
         self.share = share
 
 
-def _limited(progress: Callable[[float], None], seconds: float) -> Callable[[float], None]:
+def _limit_time(progress: Callable[[float], None], seconds: float) -> Callable[[float], None]:
     """Return ``progress`` with a time limit.
 
     A call after ``seconds`` raises an error that ends the integration.
@@ -596,8 +665,8 @@ def _limited(progress: Callable[[float], None], seconds: float) -> Callable[[flo
     return share
 
 
-def _until(waves: Waveforms, end: float | None) -> Waveforms:
-    """The points up to ``end``, all of them where no time passes."""
+def _cut_waves(waves: Waveforms, end: float | None) -> Waveforms:
+    """Return the waves up to the time ``end`` [s]; all of them if ``end`` is None."""
     if end is None:
         return waves
     early = waves["time"] <= end * (1 + 1e-12)
