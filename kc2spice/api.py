@@ -34,7 +34,7 @@ from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import register as register_part
 from kc2spice.scene.settings import Probe
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_files
-from kc2spice.workflow.decks import prepared, spare_other_decks
+from kc2spice.workflow.decks import prepare_deck, spare_other_decks
 from kc2spice.workflow.run import Completed, complete, write_run_files
 
 if TYPE_CHECKING:
@@ -244,7 +244,7 @@ def deck(scene: AnyScene, *, trust: bool = False) -> Deck:
     >>> "Rlamp drive_out 0 6" in deck.files["lamp.cir"]
     True
     """
-    return prepared(load_scene(scene), Clock(), trust=trust)[1]
+    return prepare_deck(load_scene(scene), Clock(), trust=trust)[1]
 
 
 def run(

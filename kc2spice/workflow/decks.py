@@ -1,6 +1,6 @@
-"""From a scene and the models of its parts to a deck: every part is asked, none is known.
+"""Deck of a scene from the models of its parts, and decks that a user edited.
 
-A deck of the scene that somebody edited by hand.
+The parts supply their cards, libraries and results by the methods of their types.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from kc2spice.equations.scene_laws import with_laws
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Command, Deck, Option, ac, dc, transient
 from kc2spice.netlist.elements import titled
-from kc2spice.netlist.expression import literal, vector
+from kc2spice.netlist.expression import Trace, literal, vector
 from kc2spice.netlist.include_scan import ANALYSES, HARMLESS, accuracy, checked, refuse
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.lint import lint
@@ -40,7 +41,7 @@ from kc2spice.scene.results import (
     require_probed_results,
     resolve_dc_sweep,
 )
-from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
+from kc2spice.scene.start_conditions import find_floating_nets, find_start_errors
 from kc2spice.synthesis.header import plan_lines
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.edits import changed, element_text, instance, with_value
@@ -51,7 +52,7 @@ from kc2spice.workflow.time_step import with_linearised_scene
 HOLD = 1e30  # H: a constraint at rest, and above 1 uHz less than a millionth of 1 fg
 
 
-def prepared(
+def prepare_deck(
     scene: Scene,
     clock: Clock,
     *,
@@ -59,10 +60,10 @@ def prepared(
     functions: Mapping[str, Any] | None = None,
     edited: Path | None = None,
 ) -> tuple[Build, Deck]:
-    """Models and deck of ``scene``, or the deck ``edited`` by hand; wrong wiring is named with file
-    and line before a simulator sees it. ``functions`` are those of controllers, by part.
+    """Return the models and the deck of ``scene``, or its deck ``edited`` by hand.
 
-    Raises as :func:`make_deck` and :func:`edited_deck` do.
+    Errors of the wiring name file and line before the simulator starts. ``functions`` are those of
+    controllers, by part. Raises as :func:`make_deck` and :func:`edited_deck` do.
     """
     require_probed_results(Build(scene, {}, trust=trust, functions=functions or {}))
     build = build_models(scene, clock, trust=trust, functions=functions)
@@ -75,7 +76,7 @@ def prepared(
 
 
 def make_deck(build: Build) -> Deck:
-    """The testbench of a scene with its libraries.
+    """Return the testbench of a scene with its libraries.
 
     Raises
     ------
@@ -89,7 +90,7 @@ def make_deck(build: Build) -> Deck:
         raise problem
     loose = find_floating_nets(scene, build.rests)
     header = Header(scene.name, scene_hash(scene))
-    ours = () if scene.solver.max_step else (MAX_STEP,)  # a line of its own says why
+    ours = () if scene.solver.max_step else (MAX_STEP,)  # a separate line gives the reason
     notes = (*header.origin(), *plan_lines(plan(build), ours))
     results = collect_results(build)
     watts = collect_powers(build, results)
@@ -98,8 +99,7 @@ def make_deck(build: Build) -> Deck:
     noise = noise_analysis.noise_cards(build) if build.noisy else None
     sweep = resolve_dc_sweep(build) if scene.analysis.type == "dc" else None
     sweep_scale = 1.0 if sweep is None else sweep.scale
-    reduced = ((part.name, part.reduction) for part in parts)
-    reductions = (f"* {name}, rom: {facts.summary}" for name, facts in reduced if facts)
+    reductions = [f"* {p.name}, rom: {p.reduction.summary}" for p in parts if p.reduction]
     deck = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
@@ -113,23 +113,35 @@ def make_deck(build: Build) -> Deck:
         powers=watts,
         measures=measures(build, results, sweep_scale),
         stop=scene.stop if scene.analysis.type == "transient" else None,
-        initial=_initial(build, loose),
-        controlled=any(_controls(part, scene) for part in scene.parts.values()),
+        initial=_initial_values(build, loose),
+        controlled=any(_is_controller(part, scene) for part in scene.parts.values()),
         trusted=build.trust,
         sweep_scale=sweep_scale,
     )
     return noise_analysis.sources(deck, build) if noise else deck
 
 
-def _controls(part: Part, scene: Scene) -> bool:
-    """Whether it measures a motion and sets a voltage or current, which may close a loop."""
-    pins = scene.pins(part.name)
-    sees = any(p.flow == SIGNAL and p.unit in MOTIONS and not p.signal_out for p in pins)
-    acts = any(p.domain is ELECTRICAL and p.default is None for p in pins)
-    return sees and acts and not any(p.moving for p in pins)
+def _is_controller(part: Part, scene: Scene) -> bool:
+    """Return whether a part measures a motion and sets a voltage or current.
+
+    Such a part may close a control loop.
+    """
+    measures_motion = sets_output = False
+    for pin in scene.pins(part.name):
+        if pin.moving:
+            return False
+        measures_motion |= pin.flow == SIGNAL and pin.unit in MOTIONS and not pin.signal_out
+        sets_output |= pin.domain is ELECTRICAL and pin.default is None
+    return measures_motion and sets_output
 
 
 def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
+    """Yield the different subcircuits of all parts.
+
+    Raises
+    ------
+    UsageError : two parts write different libraries with the same name.
+    """
     known: dict[str, tuple[str, Subcircuit]] = {}
     for part in build.scene.parts.values():
         if part.name in build.scene.movers:
@@ -151,34 +163,37 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
                 )
 
 
-def _items(
-    build: Build, loose: Sequence[FloatingNets], noise_items: Iterable[Item]
-) -> Iterator[Item]:
+def _items(build: Build, loose: Sequence[Free], noise_items: Iterable[Item]) -> Iterator[Item]:
+    """Yield the cards of the parts, of noise sources, and of supports of ``loose`` nets."""
     scene = build.scene
     for part in scene.parts.values():
         cards = () if part.name in scene.without_cards else part.type.cards(part, build)
         if cards:
             yield from titled(f"{part.name}: {part.type.title}", cards, part.name)
     yield from noise_items
-    nets = [group.nets[0] for group in loose if group.nets]
-    if scene.analysis.small and nets:
-        names = Names(scene.parts)
-        inductors = [
-            Element.of(f"L{names.name(net, f'{net}_held')}", net, "0", number(HOLD)) for net in nets
-        ]
+    if not scene.analysis.small:
+        return
+    names, inductors = Names(scene.parts), []
+    for group in loose:
+        if group.nets:
+            net = group.nets[0]
+            name = f"L{names.name(net, f'{net}_held')}"
+            inductors.append(Element.of(name, net, "0", number(HOLD)))
+    if inductors:
         yield from titled("held at the operating point alone: nothing else does", inductors)
 
 
 def _options(build: Build) -> Iterable[Option]:
+    """Return the options of a deck: tolerances of a transient, then those of the parts."""
     scene = build.scene
     solver, rows = scene.solver, scene.numerics
-    part_options = [
-        Option(key, *why) for key, why in chain.from_iterable(row.options.items() for row in rows)
-    ]
+    part_options: list[Option] = []
+    for row in rows:
+        part_options += [Option(key, *why) for key, why in row.options.items()]
     if scene.analysis.type != "transient":
         return part_options
-    reltol = solver.reltol * min((row.reltol for row in rows), default=1.0)
-    chgtol = solver.chgtol * min((row.chgtol for row in rows), default=1.0)
+    reltol = solver.reltol * min(map(attrgetter("reltol"), rows), default=1.0)
+    chgtol = solver.chgtol * min(map(attrgetter("chgtol"), rows), default=1.0)
     return [
         Option("reltol", tidy(reltol), "relative error of a time step"),
         Option(
@@ -198,13 +213,14 @@ def _options(build: Build) -> Iterable[Option]:
 
 
 def _step_lines(build: Build) -> Iterator[str]:
-    """Reason for the largest time step, unless the scene sets it."""
+    """Yield a comment on the largest time step, unless the scene sets it."""
     limit = build.largest
     if limit is not None and not build.scene.solver.max_step:
         yield f"* {comment(f'largest step {limit.step:g} s: {limit.why}')}"
 
 
 def _command(build: Build, sweep: DcSweep | None) -> Command:
+    """Return the command of the analysis; ``sweep`` is that of a dc analysis."""
     scene = build.scene
     selected = scene.analysis
     if selected.type == "transient":
@@ -220,68 +236,56 @@ def _command(build: Build, sweep: DcSweep | None) -> Command:
     return dc(sweep.source, sweep.scale * values[0], sweep.scale * values[-1], values.size)
 
 
-def _initial(build: Build, loose: Sequence[FloatingNets]) -> dict[str, float]:
+def _initial_values(build: Build, loose: Sequence[Free]) -> dict[str, float]:
+    """Return the initial values of a transient by node.
+
+    Nets that only dampers join have no other value and begin at 0.
+    """
     if build.scene.analysis.type != "transient":
         return {}
-    rows = {name: record.settable.items() for name, record in build.records.items()}
-    states = {n: {k: v for k, v in row if isinstance(v, float)} for n, row in rows.items()}
-    result = {node: value for item in states.values() for node, value in item.items()}
+    result: dict[str, float] = {}
+    with_states = set()
+    for name, record in build.records.items():
+        states = {node: v for node, v in record.settable.items() if isinstance(v, float)}
+        result |= states
+        if states:
+            with_states.add(name)
     for group in loose:
-        if group.nets and not group.bodies and not any(states[name] for name in group.parts):
-            result[group.nets[0]] = 0.0  # dampers alone
+        if group.nets and not group.bodies and with_states.isdisjoint(group.parts):
+            result[group.nets[0]] = 0.0
     return result
 
 
 def edited_deck(build: Build, original: Deck, path: Path) -> tuple[Deck, Build]:
-    """An edited netlist of the scene with the results of its ``original`` deck, and its build.
+    """Return an edited netlist with the results of its ``original`` deck, and its build.
 
-    The build has the parameters that parts have in the edited netlist. Parts whose cards are
-    others, or joined otherwise, are not judged.
-
-    What it includes from its own directory is written into its place; it is refused if it could
-    act on the machine, unless the build is trusted.
+    The parts of the build have the parameters of the edited netlist. Parts with other cards or
+    connections have no checks. The text of included files replaces their include lines. A netlist
+    that could act on the machine is refused, unless the build is trusted.
 
     Raises
     ------
     UsageError : no such file, a line that could act on the machine, a card that changes what the
-        parts of the deck mean, another analysis than the scene's, vectors that the file no longer
-        saves or that nothing in it has.
+        parts of the deck mean, another analysis than the scene's, vectors that the file does not
+        save or that nothing in it has.
 
-    Warns of options that are not the scene's: they decide how accurate its results are; and of
-    parts that cannot be judged.
+    Warns of accuracy options that differ from those of the scene, and of parts without checks.
     """
     result = checked(path, trust=build.trust)
     cards = list(result.cards(title=True))
     refuse(cards, part=False)
-    analyses = [s for s in cards if s.keyword in ANALYSES]
-    if [s.keyword for s in analyses] != [f".{original.command.kind}"]:
-        raise UsageError(
-            "not the scene's analysis",
-            where=str(path),
-            got=" and ".join(s.written for s in analyses) or "none",
-            expected=original.command.card,
-            hint=f"write this line into the deck: {original.command.card}",
-        )
-    saved = {vector(w.lower()) for s in cards if s.keyword == ".save" for w in s.words[1:]}
-    missing = [v for v in original.saved if vector(v.lower()) not in saved]
-    if saved and vector("all") not in saved and missing:
-        raise UsageError(
-            "the scene's metrics need vectors that this deck does not save",
-            where=str(path),
-            got=", ".join(missing),
-            expected="these vectors on a line that begins with .save",
-            hint="add this line to the deck: .save " + " ".join(missing),
-        )
+    analysis = _require_analysis(original, cards, path)
+    _require_saved(original, cards, path)
     tree = tree_of(cards)
     _require_results(original, circuit(tree), path)
-    _tell_options(original, cards, path)
-    words = tuple(analyses[0].words[1:])
+    _warn_of_options(original, cards, path)
+    words = tuple(analysis.words[1:])
     stop = original.stop
     if stop is not None:  # the end of the transient whose card has these words
-        stop = literal(words[1], where=analyses[0].where) if len(words) > 1 else None
+        stop = literal(words[1], where=analysis.where) if len(words) > 1 else None
         if stop is None:
             message, got = "the end of the transient is no number", " ".join(words)
-            raise UsageError(message, where=analyses[0].where, got=got)
+            raise UsageError(message, where=analysis.where, got=got)
     deck = replace(
         original,
         text=result.text,
@@ -293,19 +297,61 @@ def edited_deck(build: Build, original: Deck, path: Path) -> tuple[Deck, Build]:
         stop=stop,
         command=Command(original.command.kind, words),
     )
-    return deck, _judged_by(build, original, deck, path)
+    return deck, _with_edited_parameters(build, original, deck, path)
 
 
-def _judged_by(build: Build, original: Deck, edited: Deck, path: Path) -> Build:
+def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) -> Statement:
+    """Return the card of the analysis in an edited deck.
+
+    Raises
+    ------
+    UsageError : the deck has another analysis than its ``original``, or several.
+    """
+    analyses = [card for card in cards if card.keyword in ANALYSES]
+    if list(map(attrgetter("keyword"), analyses)) != [f".{original.command.kind}"]:
+        raise UsageError(
+            "not the scene's analysis",
+            where=str(path),
+            got=" and ".join(map(attrgetter("written"), analyses)) or "none",
+            expected=original.command.card,
+            hint=f"write this line into the deck: {original.command.card}",
+        )
+    return analyses[0]
+
+
+def _require_saved(original: Deck, cards: Iterable[Statement], path: Path) -> None:
+    """Refuse a deck that saves vectors, but not all that the results need.
+
+    Raises
+    ------
+    UsageError : names the missing vectors.
+    """
+    saved: set[Trace | None] = set()
+    for card in cards:
+        if card.keyword == ".save":
+            saved.update(map(vector, map(str.lower, card.words[1:])))
+    missing = [name for name in original.saved if vector(name.lower()) not in saved]
+    if saved and vector("all") not in saved and missing:
+        raise UsageError(
+            "the scene's metrics need vectors that this deck does not save",
+            where=str(path),
+            got=", ".join(missing),
+            expected="these vectors on a line that begins with .save",
+            hint="add this line to the deck: .save " + " ".join(missing),
+        )
+
+
+def _with_edited_parameters(build: Build, original: Deck, edited: Deck, path: Path) -> Build:
     """Return ``build`` with the parameter values of the ``edited`` deck.
 
     A part is not checked if its keys cannot express its cards in the edited deck. Prints a warning
     that lists these parts.
     """
-    edits, parts = _edits(original, edited), dict(build.scene.parts)
+    edits, parts = _edited_cards(original, edited), dict(build.scene.parts)
     reasons = {name: why for name, why in edits.items() if name in parts}
     for name, part in build.scene.parts.items():
-        before, now = (instance(deck.scope, f"x{name}") for deck in (original, edited))
+        card = f"x{name}"
+        before, now = instance(original.scope, card), instance(edited.scope, card)
         if before is None or now is None or name in reasons:
             continue
         if before.cards != now.cards:
@@ -316,7 +362,7 @@ def _judged_by(build: Build, original: Deck, edited: Deck, path: Path) -> Build:
                 reasons[name] = f"none of its keys is the parameter {key} of {now.library.name}"
             parts[name] = other or part
     if reasons:
-        lines = "; ".join(f"{name}: {why}" for name, why in reasons.items())
+        lines = "; ".join(map(": ".join, reasons.items()))
         warnings.warn(f"{path}: parts without checks and energy balance: {lines}", stacklevel=2)
     unjudged = build.unjudged | edits.keys() | reasons.keys()
     scene = resolve_again(replace(build.scene, parts=parts))
@@ -324,27 +370,34 @@ def _judged_by(build: Build, original: Deck, edited: Deck, path: Path) -> Build:
     return with_linearised_scene(with_laws(result))
 
 
-def _edits(original: Deck, edited: Deck) -> dict[str, str]:
-    """Parts of the scene whose cards are others in the ``edited`` deck, with the reason: their keys
-    no longer say what is there. Also names of cards that it has besides, and of instances joined
-    otherwise. Parameters of an instance, and its subcircuit, are none of these."""
+def _elements_by_key(scope: Scope) -> dict[str, Element]:
+    """Return the elements of a circuit by their names in lower case."""
+    return {card.key: card for card in scope.elements}
 
-    def content(card: Element) -> str:
-        """The card without its nodes, and without the parameters of an instance."""
-        plain = replace(card, nodes=())
-        return element_text(replace(plain, parameters={}) if card.kind == "x" else plain)
 
-    before, now = ({e.key: e for e in deck.scope.elements} for deck in (original, edited))
-    owner = {key: card.owner for key, card in before.items() if card.owner}
+def _element_content(card: Element) -> str:
+    """Return a card without its nodes, and without the parameters of an instance."""
+    plain = replace(card, nodes=())
+    return element_text(replace(plain, parameters={}) if card.kind == "x" else plain)
+
+
+def _edited_cards(original: Deck, edited: Deck) -> dict[str, str]:
+    """Return the parts whose cards differ in the ``edited`` deck, with the reason.
+
+    The keys of these parts no longer describe the deck. Further names are those of new cards and of
+    instances with other nodes. Other parameters or subcircuits of an instance do not count.
+    """
+    before, now = _elements_by_key(original.scope), _elements_by_key(edited.scope)
     result = {}
     for key in before.keys() | now.keys():
         a, b = before.get(key), now.get(key)
+        owner = key if a is None else a.owner or key
         if b is None and a is not None:
-            result[owner.get(key, key)] = f"the deck has no card {a.name}"
-        elif a is None or b is None or content(a) != content(b):
-            result[owner.get(key, key)] = f"its card {(a or b).name} is another one"  # type: ignore[union-attr]
-        elif a.ends != b.ends:  # an instance is still the part that its keys tell
-            name = key if key.startswith("x") else owner.get(key, key)
+            result[owner] = f"the deck has no card {a.name}"
+        elif a is None or b is None or _element_content(a) != _element_content(b):
+            result[owner] = f"its card {(a or b).name} is another one"  # type: ignore[union-attr]
+        elif a.ends != b.ends:  # the keys still describe an instance with other nodes
+            name = key if key.startswith("x") else owner
             result[name] = f"its card {a.name} is joined otherwise"
     return result
 
@@ -356,7 +409,7 @@ def _require_instances(now: Scope, before: Scope, path: Path) -> None:
     ------
     UsageError : names the card.
     """
-    old, new = ({card.key: card for card in scope.elements} for scope in (before, now))
+    old, new = _elements_by_key(before), _elements_by_key(now)
     if new.keys() - old.keys():
         return  # the reader of the deck must judge the replacement
     for key in old.keys() - new.keys():
@@ -384,7 +437,10 @@ def _require_results(original: Deck, now: Scope, path: Path) -> None:
         return
     hints = []
     sources = {f"i({e.key})": e for e in before.elements if e.kind == "v"}
-    for source in (sources[v.lower()] for v in missing if v.lower() in sources):
+    for name in map(str.lower, missing):
+        if name not in sources:
+            continue
+        source = sources[name]
         node = source.nodes[0]
         hints.append(
             f"a 0 V source of its name reads the current of whatever drives {node}: "
@@ -401,27 +457,29 @@ def _require_results(original: Deck, now: Scope, path: Path) -> None:
     )
 
 
-def _tell_options(original: Deck, cards: Iterable[Statement], path: Path) -> None:
-    """Warn of accuracy options that differ from those of the scene's own deck."""
-    before, now = (
-        {o.key: o.value for o in original.options if o.key not in HARMLESS},
-        accuracy(cards),
-    )
-    pairs = {key: (before.get(key), now.get(key)) for key in [*before, *now]}
+def _warn_of_options(original: Deck, cards: Iterable[Statement], path: Path) -> None:
+    """Warn of accuracy options that differ from those of the exported deck."""
+    before = {item.key: item.value for item in original.options if item.key not in HARMLESS}
+    now = accuracy(cards)
 
     def value(text: str | None) -> float | str | None:
         number = literal(text) if text else None
         return text if number is None else number
 
-    changed = [
-        f"{key} = {b or 'default'} ({a or 'default'})"
-        for key, (a, b) in pairs.items()
-        if value(a) != value(b)
-    ]
-    if changed:
-        options = ", ".join(changed)
+    different = []
+    for key in dict.fromkeys([*before, *now]):
+        a, b = before.get(key), now.get(key)
+        if value(a) != value(b):
+            different.append(f"{key} = {b or 'default'} ({a or 'default'})")
+    if different:
+        options = ", ".join(different)
         problem = "options differ from those of the scene, which are in brackets"
         warnings.warn(f"{path}: {problem}: {options}", stacklevel=2)
+
+
+def _card_texts(text: str, name: str) -> list[str]:
+    """Return the statements that a simulator reads in the file ``name``."""
+    return list(filter(None, map(attrgetter("written"), statements(text, name))))
 
 
 def spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
@@ -444,11 +502,7 @@ def spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
             name = card.words[-1].strip("\"'") if card.keyword in INCLUDES else ""
             if name not in files or not (out / name).is_file():
                 continue
-            old, new = (
-                [item.written for item in statements(known, name) if item.written]
-                for known in (text(out / name), files[name])
-            )
-            if old != new:  # the statements that a simulator reads
+            if _card_texts(text(out / name), name) != _card_texts(files[name], name):
                 raise UsageError(
                     f"this deck there includes another {name}",
                     where=str(others[key]),

@@ -20,7 +20,7 @@ from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import write_files
 from kc2spice.synthesis.emitted import require_circuit
-from kc2spice.workflow.decks import prepared, spare_other_decks
+from kc2spice.workflow.decks import prepare_deck, spare_other_decks
 
 
 def export_scene(
@@ -50,7 +50,7 @@ def export_scene(
         raise unknown(message, dialect, known, "--dialect")
     clock = Clock(progress)
     with staged(out) as work:
-        build, deck = prepared(resolve(replace(scene, ports="declared")), clock, trust=trust)
+        build, deck = prepare_deck(resolve(replace(scene, ports="declared")), clock, trust=trust)
         _require_circuits(build, deck)
         with clock.stage("export", "netlists and symbols"):
             if count is not None:

@@ -29,7 +29,7 @@ from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part
 from kc2spice.sim.ngspice import RetriesFailedError
-from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.ringing import point_time
 from kc2spice.workflow.simulate import Run, simulate_deck
 
@@ -115,7 +115,7 @@ def _run_again(run: Run, chosen: Sequence[Larger], work: Path, clock: Clock) -> 
     scene = load_scene(build.scene, {k: v for item in chosen for k, v in item.keys.items()})
     with TemporaryDirectory() as folder:
         try:
-            again, deck = prepared(scene, clock, trust=build.trust, functions=build.functions)
+            again, deck = prepare_deck(scene, clock, trust=build.trust, functions=build.functions)
             with clock.stage("simulate", "with more states") as share:
                 result = simulate_deck(again, deck, Path(folder), progress=share)
         except (SimulationError, UsageError) as error:

@@ -29,7 +29,7 @@ from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.settings import Action
-from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.simulate import Run, ran, sampled, simulate_deck, simulator_cpu
 
 MOST_UNKNOWNS = 200_000  # unknowns of a refined mesh: minutes of one processor
@@ -163,7 +163,7 @@ def evaluate(
     retries: int | None = None,
 ) -> Run:
     """Build, write, simulate and measure ``scene``; raises as :func:`simulate_deck` does."""
-    build, deck = prepared(scene, clock, trust=trust, functions=functions)
+    build, deck = prepare_deck(scene, clock, trust=trust, functions=functions)
     with clock.stage("refined run", text), tempfile.TemporaryDirectory() as folder:
         return simulate_deck(build, deck, Path(folder), retries=retries)
 

@@ -24,7 +24,7 @@ from kc2spice.scene.model import Scene
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.workflow import noise_analysis
-from kc2spice.workflow.decks import prepared, spare_other_decks
+from kc2spice.workflow.decks import prepare_deck, spare_other_decks
 from kc2spice.workflow.models import fact_units, mode_tables, model_facts
 from kc2spice.workflow.orders import suggested_keys, with_larger_orders
 from kc2spice.workflow.refine import Converged, converge
@@ -175,7 +175,7 @@ def complete(
     simulator, clock, automatic = find_ngspice(), Clock(progress), dict[str, Any]()
     with kept_on_failure(work, out, scene.name):
         while True:
-            build, prepared_deck = prepared(
+            build, prepared_deck = prepare_deck(
                 scene, clock, trust=trust, functions=functions, edited=deck
             )
             if out is not None:

@@ -130,7 +130,7 @@ def simulate_deck(
     --------
     >>> from kc2spice.core.progress import Clock
     >>> from kc2spice.scene.load import load_scene
-    >>> from kc2spice.workflow.decks import prepared
+    >>> from kc2spice.workflow.decks import prepare_deck
     >>> lamp = {
     ...     "name": "lamp",
     ...     "drive": {"part": "source", "dc": "12 V"},
@@ -138,7 +138,7 @@ def simulate_deck(
     ...     "analysis": {"type": "op"},
     ...     "probes": {"current_a": {"of": "lamp.i"}},
     ... }
-    >>> build, deck = prepared(load_scene(lamp), Clock())
+    >>> build, deck = prepare_deck(load_scene(lamp), Clock())
     >>> run = simulate_deck(build, deck, Path())
     >>> print(f"{run.metrics['current_a']:.4f} {run.units['current_a']}")
     2.0000 A

@@ -16,7 +16,7 @@ from kc2spice.scene.resolve import resolve_build
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.metrics import verdict
-from kc2spice.workflow.models import build_models, libraries
+from kc2spice.workflow.models import build_models, name_subcircuits
 from kc2spice.workflow.time_step import largest_step
 from kc2spice.workflow.verify.law_solution import solve
 
@@ -78,7 +78,7 @@ def built(scene, model=None, table=None, others=False, **words):
             models[part.name] = table
         if others and part.name not in models:
             models[part.name] = part.type.build(part, scene, Clock(silent))
-    result = resolve_build(Build(scene, models, libraries(scene), **words))
+    result = resolve_build(Build(scene, models, name_subcircuits(scene), **words))
     timed = scene.analysis.type == "transient"
     return replace(result, largest=largest_step(result)) if timed else result
 

@@ -12,7 +12,7 @@ import pytest
 import kc2spice as kc
 from kc2spice.core.progress import Clock
 from kc2spice.scene.checks import Balance
-from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.export import export_scene
 from kc2spice.workflow.run import run_scene
 from kc2spice.workflow.simulate import ran
@@ -68,8 +68,8 @@ def test_the_balance_sees_what_is_not_declared(scene, old, new, tmp_path):
     """The scene's keys against the run of a netlist with another value."""
     name = SCENES[scene][0]
     loaded = kc.load_scene(scene)
-    _, deck = prepared(loaded, Clock(), edited=edited(scene, tmp_path, old, new))
-    build, _ = prepared(loaded, Clock())
+    _, deck = prepare_deck(loaded, Clock(), edited=edited(scene, tmp_path, old, new))
+    build, _ = prepare_deck(loaded, Clock())
     waves = ran(build, deck, tmp_path)
     part = loaded.parts[name]
     (balance,) = [row for row in part.type.checks(part, build, waves) if isinstance(row, Balance)]

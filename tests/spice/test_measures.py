@@ -10,7 +10,7 @@ import kc2spice as kc
 from kc2spice.core.progress import Clock
 from kc2spice.netlist.translate import translate
 from kc2spice.sim.ngspice import find_ngspice, write_files
-from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.decks import prepare_deck
 
 SWEPT = {
     "name": "divider",
@@ -36,7 +36,7 @@ def printed(deck, directory):
 
 def run(scene, directory):
     """Values that ngspice prints, and the result of the program."""
-    _, deck = prepared(scene, Clock())
+    _, deck = prepare_deck(scene, Clock())
     assert deck.measures
     values = printed(deck, directory)
     assert {m.name.lower() for m in deck.measures} <= values.keys()
@@ -77,7 +77,7 @@ def test_a_resonance_frequency_is_that_of_the_largest_point(tmp_path):
 
 
 def test_only_the_analysis_that_a_measure_belongs_to_has_it():
-    _, deck = prepared(kc.load_scene("loudspeaker"), Clock())
+    _, deck = prepare_deck(kc.load_scene("loudspeaker"), Clock())
     assert ".meas tran " in deck.files[deck.main]
     operating = deck.with_command(kc.deck("loudspeaker").command.__class__("op", ()))
     assert ".meas" not in operating.files[operating.main]
@@ -100,7 +100,7 @@ DISCHARGE = {
 
 
 def test_crossings_and_values_are_those_that_ngspice_prints(tmp_path):
-    _, deck = prepared(kc.load_scene(DISCHARGE), Clock())
+    _, deck = prepare_deck(kc.load_scene(DISCHARGE), Clock())
     values, metrics = printed(deck, tmp_path), kc.run(DISCHARGE).metrics
     tau, begin = 1e-3, 0.1005e-3
     assert values["half_s"] == pytest.approx(metrics["half_s"], rel=2e-6)
@@ -147,7 +147,7 @@ def test_an_operating_point_prints_what_its_probes_read(tmp_path):
         "analysis": {"type": "op"},
         "probes": {"moved_m": {"of": "push.x", "take": "final"}},
     }
-    _, deck = prepared(kc.load_scene(scene), Clock())
+    _, deck = prepare_deck(kc.load_scene(scene), Clock())
     text = deck.files[deck.main]
     (factor, node) = re.search(r"(?m)^\* moved_m in SI units is (\S+) times (\S+)$", text).groups()
     assert f".print op {node}" in text
@@ -175,18 +175,18 @@ MEASURED = {
 
 @pytest.mark.parametrize("dialect", MEASURED)
 def test_other_simulators_measure_in_their_own_words(dialect):
-    _, deck = prepared(kc.load_scene(DISCHARGE), Clock())
+    _, deck = prepare_deck(kc.load_scene(DISCHARGE), Clock())
     lines = translate(deck, dialect).text.split("\n")
     assert set(MEASURED[dialect]) <= set(lines)
     assert "* Main metrics in SI units" in lines
 
 
 def test_other_simulators_scale_and_take_magnitudes_in_their_own_words():
-    _, deck = prepared(kc.load_scene("gap_biased"), Clock())
+    _, deck = prepare_deck(kc.load_scene("gap_biased"), Clock())
     xyce, ltspice = (translate(deck, dialect).text for dialect in ("xyce", "ltspice"))
     assert re.search(r"(?m)^\.measure AC voltage_hz MAX VM\(\w+\) OUTPUT=FREQ$", xyce)
     assert "LTspice prints no .meas ac voltage_hz MAX_AT" in ltspice
-    _, deck = prepared(kc.load_scene("loudspeaker"), Clock())
+    _, deck = prepare_deck(kc.load_scene("loudspeaker"), Clock())
     xyce, ltspice = (translate(deck, dialect).text for dialect in ("xyce", "ltspice"))
     scaled = r"(?m)^\.meas\w* TRAN (\w+) (?:PARAM |EQN \{)1e-06\*\1_raw\}?$"
     assert re.search(scaled, xyce)
@@ -196,7 +196,7 @@ def test_other_simulators_scale_and_take_magnitudes_in_their_own_words():
 @pytest.mark.parametrize("dialect", ["ltspice", "xyce"])
 def test_no_measure_scales_one_that_a_dialect_lacks(dialect):
     """Neither gives the place of a maximum of a sweep, so none is multiplied by the unit."""
-    _, deck = prepared(kc.load_scene(STRETCHED), Clock())
+    _, deck = prepare_deck(kc.load_scene(STRETCHED), Clock())
     text = translate(deck, dialect).text
     assert re.search(r"(?m)^\.meas\w* DC rest_m (PARAM |EQN \{)1e-06\*rest_m_raw", text)
     assert not re.search(r"(?m)^\.meas.*largest_m", text)

@@ -115,14 +115,14 @@ def test_names_are_checked_before_any_model_is_built(of, near, monkeypatch):
 
     monkeypatch.setattr(decks, "build_models", build)
     with pytest.raises(UsageError) as caught:
-        decks.prepared(load_scene({**BEAM, "probes": {"u": {"of": of}}}), Clock())
+        decks.prepare_deck(load_scene({**BEAM, "probes": {"u": {"of": of}}}), Clock())
     assert near in f"{caught.value.expected} {caught.value.hint}"
 
 
 def test_motions_at_ports_that_nothing_is_joined_to_are_offered():
     """``PART.u.PIN`` of every port: a probe alone keeps it."""
     with pytest.raises(UsageError) as caught:
-        decks.prepared(load_scene({**BEAM, "probes": {"u": {"of": "b.u"}}}), Clock())
+        decks.prepare_deck(load_scene({**BEAM, "probes": {"u": {"of": "b.u"}}}), Clock())
     assert "b.u.tip" in caught.value.expected
     assert "b.u.middle" in caught.value.expected
 

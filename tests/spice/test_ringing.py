@@ -12,7 +12,7 @@ from kc2spice.rom.modal import resonators
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import own_reltol, run_deck
 from kc2spice.workflow import ringing
-from kc2spice.workflow.decks import make_deck, prepared
+from kc2spice.workflow.decks import make_deck, prepare_deck
 
 KICK = {
     "name": "rings", "kick": {"drive": {"voltage": "100 V", "start": "1 us"}}, "contact": {},
@@ -60,11 +60,11 @@ def test_a_run_of_many_short_steps_is_announced_with_their_cause():
         "load": {"part": "resistor", "resistance": 1e3, "pins": {"b": "gnd"}},
         "analysis": {"type": "transient", "stop": 10.0},
     }
-    build, deck = prepared(load_scene(scene), Clock())
+    build, deck = prepare_deck(load_scene(scene), Clock())
     with pytest.warns(UserWarning, match=r"1e\+06 time points.* is 10 .s \(not all of it is line"):
         ringing.announce_long_run(build, deck)
     shorter = {**scene, "analysis": {"type": "transient", "stop": 2.0}}
-    build, deck = prepared(load_scene(shorter), Clock())
+    build, deck = prepare_deck(load_scene(shorter), Clock())
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         ringing.announce_long_run(build, deck)

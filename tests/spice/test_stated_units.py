@@ -9,7 +9,7 @@ from kc2spice.core.domains import CONSERVATIVE, SPICE_UNITS
 from kc2spice.core.progress import Clock
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.translate import dialect_files
-from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.export import export_scene
 
 HEATED = {
@@ -31,7 +31,7 @@ PUSHED = {
 
 
 def deck_of(scene):
-    return prepared(kc.load_scene(scene), Clock())[1]
+    return prepare_deck(kc.load_scene(scene), Clock())[1]
 
 
 def units(deck):

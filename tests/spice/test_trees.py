@@ -8,7 +8,7 @@ from kc2spice.netlist import deck as decks
 from kc2spice.netlist.circuit import Circuit, Element
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.read import read
-from kc2spice.workflow.decks import edited_deck, prepared
+from kc2spice.workflow.decks import edited_deck, prepare_deck
 from kc2spice.workflow.edits import element_text
 
 
@@ -56,7 +56,7 @@ def test_the_head_states_the_fields_of_a_library(loop):
 @pytest.fixture
 def duffing(tmp_path):
     """The build, the deck and the path of a deck that somebody may edit."""
-    build, deck = prepared(kc.load_scene("duffing"), Clock())
+    build, deck = prepare_deck(kc.load_scene("duffing"), Clock())
     for name, text in deck.files.items():
         (tmp_path / name).write_text(text)
     return build, deck, tmp_path / deck.main

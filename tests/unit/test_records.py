@@ -23,7 +23,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.parttype import part_types
-from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.decks import prepare_deck
 
 MOST = 2
 # Cards that depend on the order of parts: comments list them, and a batch run prints two vectors.
@@ -128,7 +128,7 @@ def test_a_contact_has_one_pair_of_surfaces(monkeypatch, tmp_path):
 
 def cards_of(scene):
     """Cards of all files of a scene, with nets named after the first of their pins by name."""
-    build, deck = prepared(scene, Clock())
+    build, deck = prepare_deck(scene, Clock())
     pins = collections.defaultdict(list)
     for pin, net in build.scene.nets.items():
         pins[net.lower()].append("_".join(pin).lower())

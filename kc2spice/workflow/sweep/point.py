@@ -37,7 +37,7 @@ from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.overrides import format_toml
 from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.scene.scene_file import list_gallery
-from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.edits import with_value
 from kc2spice.workflow.models import fact_units
 from kc2spice.workflow.simulate import Run, simulate_deck
@@ -245,7 +245,7 @@ def build_point(job: Job, values: Mapping[str, Any]) -> tuple[Build, Deck]:
 
 @lru_cache(maxsize=_KEPT)
 def _testbench(job: Job) -> tuple[Build, Deck]:
-    return prepared(job.load({}), Clock())
+    return prepare_deck(job.load({}), Clock())
 
 
 def _numbers(run: Run) -> PointResult:

@@ -35,7 +35,7 @@ from kc2spice.scene.checks import PAIRS, Check, Gate, Verdict
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import find_ngspice
-from kc2spice.workflow.decks import prepared
+from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.metrics import metrics, verdict
 from kc2spice.workflow.refine import FREE_SHARE, MOST_UNKNOWNS, factor_bytes
 from kc2spice.workflow.simulate import ran, with_powers
@@ -297,7 +297,7 @@ def verify_scenes(
     Raises
     ------
     UsageError : a ``deck`` for several scenes, one without the scene's subcircuits, or as
-        :func:`kc2spice.workflow.decks.prepared`.
+        :func:`kc2spice.workflow.decks.prepare_deck`.
     MissingToolError : no ngspice; noticed before any FE is computed.
     SimulationError : a solution path ended without a result.
     """
@@ -317,7 +317,7 @@ def verify_scenes(
             progress("verify", None, scene.name)
             clock = Clock(progress)
             exported = scene if deck is None else _with_exported_ports(scene, libraries)
-            build, prepared_deck = prepared(exported, clock, trust=trust, edited=deck)
+            build, prepared_deck = prepare_deck(exported, clock, trust=trust, edited=deck)
             emitted = prepared_deck.parts if deck is None else libraries
             with TemporaryDirectory() as scratch:
                 result = _Verification(build, clock, Path(scratch), full).findings(
