@@ -1,13 +1,13 @@
-"""The largest time step of a transient, and what the steps that were taken did to its result.
+"""Largest time step of a transient, and the effect of its time steps on the result.
 
-ngspice's error control keeps the error of each step below a tolerance. At a resonance the errors of
-thousands of steps add up: with steps ``h`` the trapezoidal rule has every natural frequency ``w``
-lower by ``(w h)^2 / 12`` of it, which detunes a drive of it, and Gear's method damps as well. As
-both rules turn ``e^(r t)`` into another exponential, all that they make of a linear circuit follows
-in closed form, and so does the largest step that keeps it within :data:`AMPLITUDE`.
+The error control of ngspice keeps the error of each step below a tolerance. At a resonance the
+errors of thousands of steps add up. With steps ``h`` the trapezoidal rule reduces every natural
+frequency ``w`` by the ratio ``(w h)^2 / 12``, which detunes the drive. Gear's method adds damping.
+Both rules turn ``e^(r t)`` into another exponential. The numerical solution of a linear circuit and
+the largest step that keeps its error within :data:`AMPLITUDE` therefore follow in closed form.
 
-Motions of a quality below :data:`RESONANT` set no step, however fast they are: an implicit rule
-follows them, and error control resolves what they show. Sums that cancel set none either.
+Motions with a Q factor below :data:`RESONANT` do not limit the step, however fast they are: the
+error control resolves them. Sums that cancel do not limit it either.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -28,7 +29,6 @@ from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.report.html import format_quantity
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build
-from kc2spice.scene.results import collect_results
 from kc2spice.scene.rows import StepLimit, Vector
 
 if TYPE_CHECKING:
@@ -50,37 +50,36 @@ SIZE = 600  # unknowns; larger circuits take minutes
 
 
 def largest_step(build: Build) -> StepLimit:
-    """``solver.max_step``, else the smallest of what parts ask for, and what keeps every linear
-    circuit of the scene within :data:`AMPLITUDE`."""
+    """Return the largest time step of a transient.
+
+    It is ``solver.max_step`` if the scene sets that. Otherwise it is the smallest step that a part
+    or a resonance of a linear circuit requires.
+    """
     scene = build.scene
     if scene.solver.max_step is not None:
         return StepLimit(scene.solver.max_step, "set by solver.max_step")
     scales = scene.numerics
-    decided = [row for row in scales if row.decides]
-    if decided:
-        row = min(decided, key=lambda row: row.step)
-        return StepLimit(min(row.step, scene.stop), row.what)
-    result = [StepLimit(row.step, row.what) for row in scales]
-    start = min(
-        [StepLimit(scene.stop / FEWEST, f"1/{FEWEST} of the run"), *result],
-        key=lambda limit: limit.step,
-    )
+    decided = min(filter(attrgetter("decides"), scales), key=attrgetter("step"), default=None)
+    if decided is not None:
+        return StepLimit(min(decided.step, scene.stop), decided.what)
+    limits = [StepLimit(scene.stop / FEWEST, f"1/{FEWEST} of the run")]
+    limits += [StepLimit(row.step, row.what) for row in scales]
+    start = min(limits, key=attrgetter("step"))
     linearised = linearised_scene(build)
-    motions = linearised.motions
-    known = not linearised.missing and all(
-        motion is not None and (motion.linear.exact or _relaxes(network))
-        for network, motion in zip(linearised.networks, motions, strict=True)
-    )
-    if not known and start.step > UNKNOWN:
+    if not linearised.linear and start.step > UNKNOWN:
         start = StepLimit(UNKNOWN, "not all of it is linear")
-    rule = RULES[scene.solver.method]
-    limits = [follows(motion, start, rule) for motion in motions if motion is not None]
-    return min([start, *limits], key=lambda limit: limit.step)
+    rule, limits = RULES[scene.solver.method], [start]
+    for motion in linearised.motions:
+        if motion is not None:
+            limits.append(find_step(motion, start, rule))
+    return min(limits, key=attrgetter("step"))
 
 
 def _relaxes(network: Network) -> bool:
-    """Whether all pins of a network are of heat, which has no inertia: nothing there can ring, and
-    error control follows any change of its time constants."""
+    """Return whether all pins of a network are thermal.
+
+    Heat has no inertia. Such a network cannot ring, and error control resolves its time constants.
+    """
     kinds = set(pin_kinds(network.laws).values())
     return all(DOMAINS[kind].relaxes for kind in kinds)
 
@@ -96,8 +95,16 @@ class LinearisedScene:
     build: Build
 
     def describes(self, build: Build) -> bool:
-        """Whether ``build`` has the same scene and the same models."""
+        """Return whether ``build`` has the same scene and the same models."""
         return self.build.scene is build.scene and self.build.models is build.models
+
+    @property
+    def linear(self) -> bool:
+        """Whether the equations of all networks are known, and linear unless they relax."""
+        for network, motion in zip(self.networks, self.motions, strict=True):
+            if motion is None or not (motion.linear.exact or _relaxes(network)):
+                return False
+        return not self.missing
 
     @cached_property
     def _joined(self) -> tuple[tuple[Network, ...], tuple[str, ...]]:
@@ -177,9 +184,12 @@ RULES = {
 }
 
 
-def follows(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> StepLimit:
-    """The largest step up to ``start`` with which ``rule`` is right to :data:`AMPLITUDE`, and to
-    :data:`SHAPE` where that takes less than :data:`MANY` points."""
+def find_step(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> StepLimit:
+    """Find the largest step up to ``start`` with which ``rule`` is accurate.
+
+    The error of the rms is at most :data:`AMPLITUDE`. The error of the shape is at most
+    :data:`SHAPE`, unless that takes :data:`MANY` points or more.
+    """
     peaks = motion.peaks()
     t = motion.samples(SAMPLES)
     outputs = np.arange(len(motion.linear.system.names))
@@ -191,7 +201,7 @@ def follows(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> StepLi
         return start
     resonant = modes.quality > RESONANT
 
-    def good(h: float) -> bool:
+    def is_accurate(h: float) -> bool:
         def rates(exact: np.ndarray) -> np.ndarray:
             return np.where(resonant, rule.rates(exact, h), exact)
 
@@ -200,12 +210,12 @@ def follows(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> StepLi
         points = motion.stop / h
         return (amplitude <= AMPLITUDE or points >= MOST) and (shape <= SHAPE or points >= MANY)
 
-    if good(start.step):
+    if is_accurate(start.step):
         return start
     low, high = motion.stop / MOST, start.step
     while high / low > CLOSE:
         middle = math.sqrt(low * high)
-        low, high = (middle, high) if good(middle) else (low, middle)
+        low, high = (middle, high) if is_accurate(middle) else (low, middle)
     h = low
     observed = (peaks[:, outputs] / np.abs(exact).max(axis=0)).max(axis=1)
     delay = np.abs(rule.rates(modes.rates, h) - modes.rates)
@@ -213,25 +223,25 @@ def follows(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> StepLi
     reasons = []
     if resonant.any():
         worst = int(np.argmax(np.where(resonant, observed * delay * lasting, -1.0)))
-        reasons.append(_resonance(modes.rates[worst], modes.quality[worst]))
+        reasons.append(_describe_resonance(modes.rates[worst], modes.quality[worst]))
     reasons += [f"sine at {format_quantity(wave.frequency, 'Hz', 4)}" for _, wave in motion.sines]
     return StepLimit(float(f"{h:.3g}"), "; ".join(dict.fromkeys(reasons)))
 
 
-def _resonance(rate: complex, quality: float) -> str:
-    """A natural motion in words."""
+def _describe_resonance(rate: complex, quality: float) -> str:
+    """Return a natural motion in words."""
     damped = f"Q {quality:.3g}" if quality < 1e6 else "undamped"
     return f"a motion at {format_quantity(abs(rate) / (2 * math.pi), 'Hz', 4)}, {damped}"
 
 
 def deviation(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
-    """Largest error of any wave (nt, waves): of its rms in any of the run's windows, of a value.
+    """Return the largest errors of the rms in a window and of a value, of all waves (nt, waves).
 
-    Relative to the largest rms of the wave in a window, and to its largest value.
+    They are relative to the largest rms of a wave in a window, and to its largest value.
     """
     edges = np.linspace(t[0], t[-1], WINDOWS + 1)[1:-1]
     cuts = np.unique([0, *np.searchsorted(t, edges)])
-    share = np.gradient(t)[:, None]  # where points lie close, at corners, each is worth less
+    share = np.gradient(t)[:, None]  # time [s] of each point; closely spaced points weigh less
     length = np.maximum(np.add.reduceat(share, cuts, axis=0), 1e-300)
     mine = np.sqrt(np.add.reduceat(share * ours**2, cuts, axis=0) / length)
     true = np.sqrt(np.add.reduceat(share * exact**2, cuts, axis=0) / length)
@@ -246,88 +256,87 @@ def deviation(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float
 def step_checks(build: Build, waves: Waveforms, balances: Mapping[str, Balance]) -> Iterator[Check]:
     """Check the effect of the time steps on the waves of a run.
 
-    Waves of a linear circuit are held against its exact motion, unless a contact decides on the
-    steps, for which not all ringing is resolved. In any other circuit the outputs of each linear
-    body are held against its exact answer to the loads that the run put on it; under such a contact
-    that warns alone.
+    Waves of a linear circuit are compared with its exact motion, unless a contact sets the steps,
+    which then do not resolve all ringing. In any other circuit the outputs of each linear body are
+    compared with its exact response to the recorded loads. With such a contact these checks only
+    warn.
     """
     scene = build.scene
     if scene.analysis.type != "transient" or "time" not in waves:
         return
-    decided = any(row.decides for row in scene.numerics)
+    decided = any(map(attrgetter("decides"), scene.numerics))
     known = not decided and not build.unjudged
     worst, exact = _exact_motion(build, waves) if known else ((0.0, 0.0, ""), set())
     if worst[2]:
-        yield _check("steps against the exact motion", worst)
+        yield _step_check("steps against the exact motion", worst)
     for part, balance in balances.items():
         if part in exact:
             continue
-        pairs = [(*both, name) for name, both in balance.exact.items() if both[1].any()]
-        differences = [
-            (*deviation(waves["time"], a[:, None], b[:, None]), name) for a, b, name in pairs
-        ]
+        differences = []
+        for name, (simulated, true) in balance.exact.items():
+            if true.any():
+                errors = deviation(waves["time"], simulated[:, None], true[:, None])
+                differences.append((*errors, name))
         if differences:
-            check = _check(f"steps of {part} against its exact answer", max(differences))
+            check = _step_check(f"steps of {part} against its exact answer", max(differences))
             yield replace(check, action="warn") if decided else check
 
 
 def _exact_motion(build: Build, waves: Waveforms) -> tuple[tuple[float, float, str], set[str]]:
-    """The largest deviation of any wave of a linear circuit, and the parts of these circuits."""
+    """Return the largest deviation of all waves of linear circuits, and the parts of these."""
     exact, worst = set[str](), (0.0, 0.0, "")
     linearised = linearised_scene(build)
     for network, motion in zip(linearised.networks, linearised.motions, strict=True):
-        if _meets(build, network, linearised.missing):
+        if _has_unknown_neighbour(build, network, linearised.missing):
             continue
         if motion is not None and motion.linear.exact and motion.moves:
-            worst = max(worst, _worst(network, motion, waves, collect_results(build)))
+            worst = max(worst, _largest_deviation(network, motion, waves, result_vectors(build)))
             exact |= network.names
     return worst, exact
 
 
-def _check(name: str, largest: tuple[float, float, str]) -> Check:
+def _step_check(name: str, largest: tuple[float, float, str]) -> Check:
+    """Return the check of a deviation: that of the rms, that of a value, and the wave."""
     amplitude, _, wave = largest
     advice = "the steps are too coarse for a resonance: leave solver.max_step out, or lower it"
     return Check(name, amplitude, FAIL, f"of the rms of {wave}", advice, coarse=True, wiring=True)
 
 
-def _meets(build: Build, network: Network, missing: Sequence[str]) -> bool:
-    """Whether a part without a law is joined to this network."""
-    parts = set(map(law_of, network.names))
-    scene = build.scene
-    return any(
-        other in missing
-        for (name, pin) in scene.nets
-        if name in parts
-        for other, _ in scene.joined(name, pin)
-    )
+def _has_unknown_neighbour(build: Build, network: Network, missing: Sequence[str]) -> bool:
+    """Return whether a part without a law is joined to this network."""
+    parts, scene = set(map(law_of, network.names)), build.scene
+    for name, pin in scene.nets:
+        if name in parts and not set(missing).isdisjoint(dict(scene.joined(name, pin))):
+            return True
+    return False
 
 
-def _worst(
+def _largest_deviation(
     network: Network, motion: ExponentialSolution, waves: Waveforms, vectors: Mapping[str, Vector]
 ) -> tuple[float, float, str]:
-    """Largest deviation of any wave, without waves that are rounding errors."""
+    """Return the largest deviation of all waves, without those that are rounding errors."""
     time = waves["time"]
     pick = np.unique(np.linspace(0, time.size - 1, min(time.size, SEEN)).astype(int))
     # where currents jump, and a point may lie on either side; an edge may begin at the end
     corners = np.append(motion.corners, motion.stop)
     near = np.searchsorted(corners, time[pick])
-    gap = [np.abs(time[pick] - corners[np.clip(near + k, 0, corners.size - 1)]) for k in (-1, 0)]
-    pick = pick[np.minimum(*gap) > ASIDE * motion.stop]
+    neighbours = corners[np.clip([near - 1, near], 0, corners.size - 1)]
+    pick = pick[np.abs(time[pick] - neighbours).min(axis=0) > ASIDE * motion.stop]
     at, names = time[pick], motion.linear.system.names
     exact = dict(zip(names, motion.at(at, np.arange(len(names))).T, strict=True))
     rounding = dict(zip(names, motion.rounding(), strict=True))
     result: dict[str, tuple[np.ndarray, str]] = {}
+    largest: dict[str, float] = {}
     for name, true in network.results(exact, at).items():
         noise = sum(abs(factor) * rounding[wave] for factor, wave in network.readings[name].terms)
         unit = vectors[name].unit if name in vectors else ""
-        if name in waves and np.abs(true).max() > max(noise, LEAST.get(unit, 0.0)):
+        size = float(np.abs(true).max())
+        if name in waves and size > max(noise, LEAST.get(unit, 0.0)):
             result[name] = true, unit
-    largest: dict[str, float] = {}
-    for true, unit in result.values():
-        largest[unit] = max(largest.get(unit, 0.0), float(np.abs(true).max()))
+            largest[unit] = max(largest.get(unit, 0.0), size)
     worst = (0.0, 0.0, "")
     for name, (true, unit) in result.items():
         if np.abs(true).max() > BESIDE * largest[unit]:
-            off = deviation(at, waves[name][pick][:, None], true[:, None])
-            worst = max(worst, (*off, name))
+            errors = deviation(at, waves[name][pick][:, None], true[:, None])
+            worst = max(worst, (*errors, name))
     return worst
