@@ -1,16 +1,19 @@
-"""``bench SCENE``: error against time over its settings, the front of the best, what to use.
+"""Error and CPU time of a scene over its numerical settings, and the recommended setting.
 
-The scene is run as it is, with one axis (:mod:`kc2spice.scene.axes`) moved at a time, with all of
-them finer, and from there along the axes towards the cheapest setting within the wanted error, and
-within the scene's own. Errors are against a run with every axis at its finest; a second, less fine
-one tells how well that has converged. A key that the scene sets to its finest value, such as a
-``reltol`` of 1e-7, has no finer run: what a coarser run changes is part of every error. The scene
-as it is also gets the estimate that its ``error_budget`` would state. Times are medians of the
-simulator's CPU time over rounds that visit all settings in turn, so that a machine that slows down
-slows all alike.
+The scene runs as it is, with one axis (:mod:`kc2spice.scene.axes`) moved at a time, and with all
+axes finer. The search then follows the axes to the cheapest settings within the error limit, and
+within the error of the scene itself.
 
-Errors of two keys may cancel by luck, and do. A setting therefore counts as within the wanted error
-only if the sum of what each of its values does alone is so too::
+Errors are relative to a reference run with every axis at its finest value. A second, less fine run
+shows how well the reference has converged. A key that the scene sets to its finest value, such as a
+``reltol`` of 1e-7, has no finer run. The change by a coarser value is then part of every error. The
+scene as it is also has the error estimate that its ``error_budget`` would state.
+
+Times are medians of the simulator's CPU time. Each round runs all settings, so that a slower
+machine affects all settings equally.
+
+Errors of two keys may cancel by chance. A setting is therefore within the limit only if the sum of
+the errors of its single values is within the limit, too::
 
     bound = sum_k max_{v at least as fine as v_k} |m(own, k = v) - m(own, k = finest)| / |m|
 """
@@ -18,9 +21,12 @@ only if the sum of what each of its values does alone is so too::
 from __future__ import annotations
 
 import statistics
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import filterfalse
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +48,9 @@ ERROR = 1e-4
 NOTCHES = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)  # refinement steps of each axis, coarse to fine
 CHECK, REFERENCE = 1.5, 2.0  # notches of the run that checks the reference; of the reference
 MOST_POINTS = 80
-UNSTEADY = 1e-2  # a metric that still moves by so much at the finest settings measures nothing
+LARGEST_CHANGE = 1e-2  # largest relative change of a converged metric at the finest settings
 SLOW = 5.0  # times the CPU time of the scene's settings; a slower setting is timed once
-ALIKE = 1.05  # ratio of times that are the same for the choice between two errors
+EQUAL_TIMES = 1.05  # ratio of times that count as equal in the choice between two errors
 
 Place = tuple[float, ...]  # one setting, as the notches of each axis
 Errors = dict[str, float]  # error of each metric
@@ -52,7 +58,7 @@ Errors = dict[str, float]  # error of each metric
 
 @dataclass
 class _Point:
-    """A setting that was run: its errors and the CPU seconds of each run."""
+    """A setting with its run, the errors of the metrics, and the CPU time [s] of each run."""
 
     place: Place
     settings: dict[str, Any]
@@ -69,19 +75,21 @@ class _Point:
         return statistics.median(self.times)
 
     def beats(self, other: _Point) -> bool:
-        """Whether it is better in error or time, and not worse in the other."""
+        """Return whether it is better in error or time, and not worse in the other."""
         ours, theirs = (self.error, self.time), (other.error, other.time)
         return ours != theirs and ours[0] <= theirs[0] and ours[1] <= theirs[1]
 
 
 class _Plane:
-    """All that was run of a scene, by the labels of the settings; ``names`` are the metrics whose
-    error counts."""
+    """All runs of a scene, by the labels of their settings.
+
+    ``names`` are the metrics whose error counts.
+    """
 
     def __init__(self, run: Run) -> None:
         finer, finest = axes(run.build), finest_axes(run.build)
-        # a mesh costs the simulator nothing
-        self.axes = [axis for axis in (*finer, *finest) if not axis.model]
+        # a mesh costs the simulator no time
+        self.axes = list(filterfalse(attrgetter("model"), (*finer, *finest)))
         self.finest = [axis.name for axis in finest if not axis.model]
         self.runs = Runs(run, finer, Clock(), finest=finest, retries=0, most=np.inf)
         self.points: dict[str, _Point] = {}
@@ -93,35 +101,35 @@ class _Plane:
             raise UsageError("has no setting that trades time for error", where=where)
 
     def notches(self, place: Place) -> dict[str, float]:
-        """Notches of each axis by its name."""
-        return {axis.name: notch for axis, notch in zip(self.axes, place, strict=True)}
+        """Return the notches of each axis by its name."""
+        return dict(zip(map(attrgetter("name"), self.axes), place, strict=True))
 
-    def all_at(self, notch: float) -> Run:
-        """The run with every axis moved alike."""
-        return self.runs.at(self.notches((notch,) * len(self.axes)))
+    def run_all_at(self, notch: float) -> Run:
+        """Return the run with every axis at the same notch."""
+        return self.runs.run_at(self.notches((notch,) * len(self.axes)))
 
     @cached_property
     def unrefined(self) -> Errors:
-        """Error of each metric by settings at their finest value, which the reference has too."""
+        """Error of each metric by settings whose value is the finest in all runs."""
         return refine.coarser_changes(self.runs, {}, self.finest, self.names)
 
     def estimate(self) -> dict[str, Any] | None:
-        """Error estimate of the scene as it is, meshes and tables included."""
+        """Return the error estimate of the scene as it is, with its meshes and tables."""
         result = refine.estimate(self.runs, {})
         if result is None:
             return None
         errors = {name: error for name, error in result.errors.items() if name in self.names}
         return {"error": max(errors.values(), default=0.0), "errors": errors}
 
-    def visit(self, place: Place) -> None:
-        """Run a setting, unless that was done."""
+    def run_setting(self, place: Place) -> None:
+        """Run a setting, unless it has run before."""
         settings = keys_at(self.axes, self.notches(place))
-        label = _label(settings)
+        label = _describe_settings(settings)
         if label in self.points or label in self.failed:
             return
         try:
-            run = self.runs.at(self.notches(place))
-            errors = _errors(run, self.all_at(REFERENCE), self.names)
+            run = self.runs.run_at(self.notches(place))
+            errors = metric_errors(run, self.run_all_at(REFERENCE), self.names)
             errors = {name: error + self.unrefined[name] for name, error in errors.items()}
         except (SimulationError, UsageError) as error:
             why = " ".join(f"{error.message} {error.got or ''}".split())
@@ -129,82 +137,89 @@ class _Plane:
         else:
             self.points[label] = _Point(place, settings, run, errors, [run.cpu_s])
 
-    def alone(self, axis: Axis, notch: float) -> Errors:
+    def axis_errors(self, axis: Axis, notch: float) -> Errors:
         """Return the errors that one value of an axis causes while the others stay.
 
         A value has at least the errors of every finer value.
         """
         if (axis.name, notch) not in self.known:
-            finer = next((n for n in NOTCHES if n > notch), None)
-            result = dict.fromkeys(self.names, 0.0) if finer is None else self.alone(axis, finer)
+            finer = NOTCHES[bisect_right(NOTCHES, notch) :]
+            result = self.axis_errors(axis, finer[0]) if finer else dict.fromkeys(self.names, 0.0)
             change = dict.fromkeys(self.names, np.inf)
-            if (point := self.points.get(_label(axis.at(notch)))) is not None:
-                change = _errors(point.run, self.runs.at({axis.name: REFERENCE}), self.names)
+            if (point := self.points.get(_describe_settings(axis.at(notch)))) is not None:
+                reference = self.runs.run_at({axis.name: REFERENCE})
+                change = metric_errors(point.run, reference, self.names)
             self.known[axis.name, notch] = {n: max(result[n], change[n]) for n in self.names}
         return self.known[axis.name, notch]
 
     def bound(self, point: _Point) -> float:
-        """Sum of the errors of its values, each alone."""
-        item = [self.alone(axis, n) for axis, n in zip(self.axes, point.place, strict=True)]
-        item.append(self.unrefined)
-        return max(sum(errors[name] for errors in item) for name in self.names)
+        """Return the largest sum of the errors that each value of a setting causes alone."""
+        errors = [*map(self.axis_errors, self.axes, point.place), self.unrefined]
+        return max(sum(map(itemgetter(name), errors)) for name in self.names)
 
-    def guarded(self, point: _Point) -> float:
-        """Error that does not hang on errors which cancel."""
+    def safe_error(self, point: _Point) -> float:
+        """Return the error of a setting, or its bound if errors of its values cancel."""
         return max(point.error, self.bound(point))
 
     def cheapest(self, limit: float) -> _Point | None:
-        """Cheapest point within ``limit``; of those that take the same time the most exact."""
-        accurate = [point for point in self.points.values() if self.guarded(point) <= limit]
-        least = min((point.time for point in accurate), default=0.0)
-        alike = [point for point in accurate if point.time <= ALIKE * least]
-        return min(alike, key=self.guarded, default=None)
+        """Return the fastest setting within ``limit``; of equally fast ones the most accurate."""
+        accurate = [point for point in self.points.values() if self.safe_error(point) <= limit]
+        least = min(map(attrgetter("time"), accurate), default=0.0)
+        fastest = [point for point in accurate if point.time <= EQUAL_TIMES * least]
+        return min(fastest, key=self.safe_error, default=None)
 
     def search(self, limit: float, progress: Progress) -> None:
-        """Move one axis at a time, then walk to the cheapest settings in the limit and the own."""
+        """Run settings with one axis moved, then search those within two error limits.
+
+        The limits are ``limit`` and the error of the scene as it is.
+        """
         origin = (0.0,) * len(self.axes)
-        star = [origin, *(_move(origin, k, n) for k in range(len(origin)) for n in NOTCHES)]
+        star = [origin]
+        for axis in range(len(origin)):
+            star += map(partial(_with_notch, origin, axis), NOTCHES)
         star += [(n,) * len(origin) for n in NOTCHES if n > 0]
         for done, place in enumerate(star):
             progress("settings", done / len(star), f"{done} of {len(star)}")
-            self.visit(place)
-            if failed := self.failed.get(_label({})):
+            self.run_setting(place)
+            if failed := self.failed.get(_describe_settings({})):
                 raise SimulationError(
                     "the scene as it is gives another result than its reference",
                     where="bench",
                     got=failed["why"],
                 )
-        for bound in sorted({limit, self.guarded(self.points[_label({})])}):
-            self._walk(bound, progress)
+        for bound in sorted({limit, self.safe_error(self.points[_describe_settings({})])}):
+            self._search_neighbours(bound, progress)
 
-    def _walk(self, limit: float, progress: Progress) -> None:
-        """Along the axes from the cheapest setting in ``limit``, as long as that gives a cheaper
-        one. Where none is within ``limit``, from the most exact one towards finer ones."""
+    def _search_neighbours(self, limit: float, progress: Progress) -> None:
+        """Run the coarser neighbours of the cheapest setting until no cheaper one is found.
+
+        If no setting is within ``limit``, run the finer neighbours of the most accurate one.
+        """
         known = 0
         while known < (count := len(self.points) + len(self.failed)) < MOST_POINTS:
             known = count
             start = self.cheapest(limit)
             step = 1 if start is None else -1
-            start = start or min(self.points.values(), key=self.guarded)
-            progress("search", None, f"{known} settings, now {_label(start.settings)}")
+            start = start or min(self.points.values(), key=self.safe_error)
+            progress("search", None, f"{known} settings, now {_describe_settings(start.settings)}")
             for k, notch in enumerate(start.place):
                 neighbour = NOTCHES.index(notch) + step
                 if 0 <= neighbour < len(NOTCHES):
-                    self.visit(_move(start.place, k, NOTCHES[neighbour]))
+                    self.run_setting(_with_notch(start.place, k, NOTCHES[neighbour]))
 
-    def time(self, repeats: int, progress: Progress) -> None:
-        """Rounds over all settings but the slow ones."""
-        least = SLOW * self.points[_label({})].time
-        again = [point for point in self.points.values() if point.time <= least]
+    def measure_times(self, repeats: int, progress: Progress) -> None:
+        """Repeat the runs of all settings but the slow ones, in rounds."""
+        longest = SLOW * self.points[_describe_settings({})].time
+        repeated = [point for point in self.points.values() if point.time <= longest]
         for turn in range(1, repeats):
             progress("times", turn / repeats, f"round {turn} of {repeats - 1}")
-            for point in again:
+            for point in repeated:
                 point.times.append(refine.time_again(point.run))
 
     def record(self, point: _Point) -> dict[str, Any]:
-        """One of its points."""
+        """Return the row of a setting in ``bench.json``."""
         return {
-            "label": _label(point.settings),
+            "label": _describe_settings(point.settings),
             "settings": point.settings,
             "error": point.error,
             "bound": self.bound(point),
@@ -218,7 +233,8 @@ class _Plane:
         }
 
 
-def _move(place: Place, axis: int, notch: float) -> Place:
+def _with_notch(place: Place, axis: int, notch: float) -> Place:
+    """Return a setting with one axis at ``notch``."""
     return (*place[:axis], notch, *place[axis + 1 :])
 
 
@@ -232,11 +248,11 @@ def bench(
     trust: bool = False,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Measure the plane of ``scene`` and write ``bench.json``, ``bench.html`` into ``out``; return
-    the record.
+    """Measure error and time of ``scene`` and write ``bench.json`` and ``bench.html`` into ``out``.
 
-    The error of a setting is the largest relative one of the metrics ``metric``, else of those that
-    the scene's ``bench.metric`` names, else of all scalars that converge.
+    Returns the record. The error of a setting is the largest relative error of the metrics
+    ``metric``. The default is those of the key ``bench.metric``, otherwise all scalars that
+    converge.
 
     Raises
     ------
@@ -251,13 +267,13 @@ def bench(
         plane, requested = _Plane(run), metric or scene.bench.metric
         selected = _select_metrics(run, requested)
         progress("reference", None, "all settings at their finest")
-        check = _steady(plane, selected, all_of_them=bool(requested))
+        check = _require_convergence(plane, selected, keep_all=bool(requested))
         plane.search(error, progress)
-        plane.time(repeats, progress)
+        plane.measure_times(repeats, progress)
         progress("estimate", None, "all settings and meshes a notch finer")
         finest = keys_at(plane.axes, plane.notches((REFERENCE,) * len(plane.axes)))
         best = plane.cheapest(error)
-        points = sorted(plane.points.values(), key=lambda point: point.time)
+        points = sorted(plane.points.values(), key=attrgetter("time"))
         record = {
             "scene": scene.name,
             "simulator": f"{simulator.name} {simulator.version}",
@@ -267,11 +283,11 @@ def bench(
             "left_out": {name: check.get(name) for name in selected if name not in plane.names},
             "points": list(map(plane.record, points)),  # the quickest first
             "failed": list(plane.failed.values()),
-            "recommended": best and {**plane.record(best), "set": _words(best.settings)},
+            "recommended": best and {**plane.record(best), "set": _set_options(best.settings)},
             "reference": {
-                "label": _label(finest),
+                "label": _describe_settings(finest),
                 "settings": finest,
-                "time_s": plane.all_at(REFERENCE).cpu_s,
+                "time_s": plane.run_all_at(REFERENCE).cpu_s,
                 "error": max(check[name] + plane.unrefined[name] for name in plane.names),
             },
             "estimate": plane.estimate(),
@@ -281,9 +297,9 @@ def bench(
 
 
 def _select_metrics(run: Run, names: Sequence[str]) -> tuple[str, ...]:
-    """Metrics of ``run`` that ``names`` mean, each alone or all that begin with it and a dot.
+    """Return the metrics of ``run`` with these names, or whose names begin with them and a dot.
 
-    Without any: all scalars that are numbers; of a run that has none, all curves.
+    Without names these are all scalars that are numbers; if there are none, all curves.
 
     Raises
     ------
@@ -300,34 +316,42 @@ def _select_metrics(run: Run, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(result or scalars or numbers))
 
 
-def _steady(plane: _Plane, selected: Sequence[str], *, all_of_them: bool) -> Errors:
-    """Change of each wanted metric at the finest settings.
+def _require_convergence(plane: _Plane, selected: Sequence[str], *, keep_all: bool) -> Errors:
+    """Return the change of each selected metric at the finest settings.
 
-    The metrics that converge become the ``names`` of the plane.
+    The metrics that converge become the ``names`` of the plane; with ``keep_all``, all do.
 
     Raises
     ------
     SimulationError : none converges.
     """
-    start, finer, exact = map(plane.all_at, (0.0, CHECK, REFERENCE))
+    start, finer, exact = map(plane.run_all_at, (0.0, CHECK, REFERENCE))
     moved, changed = changes(finer, exact), changes(start, exact)
-    known = {name for name, by in moved.items() if max(by, changed[name]) < np.inf}
-    present = [name for name in selected if name in known and exact.values[name].any()]
-    check = _errors(finer, exact, present)
-    plane.names = tuple(name for name, by in check.items() if by <= UNSTEADY or all_of_them)
+    present = []
+    for name in selected:
+        comparable = name in moved and max(moved[name], changed[name]) < np.inf
+        if comparable and exact.values[name].any():
+            present.append(name)
+    check = metric_errors(finer, exact, present)
+    plane.names = tuple(name for name in check if keep_all or check[name] <= LARGEST_CHANGE)
     if not plane.names:
         raise SimulationError(
             "no metric converges",
             where=f"bench {start.build.scene.name}",
             got=", ".join(f"{n} changes by {v:.1e}" for n, v in check.items()) or None,
-            expected=f"at most {UNSTEADY:g} between the two finest settings",
+            expected=f"at most {LARGEST_CHANGE:g} between the two finest settings",
             hint="name a steadier one with --metric",
         )
     return check
 
 
-def _errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
-    """Relative error of each metric; SimulationError if one is missing, or a yes became a no."""
+def metric_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
+    """Return the relative error of each of the metrics ``names``.
+
+    Raises
+    ------
+    SimulationError : a metric is missing, or one that is true or false has another value.
+    """
     for name, value in exact.values.items():
         ours = run.values.get(name)
         if value.dtype.kind == "b" and not np.array_equal(np.nan if ours is None else ours, value):
@@ -339,18 +363,23 @@ def _errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
     return {name: result[name] for name in names}
 
 
-def _words(settings: Mapping[str, Any]) -> list[str]:
-    """For the command line."""
-    texts = (f"{key}={v if isinstance(v, str) else repr(v)}" for key, v in settings.items())
-    return [word for text in texts for word in ("--set", text)]
+def _set_options(settings: Mapping[str, Any]) -> list[str]:
+    """Return the options of the command line that change these settings."""
+    options = []
+    for key, value in settings.items():
+        text = value if isinstance(value, str) else repr(value)
+        options += ["--set", f"{key}={text}"]
+    return options
 
 
-def _label(settings: Mapping[str, Any]) -> str:
-    """Changed settings in words."""
-    return ", ".join(f"{key} {_short(value)}" for key, value in settings.items()) or "as it is"
+def _describe_settings(settings: Mapping[str, Any]) -> str:
+    """Return changed settings in words."""
+    words = (f"{key} {_format_setting(value)}" for key, value in settings.items())
+    return ", ".join(words) or "as it is"
 
 
-def _short(value: Any) -> str:
+def _format_setting(value: Any) -> str:
+    """Return a number, a range or a word as text."""
     if isinstance(value, list):
-        return "…".join(f"{item:g}" for item in value)
+        return "…".join(map("{:g}".format, value))
     return value if isinstance(value, str) else f"{value:g}"

@@ -1,9 +1,9 @@
-"""Runs of a scene with its numerical settings refined, and the error of every metric from them.
+"""Runs of a scene with refined numerical settings, and error estimates of its metrics.
 
-The settings are axes (:mod:`kc2spice.scene.axes`), each with "one notch finer". A refined run moves
-all of them by a notch; what a metric changes by is its estimated error, times :data:`REMAINDER`. A
-scene with an ``error_budget`` goes along the axis with the largest share, which is what moving it
-alone changes, until the estimate holds for every metric, or says what it tried.
+The settings are axes (:mod:`kc2spice.scene.axes`), each of which moves by notches. A refined run
+moves all axes by one notch. The error estimate of a metric is its change, times :data:`REMAINDER`.
+With an ``error_budget`` the axis that changes the metrics most is refined first. The search ends
+when the estimate of every metric is within the budget, or reports its attempts.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -73,8 +74,11 @@ class Runs:
         self.known: dict[str, Run] = {repr({}): start}
         self.refused: UsageError | None = None  # the last mesh that was too large
 
-    def at(self, notches: Notches) -> Run:
-        """The run there; raises as :func:`kc2spice.workflow.simulate.simulate_deck` does."""
+    def run_at(self, notches: Notches) -> Run:
+        """Return the run with its axes moved by ``notches``.
+
+        Raises as :func:`kc2spice.workflow.simulate.simulate_deck` does.
+        """
         build, settings = self.start.build, keys_at(self.all_axes, notches)
         if repr(settings) not in self.known:
             self.require_size(notches)
@@ -90,7 +94,7 @@ class Runs:
 
     @property
     def all_axes(self) -> tuple[Axis, ...]:
-        """Those that can be moved finer, then the others."""
+        """Axes that can be moved finer, then those at their finest value."""
         return (*self.axes, *self.finest)
 
     @cached_property
@@ -99,14 +103,14 @@ class Runs:
         return MOST_UNKNOWNS, FREE_SHARE * available_bytes()
 
     def require_size(self, notches: Notches) -> None:
-        """Compare the meshes there, as their refinement lets them grow, with :attr:`limits`.
+        """Refuse meshes that are larger than :attr:`limits` when refined by ``notches``.
 
         Raises
         ------
         UsageError : too many unknowns, or too much memory.
         """
         for axis in self.axes:
-            part = self._body(axis)
+            part = self._body_of_axis(axis)
             if part is None or not notches.get(axis.name):
                 continue
             assert isinstance(part.type, MeshedBody)
@@ -116,36 +120,46 @@ class Runs:
             need = factor_bytes(unknowns, dimensions)
             most, memory = self.limits
             if unknowns > most or need > memory:
-                got, expected = f"about {_size(unknowns, need)}", f"at most {_size(most, memory)}"
+                got = f"about {_format_size(unknowns, need)}"
+                expected = f"at most {_format_size(most, memory)}"
                 self.refused = wrong(axis.name, "a finer mesh is too large", got, expected)
                 raise self.refused
 
-    def _body(self, axis: Axis) -> Part | None:
-        """The body whose mesh an axis refines."""
-        parts = self.start.build.scene.parts.values()
-        bodies = (p for p in parts if isinstance(p.type, MeshedBody) and axis.model)
-        return next((p for p in bodies if axis.name.startswith(f"{p.key_prefix}.")), None)
+    def _body_of_axis(self, axis: Axis) -> Part | None:
+        """Return the body whose mesh an axis refines; None if it refines no mesh."""
+        for part in self.start.build.scene.parts.values() if axis.model else ():
+            refined = axis.name.startswith(f"{key_prefix(part)}.")
+            if refined and isinstance(part.type, MeshedBody):
+                return part
+        return None
 
     @property
     def any_left(self) -> bool:
-        """Whether one more run is within :attr:`most`."""
+        """Whether a further run is within :attr:`most`."""
         return len(self.known) <= self.most
 
     def mesh_error(self, names: Sequence[str], run: Run) -> float:
-        """The largest estimated error of the meshes of ``run`` that the axes ``names`` refine."""
-        bodies = (self._body(axis) for axis in self.all_axes if axis.name in names)
-        facts = (run.build.facts(part) for part in bodies if part is not None)
-        return max((e for each in facts for e in mesh_errors(each).values()), default=0.0)
+        """Return the largest error estimate of the meshes of ``run`` that axes ``names`` refine."""
+        largest = 0.0
+        for axis in self.all_axes:
+            part = self._body_of_axis(axis) if axis.name in names else None
+            if part is not None:
+                errors = mesh_errors(run.build.facts(part))
+                largest = max([largest, *errors.values()])
+        return largest
 
 
-def _size(unknowns: float, memory: float) -> str:
-    """Unknowns and memory [B] in words."""
+def _format_size(unknowns: float, memory: float) -> str:
+    """Return a number of unknowns and a memory [B] in words."""
     return f"{unknowns:,.0f}".replace(",", " ") + f" unknowns and {memory / 1e9:.2g} GB"
 
 
 def factor_bytes(unknowns: float, dimensions: int) -> float:
-    """Memory [B] of the factorised stiffness: its fill grows as n^(4/3) in space and as n log n in
-    a plane (A. George, SIAM J. Numer. Anal. 10 (1973) 345)."""
+    """Return the memory [B] of a factorised stiffness matrix.
+
+    Its fill grows as n^(4/3) in space and as n log n in a plane (A. George, SIAM J. Numer. Anal. 10
+    (1973) 345).
+    """
     if dimensions == 3:
         from kc2spice.bodies.stack import SPARSE_BYTES  # which loads the finite elements
 
@@ -162,14 +176,17 @@ def evaluate(
     functions: Mapping[str, Any] | None = None,
     retries: int | None = None,
 ) -> Run:
-    """Build, write, simulate and measure ``scene``; raises as :func:`simulate_deck` does."""
+    """Build and simulate ``scene``, and compute its metrics.
+
+    Raises as :func:`simulate_deck` does.
+    """
     build, deck = prepare_deck(scene, clock, trust=trust, functions=functions)
     with clock.stage("refined run", text), tempfile.TemporaryDirectory() as folder:
         return simulate_deck(build, deck, Path(folder), retries=retries)
 
 
 def time_again(run: Run) -> float:
-    """CPU seconds [s] of the simulator for the deck of ``run``, once more."""
+    """Simulate the deck of ``run`` again and return the CPU time [s] of the simulator."""
     with tempfile.TemporaryDirectory() as folder:
         shared = bool(sampled(run.build))
         begin = simulator_cpu(shared=shared)
@@ -187,10 +204,13 @@ def changes(run: Run, finer: Run) -> dict[str, float]:
     The change is infinite if ``run`` has no comparable metric.
     """
     share = ROUNDING if run.small else NEAR_ZERO
-    exact = {name: v.astype(float) for name, v in finer.values.items() if v.size}
-    exact = {name: v for name, v in exact.items() if np.isfinite(v).all()}
+    exact: dict[str, np.ndarray] = {}
     least: dict[str, float] = {}
-    for name, value in exact.items():
+    for name, item in finer.values.items():
+        value = item.astype(float)
+        if not value.size or not np.isfinite(value).all():
+            continue
+        exact[name] = value
         unit = finer.units.get(name, "")
         if unit:
             least[unit] = max(least.get(unit, 0.0), share * float(np.abs(value).max()))
@@ -214,9 +234,11 @@ def changes(run: Run, finer: Run) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A run with its axes moved by so many ``notches``, and the estimated error of each metric
-    from a refined one; ``unmoved`` are axes that this one could not move, whose part of the largest
-    error is ``fixed``."""
+    """Run with its axes moved by ``notches``, and the error estimate of each metric.
+
+    The estimates come from a refined run. It could not move the axes ``unmoved``, whose part of the
+    largest error is ``fixed``.
+    """
 
     notches: Notches
     settings: Mapping[str, Any]
@@ -227,11 +249,11 @@ class Estimate:
 
     @property
     def error(self) -> float:
-        """The largest of all metrics."""
+        """Largest error of all metrics."""
         return max(self.errors.values(), default=math.inf)
 
     def record(self) -> dict[str, Any]:
-        """Row of this estimate in ``result.json``."""
+        """Return the row of this estimate in ``result.json``."""
         return {
             "settings": dict(self.settings),
             "errors": dict(self.errors),
@@ -241,9 +263,11 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Converged:
-    """The final run, whether its estimate is within the budget, why not, and all estimates;
-    ``shares`` are the errors of single axes, ``limits`` the unknowns and the memory [B] that a
-    refined mesh may take."""
+    """Final run of an error budget, its check, and all estimates.
+
+    ``shares`` are the errors of single axes. ``limits`` are the number of unknowns and the memory
+    [B] that a refined mesh may take.
+    """
 
     final: Estimate
     check: Check
@@ -252,7 +276,7 @@ class Converged:
     limits: tuple[float, float]
 
     def record(self) -> dict[str, Any]:
-        """``convergence`` of ``result.json``."""
+        """Return ``convergence`` of ``result.json``."""
         return {
             "budget": self.check.limit,
             "held": self.check.passed,
@@ -260,14 +284,14 @@ class Converged:
             "shares": dict(self.shares),
             "unmoved": self.final.unmoved,
             "limits": dict(zip(("unknowns", "memory_bytes"), self.limits, strict=True)),
-            "tried": [item.record() for item in self.tried],
+            "tried": list(map(Estimate.record, self.tried)),
         }
 
 
 def converge(start: Run, clock: Clock) -> Converged | None:
     """Refine the scene until the estimated error of every metric is within ``error_budget``.
 
-    Without a budget ``checks.reduction`` asks for one estimate; None where neither does.
+    Without a budget, ``checks.reduction`` requests a single estimate. Returns None without either.
     """
     scene, budget = start.build.scene, start.build.scene.error_budget
     action: Action = scene.checks.reduction or ("off" if budget is None else "warn")
@@ -275,9 +299,9 @@ def converge(start: Run, clock: Clock) -> Converged | None:
         return None
     limit = budget or LIMIT
     runs = Runs(start, axes(start.build), clock, finest=finest_axes(start.build))
-    if any(axis.mesh for axis in runs.axes):
+    if any(map(attrgetter("mesh"), runs.axes)):
         most, memory = runs.limits
-        text = f"meshes are refined up to {_size(most, memory)} of memory"
+        text = f"meshes are refined up to {_format_size(most, memory)} of memory"
         clock.progress(ERROR_BUDGET, None, text)
     tried: list[Estimate] = []
     shares: dict[str, float] = {}
@@ -295,7 +319,7 @@ def converge(start: Run, clock: Clock) -> Converged | None:
         if now.fixed > limit:
             if any(axis.mesh for axis in runs.all_axes if axis.name in now.unmoved):
                 other = "give a mesh that is finer where its error arises"
-            why = _at_finest(runs, now)
+            why = _finest_mesh_reason(runs, now)
             break
         stalls = stalls + 1 if now.error > SHRINKS * last else 0
         if stalls == STALLS:
@@ -309,50 +333,55 @@ def converge(start: Run, clock: Clock) -> Converged | None:
         notches = moved
     final = tried[-1] if tried else Estimate({}, {}, start)
     advice = f"raise error_budget, or {other} ({why})" if why else "raise it"
-    worst = max(final.errors, key=lambda name: final.errors[name], default="its metrics")
+    worst = max(final.errors, key=final.errors.__getitem__, default="its metrics")
     check = Check(f"error of {worst}", final.error, limit, "relative, estimated", advice, action)
     return Converged(final, check, tried, shares, runs.limits)
 
 
-def _at_finest(runs: Runs, now: Estimate) -> str:
-    """Why the meshes of ``now`` are not refined, whose error is beyond the budget."""
+def _finest_mesh_reason(runs: Runs, now: Estimate) -> str:
+    """Return why the meshes of ``now``, whose error exceeds the budget, are not refined."""
     if (large := runs.refused) is None:
         return f"{', '.join(now.unmoved)} cannot be refined"
     return f"{large.where}: {large.message}: {large.got}, {large.expected}"
 
 
 def estimate(runs: Runs, notches: Notches) -> Estimate | None:
-    """Estimate the error of each metric at ``notches``; None where no refined run has a result.
+    """Estimate the error of each metric at ``notches``; None if no refined run has a result.
 
-    The refined run has all axes a notch finer, without those of meshes where that is too much for
-    the machine. Axes at their finest value count by coarser runs (:func:`coarser_changes`). An
-    ``error_budget`` and ``bench`` state this estimate.
+    The refined run has all axes a notch finer. If that is too much for the machine, its meshes
+    remain. The error of axes at their finest value follows from coarser runs
+    (:func:`coarser_changes`). An ``error_budget`` and ``bench`` report this estimate.
     """
-    now = runs.at(notches)
-    finest = tuple(axis.name for axis in runs.finest)
-    meshes = tuple(axis.name for axis in runs.axes if axis.model)
-    for unmoved in ((), meshes) if meshes else ((),):
-        finer = _try_run(runs, _move_axes(notches, [a for a in runs.axes if a.name not in unmoved]))
+    now = runs.run_at(notches)
+    finest = tuple(map(attrgetter("name"), runs.finest))
+    meshes = [axis for axis in runs.axes if axis.model]
+    for fixed_axes in ([], meshes) if meshes else ([],):
+        finer = _try_run(runs, _move_axes(notches, [a for a in runs.axes if a not in fixed_axes]))
+        unmoved = (*map(attrgetter("name"), fixed_axes), *finest)
         if finer is not None:
             settings = keys_at(runs.axes, notches)
             errors = _differences(now, finer)
             # errors that refined runs do not show
-            left = coarser_changes(runs, notches, (*unmoved, *finest), errors)
+            left = coarser_changes(runs, notches, unmoved, errors)
             fixed = max(left.values(), default=0.0)
             errors = {name: error + left[name] for name, error in errors.items()}
-            return Estimate(notches, settings, now, errors, (*unmoved, *finest), fixed)
+            return Estimate(notches, settings, now, errors, unmoved, fixed)
     return None
 
 
 def coarser_changes(
     runs: Runs, notches: Notches, unmoved: Sequence[str], metrics: Iterable[str]
 ) -> dict[str, float]:
-    """Estimated error of each of the ``metrics`` by ``unmoved`` axes: that of a body's mesh, or
-    what the metric differs by with a coarser setting, if more. A notch leaves half of an error at
-    most, so that the difference is no less than what is left."""
-    now = runs.at(notches)
+    """Estimate the error of each of the ``metrics`` by ``unmoved`` axes.
+
+    It is that of a body's mesh, or the change of the metric by a coarser setting if that is larger.
+    A notch at least halves an error, so that the change is not less than the remaining error.
+    """
+    now = runs.run_at(notches)
     result = dict.fromkeys(metrics, runs.mesh_error(unmoved, now))
-    for axis in (axis for axis in runs.all_axes if axis.name in unmoved):
+    for axis in runs.all_axes:
+        if axis.name not in unmoved:
+            continue
         at = notches.get(axis.name, 0)
         coarser = None
         if axis.at(at - 1) != axis.at(at):
@@ -366,8 +395,11 @@ def coarser_changes(
 def _largest_share_moved(
     runs: Runs, now: Estimate, shares: dict[str, float], limit: float
 ) -> Notches | None:
-    """The axis moved that changes the metrics most, by several notches where the ``limit`` is far.
-    ``shares`` are kept up to date: of axes that were not moved since, they stand."""
+    """Move the axis that changes the metrics most, by several notches if the ``limit`` is far.
+
+    ``shares`` are the changes by single axes. A call adds missing ones, and deletes that of the
+    moved axis. Returns None if no axis can be moved.
+    """
     for axis in runs.axes:
         if axis.name not in shares and axis.name not in now.unmoved:
             alone = _try_run(runs, _move_axes(now.notches, [axis]))
@@ -391,17 +423,18 @@ def _largest_share_moved(
 
 
 def _move_axes(notches: Notches, moved: Sequence[Axis], by: int = 1) -> Notches:
+    """Return ``notches`` with some axes moved by further ones."""
     return {**notches, **{axis.name: notches.get(axis.name, 0) + by for axis in moved}}
 
 
 def _try_run(runs: Runs, notches: Notches) -> Run | None:
-    """None where that has no result, or where no runs are left."""
+    """Return the run at ``notches``; None if it has no result, or if no runs are left."""
     try:
-        return runs.at(notches) if runs.any_left else None
+        return runs.run_at(notches) if runs.any_left else None
     except (SimulationError, UsageError):
         return None
 
 
 def _differences(run: Run, finer: Run) -> dict[str, float]:
-    """Estimated relative error of each metric of ``run``."""
+    """Estimate the relative error of each metric of ``run``."""
     return {name: REMAINDER * change for name, change in changes(run, finer).items()}
