@@ -1,7 +1,8 @@
 """First step of a reduction: an intermediate model of very high accuracy.
 
 * Small models: all of it, in dense form.
-* Definite models with proportional or no damping: :mod:`kc2spice.rom.reductors.definite_krylov`.
+* Definite models with proportional or no damping, and free bodies of this form:
+  :mod:`kc2spice.rom.reductors.definite_krylov`.
 * Ill-conditioned dense models of first order: :mod:`kc2spice.rom.reductors.exact_samples`.
 * All others: :mod:`kc2spice.rom.reductors.rational_krylov`.
 """
@@ -17,8 +18,9 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.definite import expects_cholesky, is_definite
 from kc2spice.rom.error_estimate import inaccuracy_error, relative_size
+from kc2spice.rom.free_body import free_body
 from kc2spice.rom.intermediate import IntermediateModel
-from kc2spice.rom.pencil import Pencil, symmetric
+from kc2spice.rom.pencil import Pencil, Schur, symmetric
 from kc2spice.rom.reductors.definite_krylov import definite_krylov_model
 from kc2spice.rom.reductors.exact_samples import sampled_model
 from kc2spice.rom.reductors.rational_krylov import MANY_POINTS, MOST_POINTS, rational_krylov_model
@@ -72,9 +74,9 @@ def intermediate_model(
         if inaccurate is not None:
             raise inaccurate
         if complete is not None:
-            return _restore_units(pencil, band, complete)
-    if is_definite(pencil, undamped_too=True):
-        return definite_krylov_model(pencil, band, target, limit)
+            return _in_units_of(pencil, band, complete)
+    if (result := _definite_model(pencil, band, target, limit)) is not None:
+        return result
     if expects_cholesky(pencil):  # its memory was checked for a Cholesky factor only
         require_factors(pencil.bordered(1.0, 1.0, 1.0))
     scaled = pencil.scaled(2 * np.pi * band[1])
@@ -93,7 +95,24 @@ def intermediate_model(
     return _restore_units(pencil, band, result)
 
 
-def _restore_units(
+def _definite_model(
+    pencil: Pencil, band: tuple[float, float], target: float, limit: float
+) -> IntermediateModel | None:
+    """The model of a definite pencil or of a free body; None of all others.
+
+    With potentials, the search for rigid-body modes costs less than a factor of the stiffness, and
+    comes first.
+    """
+    omega = 2 * np.pi * band[1]
+    body = free_body(pencil, omega) if isinstance(pencil.coefficients[0], Schur) else None
+    if body is None and not is_definite(pencil, undamped_too=True):
+        body = free_body(pencil, omega)
+        if body is None:
+            return None
+    return definite_krylov_model(pencil, band, target, limit, body)
+
+
+def _in_units_of(
     pencil: Pencil, band: tuple[float, float], result: IntermediateModel
 ) -> IntermediateModel:
     """Convert the basis of a scaled model to the units of the pencil.

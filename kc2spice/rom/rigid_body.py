@@ -65,16 +65,28 @@ def split_rigid_body(
     if symmetric(inertia) and _is_force_free(rest.T, X, rounding[0].T):
         others = scipy.linalg.null_space((inertia @ X).T)
         if others.shape[1] + free == pencil.size:
-            X = _select_driven(pencil, X, rounding)
-            V = np.hstack([X, others])
-            result, projected = project_with_rigid_body(pencil, V, X.shape[1], rounding)
-            return RigidBodySplit(result, V, True, projected)
-    result, V = _project_obliquely(first_order(pencil, omega), omega)
-    return (
-        RigidBodySplit(result, V, True)
-        if result.free
-        else RigidBodySplit(pencil, np.eye(pencil.size), False)
-    )
+            return _congruent_apart(pencil, X, others, rounding)
+    result, V = _oblique(first_order(pencil, omega), omega)
+    return Apart(result, V, True) if result.free else Apart(pencil, np.eye(pencil.size), False)
+
+
+def driven_apart(pencil: Pencil, free: int, rounding: Rounding) -> Apart:
+    """A projection whose first ``free`` unknowns are known rigid-body modes, with those that an
+    input drives exact and in front. ``rounding`` bounds the errors of the entries of each matrix.
+    """
+    X = np.eye(pencil.size)[:, :free]
+    others = scipy.linalg.null_space((pencil.coefficients[-1] @ X).T)
+    return _congruent_apart(pencil, X, others, rounding)
+
+
+def _congruent_apart(
+    pencil: Pencil, X: np.ndarray, others: np.ndarray, rounding: Rounding
+) -> Apart:
+    """A pencil with the driven motions of X in front of ``others``, orthogonal in the inertia."""
+    X = _driven(pencil, X, rounding)
+    V = np.hstack([X, others])
+    result, projected = congruent(pencil, V, X.shape[1], rounding)
+    return Apart(result, V, True, projected)
 
 
 def free_part(pencil: Pencil, omega: float) -> Pencil | None:

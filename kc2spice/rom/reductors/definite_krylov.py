@@ -7,16 +7,22 @@ the last block changed the response most.
 
 from __future__ import annotations
 
+import operator
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.error_estimate import relative_size
+from kc2spice.rom.free_body import FreeBody
 from kc2spice.rom.intermediate import IntermediateModel, not_converged
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reductors.block_krylov import extend
+from kc2spice.rom.reductors.block_krylov import Operator, extend
 from kc2spice.rom.reductors.rational_krylov import CONFIRMATIONS, MOST_VECTORS
-from kc2spice.rom.response import GRID, Response, sample_band
-from kc2spice.rom.rounding import with_rounding, zero_entries
+from kc2spice.rom.response import GRID, Response, samples
+from kc2spice.rom.rigid_body import hidden_support
+from kc2spice.rom.rounding import removed_stiffness, with_rounding, zero_entries
 
 # Blocks before a new point is considered. The factor at zero is a Cholesky factor, and that of a
 # shift is an indefinite one of several times its time and memory. Blocks at zero are therefore
@@ -28,32 +34,51 @@ NEAREST = 1e-3  # least distance of two points, relative to the end of the band
 
 
 def definite_krylov_model(
-    pencil: Pencil, band: tuple[float, float], target: float, limit: float
+    pencil: Pencil,
+    band: tuple[float, float],
+    target: float,
+    limit: float,
+    body: FreeBody | None = None,
 ) -> IntermediateModel:
     """Return a definite model within ``target`` over ``band`` [Hz].
 
     It is within ``limit`` if rounding prevents more. The error is the change by the last two
     blocks.
 
+    A free ``body`` replaces the expansion at zero by one at a small negative shift, with its
+    rigid-body modes deflated.
+
     Raises
     ------
     SimulationError : not even ``limit`` is met.
     """
     K, _, M = pencil.coefficients
-    current = pencil.pencil_solver(0.0)
-    V = images = stiff = heavy = np.empty((pencil.size, 0))
-    candidates = current.solve(pencil.B)
+    if body is None:
+        solve: Operator = pencil.pencil_solver(0.0).solve
+        stiffness: Operator = partial(operator.matmul, K)
+        V = images = stiff = heavy = np.empty((pencil.size, 0))
+    else:
+        solve, stiffness = body.solve, body.stiffness
+        V = body.vectors
+        images, stiff, heavy = stiffness(V), K @ V, M @ V
+    candidates = solve(pencil.B)
     used, met, change, before = [0.0], 0, np.inf, np.inf
     blocks = BLOCKS_AT_ZERO
     previous: Response | None = None
     while V.shape[1] < MOST_VECTORS:
-        columns, column_images = extend(V, images, candidates, lambda v: K @ v)
+        columns, column_images = extend(V, images, candidates, stiffness)
         V, images = np.hstack([V, columns]), np.hstack([images, column_images])
         inertia = M @ columns
         stiff, heavy = np.hstack([stiff, K @ columns]), np.hstack([heavy, inertia])
-        response = Response(pencil.project(V, (stiff, None, heavy)))
-        response.zero = zero_entries(pencil, V, response, band)
-        frequency = sample_band(response, band, GRID, True, (0.0, 1.0, 4.0))  # notches come last
+        projected = pencil.project(V, (stiff, None, heavy))
+        small, basis = projected, V
+        if body is not None:
+            small, coordinates = body.separate(projected, V)
+            basis = V @ coordinates
+        response = Response(small)
+        response.zero = zero_entries(pencil, basis, response, band)
+        # notches come last
+        frequency = samples(response, band, GRID, not small.free, (0.0, 1.0, 4.0))
         s = 2j * np.pi * frequency
         H = response.transfer(s)
         size = np.ones((len(s), 1, 1))
@@ -64,20 +89,26 @@ def definite_krylov_model(
         met = met + 1 if change <= target else 0
         if met == CONFIRMATIONS or (not columns.shape[1] and change <= limit):
             proof = f"settled to {change:.0e} of the full model's response"
-            result = IntermediateModel(response, change, True, proof, basis=V, points=tuple(used))
-            return with_rounding(pencil, V, band, result)
+            result = IntermediateModel(
+                response, change, True, proof, basis=basis, points=tuple(used)
+            )
+            if small.free:
+                hidden = hidden_support(pencil, basis[:, : small.free], band[0])
+                floor = removed_stiffness(projected, small, band)
+                result = replace(result, floor=floor, hidden=hidden)
+            return with_rounding(pencil, basis, band, result)
         previous = response
         blocks -= 1
         if columns.shape[1] and (blocks >= 0 or change <= before / GAIN):
-            candidates = current.solve(inertia)
+            candidates = solve(inertia)
             continue
-        apart = np.abs(frequency[:, None] - np.array(used)).min(axis=1) > NEAREST * band[1]
-        if not apart.any():
+        distant = np.abs(frequency[:, None] - np.array(used)).min(axis=1) > NEAREST * band[1]
+        if not distant.any():
             break
-        worst = float(frequency[np.argmax(np.where(apart, size.max(axis=(1, 2)), -1.0))])
+        worst = float(frequency[np.argmax(np.where(distant, size.max(axis=(1, 2)), -1.0))])
         used.append(worst)
         blocks = BLOCKS_AT_SHIFT - 1
         require_factors(pencil.bordered(1.0, 1.0, 1.0))
-        current = pencil.pencil_solver((2 * np.pi * worst) ** 2)
-        candidates = current.solve(pencil.B)
+        solve = pencil.pencil_solver((2 * np.pi * worst) ** 2).solve
+        candidates = solve(pencil.B)
     raise not_converged(response, band, change, limit)

@@ -1,0 +1,150 @@
+"""Rigid-body modes of a large free body, and its motions apart from them.
+
+A free body has a singular stiffness K. The shifted stiffness ``K + sigma M`` is definite and is
+factorised once, with real numbers. Inverse iteration with this factor gives the rigid-body modes.
+With these modes deflated, its solutions serve Krylov subspaces near zero frequency as those of K
+serve a clamped body.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.linalg.factor import Factor, factorise
+from kc2spice.rom.definite import has_definite_form
+from kc2spice.rom.pencil import Pencil, Schur, magnitudes
+from kc2spice.rom.rigid_body import RANDOM, driven_apart, energy_rounding
+from kc2spice.rom.rounding import FREE
+
+# The shift, relative to the square of the end of the band. The smaller it is, the more the Krylov
+# subspace resembles that at zero, and the fewer steps of inverse iteration are needed.
+SHIFT = 1e-6
+# The shift is at least so many times the rounding of K, and at most this share of the squared band.
+ABOVE_ROUNDING, LARGEST_SHIFT = 100.0, 1e-2
+STEPS = 3  # of inverse iteration; the error falls by the shift over the first squared frequency
+BLOCK, LARGEST_BLOCK = 8, 64  # vectors of inverse iteration: one body has six rigid-body modes
+
+
+@dataclass(frozen=True, eq=False)
+class FreeBody:
+    """A definite model that is free to move, with its rigid-body modes.
+
+    ``modes`` X (n, r) are orthonormal in the mass: ``X'MX = 1``. ``momenta`` is M X. ``factor`` is
+    that of the shifted stiffness ``K + shift M``.
+    """
+
+    pencil: Pencil
+    shift: float
+    factor: Factor
+    modes: np.ndarray
+    momenta: np.ndarray
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """Return the elastic part of ``(K + shift M)^-1 rhs``."""
+        balanced = rhs - self.momenta @ (self.modes.T @ rhs)
+        x = self.factor.solve(balanced)
+        return np.asarray(x - self.modes @ (self.momenta.T @ x))
+
+    def stiffness(self, x: np.ndarray) -> np.ndarray:
+        """Return ``(K + shift M) x``, the inner product of a basis."""
+        K, _, M = self.pencil.coefficients
+        return np.asarray(K @ x + self.shift * (M @ x))
+
+    @cached_property
+    def vectors(self) -> np.ndarray:
+        """Rigid-body modes (n, r), orthonormal in the shifted stiffness: first of a basis."""
+        return np.asarray(self.modes / np.sqrt(self.shift))
+
+    def separate(self, projected: Pencil, V: np.ndarray) -> tuple[Pencil, np.ndarray]:
+        """Return a projection with exact rigid-body modes, and its coordinates as columns.
+
+        The first columns of the basis ``V`` are :attr:`vectors`. Modes that no port drives are left
+        out.
+        """
+        rounding = tuple(self._rounding(forces, V) for forces in self._forces)
+        result = driven_apart(projected, self.modes.shape[1], rounding)
+        return result.pencil, result.columns
+
+    @cached_property
+    def _forces(self) -> tuple[np.ndarray, ...]:
+        """Sums of the sizes of all forces on :attr:`vectors`, for each matrix (n, r)."""
+        return tuple(magnitudes(P) @ np.abs(self.vectors) for P in self.pencil.coefficients)
+
+    def _rounding(self, forces: np.ndarray, V: np.ndarray) -> np.ndarray:
+        """Bounds (k, k) of rounding errors of a projected matrix beside the rigid-body modes."""
+        bounds = np.zeros((V.shape[1],) * 2)
+        side, count = FREE * np.finfo(float).eps * (np.abs(V).T @ forces), forces.shape[1]
+        bounds[:, :count], bounds[:count] = side, side.T
+        return bounds
+
+
+def free_body(pencil: Pencil, omega: float) -> FreeBody | None:
+    """Return the rigid-body modes of a definite model that is free to move.
+
+    ``omega`` [rad/s] is the end of the band. The result is None if the model has another form, is
+    not free, or has supports so soft that they cannot be told from rounding errors.
+    """
+    if not has_definite_form(pencil, undamped_too=True):
+        return None
+    shift = _shift(pencil, omega)
+    if shift > LARGEST_SHIFT * omega**2:
+        return None
+    K, _, M = pencil.coefficients
+    elastic = K.uu if isinstance(K, Schur) else K
+    try:
+        factor = factorise(scipy.sparse.csc_array(elastic + shift * M), definite=True)
+        modes = _rigid_body_modes(pencil, factor, shift)
+        if not modes.shape[1]:
+            return None
+        if isinstance(K, Schur):
+            matrix = scipy.sparse.csc_array(pencil.bordered(1.0, 0.0, shift))
+            factor = factorise(matrix, definite=False)
+    except (SimulationError, np.linalg.LinAlgError):
+        return None
+    return FreeBody(pencil, shift, factor, modes, M @ modes)
+
+
+def _shift(pencil: Pencil, omega: float) -> float:
+    """Shift of the stiffness [rad^2/s^2], well above the rounding errors of its entries."""
+    K, _, M = pencil.coefficients
+    stiff = (K.uu if isinstance(K, Schur) else K).diagonal()
+    mass = M.diagonal()
+    heavy = mass > 0
+    highest = float((np.abs(stiff[heavy]) / mass[heavy]).max(initial=0.0))
+    return max(SHIFT * omega**2, ABOVE_ROUNDING * np.finfo(float).eps * highest)
+
+
+def _rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.ndarray:
+    """Modes (n, r) without energy, orthonormal in the mass, by inverse iteration.
+
+    The ``factor`` is that of the shifted elastic stiffness. Modes that take no elastic force but
+    change potentials have energy. No column is returned if the next mode is not above the shift.
+    """
+    K, _, M = pencil.coefficients
+    rng, count = np.random.default_rng(0), BLOCK
+    while count <= min(LARGEST_BLOCK, pencil.size):
+        X = rng.standard_normal((pencil.size, count))
+        for _ in range(STEPS):
+            X = factor.solve(M @ X)
+            values, turn = scipy.linalg.eigh(X.T @ (K @ X), X.T @ (M @ X))
+            X = X @ turn
+        rigid = np.abs(values) <= np.diag(_energy_bound(pencil, X))
+        if not rigid.all():
+            clear = values[~rigid].min() > shift
+            return np.asarray(X[:, rigid] if clear else X[:, :0])
+        count *= 2
+    return np.empty((pencil.size, 0))
+
+
+def _energy_bound(pencil: Pencil, V: np.ndarray) -> np.ndarray:
+    """Elastic energies (k, k) of motions V that rounding errors of the stiffness may cause."""
+    K = pencil.coefficients[0]
+    bound = FREE * np.finfo(float).eps * (np.abs(V).T @ (magnitudes(K) @ np.abs(V)))
+    if not isinstance(K, Schur):
+        bound = np.minimum(bound, RANDOM * energy_rounding(K, V))
+    return np.asarray(bound)
