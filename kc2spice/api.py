@@ -38,6 +38,7 @@ from kc2spice.workflow.decks import prepare_deck, spare_other_decks
 from kc2spice.workflow.run import Completed, complete, write_run_files
 
 if TYPE_CHECKING:
+    from kc2spice.linalg.solver import DirectSolver
     from kc2spice.rom.reductors.base import Reductor
 
 __all__ = [
@@ -110,6 +111,7 @@ def reduce(
     contact: bool = False,
     method: str | Reductor | None = None,
     parameters: Mapping[str, Any] | None = None,
+    solver: DirectSolver | None = None,
 ) -> LinearModel:
     """Reduce a linear model to a tolerance or to a number of states.
 
@@ -143,6 +145,10 @@ def reduce(
         truncation that suit the model are tried.
     parameters : mapping, optional
         Refused unless empty: matrices have no parameters, only bodies of a scene have them.
+    solver : callable, optional
+        Direct solver that replaces CHOLMOD and SuperLU. ``solver(matrix)`` factorises a sparse
+        matrix, and ``solve(rhs)`` of its result solves for (n, k) right-hand sides, as
+        ``scipy.sparse.linalg.splu`` does.
 
     Returns
     -------
@@ -152,7 +158,8 @@ def reduce(
     Raises
     ------
     UsageError : not exactly one of ``tolerance`` and ``order``, or one that is out of range; an
-        unknown norm or method; a method that does not apply; ``parameters`` that are not empty.
+        unknown norm or method; a method that does not apply; ``parameters`` that are not empty; a
+        ``solver`` that does not solve.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
 
     Examples
@@ -205,6 +212,7 @@ def reduce(
         norm=norm,
         contact=contact,
         method=method,
+        solver=solver,
     )
 
 

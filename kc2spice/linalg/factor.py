@@ -19,6 +19,7 @@ from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.memory import available_bytes
 from kc2spice.linalg.processor import fast_kernels
+from kc2spice.linalg.solver import DirectSolver, factorise_by, solve_by, supplied_solver
 
 USABLE = 0.9
 # Entries of the LU factors over n sqrt(bandwidth): 4 for chains, 9 for plates, 34 for solids.
@@ -49,12 +50,15 @@ def require_factors(matrix: scipy.sparse.sparray | np.ndarray, *, definite: bool
     """Compare the factors of a reduction with the memory that is free now.
 
     These are one real and one complex factorisation, estimated up to five times too large for
-    plates. A ``definite`` model needs a Cholesky factor only, with half of the entries.
+    plates. A ``definite`` model needs a Cholesky factor only, with half of the entries. With a
+    supplied solver nothing is compared, because its needs are not known.
 
     Raises
     ------
     UsageError : the model is too large for this machine.
     """
+    if supplied_solver() is not None:
+        return
     pattern = scipy.sparse.csr_array(abs(matrix))
     order = scipy.sparse.csgraph.reverse_cuthill_mckee(pattern + pattern.T, symmetric_mode=True)
     rows = pattern.shape[0]
@@ -140,6 +144,9 @@ class Factor:
         return float(np.abs(residual).max(initial=0.0) / scale) if scale else 0.0
 
 
+Pair: TypeAlias = tuple[Factor, Factor]  # of a matrix and of its transpose
+
+
 def supernodal(matrix: scipy.sparse.csc_array, order: np.ndarray | None = None) -> Inverse:
     """Factorise ``A[p][:, p] = L L'`` of a real matrix by CHOLMOD in cvxopt.
 
@@ -178,7 +185,8 @@ def factorise(
     A narrow positive definite matrix (planes numbered one after another) gets a banded Cholesky
     factor, which costs n b^2 operations and no fill, any other definite one a supernodal Cholesky
     factor; everything else that of :func:`two_sided`. An ``order`` of elimination that is known
-    from a matrix of a similar pattern spares the search for one.
+    from a matrix of a similar pattern spares the search for one. A supplied solver is used for a
+    definite matrix only if it counts negative eigenvalues.
 
     Raises
     ------
@@ -186,6 +194,9 @@ def factorise(
     """
     if not definite:
         return two_sided(matrix, symmetric=True)[0]
+    solver = supplied_solver()
+    if solver is not None and (factor := _supplied_definite(solver, matrix)) is not None:
+        return factor
     coo = scipy.sparse.coo_array(matrix)
     bandwidth = int(np.abs(coo.row - coo.col).max(initial=0))
     try:
@@ -196,20 +207,48 @@ def factorise(
             order = _find_order(matrix) if order is None else order
             apply = supernodal(matrix, order)
     except (np.linalg.LinAlgError, RuntimeError) as error:
-        raise SimulationError(
-            "matrix cannot be factorised",
-            where="direct solver",
-            got=str(error),
-            expected="positive definite",
-            hint="the model may be free to move: check its supports",
-        ) from error
+        raise _not_definite(str(error)) from error
     return Factor(matrix, apply, order)
 
 
-def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> tuple[Factor, Factor]:
-    """Factorise a sparse matrix and its transpose.
+def _not_definite(got: str) -> SimulationError:
+    """Error of a matrix that has no Cholesky factor."""
+    return SimulationError(
+        "matrix cannot be factorised",
+        where="direct solver",
+        got=got,
+        expected="positive definite",
+        hint="the model may be free to move: check its supports",
+    )
 
-    The first attempt is without pivoting if this keeps the fill of a symmetric matrix.
+
+def _supplied_definite(solver: DirectSolver, matrix: scipy.sparse.csc_array) -> Factor | None:
+    """Factor of a definite matrix by a supplied solver, None if the solver does not prove it."""
+    supplied = factorise_by(solver, matrix)
+    negative = getattr(supplied, "negative_eigenvalues", None)
+    if negative is None:
+        return None
+    if negative:
+        raise _not_definite(f"{negative} negative eigenvalues")
+    return Factor(matrix, lambda rhs: solve_by(supplied, matrix, rhs))
+
+
+def _supplied_two_sided(
+    solver: DirectSolver, matrix: scipy.sparse.csc_array, symmetric: bool
+) -> Pair:
+    """Factors by a supplied solver; the transpose of an unsymmetric matrix has its own factor."""
+    supplied = factorise_by(solver, matrix)
+    forward = Factor(matrix, lambda rhs: solve_by(supplied, matrix, rhs))
+    if symmetric:
+        return forward, forward
+    transpose = scipy.sparse.csc_array(matrix.T)
+    dual = factorise_by(solver, transpose)
+    return forward, Factor(transpose, lambda rhs: solve_by(dual, transpose, rhs))
+
+
+def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> Pair:
+    """Factors of a sparse matrix and of its transpose; without pivoting first where that keeps the
+    fill of a symmetric matrix.
 
     A trial solution shows whether that is accurate, and partial pivoting follows where it is not
     (indefinite matrices, saddle points).
@@ -219,6 +258,9 @@ def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> tuple[Facto
     SimulationError : singular.
     """
     matrix = scipy.sparse.csc_array(matrix)
+    solver = supplied_solver()
+    if solver is not None:
+        return _supplied_two_sided(solver, matrix, symmetric)
     trial = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))
     reason: Exception | None = None
     for without_pivoting in (True, False) if symmetric else (False,):

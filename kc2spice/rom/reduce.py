@@ -23,6 +23,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError, part_named, unknown
 from kc2spice.linalg.factor import require_factors
+from kc2spice.linalg.solver import DirectSolver, solving_with
 from kc2spice.rom.band import natural_band
 from kc2spice.rom.certification import certify, with_full_order
 from kc2spice.rom.constraints import reduced_form
@@ -61,6 +62,7 @@ def reduce_model(
     norm: Norm = "pointwise",
     contact: bool = False,
     method: str | Reductor | None = None,
+    solver: DirectSolver | None = None,
 ) -> LinearModel:
     """Return the smallest model found within ``tolerance``, or the one of ``order``.
 
@@ -99,6 +101,8 @@ def reduce_model(
     method : str or Reductor, optional
         Method of reduction. By default response POD and the variants
         of balanced truncation that suit the model are tried.
+    solver : callable, optional
+        Direct solver, see :func:`kc2spice.reduce`. By default CHOLMOD and SuperLU are used.
 
     Returns
     -------
@@ -126,7 +130,8 @@ def reduce_model(
     >>> print(f"{small.transfer([0.0])[0, 0, 0].real:.9f} m/N")
     0.002000000 m/N
     """
-    return reduce_to(fom, Target(tolerance, order, band, norm, contact, method))
+    with solving_with(solver):
+        return reduce_to(fom, Target(tolerance, order, band, norm, contact, method))
 
 
 def reduce_to(fom: LinearModel, target: Target) -> LinearModel:

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from kc2spice.core.errors import UsageError
+from kc2spice.linalg.solver import DirectSolver, solving_with
 from kc2spice.rom.band import frequency_band
-from kc2spice.rom.certification import certify, with_full_order
+from kc2spice.rom.certification import with_full_order
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.linear_model import LinearModel, Norm
@@ -17,9 +18,6 @@ from kc2spice.rom.reduce import (
     LARGEST_SHARE,
     Target,
     choose_band,
-    find_basis_of_order,
-    find_basis_within,
-    list_methods,
     require_valid,
     verified_first_step,
     warn_of_rounding,
@@ -54,6 +52,8 @@ class Reduction:
         of balanced truncation that suit the model are tried.
     points : sequence of floats, optional
         Expansion points in Hz, for rational Krylov vectors at these points instead of ``method``.
+    solver : callable, optional
+        Direct solver, as for :func:`kc2spice.reduce`.
 
     Attributes
     ----------
@@ -88,6 +88,7 @@ class Reduction:
         tolerance: float = SMALLEST_TOLERANCE,
         method: str | Reductor | None = None,
         points: Sequence[float] | None = None,
+        solver: DirectSolver | None = None,
     ) -> None:
         if points is not None:
             if method is not None:
@@ -107,12 +108,14 @@ class Reduction:
         self._pencil = reduced_form(model.pencil)
         self.band = choose_band(model, self._pencil, frequency_band(band))
         self._bases: dict[str, list[ReducedBasis]] = {}
+        self._solver = solver
         self._prepare(self._target)
 
     def _prepare(self, target: Target) -> None:
         """Make the intermediate model for the tolerance of a target."""
         assert target.tolerance is not None
-        self._intermediate, self._proof = verified_first_step(self._pencil, self.band, target)
+        with solving_with(self._solver):
+            self._intermediate, self._proof = verified_first_step(self._pencil, self.band, target)
         self._tolerance = target.tolerance
         self._task = Task.of(self.model, self._pencil, self._intermediate, self.band, self.norm)
         self._bases.clear()
@@ -193,11 +196,8 @@ class Reduction:
         if tolerance is None:
             basis, order = self._of_order(target)
         else:
-            if not self._serves(tolerance):
-                self._prepare(target)
-            task = replace(self._task, tolerance=tolerance)
-            basis, order = find_basis_within(task, list_methods(task, target), target)
-        rom = certify(basis, order)
+            basis, order = self._within(tolerance, target)
+        rom = certified(basis, order)
         warn_of_rounding(rom, self._intermediate.floor, tolerance)
         return with_full_order(rom, self._proof)
 
@@ -210,9 +210,16 @@ class Reduction:
 
     def _of_order(self, target: Target) -> tuple[ReducedBasis, int]:
         """The best basis of a prescribed order, and the order."""
-        return find_basis_of_order(
-            self._task, list_methods(self._task, target), target, self._bases
-        )
+        with solving_with(self._solver):
+            return basis_of_order(self._task, methods_of(self._task, target), target, self._bases)
+
+    def _within(self, tolerance: float, target: Target) -> tuple[ReducedBasis, int]:
+        """The basis of the fewest states within a tolerance, and the order."""
+        if not self._serves(tolerance):
+            self._prepare(target)
+        task = replace(self._task, tolerance=tolerance)
+        with solving_with(self._solver):
+            return basis_within(task, methods_of(task, target), target)
 
     def _serves(self, tolerance: float) -> bool:
         """Whether the basis is accurate enough for a tolerance."""

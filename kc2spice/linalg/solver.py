@@ -1,0 +1,108 @@
+"""Direct solvers that users supply in place of the built-in ones.
+
+A solver is a function or class that factorises one sparse matrix. :func:`solving_with` selects it
+for all factors that are made meanwhile. :mod:`kc2spice.linalg.factor` asks for it here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+
+from kc2spice.core.errors import SimulationError, UsageError
+
+HOW = "a class with solve(rhs), made from one sparse matrix, such as scipy.sparse.linalg.splu"
+
+
+class Factorisation(Protocol):
+    """A factorised matrix A.
+
+    An attribute ``negative_eigenvalues`` is optional. It is the number of negative eigenvalues of a
+    real symmetric matrix, which an LDL' factor shows by its pivots.
+    """
+
+    def solve(self, rhs: np.ndarray, /) -> np.ndarray:
+        """Return ``A^-1 rhs`` (n, k) of a dense ``rhs`` (n, k) of the type of the matrix."""
+        ...
+
+
+DirectSolver: TypeAlias = Callable[[Any], Factorisation]
+_supplied: ContextVar[DirectSolver | None] = ContextVar("solver", default=None)
+
+
+@contextmanager
+def solving_with(solver: DirectSolver | None) -> Iterator[None]:
+    """Use ``solver`` for all factors that are made meanwhile, None for the built-in ones.
+
+    Raises
+    ------
+    UsageError : not a function or class.
+    """
+    if solver is not None and not callable(solver):
+        got = repr(solver)[:120]
+        raise UsageError("not a direct solver", where="solver", got=got, expected=HOW)
+    token = _supplied.set(solver)
+    try:
+        yield
+    finally:
+        _supplied.reset(token)
+
+
+def supplied_solver() -> DirectSolver | None:
+    """Return the solver that :func:`solving_with` selected, None for the built-in ones."""
+    return _supplied.get()
+
+
+def factorise_by(solver: DirectSolver, matrix: Any) -> Factorisation:
+    """Factorise a sparse matrix by a supplied solver.
+
+    Raises
+    ------
+    SimulationError : the solver reports a numerical failure, such as a singular matrix.
+    UsageError : any other error of the solver, or a result that does not solve.
+    """
+    factor = _call(solver, matrix)
+    if not callable(getattr(factor, "solve", None)):
+        got = f"{type(factor).__name__} without a method solve"
+        raise UsageError("not a factorised matrix", where="solver", got=got, expected=HOW)
+    return factor
+
+
+def solve_by(factor: Factorisation, matrix: Any, rhs: np.ndarray) -> np.ndarray:
+    """Return the solution of a supplied factor for one (n,) or several (n, k) right-hand sides.
+
+    Raises
+    ------
+    SimulationError, UsageError : as :func:`factorise_by`, or a solution of another shape.
+    """
+    columns = np.asarray(rhs).reshape(len(rhs), -1).astype(matrix.dtype, casting="safe")
+    x = np.asarray(_call(factor.solve, columns))
+    if x.shape != columns.shape or x.dtype.kind not in "fc":
+        raise UsageError(
+            "not a solution",
+            where="solver",
+            got=f"an array of {x.dtype} and shape {x.shape}",
+            expected=f"an array of {columns.dtype} and shape {columns.shape}",
+        )
+    return x.reshape(rhs.shape)
+
+
+def _call(function: Callable[[Any], Any], argument: Any) -> Any:
+    """The result of a user's function, its errors as those of kc2spice."""
+    try:
+        return function(argument)
+    except (RuntimeError, ArithmeticError, np.linalg.LinAlgError, MemoryError) as error:
+        raise SimulationError(
+            "matrix cannot be factorised", where="solver", got=f"{type(error).__name__}: {error}"
+        ) from error
+    except Exception as error:
+        raise UsageError(
+            "the solver ends with an error",
+            where="solver",
+            got=f"{type(error).__name__}: {error}",
+            expected=HOW,
+        ) from error
