@@ -58,7 +58,7 @@ SLOWEST = 1e4  # longest time constant by the period, per radian, of the lowest 
 LARGEST_Q = 1e7  # Q factor of a resonance whose loss the samples do not show
 
 
-def one_port(
+def fit_one_port(
     f: np.ndarray, Y: np.ndarray, noise: float, conductance: float | None = None
 ) -> tuple[LinearModel | None, float]:
     """Fit a circuit to admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz].
@@ -122,11 +122,11 @@ def fit_branches(samples: Samples) -> Elements:
     best, least, useless = elements, np.inf, 0
     patience = POOR_PATIENCE
     while len(elements) < MAX_ELEMENTS and useless < patience:
-        ends = list(map(samples.polished, _propose_starts(samples, elements)))
+        ends = list(map(samples.polish, _propose_starts(samples, elements)))
         ends = [end for end in ends if _exceeds_noise(samples, end)]
         if not ends:
             break
-        elements = samples.polished(_select_best(samples, ends), CHOSEN)
+        elements = samples.polish(_select_best(samples, ends), CHOSEN)
         elements = _simplify(samples, elements, _select_outside_band(samples, elements))
         value = samples.criterion(elements)
         enough = _count_parameters(elements) <= _count_parameters(best)
@@ -136,9 +136,9 @@ def fit_branches(samples: Samples) -> Elements:
         else:
             useless += 1
         patience = PATIENCE if samples.rms(best) < POOR else POOR_PATIENCE
-        if samples.described(best):
+        if samples.is_described(best):
             break
-    best = samples.polished(_simplify(samples, best, best), FINAL)
+    best = samples.polish(_simplify(samples, best, best), FINAL)
     slowest = np.log(SLOWEST / (2 * np.pi * samples.f[0]))
     return best if samples.conductance else tuple(_limit_element(e, slowest) for e in best)
 
@@ -209,7 +209,7 @@ def _simplify(samples: Samples, elements: Elements, doubtful: Elements) -> Eleme
     value = samples.criterion(elements)
     for element in doubtful:
         for fewer in _propose_simpler(samples, elements, element):
-            end = samples.polished(fewer)
+            end = samples.polish(fewer)
             if end and samples.criterion(end) < value:
                 return _simplify(samples, end, end)
     return elements
@@ -227,7 +227,7 @@ def _propose_simpler(
         yield others
     for form in SIMPLER[element.form]:
         if samples.conducting or form not in CONDUCTING:
-            replaced = samples.amplitudes((*others, _convert_form(element, form)))[0]
+            replaced = samples.fit_amplitudes((*others, _convert_form(element, form)))[0]
             if len(replaced) == len(elements):
                 yield replaced
     present = {e.form for e in others}
@@ -276,9 +276,9 @@ def _propose_starts(samples: Samples, elements: Elements) -> list[Elements]:
     """Sums with one element more, to be polished: the best of every form."""
     result = [_fit_peak(samples, elements)]
     for options in _propose_elements(samples, elements):
-        tried = [samples.amplitudes((*elements, option)) for option in options]
+        tried = [samples.fit_amplitudes((*elements, option)) for option in options]
         result.append(min(tried, key=lambda item: item[1])[0])
-    result += [samples.amplitudes(item)[0] for item in _split_resonance(samples, elements)]
+    result += [samples.fit_amplitudes(item)[0] for item in _split_resonance(samples, elements)]
     return list(filter(None, result))
 
 

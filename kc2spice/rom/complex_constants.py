@@ -31,9 +31,9 @@ from kc2spice.rom.entries import FLOOR
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import Resonators, fit_foster_network, permittivity
 from kc2spice.rom.structural_damping import (
+    add_structural_damping,
     constant_loss,
     relaxing_stiffness,
-    structurally_damped,
 )
 
 ERROR = 1e-3  # relative, of a response at its resonances: what relaxations may add
@@ -163,7 +163,7 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
         )
     D[np.ix_(ports, ports)] = sudden
     lossless = replace(model, damp=np.zeros(n), certificate=None).linear()
-    elastic = structurally_damped(lossless, chi)
+    elastic = add_structural_damping(lossless, chi)
     B = elastic.B.copy()
     # voltages act on the strain of every spring
     factors = np.r_[chi.instantaneous, -np.sqrt(chi.amplitudes)]

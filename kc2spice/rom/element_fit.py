@@ -184,7 +184,7 @@ class Samples:
             np.hypot(ENOUGH, ABOVE_ROUNDING * frequency_rounding(self.f) * by_frequency)
         )
 
-    def described(self, elements: Elements) -> bool:
+    def is_described(self, elements: Elements) -> bool:
         """Whether a sum of elements differs from the samples by at most the tolerance.
 
         The difference is the rms value.
@@ -195,7 +195,7 @@ class Samples:
     def _dc_weight(self) -> float:
         return DC_WEIGHT * np.sqrt(len(self.f)) if self.conductance else 0.0
 
-    def _sums(self, elements: Elements) -> tuple[np.ndarray, np.ndarray]:
+    def _sum_elements(self, elements: Elements) -> tuple[np.ndarray, np.ndarray]:
         """Admittance (n,) of the elements in parallel, and impedance (n,) of the leads."""
         parallel, leads = np.zeros((2, len(self.f)), complex)
         for element in elements:
@@ -207,17 +207,17 @@ class Samples:
 
     def response(self, elements: Elements) -> np.ndarray:
         """Admittance (n,) complex of a sum of elements."""
-        parallel, leads = self._sums(elements)
+        parallel, leads = self._sum_elements(elements)
         return np.asarray(parallel / (1 + leads * parallel))
 
     def missing(self, elements: Elements) -> np.ndarray:
         """Admittance (n,) complex that is absent beside the elements in parallel."""
-        parallel, leads = self._sums(elements)
+        parallel, leads = self._sum_elements(elements)
         return np.asarray(self.Y / (1 - leads * self.Y) - parallel)
 
     def slopes(self, elements: Elements) -> list[list[np.ndarray]]:
         """Derivatives (n,) of the logarithm of Y by the parameters of each element."""
-        parallel, leads = self._sums(elements)
+        parallel, leads = self._sum_elements(elements)
         Y = parallel / (1 + leads * parallel)
         inner = 1 / (parallel * (1 + leads * parallel))
         return [
@@ -248,7 +248,7 @@ class Samples:
             count * np.log(self.rms(elements) ** 2 + FLOOR**2) + parameters * np.log(count)
         )
 
-    def _rows(self, x: np.ndarray, dc: float) -> np.ndarray:
+    def _stack_rows(self, x: np.ndarray, dc: float) -> np.ndarray:
         """Convert numbers (n,) to real rows, and append the share of ``dc``.
 
         The share is that in the stated conductance.
@@ -257,7 +257,7 @@ class Samples:
             return np.concatenate([x.real, x.imag])
         return np.concatenate([x.real, x.imag, [self._dc_weight * dc / self.conductance]])
 
-    def amplitudes(self, elements: Elements) -> tuple[Elements, float]:
+    def fit_amplitudes(self, elements: Elements) -> tuple[Elements, float]:
         """Fit the non-negative amplitudes of elements behind the leads among them.
 
         Elements with an amplitude of zero are left out. The other result is the norm of the
@@ -265,27 +265,30 @@ class Samples:
         """
         leads = tuple(e for e in elements if not e.in_parallel)
         elements = tuple(e for e in elements if e.in_parallel)
-        share = 1 - self._sums(leads)[1] * self.Y
+        share = 1 - self._sum_elements(leads)[1] * self.Y
         dc_share = 1 - lead_resistance(leads) * (self.conductance or 0.0)
         columns = [share**2 / self.Y * e.response(self.s)[0] for e in elements]
         rows = [
-            self._rows(x, dc_share**2 * e.conductance)
+            self._stack_rows(x, dc_share**2 * e.conductance)
             for x, e in zip(columns, elements, strict=True)
         ]
-        A, target = np.column_stack(rows), self._rows(share, dc_share * (self.conductance or 0.0))
+        A, target = (
+            np.column_stack(rows),
+            self._stack_rows(share, dc_share * (self.conductance or 0.0)),
+        )
         size = np.linalg.norm(A, axis=0)
         x, left = nnls(A / size, target, maxiter=100 * len(size))
         factors = zip(elements, x / size, strict=True)
         positive = tuple(e.scaled(factor) for e, factor in factors if factor > 0)
         return ((*positive, *leads) if positive else ()), float(left)
 
-    def polished(self, elements: Elements, evaluations: int = TRIAL) -> Elements:
+    def polish(self, elements: Elements, evaluations: int = TRIAL) -> Elements:
         """Fit all parameters by nonlinear least squares, at most ``evaluations``."""
         if not elements:
             return elements
         ends = np.cumsum([len(e.logs) for e in elements])[:-1]
 
-        def unpacked(logs: np.ndarray) -> Elements:
+        def unpack(logs: np.ndarray) -> Elements:
             parts = np.split(logs, ends)
             return tuple(
                 FitElement(e.form, tuple(map(float, part)))
@@ -293,16 +296,16 @@ class Samples:
             )
 
         def residual(logs: np.ndarray) -> np.ndarray:
-            tried = unpacked(logs)
+            tried = unpack(logs)
             excess = conductance(tried) - (self.conductance or 0.0)
-            return self._rows(self.misfit(tried), excess)
+            return self._stack_rows(self.misfit(tried), excess)
 
         def slopes(logs: np.ndarray) -> np.ndarray:
-            tried = unpacked(logs)
+            tried = unpack(logs)
             result = []
             for e, (first, *others) in zip(tried, self.slopes(tried), strict=True):
-                result.append(self._rows(first, _conductance_slope(tried, e)))
-                result += [self._rows(other, 0.0) for other in others]
+                result.append(self._stack_rows(first, _conductance_slope(tried, e)))
+                result += [self._stack_rows(other, 0.0) for other in others]
             return np.column_stack(result)
 
         start = np.concatenate([e.logs for e in elements])
@@ -319,7 +322,7 @@ class Samples:
                 gtol=CONVERGED,
                 max_nfev=evaluations,
             )
-        return unpacked(result.x) if np.isfinite(result.x).all() else elements
+        return unpack(result.x) if np.isfinite(result.x).all() else elements
 
 
 def frequency_rounding(f: np.ndarray) -> float:

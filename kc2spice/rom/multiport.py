@@ -53,7 +53,7 @@ MOST_SHRUNK = 0.1  # by which a fit may exceed what is passive; its deviation de
 INSIDE = 1e-7  # below one, of the largest singular value that counts as passive
 
 
-def multi_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> LinearModel:
+def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> LinearModel:
     """Fit a passive state space to admittances ``Y`` (n, ports, ports) [S].
 
     The frequencies are ``f`` (n,) [Hz]. The electrical ports are ``port1`` … against ``ref``. The
@@ -72,7 +72,7 @@ def multi_port(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Linear
     R = float(1 / np.median(diagonal[diagonal > 0]))
     one = np.eye(ports)
     S = np.linalg.solve(one + R * Y, one - R * Y)
-    model = _admittance(*_select_fit(f, S, noise, where), R)
+    model = _convert_to_admittance(*_select_fit(f, S, noise, where), R)
     answer = 2j * np.pi * f[:, None, None] * model.transfer(f)
     peak = np.abs(Y).max(axis=0)
     # an uncoupled entry has no size
@@ -145,11 +145,11 @@ def _generate_fits(
             break
         least = min((item for item, _ in result), default=np.inf)
         for reach in REACHES:
-            model = _state_space(*refine_poles(f, S, np.asarray(fit.poles), reach))
+            model = _realise_state_space(*refine_poles(f, S, np.asarray(fit.poles), reach))
             if len(model[0]) > STATES:
                 break
             result.append((_deviation(_transfer(model, f), S), model))
-            if passive(*model):
+            if is_passive(*model):
                 break
         if len(model[0]) > STATES:
             break
@@ -228,7 +228,7 @@ def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
     """As near to the samples as a passive state space of the poles of a fit can be."""
     if (np.linalg.eigvals(fit[0]).real >= 0).any():
         return None
-    if passive(*fit):
+    if is_passive(*fit):
         return fit
     tried = [
         _scale_to_passive(model)
@@ -246,7 +246,7 @@ def _scale_to_passive(model: ABCD) -> ABCD | None:
     """
     A, B, C, D = model
     excess = 0.0
-    while not passive(A, B, C / (1 + excess), D / (1 + excess)):
+    while not is_passive(A, B, C / (1 + excess), D / (1 + excess)):
         excess = 2 * excess or ROUNDING
         if excess > MOST_SHRUNK:
             return None
@@ -286,25 +286,25 @@ def refine_poles(
     target = S.reshape(len(f), -1)
     target = np.concatenate([target.real, target.imag])
 
-    def unpacked(x: np.ndarray) -> np.ndarray:
+    def unpack(x: np.ndarray) -> np.ndarray:
         p = -np.exp(x[: len(poles)]).astype(complex)
         p[~real] += 1j * np.exp(x[len(poles) :])
         return np.asarray(p)
 
-    def projected(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def project(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Orthonormal basis, coefficients of the columns, what they leave."""
-        columns, size = _columns(s, unpacked(x), real)
+        columns, size = _scale_columns(s, unpack(x), real)
         Q, upper = np.linalg.qr(columns)
         coefficients = scipy.linalg.lstsq(upper, Q.T @ target)[0]
         return Q, coefficients / size[:, None], target - columns @ coefficients
 
     def residual(x: np.ndarray) -> np.ndarray:
-        return projected(x)[2].ravel()
+        return project(x)[2].ravel()
 
     def slopes(x: np.ndarray) -> np.ndarray:
-        Q, coefficients, _ = projected(x)
+        Q, coefficients, _ = project(x)
         result = []
-        for change in _pole_derivatives(s, unpacked(x), real, coefficients):
+        for change in _pole_derivatives(s, unpack(x), real, coefficients):
             rows = np.concatenate([change.real, change.imag])
             result.append((Q @ (Q.T @ rows) - rows).ravel())
         return np.column_stack(result)
@@ -321,13 +321,13 @@ def refine_poles(
         max_nfev=MOST_STEPS,
     )
     x = solution.x
-    p, coefficients = unpacked(x), projected(x)[1]
-    residues = _residues(coefficients, real)
+    p, coefficients = unpack(x), project(x)[1]
+    residues = _recover_residues(coefficients, real)
     shape = S.shape[1:]
     return p * top, (residues * top).reshape(-1, *shape), coefficients[0].reshape(shape)
 
 
-def _columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _scale_columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute the real rows of the terms of a sum, scaled to norm 1, and their norms.
 
     The terms are ``1``, ``1 / (s - p) + 1 / (s - p*)`` (half of it for a real pole) and ``j / (s -
@@ -341,8 +341,8 @@ def _columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.ndarray
     return rows / size, size
 
 
-def _residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
-    """Complex residues (poles, entries) from the factors of :func:`_columns`."""
+def _recover_residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
+    """Complex residues (poles, entries) from the factors of :func:`_scale_columns`."""
     result = coefficients[1 : 1 + len(real)].astype(complex)
     result[~real] += 1j * coefficients[1 + len(real) :]
     return result
@@ -352,7 +352,7 @@ def _pole_derivatives(
     s: np.ndarray, p: np.ndarray, real: np.ndarray, coefficients: np.ndarray
 ) -> Iterator[np.ndarray]:
     """Derivatives (frequencies, entries) by the logarithms of the poles' parts."""
-    residues = _residues(coefficients, real)
+    residues = _recover_residues(coefficients, real)
     one, other = 1 / (s[:, None] - p) ** 2, 1 / (s[:, None] - p.conj()) ** 2
 
     def change(k: int, rate: complex) -> np.ndarray:
@@ -367,7 +367,7 @@ def _pole_derivatives(
         yield change(k, 1j * p[k].imag)
 
 
-def _state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray) -> ABCD:
+def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray) -> ABCD:
     """Make real matrices of ``S = D + sum_k R_k / (s - p_k)``.
 
     Each pole occurs as often as the rank of its residue.
@@ -395,7 +395,7 @@ def _state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray) -> ABCD
     return scipy.linalg.block_diag(*blocks), np.vstack(inputs), np.hstack(outputs), D
 
 
-def passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bool:
+def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bool:
     """Whether a scattering state space is passive at every frequency.
 
     It is stable, D is below one, and the Hamiltonian of a bound just above one has no eigenvalue on
@@ -418,7 +418,7 @@ def passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bool:
     return bool((gain <= g * (1 - INSIDE)).all())
 
 
-def _admittance(
+def _convert_to_admittance(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, R: float
 ) -> LinearModel:
     """Make the state space of charges [C] by voltages [V].

@@ -90,8 +90,13 @@ class ParallelBranches:
 
 def parallel_branches(model: LinearModel) -> ParallelBranches | None:
     """The network whose matrices ``model`` has; None where it is another model."""
-    one_port = len(model.ports) == 1 and model.ports[0].electrical
-    if model.first_order or not one_port or not (model.B == 1).all() or not (model.C == 1).all():
+    fit_one_port = len(model.ports) == 1 and model.ports[0].electrical
+    if (
+        model.first_order
+        or not fit_one_port
+        or not (model.B == 1).all()
+        or not (model.C == 1).all()
+    ):
         return None
     matrices = model.pencil.dense().coefficients
     elastance, resistance, inductance = map(_common_value, matrices)

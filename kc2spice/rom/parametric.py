@@ -194,7 +194,7 @@ def parametric(
             losses.append(loss)
     stiffness_axes = tuple(axis for axis in axes if axis not in [loss.axis for loss in losses])
     degree = DEGREES.get(len(stiffness_axes), 2) if degree is None else degree
-    exponents = exponents_to(len(stiffness_axes), degree)
+    exponents = list_exponents(len(stiffness_axes), degree)
     # approximate Fekete points of Chebyshev's grid: as many as there are polynomials
     grid = np.sin(0.5 * np.pi * np.arange(-degree, degree + 1, 2) / max(degree, 1))
     points = np.array(list(product(grid, repeat=len(stiffness_axes))))
@@ -365,7 +365,7 @@ def _differs_in_damping_only(one: LinearModel, other: LinearModel) -> bool:
     return all(a.shape == b.shape and not (min(a.shape) and abs(a - b).max()) for a, b in pairs)
 
 
-def exponents_to(axes: int, degree: int) -> np.ndarray:
+def list_exponents(axes: int, degree: int) -> np.ndarray:
     """Exponents (terms, axes) of all products of powers up to a total ``degree``."""
     rows = []
     for total in range(degree + 1):

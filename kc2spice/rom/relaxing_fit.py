@@ -69,10 +69,10 @@ def minimax(
     best = x, np.inf
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        return _stacked(weight[:, None] * (_model(x, count, s, upper) - target) / scale)
+        return _stack_parts(weight[:, None] * (_model(x, count, s, upper) - target) / scale)
 
     def slopes(x: np.ndarray) -> np.ndarray:
-        return _stacked(weight[:, None, None] * _slopes(x, count, s, upper) / scale[:, None])
+        return _stack_parts(weight[:, None, None] * _slopes(x, count, s, upper) / scale[:, None])
 
     for k in range(ROUNDS):
         fit = scipy.optimize.least_squares(
@@ -115,7 +115,7 @@ def _slopes(
     return np.concatenate([by_rate, by_gain.reshape(len(s), len(entries), -1)], axis=2)
 
 
-def _stacked(values: np.ndarray) -> np.ndarray:
+def _stack_parts(values: np.ndarray) -> np.ndarray:
     """Real and imaginary parts of (n, entries, ...) as (2 n entries, ...)."""
     flat = values.reshape(-1, *values.shape[2:])
     return np.concatenate([flat.real, flat.imag])

@@ -38,21 +38,21 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
         for item in (pencil, pencil.scaled(omega)):  # a free motion's units may hide an inertia
             mass = np.linalg.eigvalsh(item.coefficients[2])
             if mass[0] > MASSLESS * mass[-1]:
-                return _modal(item, omega)
-        pencil = _without_static(pencil)
-    elif _singular(M, M):
+                return _modal_states(item, omega)
+        pencil = _eliminate_static(pencil)
+    elif _is_singular(M, M):
         raise UsageError(
             "the mass matrix is singular and not symmetric",
             where="state space",
             expected="a regular or a symmetric positive semi-definite M",
         )
     else:
-        return _modal(_unit_mass(pencil), omega)
+        return _modal_states(_normalise_mass(pencil), omega)
     A, B, C, D = _energy_states(first_order(pencil, omega))
     return A, omega * B, C / omega, D
 
 
-def _unit_mass(pencil: Pencil) -> Pencil:
+def _normalise_mass(pencil: Pencil) -> Pencil:
     """The same model with ``M = 1``, by the inverse of a regular M."""
     K, E, M = pencil.coefficients
     solved = np.linalg.solve(M, np.hstack([K, E, pencil.B]))
@@ -61,13 +61,13 @@ def _unit_mass(pencil: Pencil) -> Pencil:
     return Pencil(parts, solved[:, 2 * n :], pencil.C, pencil.D)
 
 
-def _modal(pencil: Pencil, omega: float) -> ABCD:
+def _modal_states(pencil: Pencil, omega: float) -> ABCD:
     """Compute states ``w z`` and ``z'`` of mass-normalised coordinates.
 
     They are modes if K is symmetric.
     """
     K, E, M = pencil.coefficients
-    T, stiffness = _mass_normal(M, K)
+    T, stiffness = _normalise_modes(M, K)
     K, E, B, C = T.T @ K @ T, T.T @ E @ T, T.T @ pencil.B, pencil.C @ T
     w = np.full(len(M), omega)
     if stiffness is not None:
@@ -84,7 +84,7 @@ def _modal(pencil: Pencil, omega: float) -> ABCD:
     return A[np.ix_(pairs, pairs)], drive[pairs], read[:, pairs], pencil.D
 
 
-def _mass_normal(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+def _normalise_modes(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """``T'MT = 1``; for a symmetric K also its eigenvalues, which T then diagonalises.
 
     A definite K takes the part of the better conditioned matrix, so that low modes are exact.
@@ -99,7 +99,7 @@ def _mass_normal(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray |
     return T, stiffness
 
 
-def _without_static(pencil: Pencil) -> Pencil:
+def _eliminate_static(pencil: Pencil) -> Pencil:
     """Eliminate the coordinates that have neither mass nor damping.
 
     Other coordinates without mass come last.
@@ -115,21 +115,19 @@ def _without_static(pencil: Pencil) -> Pencil:
         raise _improper_error("massless coordinates are coupled by damping alone")
     T, r = np.hstack([V[:, ~none], light, static]), len(M) - static.shape[1]
     why = "massless, undamped coordinates without stiffness"
-    K, B, C, D = _condensed(T.T @ K @ T, T.T @ pencil.B, pencil.C @ T, pencil.D, r, why)
+    K, B, C, D = _condense(T.T @ K @ T, T.T @ pencil.B, pencil.C @ T, pencil.D, r, why)
     M = np.diag(np.r_[mass[~none], np.zeros(light.shape[1])])
     return Pencil((K, (T.T @ E @ T)[:r, :r], M), B, C, D)
 
 
-def _condensed(
-    P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int, why: str
-) -> ABCD:
+def _condense(P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int, why: str) -> ABCD:
     """Eliminate the unknowns from the r-th on from ``P x = B u``, ``y = C x + D u``.
 
     Undetermined unknowns are refused for the reason ``why``.
     """
     if r == len(P):
         return P, B, C, D
-    if _singular(P[r:, r:], P):
+    if _is_singular(P[r:, r:], P):
         raise _improper_error(why)
     elimination = scipy.linalg.solve(P[r:, r:], np.hstack([P[r:, :r], B[r:]]))
     B, D = B[:r] - P[:r, r:] @ elimination[:, r:], D + C[:, r:] @ elimination[:, r:]
@@ -157,11 +155,11 @@ def _energy_states(pencil: Pencil) -> ABCD:
     U, size, Vt = scipy.linalg.svd(E)
     r = int((size > MASSLESS * max(size[0], np.finfo(float).tiny)).sum())
     why = "algebraic equations that do not determine their unknowns"
-    rest, B, C, D = _condensed(U.T @ rest @ Vt.T, U.T @ B, C @ Vt.T, D, r, why)
+    rest, B, C, D = _condense(U.T @ rest @ Vt.T, U.T @ B, C @ Vt.T, D, r, why)
     return -rest / size[:r, None], B / size[:r, None], C, D
 
 
-def _singular(matrix: np.ndarray, reference: np.ndarray) -> bool:
+def _is_singular(matrix: np.ndarray, reference: np.ndarray) -> bool:
     """A singular value that is rounding of ``reference``."""
     return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * largest(reference))
 

@@ -333,7 +333,7 @@ def first_order_model(
     if pencil.degree != 2 or not (pencil.symmetric and pencil.collocated):
         return reduced_model
     K, E, _ = pencil.coefficients
-    if isinstance(K, Schur) or not is_semidefinite(E) or _singular(E):
+    if isinstance(K, Schur) or not is_semidefinite(E) or _is_singular(E):
         return reduced_model
     light = LinearModel(
         A=-K, E=E, B=pencil.B, C=pencil.C, D=pencil.D, ports=model.ports, name=model.name
@@ -360,7 +360,7 @@ def first_order_model(
     )
 
 
-def _singular(E: np.ndarray) -> bool:
+def _is_singular(E: np.ndarray) -> bool:
     """Whether a semidefinite matrix is not definite: an unknown without damping."""
     diagonal = E.diagonal()
     if diagonal.min(initial=np.inf) <= MASSLESS * diagonal.max(initial=0.0):

@@ -18,8 +18,8 @@ symmetric model of constant matrices:
     M x'' + E x' + (c_0 + sum c_k) K x - sum sqrt(c_k) K q_k = B u
     (1 / r_k) K q_k' + K (q_k - sqrt(c_k) x) = 0
 
-:func:`structurally_damped` makes it of a model; piezoelectric bodies by complex material constants
-are made in :mod:`kc2spice.rom.complex_constants`.
+:func:`add_structural_damping` applies this to a model. :mod:`kc2spice.rom.complex_constants` makes
+piezoelectric bodies with complex material constants.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def relaxing_stiffness(
     best: tuple[float, RelaxingStiffness] | None = None
     for count in range(2, math.ceil(DENSEST * decades) + FEWEST):
         rates = 2 * np.pi * np.geomspace(low / FURTHER, FURTHER * high, count)
-        result = _fitted(f, target, weight, rates)
+        result = _fit_amplitudes(f, target, weight, rates)
         weighted = float((weight * np.abs(result(2j * np.pi * f) / target - 1)).max())
         if best is None or weighted < best[0]:
             best = weighted, result
@@ -158,7 +158,7 @@ def relaxing_stiffness(
     return best[1]
 
 
-def _fitted(
+def _fit_amplitudes(
     f: np.ndarray, target: np.ndarray, weight: np.ndarray, rates: np.ndarray
 ) -> RelaxingStiffness:
     """Amplitudes of given rates by non-negative least squares of relative differences."""
@@ -172,7 +172,7 @@ def _fitted(
     return RelaxingStiffness(float(amplitudes[0]), amplitudes[1:][used], rates[used], error)
 
 
-def structurally_damped(model: LinearModel, stiffness: RelaxingStiffness) -> LinearModel:
+def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> LinearModel:
     """The model with ``K`` times a relaxing stiffness, by inner displacements.
 
     Parameters

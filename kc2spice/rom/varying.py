@@ -34,8 +34,8 @@ from kc2spice.rom.parametric import (
     ParameterPolynomials,
     Parametric,
     Values,
-    exponents_to,
     higher_degree,
+    list_exponents,
     parametric,
     polynomials,
 )
@@ -272,7 +272,7 @@ def varying(
             continue
         for gap in GAPS:
             for degree in range(min(2, DEGREES[modes.axes]), DEGREES[modes.axes] + 1, 2):
-                result = space.fitted(gap, degree, tolerance)
+                result = space.fit_polynomials(gap, degree, tolerance)
                 if result is None:
                     break
                 error = 0.0
@@ -361,7 +361,7 @@ class _ModesOverRanges:
                     expected="a body with a support, or with electrical ports only",
                     hint="remove the key rom.parameters of this body",
                 )
-        self.points = list(map(self._elastic, points))
+        self.points = list(map(self._select_elastic, points))
         w2 = np.array([p.w2 for p in self.points])
         least = max(1, int((w2 < (ABOVE * 2 * np.pi * band[1]) ** 2).any(axis=0).sum()))
         counts = np.arange(least, min(least + MORE, w2.shape[1]) + 1)
@@ -372,9 +372,9 @@ class _ModesOverRanges:
     def at(self, x: np.ndarray) -> _DenseModes:
         """Modes at coordinates of the axes, without motions that have no stiffness."""
         model = self.dense_model.at(_values_at(self.dense_model.box, x))
-        return self._elastic(_DenseModes(model, *scipy.linalg.eigh(model.K, model.M)))
+        return self._select_elastic(_DenseModes(model, *scipy.linalg.eigh(model.K, model.M)))
 
-    def _elastic(self, p: _DenseModes) -> _DenseModes:
+    def _select_elastic(self, p: _DenseModes) -> _DenseModes:
         return _DenseModes(p.model, p.w2[self.free :], p.V[:, self.free :])
 
 
@@ -390,7 +390,7 @@ class _ReducedSpace:
         self.shift = 0.5 * (2 * np.pi * modes.band[1]) ** 2
         rest = modes.points[0].w2[modes.count :]
         self.unit = rest[0] - self.shift if rest.size else 1.0
-        answers = list(map(self._answers, modes.points))
+        answers = list(map(self._project_responses, modes.points))
         size = np.linalg.norm(answers[0], axis=0)
         size[size == 0] = 1.0
         w, T = np.linalg.eigh(sum((a / size).T @ (a / size) for a in answers))
@@ -402,7 +402,7 @@ class _ReducedSpace:
         self.Z = [Z for _, Z in pairs]
         self._known: dict[tuple[int, int], tuple[np.ndarray, np.ndarray] | None] = {}
 
-    def _answers(self, p: _DenseModes) -> np.ndarray:
+    def _project_responses(self, p: _DenseModes) -> np.ndarray:
         """In coordinates of the modes that are not kept."""
         k = self.modes.count
         load, share = p.V[:, k:].T @ p.model.B, self.unit / (p.w2[k:, None] - self.shift)
@@ -411,7 +411,7 @@ class _ReducedSpace:
     def _solve_ritz(self, p: _DenseModes) -> tuple[np.ndarray, np.ndarray]:
         """Squared frequencies (q,) and shapes (n, q), the rest nearest to its vectors."""
         k = self.modes.count
-        U, _, R = np.linalg.svd(self._answers(p) @ self.T, full_matrices=False)
+        U, _, R = np.linalg.svd(self._project_responses(p) @ self.T, full_matrices=False)
         W = U @ R
         ritz, Q = np.linalg.eigh(W.T @ (p.w2[k:, None] * W))
         return np.r_[p.w2[:k], ritz], np.hstack([p.V[:, :k], p.V[:, k:] @ (W @ Q)])
@@ -423,7 +423,7 @@ class _ReducedSpace:
         B = Z.T @ p.model.B
         return replace(p.model, M=np.eye(len(w2)), K=np.diag(w2), B=B, C=B.T)
 
-    def _block(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray] | None:
+    def _make_block(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Compute stiffness (points, n, n) and gain (points, n, ports) of a block.
 
         The block contains the states a to b - 1 in frames nearest to that of the middle. The result
@@ -441,7 +441,7 @@ class _ReducedSpace:
             self._known[a, b] = np.array([k for k, _ in rows]), np.array([g for _, g in rows])
         return self._known[a, b]
 
-    def fitted(self, gap: float, degree: int, tolerance: float) -> Varying | None:
+    def fit_polynomials(self, gap: float, degree: int, tolerance: float) -> Varying | None:
         """Fit polynomials to the data of blocks that are separated by ``gap``.
 
         The gap is the least logarithm of the ratio of squared frequencies. The result is None if a
@@ -450,13 +450,13 @@ class _ReducedSpace:
         modes, dense_model = self.modes, self.modes.dense_model
         apart = np.log(self.w2[:, 1:] / self.w2[:, :-1]).min(axis=0) > gap
         ends = [0, *(np.flatnonzero(apart) + 1), self.w2.shape[1]]
-        result = [self._block(int(a), int(b)) for a, b in pairwise(ends)]
+        result = [self._make_block(int(a), int(b)) for a, b in pairwise(ends)]
         if any(block is None for block in result):
             return None
         port = np.max([np.abs(block[1]).max(axis=(0, 1)) for block in result if block], axis=0)
         port[port == 0] = 1.0
         blocks = [(K, g) for K, g in filter(None, result) if (np.abs(g) / port).max() > SILENT]
-        exponents = exponents_to(modes.axes, degree)
+        exponents = list_exponents(modes.axes, degree)
         fit = np.linalg.pinv(polynomials(modes.grid, exponents))
         ratio = min(_least_damping_ratio(p, modes.band) for p in modes.points)
         fine = FINE * tolerance * (NOTCH if len(dense_model.frame.ports) > 1 else 1.0)

@@ -33,7 +33,7 @@ from kc2spice.netlist.translate import dialect_files, symbol_files
 from kc2spice.parts.bodies._body_model import full_alone, scene_band
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.band import SMALL, natural_band
-from kc2spice.rom.branch_fit import one_port
+from kc2spice.rom.branch_fit import fit_one_port
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.instability import explain_instability
@@ -69,8 +69,9 @@ def reduce_file(
 ) -> dict[str, Any]:
     """Reduce a model and write ``NAME_rom.npz`` and its matrices.
 
-    A measured response becomes the passive circuit of :func:`kc2spice.rom.branch_fit.one_port`, or
-    of :func:`kc2spice.rom.multiport.multi_port`; its order and band follow from the data.
+    A measured response becomes the passive circuit of
+    :func:`kc2spice.rom.branch_fit.fit_one_port`, or of
+    :func:`kc2spice.rom.multiport.fit_multiport`; its order and band follow from the data.
 
     Parameters
     ----------
@@ -266,7 +267,7 @@ def _reduce_measured(
 def _fitted(data: Measured, conductance: float | None, notes: list[str]) -> LinearModel:
     """The passive model of the samples; ``notes`` gets what its form is if it is not the first."""
     if data.Y.shape[1] == 1:
-        nearest, left = one_port(data.f, data.Y[:, 0, 0], data.noise, conductance)
+        nearest, left = fit_one_port(data.f, data.Y[:, 0, 0], data.noise, conductance)
         if nearest is not None:
             return nearest
         if conductance is not None:
@@ -278,9 +279,9 @@ def _fitted(data: Measured, conductance: float | None, notes: list[str]) -> Line
                 hint="leave out --dc: a general fit of poles then extrapolates this resistance",
             )
         notes.append(f"parallel branches leave a deviation of {left:.2g}: poles of any kind")
-    from kc2spice.rom.multiport import multi_port  # late: what few need
+    from kc2spice.rom.multiport import fit_multiport  # late: what few need
 
-    return multi_port(data.f, data.Y, data.noise, data.where)
+    return fit_multiport(data.f, data.Y, data.noise, data.where)
 
 
 def _require_near(model: LinearModel, data: Measured) -> None:

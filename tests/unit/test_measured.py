@@ -14,7 +14,7 @@ import kc2spice as kc
 from kc2spice.bodies.readers.measured import is_measured, read_measured
 from kc2spice.netlist.deck import ac
 from kc2spice.rom.io import read_rom
-from kc2spice.rom.multiport import multi_port
+from kc2spice.rom.multiport import fit_multiport
 from kc2spice.rom.network import parallel_branches
 from kc2spice.workflow.reduce_files import first_deck, reduce_file
 
@@ -122,7 +122,9 @@ def test_bad_measurements_are_refused(tmp_path, header, columns, said):
 
 
 def test_a_directory_that_cannot_be_written_is_noticed_before_the_fit(tmp_path, monkeypatch):
-    monkeypatch.setattr("kc2spice.workflow.reduce_files.one_port", lambda *_: pytest.fail("fitted"))
+    monkeypatch.setattr(
+        "kc2spice.workflow.reduce_files.fit_one_port", lambda *_: pytest.fail("fitted")
+    )
     Y = admittance()
     path = table(tmp_path / "part.csv", "f_hz,g_s,b_s", F, Y.real, Y.imag)
     with pytest.raises(kc.errors.UsageError, match="is a file"):
@@ -248,7 +250,7 @@ def test_states_of_a_published_file_do_not_depend_on_rounding(name):
     found = []
     for size in (0.0, 1e-13):
         turned = 1 + size * np.random.default_rng(1).normal(size=data.Y.shape)
-        found.append(multi_port(data.f, data.Y * turned, data.noise, name))
+        found.append(fit_multiport(data.f, data.Y * turned, data.noise, name))
     assert found[0].order == found[1].order
     errors = [model.certificate.error_estimate for model in found]
     assert errors[0] == pytest.approx(errors[1], rel=1e-2)

@@ -13,7 +13,7 @@ import kc2spice as kc
 from kc2spice.bodies.readers.measured import read_measured
 from kc2spice.netlist.deck import ac
 from kc2spice.netlist.expression import parse
-from kc2spice.rom.branch_fit import one_port
+from kc2spice.rom.branch_fit import fit_one_port
 from kc2spice.rom.io import read_rom
 from kc2spice.rom.network import CircuitBranch, ParallelBranches, parallel_branches
 from kc2spice.workflow.reduce_files import first_deck, reduce_file
@@ -52,7 +52,7 @@ def resonance(span, coupling, quality):
 
 def require_one_resonance(span, coupling, quality):
     f, Y, (R, L, C) = resonance(span, coupling, quality)
-    model, _ = one_port(f, Y, NOISE)
+    model, _ = fit_one_port(f, Y, NOISE)
     network = parallel_branches(model)
     assert len(network.branches) == 1
     branch = network.branches[0]
@@ -133,12 +133,12 @@ def test_a_resistor_beside_a_capacitor_conducts(tmp_path):
     """110 Ohm parallel to 10 nF; stated as open, the same data become series R C alone."""
     f = np.geomspace(1, 1e6, 100)
     Y = 1 / 110 + 2j * np.pi * f * 10e-9
-    model, left = one_port(f, Y, 1e-6)
+    model, left = fit_one_port(f, Y, 1e-6)
     network = parallel_branches(model)
     assert left < 1e-9
     assert network.capacitance == pytest.approx(10e-9, rel=1e-6)
     assert 1 / network.conductance == pytest.approx(110, rel=1e-6)
-    blocked, _ = one_port(f, Y, 1e-6, 0.0)
+    blocked, _ = fit_one_port(f, Y, 1e-6, 0.0)
     assert parallel_branches(blocked).conductance == 0
 
 
@@ -148,7 +148,7 @@ def test_an_electrochemical_cell_conducts_without_a_warning():
     f = np.geomspace(1, 1e5, 120)
     Z = 10 + 100 / (1 + 2j * np.pi * f * 1e-3)
     noise = np.random.default_rng(0).standard_normal((2, f.size))
-    model, _ = one_port(f, 1 / (Z * (1 + NOISE * (noise[0] + 1j * noise[1]))), NOISE)
+    model, _ = fit_one_port(f, 1 / (Z * (1 + NOISE * (noise[0] + 1j * noise[1]))), NOISE)
     assert 1 / parallel_branches(model).conductance == pytest.approx(110, rel=1e-3)
     assert np.abs(2j * np.pi * f * model.transfer(f)[:, 0, 0] * Z - 1).max() < 2 * NOISE
 
@@ -158,7 +158,7 @@ def test_a_capacitor_blocks_and_its_leak_is_below_its_error(tmp_path):
     f = np.geomspace(0.01, 1e3, 60)
     s = 2j * np.pi * f
     Y = s * 20e-12 + 1 / (1e9 + 1 / (s * 1e-9))
-    model, left = one_port(f, Y, 1e-6)
+    model, left = fit_one_port(f, Y, 1e-6)
     assert left < 1e-6
     assert parallel_branches(model).conductance == 0
     assert np.abs(simulated(model, f[::20]) * Y[::20] - 1).max() < 2e-6
@@ -169,7 +169,7 @@ def test_a_capacitor_blocks_and_its_leak_is_below_its_error(tmp_path):
 
 def test_a_capacitor_alone_is_one():
     f = np.geomspace(10, 1e4, 40)
-    model, left = one_port(f, 2j * np.pi * f * 33e-12, 1e-6)
+    model, left = fit_one_port(f, 2j * np.pi * f * 33e-12, 1e-6)
     assert left < 1e-9
     assert simulated(model, f[::20]) * 2j * np.pi * f[::20] * 33e-12 == pytest.approx(1.0)
 
@@ -220,7 +220,7 @@ LEADS = {
 def test_leads_are_elements_of_the_circuit(circuit):
     """Leads took 16 to 38 branches; ngspice answers as the closed form does."""
     f, order, R, L = LEADS[circuit]
-    model, left = one_port(f, circuit(f), 1e-9)
+    model, left = fit_one_port(f, circuit(f), 1e-9)
     network = parallel_branches(model)
     assert model.order == order
     assert left < 1e-9
@@ -253,7 +253,7 @@ def require_one_circuit(f, Y):
     orders, errors = [], []
     for seed in range(10):
         draw = np.random.default_rng(seed).normal(size=(2, len(f)))
-        model, _ = one_port(f, Y * (1 + 1e-9 * (draw[0] + 1j * draw[1])), 1e-9)
+        model, _ = fit_one_port(f, Y * (1 + 1e-9 * (draw[0] + 1j * draw[1])), 1e-9)
         orders.append(model.order)
         errors.append(model.certificate.error_estimate + 1e-7)
     assert len(set(orders)) == 1
@@ -299,7 +299,7 @@ def test_a_lead_is_a_part_of_the_stated_direct_current():
     """10 Ohm parallel to 1 uF behind 3 Ohm: the user states 13.1 Ohm."""
     f = np.geomspace(1e3, 1e6, 100)
     Y = behind_lead(f, 0.1 + 2j * np.pi * f * 1e-6, 3.0)
-    model, _ = one_port(f, Y, 1e-6, 1 / 13.1)
+    model, _ = fit_one_port(f, Y, 1e-6, 1 / 13.1)
     assert 1 / parallel_branches(model).conductance == pytest.approx(13.1, rel=1e-6)
 
 
@@ -324,7 +324,9 @@ def test_every_circuit_behind_leads_has_its_number_of_resonances(seed, noise):
     R = size * 10 ** random.uniform(-3, -0.5)
     L = size / (2 * np.pi * 250e3) * 10 ** random.uniform(-3, -1) * random.integers(0, 2)
     draw = np.random.default_rng(seed).normal(size=(2, len(f)))
-    model, _ = one_port(f, behind_lead(f, Y, R, L) * (1 + noise * (draw[0] + 1j * draw[1])), noise)
+    model, _ = fit_one_port(
+        f, behind_lead(f, Y, R, L) * (1 + noise * (draw[0] + 1j * draw[1])), noise
+    )
     network = parallel_branches(model)
     assert len(network.branches) == count
     assert network.lead.resistance == pytest.approx(R, rel=0.05)
@@ -333,7 +335,7 @@ def test_every_circuit_behind_leads_has_its_number_of_resonances(seed, noise):
 def test_branches_survive_their_file(tmp_path):
     """Matrices of the model are R, L and 1/C to the bit."""
     f, Y, _ = resonance("wide", 0.2, 100)
-    model, _ = one_port(f, Y, NOISE)
+    model, _ = fit_one_port(f, Y, NOISE)
     network = parallel_branches(model)
     again = parallel_branches(network.linear(model.certificate))
     assert again == network
@@ -356,10 +358,10 @@ def test_branches_survive_their_file(tmp_path):
 def test_a_fit_does_not_depend_on_rounding():
     """Samples that differ by 1e-13 have the same elements and errors."""
     f, Y, _ = resonance("logarithmic", 0.4, 200)
-    first, _ = one_port(f, Y, NOISE)
+    first, _ = fit_one_port(f, Y, NOISE)
     for seed in range(2):
         turned = Y * (1 + 1e-13 * np.random.default_rng(seed).normal(size=len(f)))
-        second, _ = one_port(f, turned, NOISE)
+        second, _ = fit_one_port(f, turned, NOISE)
         assert second.order == first.order
         assert second.certificate.error_estimate == pytest.approx(
             first.certificate.error_estimate, rel=1e-6

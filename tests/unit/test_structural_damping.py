@@ -6,9 +6,9 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.structural_damping import (
+    add_structural_damping,
     constant_loss,
     relaxing_stiffness,
-    structurally_damped,
 )
 
 
@@ -61,7 +61,7 @@ def test_a_structurally_damped_chain_is_k_times_one_plus_j_eta():
     model = LinearModel(M=M, K=K, B=B, ports=ports)
     modes = np.sqrt(np.linalg.eigvals(np.linalg.solve(M, K)).real) / (2 * np.pi)
     chi = relaxing_stiffness(eta, modes.min(), (modes.min() / 3, 2 * modes.max()), 2e-3 * eta)
-    damped = structurally_damped(model, chi)
+    damped = add_structural_damping(model, chi)
     assert damped.symmetric
     f = np.sort(np.r_[np.geomspace(modes.min() / 3, 2 * modes.max(), 60), modes])
     for at, H in zip(f, damped.transfer(f), strict=True):
@@ -80,4 +80,4 @@ def test_values_that_are_no_loss_are_refused():
             relaxing_stiffness(*arguments, 1e-3)
     first = LinearModel(A=-np.eye(2), B=np.ones((2, 1)))
     with pytest.raises(UsageError, match="no structural damping"):
-        structurally_damped(first, relaxing_stiffness(0.1, 1e3, (0, 1e4), 1e-2))
+        add_structural_damping(first, relaxing_stiffness(0.1, 1e3, (0, 1e4), 1e-2))
