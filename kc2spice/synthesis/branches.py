@@ -1,4 +1,4 @@
-"""Cards of a one-port of parallel branches: the resistors, inductors and capacitors themselves."""
+"""Cards of a one-port of parallel branches of R, L and C."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ _LEAK = "* Rleak gives a floating pin its operating point; no other direct curre
 
 
 def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
-    """Cards of the ``network`` between the pins of the port of its ``model``."""
+    """Return the cards of a network between the pins of the port of its model."""
     plus, minus = model.ports[0].terminals
     result: list[Line] = []
     first = plus
     if network.lead != IDEAL_LEAD:
         first = "inner0"
-        result += [_LEAD, *_series(network.lead, 0, plus, first)]
+        result += [_LEAD, *_series_elements(network.lead, 0, plus, first)]
     if network.capacitance > 0:
         result.append(Element.of("C0", first, minus, network.capacitance))
     for index, branch in enumerate(network.branches, 1):
-        result += [f"\n* Branch {index}: {_description(branch)}"]
-        result += _series(branch, index, first, minus)
+        result += [f"\n* Branch {index}: {_describe_branch(branch)}"]
+        result += _series_elements(branch, index, first, minus)
     if network.conductance == 0:
         band = model.certificate.band_hz if model.certificate else (1.0, 1.0)
         leak = LEAK_SHARE * float(np.abs(network.admittance(np.array(band[:1])))[0])
@@ -41,20 +41,23 @@ def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
     return result
 
 
-def _series(branch: CircuitBranch, index: int, plus: str, minus: str) -> Iterator[Element]:
-    """The elements that a branch has, from ``plus`` to ``minus``; the capacitor last, so that no
-    inner node floats."""
-    values = [("R", branch.resistance), ("L", branch.inductance)]
-    values += [("C", 1 / branch.elastance)] if branch.elastance > 0 else []
-    present = [(letter, value) for letter, value in values if value > 0]
-    inner = [f"inner{index}_{k}" for k in range(1, len(present))]
-    nodes = [plus, *inner, minus]
-    for k, (letter, value) in enumerate(present):
-        yield Element.of(f"{letter}{index}", nodes[k], nodes[k + 1], value)
+def _series_elements(branch: CircuitBranch, index: int, plus: str, minus: str) -> Iterator[Element]:
+    """Yield the elements of a branch from ``plus`` to ``minus``.
+
+    The capacitor is the last one, so that no inner node floats.
+    """
+    capacitance = 1 / branch.elastance if branch.elastance > 0 else 0.0
+    values = {"R": branch.resistance, "L": branch.inductance, "C": capacitance}
+    present = [(letter, value) for letter, value in values.items() if value > 0]
+    node = plus
+    for k, (letter, value) in enumerate(present, 1):
+        following = minus if k == len(present) else f"inner{index}_{k}"
+        yield Element.of(f"{letter}{index}", node, following, value)
+        node = following
 
 
-def _description(branch: CircuitBranch) -> str:
-    """Kind of a branch, with its frequency or time constant."""
+def _describe_branch(branch: CircuitBranch) -> str:
+    """Return the kind of a branch with its frequency or time constant."""
     R, L, S = branch.resistance, branch.inductance, branch.elastance
     if L > 0 and S > 0:
         omega = float(np.sqrt(S / L))

@@ -1,4 +1,4 @@
-"""The error of an emitted subcircuit: the difference of its response to that of its model.
+"""Error of an emitted subcircuit, by the response of the subcircuit and its model.
 
 The circuit is the tree of the library's own text, solved by nodal analysis
 (:mod:`kc2spice.netlist.nodal`) over the model's whole band: the lowest frequency, a grid, every
@@ -51,9 +51,9 @@ def circuit_error(
     norm: Norm = "pointwise",
     values: Mapping[str, float] | None = None,
 ) -> CircuitError:
-    """Return the largest difference between the responses of a subcircuit and of its model.
+    """Return the largest difference between a subcircuit and its model.
 
-    The difference is relative in the ``norm`` of a
+    The difference of the responses is relative in the ``norm`` of a
     :class:`kc2spice.rom.linear_model.Certificate`. The ports are loaded as in
     :func:`kc2spice.synthesis.realize.apply_unit_load`. An acceleration port is judged by the force
     that its pin draws.
@@ -91,12 +91,11 @@ class EmittedResponse:
     ) -> None:
         self.model = model
         first = {port.terminals[0].lower(): port for port in model.ports}
-        grounded = [pin.name for pin in pins if pin.name.lower() not in first]
-        clamps = {
-            f"held_{node}": node
-            for node, port in first.items()
-            if not port.loaded and port.kind != "output"
-        }
+        grounded = [pin.name for pin in pins if pin.key not in first]
+        clamps = {}
+        for node, port in first.items():
+            if not port.loaded and port.kind != "output":
+                clamps[f"held_{node}"] = node
         self.equations = circuit.equations(values, grounded, clamps)
         self.loads = [_unit_load(port) for port in model.ports if port.kind != "output"]
         self.rows = [port for port in model.ports if port.kind != "input"]
@@ -108,8 +107,11 @@ class EmittedResponse:
         return len(self.equations.rows)
 
     def transfer(self, frequency: np.ndarray) -> np.ndarray:
-        """Displacements, charges, forces of accelerated frames, and signals (frequencies, outputs,
-        inputs) by forces, voltages, accelerations and signals."""
+        """Return the responses (frequencies, outputs, inputs) to unit inputs.
+
+        Outputs are displacements, charges, forces of accelerated frames, and signals. Inputs are
+        forces, voltages, accelerations and signals.
+        """
         s = 2j * np.pi * frequency
         H = self.equations.solve(s, self.loads, list(map(_answer_node, self.rows)))
         for row, port in enumerate(self.rows):
@@ -244,7 +246,7 @@ def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> N
 
 
 def rounding(model: LinearModel, frequency: float) -> float:
-    """Return the relative change of a response at a frequency [Hz] by rounded matrices.
+    """Return the relative change of a response by rounded matrices.
 
     It is the largest change of any entry in :data:`PERTURBED` random roundings of the matrices.
     """
@@ -256,8 +258,10 @@ def rounding(model: LinearModel, frequency: float) -> float:
         return np.asarray(matrix * (1 + (change + change.T) / 2))  # a symmetric matrix stays one
 
     pencil = model.pencil.dense()
-    matrices = [tuple(map(rounded, pencil.coefficients)) for _ in range(PERTURBED)]
-    others = [replace(pencil, coefficients=each, rayleigh=None) for each in matrices]
+    others = []
+    for _ in range(PERTURBED):
+        coefficients = tuple(map(rounded, pencil.coefficients))
+        others.append(replace(pencil, coefficients=coefficients, rayleigh=None))
     s = np.array([2j * np.pi * frequency])
     try:
         exact, *changed = (item.transfer(s)[0] for item in (pencil, *others))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
+from operator import attrgetter, itemgetter
 from typing import Any
 
 from kc2spice.core.domains import TRANSLATION
@@ -30,50 +30,52 @@ OUTWARDS = (
 
 
 def plan_lines(plan: Mapping[str, Any], without: Collection[str] = ()) -> tuple[str, ...]:
-    """Models, neglected effects and numerical settings of a deck, as comment lines."""
+    """Return models, neglected effects and settings of a deck as comment lines."""
     error = "not estimated" if plan["error_budget"] is None else f"budget {plan['error_budget']:g}"
+    settings = []
+    for item in plan["settings"]:
+        if item["key"] not in without:
+            settings.append(f"{item['key']} {item['value']:g}")
     facts = {
-        "modelled": ", ".join(part["part"] for part in plan["parts"]),
-        f"numerical settings (error {error})": ", ".join(
-            f"{item['key']} {item['value']:g}"
-            for item in plan["settings"]
-            if item["key"] not in without
-        ),
+        "modelled": ", ".join(map(itemgetter("part"), plan["parts"])),
+        f"numerical settings (error {error})": ", ".join(settings),
         "left out (sizes: kc2spice explain)": "; ".join(
-            item["effect"] for item in plan["left_out"]
+            map(itemgetter("effect"), plan["left_out"])
         ),
     }
-    lines = [f"{head}: {text}" for head, text in facts.items() if text]
-    wrapped = (textwrap.wrap(comment(line), 96, subsequent_indent="  ") for line in lines)
-    return tuple(f"* {line}" for line in chain.from_iterable(wrapped))
+    lines = list[str]()
+    for head, text in facts.items():
+        if text:
+            lines += textwrap.wrap(comment(f"{head}: {text}"), 96, subsequent_indent="  ")
+    return tuple(map("* {}".format, lines))
 
 
 def paragraph(text: str) -> list[str]:
-    """Wrap ``text`` to comment lines of at most 100 characters, all but the first indented."""
+    """Wrap a text to comment lines, all but the first indented."""
     words: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
     lines = textwrap.wrap(comment(text), 96, subsequent_indent="  ", **words)
-    return [f"* {line}" for line in lines]
+    return list(map("* {}".format, lines))
 
 
 def rom_lines(reduction: ReductionFacts, certificate: Certificate) -> tuple[str, ...]:
-    """Return comment lines about a reduced model: its order, band, error estimate and method.
+    """Return comment lines about a reduced model and its error estimate.
 
     The lines also give the error of the emitted circuit and the errors above the band. They state
     stability and passivity if one of these is not proven.
     """
     errors = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
-    beyond = f", compliance off by {', '.join(errors)}" if errors else ""
+    compliance = f", compliance off by {', '.join(errors)}" if errors else ""
     share = f"{reduction.circuit_error:.1g} at {reduction.worst_hz:.4g} Hz"
     proofs = "" if certificate.stable and certificate.passive else certificate.proofs
     facts = certificate.method, proofs, f"emitted circuit to model: {share}"
     method = "; ".join(filter(None, facts))
-    text = f"({method}); no error estimate above the band{beyond}"
+    text = f"({method}); no error estimate above the band{compliance}"
     first, *more = paragraph(f"rom: {text}: a contact or a steep edge excites it")
     return f"* rom: {reduction.summary}", first.replace("* rom:", "*  ", 1), *more
 
 
 def mesh_entry(facts: Mapping[str, float]) -> str:
-    """Header entry of the mesh of a linear model: its error estimate, or the reason for none."""
+    """Return the error estimate of the mesh, or the reason why there is none."""
     text = mesh_words(facts)
     return f"error estimate of the full model: {text}" if text else NOT_ESTIMATED
 
@@ -90,15 +92,15 @@ def part_header(
     rom: tuple[str, ...] = (),
     mesh: str = "",
 ) -> tuple[str, ...]:
-    """Everything above ``.subckt``: title, an instance to copy, origin, ROM facts, sign, validity
-    and rating, one line per pin and parameter. ``title`` is ``NAME: what it is``.
+    """Return all comment lines above ``.subckt``.
 
-    ``mesh`` is the error estimate of the mesh that its model is solved on, in words.
-    ``unit`` is what 1 V on the pin means, ``flow`` what 1 A into it means (``-``: a signal).
-    ``sign`` is for parts with mechanical pins.
+    These are the title, an instance to copy, the origin, and facts of a reduced model. Sign,
+    validity and rating follow, then one line for each pin and each parameter. ``title`` is
+    ``NAME: what it is``.
+    ``mesh`` is the error estimate of the mesh in words. ``sign`` is for parts with mechanical pins.
     """
-    sign = sign if any(p.flow == TRANSLATION.flow for p in pins) else FLOW
-    ends = (pin.name for pin in pins)
+    sign = sign if TRANSLATION.flow in map(attrgetter("flow"), pins) else FLOW
+    ends = map(attrgetter("name"), pins)
     lines = [f"* {comment(title)}", use_line(title.partition(":")[0], ends, defaults(params))]
     lines += [*header.origin(), *rom]
     facts = {"mesh": mesh, "sign": sign, "validity": validity, "rating": rating}
@@ -118,7 +120,7 @@ def netlist_pins(port: Port) -> tuple[Pin, ...]:
 
 
 def defaults(params: Iterable[Param]) -> dict[str, str]:
-    """Parameters with their defaults as they stand behind the pins of a ``.subckt`` card."""
+    """Return the defaults of parameters by name, as on a ``.subckt`` card."""
     return {name(p.name): number(p.default) for p in params}
 
 
@@ -135,14 +137,14 @@ def library(
     mesh: str = "",
     **values: object,
 ) -> Subcircuit:
-    """``templates/TEMPLATE.j2`` under its head, see :func:`part_header`.
+    """Return ``templates/TEMPLATE.j2`` under its head, see :func:`part_header`.
 
     Besides ``values`` the template has the ``card`` behind ``.subckt``: name, pins and parameters
     with their defaults.
     """
     pins = tuple(Pin(item.name, item.unit, item.flow) for item in terminals)
-    defaults_text = (f"{key}={value}" for key, value in defaults(params).items())
-    card = " ".join((name, *(pin.name for pin in pins), *defaults_text))
+    settings = map("=".join, defaults(params).items())
+    card = " ".join((name, *map(attrgetter("name"), pins), *settings))
     words: dict[str, Any] = {"rating": rating, "validity": validity, "mesh": mesh}
     head = part_header(header, f"{name}: {title}", pins, params, **words)
     cards = render(f"{template}.j2", card=card, **values)

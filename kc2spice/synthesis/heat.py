@@ -1,21 +1,22 @@
-"""Subcircuits of heat models: resistors, capacitors and, between several ports, ideal transformers.
+"""Subcircuits of heat models: resistors, capacitors and ideal transformers.
 
-``E x' + K x = B q`` and ``T = B' x + D q`` with symmetric E and K without negative eigenvalues have
-the modes
+The model is ``E x' + K x = B q``, ``T = B' x + D q``. E and K are symmetric without negative
+eigenvalues. The modes are
 
     C_j h_j' + h_j / R_j = sum_k a_kj q_k,    T_k = sum_j a_kj h_j + sum_l D_kl q_l
 
 with the heat flows ``q`` [W] into the ports and their temperature rises ``T`` [K] over the pin
 ``ambient``. Every mode is a thermal resistance R_j beside a heat capacity C_j, and its largest
 ``|a_kj|`` is one. The modes of one port are in series: Foster's form. The same factors a_kj act in
-both directions, as those of ideal transformers do, so the circuit is passive for all positive R_j
-and C_j. (E. Kuh and R. Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
+both directions, as in ideal transformers. The circuit therefore is passive for all positive R_j and
+C_j. (E. Kuh and R. Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 import scipy
@@ -44,8 +45,12 @@ _STORED = "nothing leads its heat away; the leak gives it an operating point"
 
 @dataclass(frozen=True, eq=False)
 class HeatModes:
-    """Thermal ``resistance`` [K/W] and ``capacity`` [J/K] (modes,), ``share`` (modes, ports) of the
-    modes' temperatures in those of the ports, and ``direct`` resistances (ports, ports) [K/W]."""
+    """Modes of a heat model.
+
+    ``resistance`` [K/W] and ``capacity`` [J/K] (modes,) are thermal. ``share`` (modes, ports) is
+    the share of the mode's temperature in that of the port. ``direct`` (ports, ports) [K/W] are
+    resistances without a heat capacity.
+    """
 
     resistance: np.ndarray
     capacity: np.ndarray
@@ -56,15 +61,15 @@ class HeatModes:
 
 def is_heat(model: LinearModel) -> bool:
     """Whether the ports of a model exchange heat."""
-    return any(port.domain is THERMAL for port in model.ports)
+    return THERMAL in map(attrgetter("domain"), model.ports)
 
 
 def heat_modes(model: LinearModel) -> HeatModes:
     """Return the modes of a heat model that a port excites, slowest first.
 
-    If K is positive definite, the modes are those of ``E x = t K x`` with the time constants t,
-    because static shares decide on a network at rest. Otherwise nothing leads the heat of some
-    modes away, and a leak replaces the resistance of these modes.
+    If K is positive definite, the modes are those of ``E x = t K x`` with the time constants t.
+    Their static shares determine a network at rest. Otherwise nothing leads the heat of some modes
+    away, and a leak replaces the resistance of these modes.
 
     Raises
     ------

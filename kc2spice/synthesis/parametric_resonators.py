@@ -114,7 +114,7 @@ def parametric_subcircuit(
 def _sample_range(
     model: Varying, parameters: Sequence[Param]
 ) -> Iterator[tuple[LinearModel, dict[str, float]]]:
-    """Yield the model at the corners of the parameter range and at random points inside.
+    """Yield the model at the corners of the range and at random points inside.
 
     Each model comes with the values of the netlist's parameters.
     """
@@ -129,9 +129,10 @@ def _sample_range(
 
 
 def _range_stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
-    """Yield resistors that stop the simulator outside the ranges; their names are the message.
+    """Yield resistors that stop the simulator if a parameter is out of range.
 
-    They have an ohm within the range of their parameter, and no number outside.
+    A resistor has an ohm within the range of its parameter, and no number outside. Its name is the
+    message.
     """
     for k, p in enumerate(parameters, 1):
         words = f"{p.name}_must_be_{p.low:.6g}_to_{p.high:.6g}"
@@ -140,7 +141,7 @@ def _range_stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
 
 
 def _parameter_lines(model: Varying, parameters: Sequence[Param]) -> Iterator[Line]:
-    """Yield ``.param`` cards: coordinates, their polynomials, and the numbers of the states."""
+    """Yield the ``.param`` cards: coordinates, polynomials, numbers of the states."""
     axis_parameters = parameters[: len(model.axes)]
     yield "* 1 within the range of a parameter, -1 outside of it"
     for k, p in enumerate(parameters, 1):
@@ -166,7 +167,7 @@ def _parameter_lines(model: Varying, parameters: Sequence[Param]) -> Iterator[Li
 
 
 def _coordinate_cards(model: Varying, parameters: Sequence[Param]) -> Iterator[Parameters]:
-    """Yield the coordinates x1, x2, ... of the parameters and Chebyshev polynomials of each."""
+    """Yield the coordinates x1, x2, ... and Chebyshev polynomials of each."""
     highest = model.exponents.max(axis=0, initial=0) if len(parameters) else []
     for k, (p, axis, top) in enumerate(zip(parameters, model.axes, highest, strict=True), 1):
         slope = 2 / np.log(axis.high / axis.low)
@@ -209,7 +210,7 @@ def _damping_cards(
 
 
 def _block_cards(model: Varying, modes: range, polynomial: Polynomial) -> Iterator[Parameters]:
-    """Yield the Cholesky factor l, the stiffness k and the gains g of a block of modes."""
+    """Yield the Cholesky factor l, the stiffness k and the gains g of a block."""
     lower, stiff = _nonzero(model)
     for i in modes:
         yield _param(f"l{i + 1}_{i + 1}", f"exp({polynomial(model.diagonal[:, i])})")

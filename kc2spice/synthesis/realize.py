@@ -1,4 +1,4 @@
-"""Linear models to subcircuits: decoupled resonators where there are, else state blocks."""
+"""Linear models as subcircuits of decoupled resonators or of blocks of states."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def scale_value(factor: float, value: Value) -> Value:
 
 @dataclass(frozen=True)
 class Transconductance:
-    """One controlled source: ``value`` amperes per volt between ``plus`` and ``minus``."""
+    """A controlled source of ``value`` amperes per volt from ``plus`` to ``minus``."""
 
     label: str
     plus: str
@@ -180,7 +180,7 @@ class Transconductance:
 def connect_sources(
     sources: Iterable[Transconductance], a: str, b: str, prefix: str = ""
 ) -> Iterator[Element]:
-    """Yield the elements of controlled sources with their currents from ``a`` to ``b``."""
+    """Yield the elements of controlled sources from ``a`` to ``b``."""
     for source in sources:
         yield source.between(a, b, prefix)
 
@@ -259,7 +259,7 @@ class PortTerminal:
     def weigh_input(
         self, label: str, row: np.ndarray | Sequence[Value], base: str
     ) -> Transconductance:
-        """Return the source by the port's input, with its weight in a ``row`` of all inputs."""
+        """Return the source by the port's input, with its weight in a ``row``."""
         value = row[self.column or 0]
         if self.input_unit != 1.0 and value:
             value = scale_value(self.input_unit, value)
@@ -268,7 +268,7 @@ class PortTerminal:
 
 @dataclass(frozen=True, eq=False)
 class _States:
-    """States ``z' = A z + B u``, ``y = C z + D u``, each of them the voltage of a node.
+    """States ``z' = A z + B u``, ``y = C z + D u``, each the voltage of a node.
 
     y is in volts on the nodes that sum the outputs of the ports.
     """
@@ -323,8 +323,8 @@ def subcircuit(
     force that this takes. Port laws and passivity are those of the model.
 
     A measured one-port becomes its resistors, inductors and capacitors
-    (:mod:`kc2spice.rom.network`), a symmetric definite model with modal damping decoupled
-    resonators, anything else blocks of coupled states (one block of all states if ``dense``).
+    (:mod:`kc2spice.rom.network`). A symmetric definite model with modal damping becomes decoupled
+    resonators. Any other model becomes blocks of coupled states, one block if ``dense``.
 
     Parameters
     ----------
@@ -416,7 +416,7 @@ def subcircuit(
 def _network_subcircuit(
     network: ParallelBranches, rom: LinearModel, name: str, header: Header, rating: str
 ) -> Subcircuit:
-    """Return the subcircuit of the elements of a ``network``, whose matrices are in ``rom``."""
+    """Return the subcircuit of a network, whose matrices are in ``rom``."""
     pins, cards = netlist_pins(rom.ports[0]), (ABOUT, branch_cards(network, rom))
     _require_distinct(pins, (INNER_NODES,), name)
     title = "passive network of a measured one-port"
@@ -496,7 +496,7 @@ def _reduction(
     certificate: Certificate,
     compared: Iterable[tuple[LinearModel, Mapping[str, float]]],
 ) -> ReductionFacts:
-    """Return the facts of the reduced model with the error estimate of its emitted circuit.
+    """Return the facts of a reduced model with the error of its emitted circuit.
 
     The circuit is compared with models at values of its parameters.
     """
@@ -551,7 +551,7 @@ def _charged(rom: LinearModel) -> list[bool]:
 
 
 def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerminal]:
-    """Return the ports of a model with their pins, and with capacitances of the matrix ``D``.
+    """Return the ports of a model with pins, and with capacitances of the matrix D.
 
     Raises
     ------
@@ -587,7 +587,7 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
 
 
 def _capacitance(domain: Domain | None, stored: Any) -> float:
-    """Return the capacitance [F] of pins that store ``stored`` SI units per unit across them."""
+    """Return the capacitance [F] of pins that store SI units per unit across them."""
     assert domain is not None
     return float(stored) * domain.admittance
 
@@ -607,12 +607,12 @@ def _leak_conductance(rom: LinearModel, port: Port) -> float:
 
 
 def model_band(rom: LinearModel) -> tuple[float, float]:
-    """Return the band [Hz] of the certificate or of the model's author, by default up to 1 Hz."""
+    """Return the band [Hz] of a model, by default from 0 to 1 Hz."""
     return rom.certificate.band_hz if rom.certificate else rom.band or (0.0, 1.0)
 
 
 def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple[Pin, ...], str]:
-    """Return the pins in order: electrical pairs, other conservative pins, base, signals, ref.
+    """Return the pins in order: pairs, other conservative pins, signals, reference.
 
     Raises
     ------
@@ -636,17 +636,17 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
 
 
 def _loaded_nodes(pin: Pin) -> str:
-    """Return the pattern of the internal nodes of a port whose input flows through its pin."""
+    """Return the pattern of the internal nodes of a port that a flow drives."""
     return f"[uf]{pin.name.lower()}"
 
 
 def _require_distinct(pins: Iterable[Pin], inner: Iterable[str], name: str) -> None:
-    """Check the names of pins against each other and against patterns of internal nodes."""
+    """Check that names of pins are distinct and match no internal node."""
     distinct(list(map(attrgetter("name"), pins)), "|".join(inner), where=checked_name(name))
 
 
 def reference_pin(ports: Sequence[Port]) -> Pin:
-    """Return the last pin, from which all values count except those between pairs of pins.
+    """Return the last pin, the reference of all pins that are no pairs.
 
     Displacements count from the base, and so do all other quantities of such a model. The base is
     called ``ground`` if a port is called ``base``.
@@ -668,7 +668,7 @@ def _port_domains(ports: Iterable[Port]) -> list[Domain]:
 
 @dataclass(frozen=True, eq=False)
 class _OutputLaws:
-    """Sources by which states and inputs determine the outputs ``y = C z + D u`` of ports.
+    """Sources by which states and inputs determine outputs ``y = C z + D u``.
 
     An electrical port without a clamped capacitance needs the current ``y' = C A z + C B u``. An
     acceleration port needs the force ``m a - y''`` with ``y'' = C A^2 z + C A B u``. There C B is
@@ -723,7 +723,7 @@ class _OutputLaws:
         return replace(t, sums=sums, through=self._weigh(force))
 
     def _connect_unclamped(self, t: PortTerminal, direct: np.ndarray) -> PortTerminal:
-        """Return an electrode without a clamped capacitance with the sources of its current."""
+        """Return an unclamped electrode with the sources of its current."""
         if direct.any():
             raise UsageError(
                 "an electrode without capacitance of its own shares charge with other ports",
@@ -745,7 +745,7 @@ class _OutputLaws:
 
 
 def port_lines(terminals: Sequence[PortTerminal], base: str, share: float) -> Iterator[Line]:
-    """Yield the cards of electrical ports, then of moving ports, then of accelerated frames."""
+    """Yield the cards of electrical ports, of moving ports, of accelerated frames."""
     for role in ("port.charged", "port.loaded", "is_frame"):
         for t in filter(attrgetter(role), terminals):
             yield from _lines_of_port(t, base, share)
@@ -924,7 +924,9 @@ def _mode_cards(j: int, omega: float, damp: float, farad: float, base: str) -> I
 
 
 def describe_mode(omega: float, damp: float) -> str:
-    """Return frequency and Q factor of a mode of ``omega`` [rad/s] that loses ``damp`` [1/s].
+    """Return the frequency and the Q factor of a mode as words of a comment.
+
+    ``omega`` is its angular frequency [rad/s], ``damp`` its damping [1/s].
 
     Examples
     --------
@@ -946,10 +948,10 @@ def describe_branch(
 ) -> str:
     """Return the elements that equal a mode at a port, as words of a comment, or "".
 
-    A mode ``z'' + damp z' + omega^2 z = g v`` whose charge is ``g z`` is L = 1/g^2, R = damp/g^2
-    and C = g^2/omega^2 in series across an electrical port; by the same law it is the mass
-    m = 1/g^2, the damper c = damp/g^2 and the spring k = omega^2/g^2 at a mechanical one. ``gains``
-    are those of all modes; rounding is far below the largest of them.
+    The mode is ``z'' + damp z' + omega^2 z = g v`` with the charge ``g z``. At an electrical port
+    it is L = 1/g^2, R = damp/g^2 and C = g^2/omega^2 in series. At a mechanical port it is the mass
+    m = 1/g^2, the damper c = damp/g^2 and the spring k = omega^2/g^2. ``gains`` are those of all
+    modes: a gain far below the largest of them is a rounding error.
     """
     size = np.abs(gain)
     size = np.where(size > NEGLIGIBLE_GAIN * np.abs(gains).max(axis=0), size, 0.0)
@@ -999,7 +1001,7 @@ def drive_mode(
 
 
 def _order_observable_modes(model: Resonators) -> np.ndarray:
-    """Return the indices of the observable modes by frequency, those without inertia last.
+    """Return the indices of observable modes by frequency, without inertia last.
 
     A mode that no port moves or observes is a rounding error.
     """
@@ -1018,9 +1020,9 @@ def _block_cards(
 ) -> tuple[list[str], list[Line]]:
     """Return comments and cards of blocks of states.
 
-    The states of every block of :func:`kc2spice.rom.blocks.block_model` are voltages on
-    ``C = 1 / (2 pi f1)``, f1 the end of the band, so that conductances in the band are about 1 S.
-    A block is scaled to about 1 V for a constant input of 1 V.
+    The states of the blocks of :func:`kc2spice.rom.blocks.block_model` are voltages on capacitors
+    ``C = 1 / (2 pi f1)``. With the end f1 of the band, conductances are about 1 S. A block is
+    scaled to about 1 V for a constant input of 1 V.
     """
     from scipy.linalg import block_diag  # loads what most models do not need
 
@@ -1130,7 +1132,7 @@ def _add_noise_forces(rom: LinearModel) -> LinearModel:
 def _balance_block(
     block: np.ndarray, drive: np.ndarray, omega: float
 ) -> tuple[np.ndarray, bool, np.ndarray]:
-    """Return a block, whether it integrates constant inputs, and the scale of its states.
+    """Return a block, whether it integrates, and the scale of its states.
 
     A complex pair becomes ``[[a, w], [-w, a]]``. States are about 1 for a constant input of 1.
     """
@@ -1161,7 +1163,7 @@ def _describe_pole(pole: complex) -> str:
 def apply_unit_load(
     model: LinearModel, library: Subcircuit, load: Port, tag: str = ""
 ) -> tuple[list[Element], dict[str, tuple[str, float]]]:
-    """Return the elements of one copy of a subcircuit under a unit load, and its responses.
+    """Return a copy of a subcircuit under a unit load, and its responses.
 
     A response maps a port to its vector and the factor of the vector to SI. As in
     :meth:`LinearModel.transfer`, the other electrodes are shorted, mechanical ports are free,
