@@ -1,4 +1,4 @@
-"""Networks of laws that share nothing but ground, with the results that they determine.
+"""Networks of laws that share only ground, with their results.
 
 The functions take laws and groups of joined pins, without a scene. A pin of a law is written
 ``LAW.PIN``.
@@ -52,7 +52,7 @@ class Network:
         return frozenset(map(attrgetter("name"), self.laws))
 
     def determined_by(self, driven: set[str]) -> bool:
-        """Whether sources at the pins ``driven`` set the value of every net, and no body moves."""
+        """Whether sources at these pins set the value of every net, and no body moves."""
         if not driven or any(isinstance(law, SecondOrderBody | PortBody) for law in self.laws):
             return False
         ungrounded = dict(self.joins)
@@ -116,7 +116,7 @@ def split_networks(
 def connect_sensors(
     laws: Sequence[Law], joins: Mapping[str, tuple[str, ...]]
 ) -> tuple[list[Law], dict[str, tuple[str, ...]]]:
-    """Connect signal inputs that are joined to a voltage or a displacement through a sensor.
+    """Connect signal inputs to a voltage or a displacement through a sensor.
 
     The output of the sensor is the voltage of the netlist's node: volts or micrometres.
     """
@@ -150,7 +150,10 @@ def pin_kinds(laws: Iterable[Law]) -> dict[str, str]:
 
 
 def prescribes(laws: Mapping[str, Law], pin: str) -> bool:
-    """Whether the law of a pin ``LAW.PIN`` sets the across quantity there, as a voltage source."""
+    """Whether the law of a pin ``LAW.PIN`` sets its across quantity.
+
+    A voltage source does, for example.
+    """
     name, _, end = pin.partition(".")
     law = laws[name]
     if isinstance(law, IdealSource):

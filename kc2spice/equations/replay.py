@@ -1,4 +1,4 @@
-"""Sources in place of parts without a law: they replay what ngspice computed on a net.
+"""Sources that replay the values of a net in place of parts without a law.
 
 A scene with such parts, for example a netlist of the user, can then be integrated without them.
 """
@@ -51,7 +51,7 @@ def replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
 
 
 def _have_coils_on_body(laws: SceneLaws) -> bool:
-    """Whether a nonlinear stored quantity, such as the flux of coils, meets an elastic body."""
+    """Whether a nonlinear stored quantity, such as a flux, meets an elastic body."""
     nonlinear = elastic = False
     for law in laws.laws.values():
         elastic |= isinstance(law, SecondOrderBody)
@@ -99,7 +99,10 @@ def networks_to_solve(
 
 
 def replayed_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
-    """Return the results that record values on these nets: an expression and its SI unit each."""
+    """Return the results that record values on these nets.
+
+    Each is an expression with the SI value of its unit.
+    """
     return {f"net {net}": (f"v({net})", NODE_UNITS[kind]) for net, kind in nets.items()}
 
 

@@ -26,7 +26,7 @@ from kc2spice.scene.model import Build
 
 
 class PinLink(NamedTuple):
-    """A pin of a part on a net of the scene, and the pin ``LAW.PIN`` that represents it."""
+    """A pin of a part on a net of the scene, and the pin ``LAW.PIN`` of its law."""
 
     net: str
     part: str
@@ -36,7 +36,7 @@ class PinLink(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneLaws:
-    """Laws of the parts of a build; each part is asked once, when the laws are first needed.
+    """Laws of the parts of a build, which are made when they are first needed.
 
     A part without cards has no law of its own: another part contains its copy, or moves it. A part
     that drives a load by a signal has none either, because a signal carries no current.
@@ -142,7 +142,7 @@ class SceneLaws:
 
 
 def _with_quantity_names(part: str, results: Mapping[str, Reading]) -> dict[str, Reading]:
-    """Return the results of a part, and each flow such as ``r.i`` also as ``r.current``."""
+    """Return the results of a part, with flows such as ``r.i`` as ``r.current`` too."""
     names = dict(results)
     for quantity_name, symbol in FLOW_SYMBOLS.items():
         if f"{part}.{symbol}" in results:

@@ -1,4 +1,4 @@
-"""Netlists as trees: circuits hold elements, models, parameters and other circuits, in order."""
+"""Netlists as trees of elements, models, parameters and subcircuits."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Card:
 
 @dataclass(frozen=True)
 class Element(Card):
-    """One device: ``nodes`` it connects, ``sources`` that control it, its ``model`` or subcircuit.
+    """One device with its ``nodes``, controlling ``sources`` and ``model``.
 
     ``kind`` is its letter in lower case, ``values`` are the words behind the nodes, ``parameters``
     the assignments behind those. A behavioural source (B, or E and G with an expression) has the
@@ -71,7 +71,7 @@ class Element(Card):
 
     @classmethod
     def of(cls, name: str, *words: str | float, **parameters: str) -> Element:
-        """Return the element of this name: its nodes and controls, then its model or values.
+        """Return the element of a name with its nodes, controls, and model or values.
 
         Parameters
         ----------
@@ -221,7 +221,10 @@ def items_of(items: Iterable[object], kind: type[Kind]) -> tuple[Kind, ...]:
 
 @dataclass(frozen=True)
 class Pin:
-    """One pin of a subcircuit: what 1 V and 1 A on it mean (``flow="-"`` for a signal pin)."""
+    """One pin of a subcircuit: what 1 V and 1 A on it mean.
+
+    A signal pin has the flow ``"-"``.
+    """
 
     name: str
     unit: str
@@ -235,7 +238,7 @@ class Pin:
 
 @dataclass(frozen=True)
 class Param:
-    """A subcircuit parameter with its default in ``unit``, a word of explanation and its range."""
+    """A parameter of a subcircuit with its default in ``unit`` and its range."""
 
     name: str
     default: float

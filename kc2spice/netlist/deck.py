@@ -1,4 +1,4 @@
-"""Decks as data: instances, options, analysis and results, from which the text is made."""
+"""Decks as data: instances, options, analysis and results."""
 
 from __future__ import annotations
 
@@ -64,9 +64,10 @@ class Command:
 
 @dataclass(frozen=True)
 class Measure:
-    """A ``.meas`` card of an analysis ``kind``: ``words`` behind its name, and the factor to SI.
+    """A ``.meas`` card of an analysis ``kind``, with the factor of its value to SI.
 
-    An ``op`` has no such card: there the only word is the vector that the deck prints.
+    ``words`` are those behind its name. An ``op`` has no such card: there the only word is the
+    vector that the deck prints.
     """
 
     name: str
@@ -166,12 +167,11 @@ class Deck:
     they are sums of. ``stop`` is the last time point [s] of
     a transient, None otherwise. ``refinements`` are further analyses of the kind of ``command``,
     whose points join its own. A dc analysis sweeps its source in ``sweep_scale`` volts or amperes
-    per SI unit of the swept key. A deck that somebody wrote by hand has its ``text``, the ``tree``
-    of that where it was read before, and the files that it includes in ``more``. ``controlled``
-    says whether a controller closes a loop, which some simulators only follow in short steps; it
-    may if that is unknown. A ``trusted`` deck runs with a warning where the simulator ignores or
-    replaces something in it. ``measures`` are taken by the simulator itself where it keeps no raw
-    file.
+    per SI unit of the swept key. A deck that somebody wrote by hand has its ``text``, and
+    ``more`` are the files that it includes. Its ``tree`` is that of the text, if known.
+    ``controlled`` states whether a controller may close a loop, which some simulators only follow
+    in short steps. A ``trusted`` deck runs with a warning if the simulator ignores or replaces
+    something in it. The simulator takes the ``measures`` itself, for runs without a raw file.
     """
 
     name: str
@@ -340,7 +340,7 @@ class Deck:
         return [measure for measure in self.measures if measure.kind == self.command.kind]
 
     def _measured(self, printed: str) -> Iterator[Line]:
-        """The cards of the measures, below a comment that ends with ``printed``."""
+        """Yield the cards of the measures, below a comment that ends with ``printed``."""
         cards = list(chain.from_iterable(map(attrgetter("cards"), self._available_measures)))
         if cards:
             yield f"* Main metrics in SI units{printed}"
@@ -357,7 +357,7 @@ class Deck:
         yield Directive(".print", (self.command.kind, *dict.fromkeys(columns)))
 
     def with_command(self, command: Command) -> Deck:
-        """Return the same deck with this analysis instead of the former one and its refinements."""
+        """Return the same deck with this analysis, without refinements."""
         if self.text is None:
             return replace(self, command=command, refinements=())
         items = self._read.items

@@ -1,4 +1,4 @@
-"""Streams of cards and of the comments above them, and cards that several parts have."""
+"""Streams of cards with comments, and cards that several parts have."""
 
 from __future__ import annotations
 
@@ -33,8 +33,10 @@ def noted(lines: Iterable[Line]) -> tuple[Item, ...]:
 
 
 def titled(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item, ...]:
-    """Return the cards of an ``owner`` below a blank line and a title, with the units of values
-    that are not the simulator's own."""
+    """Return the cards of an ``owner`` below a blank line and a title.
+
+    The title states the units of values that are not V, A, Ohm, F or H.
+    """
     first, *others = (replace(item, owner=owner) for item in items)
     units = dict.fromkeys(item.unit for item in (first, *others) if isinstance(item, Element))
     stated = ", ".join(filter(None, units))
@@ -43,10 +45,10 @@ def titled(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item, ..
 
 
 def pivots(base: str) -> Iterator[Line]:
-    """Yield cards by which ngspice chooses pivots that serve the picoseconds of an impact.
+    """Yield cards that make ngspice choose its pivots in a short first step.
 
-    It chooses them at its first step. Those of a long step lose digits in short ones until none
-    converges.
+    ngspice chooses pivots at its first step. Pivots of a long step lose digits in the picoseconds
+    of an impact, until no step converges.
     """
     yield _TICK
     yield Element.of("Vtick", "tick", base, "PWL(0 0 1e-12 0 2e-12 0)")

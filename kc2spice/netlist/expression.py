@@ -1,4 +1,4 @@
-"""Expressions of sources and parameters as trees, written in any dialect; names of results."""
+"""Expressions of sources and parameters as trees, and names of results."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def parse(text: str, *, where: str = "expression") -> Tree:
 
 
 def literal(text: str, *, where: str = "expression") -> float | None:
-    """Return the value of a number with sign and scale factor, None of any other expression.
+    """Return the value of a number with its scale factor, None of other expressions.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def substitute(tree: Tree, values: Mapping[str, Tree]) -> Tree:
 
 
 class Writer:
-    """Writer of trees; dialects override the spelling of names, functions and operators."""
+    """Writer of trees, whose spelling dialects override."""
 
     def name(self, text: str) -> str:
         """Return the spelling of a parameter or keyword."""
@@ -215,7 +215,7 @@ class Writer:
         return f"{function}({', '.join(map(self.write, arguments))})"
 
     def write(self, tree: Tree, level: int = 0) -> str:
-        """Return the text of ``tree``, in parentheses if it binds weaker than its surroundings."""
+        """Return the text of ``tree``, in parentheses if its surroundings need them."""
         match tree:
             case Number(text):
                 return text
@@ -328,7 +328,7 @@ class _Parser:
 
 
 def _remove_scale_factor(literal: str, suffix: str) -> str:
-    """Return a literal without its scale factor; letters behind the factor mean nothing."""
+    """Return a literal without its scale factor and the letters behind it."""
     if not suffix:
         return literal
     plain = literal.removesuffix(suffix)
@@ -393,7 +393,10 @@ def _parse_device(text: str, parameter: str) -> Trace:
 
 
 def terms(expression: str) -> list[tuple[float, str]]:
-    """Return signs and vectors of a sum: ``v(a)-v(b)`` is ``[(1, "v(a)"), (-1, "v(b)")]``."""
+    """Return the signs and vectors of a sum.
+
+    ``v(a)-v(b)`` is ``[(1, "v(a)"), (-1, "v(b)")]``.
+    """
     result = filter(None, expression.replace("-", "+-").split("+"))
     return [(-1.0 if term.startswith("-") else 1.0, term.removeprefix("-")) for term in result]
 

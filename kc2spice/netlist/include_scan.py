@@ -1,16 +1,15 @@
-"""Circuits of users are programs: read here before a simulator does, refused if they could act.
+"""Check of users' circuits, which are programs, before a simulator reads them.
 
-The simulator is never left to find a file: names, continuation and comments are read under its own
-rules, and what is written is one text with one spelling. Lines end in a line feed, blanks are
-blanks, a comment begins with ``*`` or behind ``;``, a line that goes on has a ``+`` in front, and
-no include is left.
+The simulator never searches a file. This module reads names, continuation lines and comments by
+the rules of the simulator and writes one text in one spelling. Its lines end in a line feed, its
+blanks are spaces, and it has no includes. A comment begins with ``*`` or ``;``, a continuation line
+with ``+``.
 
-Nothing is let through because it was not recognised: commands, element letters, options and file
-names are allowed by name, in the text that is written. A circuit that needs more can be trusted by
-its user, word for word.
+Only known commands, element letters, options and file names are allowed. A user can trust a circuit
+that needs more, word for word.
 
-A part may define subcircuits only. Every other card acts on the whole deck: a function ``max``
-replaces ``max`` in all other cards, an option changes the accuracy of the run, and an element
+A part may define subcircuits only, because every other card acts on the whole deck. A function
+``max`` replaces ``max`` in all other cards. An option changes the accuracy of the run. An element
 connects to deck nodes with the same name.
 """
 
@@ -19,6 +18,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path, PurePosixPath
 
 from kc2spice.core.errors import UsageError
@@ -38,7 +38,7 @@ _GOES_ON = "\\\\"  # two backslashes at the end of a line
 
 @dataclass(frozen=True)
 class Line:
-    """One line as it will be written, ``file:line`` of where it comes from, and how it stood."""
+    """One line as it is written, its place as ``file:line``, and its raw text."""
 
     text: str
     where: str
@@ -55,21 +55,21 @@ class Flat:
     @property
     def text(self) -> str:
         """The lines as one text."""
-        return "\n".join(line.text for line in self.lines)
+        return "\n".join(map(attrgetter("text"), self.lines))
 
     def cards(self, *, title: bool = False) -> Iterator[Statement]:
-        """Every card, its continuation lines joined, with ``file:line`` of where it begins."""
+        """Yield every card on one line, with its place as ``file:line``."""
         for card in statements(self.text, "", title=title):
             if card.written:
                 yield replace(card, where=self.lines[card.line - 1].where)
 
 
 def flatten(path: Path, home: Path, *, trust: bool, inside: bool = False) -> Flat:
-    """``path`` with what it includes from below ``home``, in its place.
+    """Return a circuit with the content of its includes from below ``home``.
 
-    ``trust`` takes lines as they stand and includes from anywhere; an include that cannot be read
-    is then left to the simulator. With ``inside`` as well lines are taken as they stand, but only
-    files below ``home`` are opened: to read a circuit that is not trusted yet.
+    With ``trust``, lines are copied unchanged and includes may come from anywhere. The simulator
+    then reads an include that cannot be read here. With ``inside`` too, only files below ``home``
+    are opened: this reads a circuit before its user trusts it.
 
     Raises
     ------
@@ -82,6 +82,8 @@ def flatten(path: Path, home: Path, *, trust: bool, inside: bool = False) -> Fla
 
 @dataclass
 class _Reader:
+    """Reader of a circuit and its includes, which counts files and bytes."""
+
     main: Path
     home: Path
     trust: bool
@@ -90,31 +92,31 @@ class _Reader:
     size: int = 0
 
     def lines(self, name: str, path: Path, where: str, chain: tuple[Path, ...]) -> Iterator[Line]:
-        """Lines of the file ``path``, which is called ``name``, named at ``where``."""
+        """Yield the lines of the file ``path`` called ``name``, included at ``where``."""
         real = path.resolve()
         if real in chain:
-            got = " -> ".join(file.name for file in (*chain, real))
+            got = " -> ".join(map(attrgetter("name"), (*chain, real)))
             raise UsageError(
                 "a file includes itself, directly or through others", where=where, got=got
             )
         goes_on = False
-        for number, raw in enumerate(self._text(name, real, where).split("\n"), 1):
+        for number, raw in enumerate(self._read_text(name, real, where).split("\n"), 1):
             place, match = f"{name}:{number}", _INCLUDE.match(raw)
             if match is None:
                 line = raw
                 if not self.trust:
-                    line, goes_on = _canonical(raw, goes_on)
+                    line, goes_on = _normalize_line(raw, goes_on)
                 yield Line(line, place, raw)
                 continue
             if goes_on and not self.trust:
                 raise refusal("goes on in an include", self.main, place, raw)
-            target = self._target(match[1], place, raw)
+            target = self._read_target(match[1], place, raw)
             file = path.parent / target
             try:
                 readable = file.is_file() and file.stat().st_size <= MOST_BYTES
             except OSError:  # a name too long, a directory that is closed
                 readable = False
-            if self.trust and (not target or not readable or self._forbidden(file)):
+            if self.trust and (not target or not readable or self._is_forbidden(file)):
                 yield Line(raw, place, raw)
                 continue
             inner = target if self.trust else str(PurePosixPath(name).parent / target)
@@ -123,13 +125,13 @@ class _Reader:
             yield from self.lines(inner, file, place, (*chain, real))
             yield Line(end, place, end)
 
-    def _forbidden(self, file: Path) -> bool:
-        """Whether it is none of those below ``home``, which alone may be opened."""
+    def _is_forbidden(self, file: Path) -> bool:
+        """Whether a file must not be opened, because it is not below ``home``."""
         outside = not file.resolve().is_relative_to(self.home.resolve())
         return outside and (self.inside or not self.trust)
 
-    def _target(self, rest: str, where: str, raw: str) -> str:
-        """The file that an include names: one word, or one text in quotes."""
+    def _read_target(self, rest: str, where: str, raw: str) -> str:
+        """Return the file that an include names: one word, or one text in quotes."""
         rest = split_comment(rest)[0].strip()
         result = _TARGET.fullmatch(rest)
         target = next(filter(None, result.groups()), "") if result else ""
@@ -139,12 +141,13 @@ class _Reader:
                 raise refusal(f"includes {reason}", self.main, where, raw)
         return target
 
-    def _text(self, name: str, real: Path, where: str) -> str:
+    def _read_text(self, name: str, real: Path, where: str) -> str:
+        """Read a file within the limits of the circuit."""
         self.files += 1
         if self.files > MOST_FILES:
             expected = f"at most {MOST_FILES}"
             raise UsageError("includes too many files", where=str(self.main), expected=expected)
-        if self._forbidden(real):
+        if self._is_forbidden(real):
             message = "the include leads out of the circuit's directory"
             raise UsageError(message, where=where, got=name)
         try:
@@ -167,7 +170,7 @@ class _Reader:
 
 
 def refusal(reason: str, path: Path, where: str, text: str) -> UsageError:
-    """The error for a line ``text`` at ``where`` of the circuit ``path``."""
+    """Return the error for a line ``text`` at ``where`` of the circuit ``path``."""
     return UsageError(
         f"the included circuit {reason}",
         where=f"{path} ({where})" if where not in str(path) else str(path),
@@ -177,8 +180,8 @@ def refusal(reason: str, path: Path, where: str, text: str) -> UsageError:
     )
 
 
-def _canonical(raw: str, goes_on: bool) -> tuple[str, bool]:
-    """A line in the one spelling that every reader understands alike, and whether it goes on."""
+def _normalize_line(raw: str, goes_on: bool) -> tuple[str, bool]:
+    """Return a line in a spelling common to all readers, and whether it goes on."""
     line = raw.replace("\t", " ").strip(" ")
     if not line or line.startswith("*"):
         return line, goes_on
@@ -216,7 +219,7 @@ _PARTS = "a file of subcircuits with their models, parameters and functions"
 
 
 def refuse(cards: Iterable[Statement], *, part: bool) -> None:
-    """Check that a part defines subcircuits only, and that an edited deck keeps its parts.
+    """Check that a part defines subcircuits only, and that a deck keeps its parts.
 
     Raises
     ------
@@ -232,12 +235,12 @@ def refuse(cards: Iterable[Statement], *, part: bool) -> None:
             commands = key != ".endc"
             continue
         depth += (key == ".subckt") - (key == ".ends")
-        for what, expected, hint in _acts(card, depth == 0, part):
+        for what, expected, hint in _deck_effects(card, depth == 0, part):
             raise card.error(f"the netlist {what}", card.written[:120], expected, hint)
 
 
-def _acts(card: Statement, outside: bool, part: bool) -> Iterator[tuple[str, str, str]]:
-    """Effect of a card on the whole deck, the expected card, and the action to take."""
+def _deck_effects(card: Statement, outside: bool, part: bool) -> Iterator[tuple[str, str, str]]:
+    """Yield an effect of a card on the deck, the expected card, and the remedy."""
     key, options = card.keyword, accuracy((card,))
     if part and key in ANALYSES | _OUTPUTS:
         what = "asks for an analysis" if key in ANALYSES else "asks for an output"
@@ -269,13 +272,18 @@ def _acts(card: Statement, outside: bool, part: bool) -> Iterator[tuple[str, str
 
 
 def accuracy(cards: Iterable[Statement]) -> Mapping[str, str]:
-    """Values of the options that change what is computed; ``""`` of a flag, the last one counts."""
+    """Return the values of options that change results; ``""`` of a flag.
+
+    The last value of an option counts.
+    """
     result: dict[str, str] = {}
     for card in cards:
         if card.keyword == ".temp":
             result["temp"] = " ".join(card.words[1:])
-        pairs = (word.partition("=") for word in card.words[1:] if card.keyword in OPTION_CARDS)
-        result |= {key.lower(): value for key, _, value in pairs if key.lower() not in HARMLESS}
+        for word in card.words[1:] if card.keyword in OPTION_CARDS else ():
+            key, _, value = word.partition("=")
+            if key.lower() not in HARMLESS:
+                result[key.lower()] = value
     return result
 
 
@@ -314,12 +322,12 @@ _PROGRAMS = re.compile(r"(?i)\b(d_process|d_cosim|filesource|d_source|d_state|ta
 
 
 def checked(path: Path, *, trust: bool = False, home: Path | None = None) -> Flat:
-    """A circuit with all that it includes, once nothing in it could act on the machine.
+    """Return a circuit with its includes, after a check that it is harmless.
 
     Parameters
     ----------
-    trust : take the circuit as it is; its user answers for it.
-    home : directory that the circuit and its includes are in; that of ``path`` unless given.
+    trust : whether to take the circuit unchecked, because its user trusts it.
+    home : directory of the circuit and its includes, by default that of ``path``.
 
     Raises
     ------
@@ -329,19 +337,19 @@ def checked(path: Path, *, trust: bool = False, home: Path | None = None) -> Fla
     result = flatten(path, home or path.parent, trust=trust)
     if trust:
         return result
-    for line in result.lines:  # as they stood: cards are what they seem only if nothing hides
+    for line in result.lines:  # raw lines, because hidden text could change a card
         text = line.raw.rstrip("\r")
-        for reason in _raw_reasons(text):
+        for reason in _find_line_faults(text):
             quotation = repr(text) if _HIDDEN.search(text) else text
             raise refusal(reason, path, line.where, quotation)
     for card in result.cards():
-        for reason in _reasons(card):
+        for reason in _find_card_faults(card):
             raise refusal(reason, path, card.where, card.written)
     return result
 
 
 def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
-    """The file ``name`` beside a scene in ``home`` with all that it includes.
+    """Return the file ``name`` beside a scene in ``home`` with its includes.
 
     Raises
     ------
@@ -363,8 +371,9 @@ def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
 
 
 def read_untrusted(name: str, home: Path) -> Flat:
-    """The file ``name`` unchanged, with what it includes from ``home`` or below: its pins and
-    nodes can be known before anybody trusts it to be run.
+    """Return the file ``name`` unchanged, with its includes from ``home`` or below.
+
+    Its pins and nodes are needed before its user trusts the file.
 
     Raises
     ------
@@ -376,8 +385,8 @@ def read_untrusted(name: str, home: Path) -> Flat:
     return result
 
 
-def _raw_reasons(text: str) -> Iterator[str]:
-    """Fault of a line as written in its file, also of continuation and comment lines."""
+def _find_line_faults(text: str) -> Iterator[str]:
+    """Yield the faults of a line of a file, also of a continuation or comment line."""
     if _HIDDEN.search(text) or "\r" in text:
         yield "has control characters that can hide text"
     if _COMMAND_COMMENT.match(text):
@@ -392,8 +401,8 @@ def _raw_reasons(text: str) -> Iterator[str]:
         yield "has a back quote, which runs a program"
 
 
-def _reasons(card: Statement) -> Iterator[str]:
-    """Fault of a card after its continuation lines are joined."""
+def _find_card_faults(card: Statement) -> Iterator[str]:
+    """Yield the faults of a card after its continuation lines are joined."""
     key = card.keyword
     if key.startswith(".") or key in _SHELL_WORDS:
         if key not in COMMANDS:
@@ -401,9 +410,10 @@ def _reasons(card: Statement) -> Iterator[str]:
     elif key[0] not in _ELEMENTS:
         yield "has a card that is no element"
     if key in OPTION_CARDS:
-        names = (word.partition("=")[0].lower() for word in card.words[1:])
-        for unknown in (name for name in names if name not in OPTIONS):
-            yield f"sets the option {unknown[:40]}, which is more than one of accuracy"
+        for word in card.words[1:]:
+            name = word.partition("=")[0].lower()
+            if name not in OPTIONS:
+                yield f"sets the option {name[:40]}, which is more than one of accuracy"
     if _FILES.search(card.written):
         yield "reads or writes a file"
     if _PROGRAMS.search(card.written):

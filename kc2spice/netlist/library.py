@@ -1,4 +1,4 @@
-"""Libraries: parts as subcircuits with pins, units and parameters, and files with several parts."""
+"""Libraries: parts as subcircuits with pins, units and parameters."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PARAM = re.compile(r"\* @param (\w+)=(\S+) unit=(\S+)(?: range=(\S+)\.\.(\S+))?
 
 @dataclass(frozen=True)
 class Header:
-    """Origin of a netlist: the scene's name and the hash of all that its numbers depend on."""
+    """Origin of a netlist: name of its scene, and hash of the data of its numbers."""
 
     scene: str
     scene_hash: str
@@ -75,7 +75,7 @@ def _round_up(value: float) -> float:
 
 @dataclass(frozen=True, repr=False)
 class Subcircuit:
-    """One part: its ``.subckt`` in the ``circuit`` of its library file, and its pin table.
+    """One part: its ``.subckt`` in the ``circuit`` of a library file, and its pins.
 
     ``title`` is ``NAME: what it is``. ``file`` is the name of the library file where it is not
     ``NAME.lib``. ``no_module`` states why the part must not become a Verilog-A module, "" where it
@@ -107,7 +107,7 @@ class Subcircuit:
 
     @cached_property
     def located(self) -> Circuit:
-        """The circuit, each card with its place in the library file and its text, for errors."""
+        """The circuit, each card with its text and its place in the library file."""
         return self.circuit if self.source else located(self.circuit, self.filename)
 
     def changed(self, circuit: Circuit) -> Subcircuit:
@@ -115,7 +115,7 @@ class Subcircuit:
         return replace(self, circuit=circuit, source="")
 
     def write(self, path: str | Path) -> Path:
-        """Write the library file to ``path``, or under its own name into the directory ``path``."""
+        """Write the library file to a path, or with its own name into a directory."""
         path = Path(path)
         if path.is_dir():
             path = path / self.filename
@@ -172,7 +172,7 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
 
 
 def use_line(name: str, pins: Iterable[str], defaults: Mapping[str, str]) -> str:
-    """Return an instance to copy, as a comment: its nodes have the names of the ``pins``.
+    """Return an instance to copy, as a comment; nodes have the names of the pins.
 
     Examples
     --------
@@ -192,7 +192,7 @@ def parameter_line(param: Param) -> str:
 
 
 def subcircuits(text: str, file: str) -> list[Subcircuit]:
-    """Return the parts in the ``text`` of a library ``file``, as :func:`read_lib` does."""
+    """Return the parts in the text of a library file, as :func:`read_lib` does."""
     library = read(text, file)
     parts = list(filter(declared_pins, library.subcircuits))
     if not parts:

@@ -137,7 +137,7 @@ def _check_instance(part: Element, scope: Scope) -> Iterator[UsageError]:
 
 
 def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
-    """Yield mistakes in the model, the parameters and the controlling sources of an element."""
+    """Yield the mistakes in model, parameters and sources of an element."""
     if part.model and part.model.lower() not in scope.models:
         yield part.error("no such model", part.model, _suggest_name(part.model, scope.models))
     for param in part.settings if part.kind in "rlcvi" else ():

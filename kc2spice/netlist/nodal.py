@@ -1,8 +1,8 @@
-"""Nodal analysis of linear circuits: a circuit tree in, its frequency response out.
+"""Nodal analysis of linear circuits: from a tree to its frequency response.
 
-The equations follow from the elements of the tree and the parameters of an instance alone, not
-from the model that the circuit was made from (C.-W. Ho, A. Ruehli, P. Brennan, IEEE Trans.
-Circuits Syst. 22 (1975) 504).
+The equations follow from the elements of the tree and the parameters of an instance alone. They
+do not depend on the model behind the circuit (C.-W. Ho, A. Ruehli, P. Brennan, IEEE Trans. Circuits
+Syst. 22 (1975) 504).
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class NodalEquations:
 
 @dataclass(frozen=True)
 class NodalCircuit:
-    """The linear elements R, C, L, G, E and V of a subcircuit, whose sources are at rest.
+    """The elements R, C, L, G, E and V of a subcircuit, whose sources are zero.
 
     Raises
     ------
@@ -78,7 +78,7 @@ class NodalCircuit:
 
     @cached_property
     def parameters(self) -> list[tuple[str, Tree]]:
-        """Names in lower case with their expressions, in the order of the ``.param`` cards."""
+        """Names in lower case with their expressions, in the order of the cards."""
         result: list[tuple[str, Tree]] = []
         for card in items_of(self.circuit.items, Parameters):
             for key, text in card.values.items():
@@ -168,7 +168,9 @@ def _parse_value(item: Element) -> Tree | float:
 
 
 def _stamps(item: Element, size: float) -> Iterable[tuple[int, str, str, float]]:
-    """Yield the entries of an element in G (0) and C (1): matrix, equation, unknown, value.
+    """Yield the entries of an element in G (0) and C (1).
+
+    Each consists of matrix, equation, unknown and value.
 
     The equation of a node is the sum of the currents that leave it. The equation of a current is
     the law of its element.

@@ -1,4 +1,4 @@
-"""Numbers as an engineer writes them, ``24.9u``, where ngspice reads the same double from them.
+"""Numbers with prefixes, such as ``24.9u``, that ngspice reads as equal doubles.
 
 ngspice reads digits as one integer and multiplies it by a power of ten. Rounding makes ``100n``
 another double than ``1e-07``, but ``100.00n`` the same. A parameter is multiplied by its scale
@@ -23,7 +23,7 @@ _LETTERS = {power: key for key, power in PREFIXES.items()}
 
 
 def value_of(text: str) -> float:
-    """The double that ngspice reads from a number on a card."""
+    """Return the double that ngspice reads from a number on a card."""
     match = _SPELLED.fullmatch(text)
     assert match is not None
     sign, integer, rest, exponent, letters = match.groups()
@@ -35,7 +35,7 @@ def value_of(text: str) -> float:
 
 
 def parameter_of(text: str) -> float:
-    """The double that ngspice reads from the value of a parameter."""
+    """Return the double that ngspice reads from the value of a parameter."""
     match = _SPELLED.fullmatch(text)
     assert match is not None
     plain = float(text.removesuffix(match[5])) * float(f"1e{PREFIXES[match[5]]}")
@@ -83,7 +83,10 @@ def rounded(value: float, digits: int = 4) -> str:
 
 
 def _spellings(number: Decimal, power: int) -> Iterator[str]:
-    """A number with the scale factor of a power of ten: further zeros may round otherwise."""
+    """Yield a number with the scale factor of a power of ten.
+
+    Further zeros may be rounded to another double.
+    """
     mantissa = number.scaleb(-power).normalize()
     if power in _LETTERS and abs(mantissa) >= LEAST_PLAIN:
         text = f"{mantissa:f}"

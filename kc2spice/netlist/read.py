@@ -65,7 +65,7 @@ class Statement(Card):
 
     @property
     def plain_words(self) -> list[str]:
-        """Words without the keyword ``params:``, which some dialects need before parameters."""
+        """Words without the keyword ``params:`` of some dialects."""
         return [word for word in self.words if word.lower() != "params:"]
 
 
@@ -95,7 +95,10 @@ def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
 
 
 def words(text: str) -> list[str]:
-    """Split a text at blanks outside of brackets and quotes, without blanks around a bare ``=``."""
+    """Split a text at blanks outside of brackets and quotes.
+
+    Blanks around a bare ``=`` are dropped.
+    """
     # Only the first of several blanks can begin a match, so that each is read once.
     return list(_split_at_blanks(re.sub(r"(?<!\s)\s*(?<![=<>!])=(?!=)\s*", "=", text)))
 
@@ -156,7 +159,10 @@ def tree_of(cards: Iterable[Statement]) -> Circuit:
 def _read_items(
     cards: Iterator[Statement], head: Statement | None
 ) -> tuple[tuple[Item, ...], tuple[str, ...]]:
-    """Return the items up to the ``.ends`` of ``head``, or of the file, and the comments there."""
+    """Return the items up to the ``.ends`` of ``head``, and the comments there.
+
+    Without ``head`` they are the items up to the end of the file.
+    """
     result: list[Item] = []
     for s in cards:
         if s.keyword == ".ends" and head is None:
@@ -225,7 +231,7 @@ def _origin(s: Statement) -> dict[str, Any]:
 
 
 def _read_function(s: Statement) -> Function | None:
-    """Read ``.func f(x) {law}`` or ``.param f(x) = {law}``; None if the card is neither."""
+    """Read ``.func f(x) {law}`` or ``.param f(x) = {law}``, otherwise return None."""
     name, opening, rest = s.written[len(s.keyword) :].strip().partition("(")
     inside, closing, law = rest.partition(")")
     if not (opening and closing and law.strip() and name.strip().isidentifier()):
@@ -290,7 +296,7 @@ def parse_element(s: Statement) -> Element:
 
 
 def _count_nodes(kind: str, rest: Sequence[str]) -> int:
-    """Return the number of nodes of an element with the words ``rest`` behind its name."""
+    """Return the number of nodes of an element, by the words behind its name."""
     if kind in "eg" and len(rest) > 2 and rest[2].lower().startswith(_LAWS):
         word = rest[2].lower().partition("=")[0].partition("(")[0]
         return 2 if word in _LAWS else 4
@@ -353,7 +359,7 @@ def _read_polynomial(text: str, where: str) -> str:
 
 
 def _read_table(text: str, where: str) -> str:
-    """Return the table ``{expression} = (x, y) …`` as an expression, flat beyond its ends."""
+    """Return the table ``{expression} = (x, y) …``, flat beyond its ends."""
     control, _, rest = text.lstrip("{").partition("}")
     points = rest.translate(str.maketrans("(),=", "    ")).split()
     ends = [literal(points[k], where=where) for k in (0, -2)] if len(points) > 1 else [None]

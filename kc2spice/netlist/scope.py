@@ -1,4 +1,4 @@
-"""Circuits as a simulator sees them: includes followed, names looked up from the inside out."""
+"""Circuits with their includes, and names with their scopes."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Scope:
         return result
 
     def elements_of(self, kinds: str) -> dict[str, Element]:
-        """Return the elements of some kinds, which are letters, by their names in lower case."""
+        """Return the elements of some letters by their names in lower case."""
         return {key: item for key, item in self.elements_by_key.items() if item.kind in kinds}
 
     def find(self, name: str) -> Scope | None:
@@ -78,7 +78,7 @@ class Scope:
 
 
 def circuit(tree: Circuit, files: Mapping[str, Circuit] | None = None, file: str = "") -> Scope:
-    """Return the circuit of a ``file``'s tree, with the content of its includes from ``files``.
+    """Return the circuit of a tree with the content of its includes from ``files``.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def _has_node(top: Scope, *path: str) -> bool:
 
 
 def find_instance(top: Scope, path: tuple[str, ...]) -> Scope | None:
-    """Return the scope of the instance ``xa.xb`` …, None if the circuit has no such instance."""
+    """Return the scope of the instance ``xa.xb`` …, None if it does not exist."""
     scope: Scope | None = top
     for name in path:
         element = scope.elements_by_key.get(name) if scope else None

@@ -1,4 +1,4 @@
-"""Spelling of numbers and names on a netlist card, and templates for readable cards."""
+"""Spelling of numbers and names on netlist cards, and templates."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ _RESERVED = frozenset({"gnd", "time", "temper", "hertz", "temp", "dtemp", "pi", 
 
 
 def number(value: float) -> str:
-    """The shortest decimal text (17 significant digits at most) that reads back as ``value``.
+    """Return the shortest decimal text that reads back as ``value``.
 
-    There are no suffix letters: SPICE reads ``M`` as milli, LTspice and others disagree on more.
+    It has at most 17 digits and no suffix letters: SPICE reads ``M`` as milli, and simulators
+    disagree on further letters.
 
     Raises
     ------
@@ -36,12 +37,12 @@ def number(value: float) -> str:
 
 
 def tidy(value: float) -> str:
-    """:func:`number` of a setting to 12 digits, without what arithmetic on it left behind."""
+    """Return a number rounded to 12 digits, without rounding errors of arithmetic."""
     return number(float(f"{value:.12g}"))
 
 
 def name(text: str, *, where: str = "netlist") -> str:
-    """``text`` if it may stand as a node, part or parameter name; netlists are programs.
+    """Return ``text`` if it is a valid name of a node, a part or a parameter.
 
     Raises
     ------
@@ -59,7 +60,7 @@ def voltage_between(plus: str, minus: str) -> str:
 
 
 def word(text: str) -> str:
-    """``text`` if it is one printable word, such as a unit in a header.
+    """Return ``text`` if it is one printable word, such as a unit in a header.
 
     Raises
     ------
@@ -98,7 +99,7 @@ def distinct(names: Sequence[str], inner: str, *, where: str) -> None:
 
 
 def comment(text: str) -> str:
-    """``text`` on one line, so that no word of it can ever become a card."""
+    """Return ``text`` on one line, so that no part of it becomes a card."""
     return " ".join("".join(ch if ch.isprintable() else " " for ch in text).split())
 
 
@@ -107,7 +108,7 @@ def comment(text: str) -> str:
 
 @cache
 def templates(autoescape: bool = False) -> Any:
-    """Renderer of ``kc2spice/templates`` in a wheel, or of ``templates`` in the repository."""
+    """Return the renderer of the templates of a wheel or of the repository."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     package = Path(__file__).resolve().parent.parent
@@ -129,12 +130,15 @@ def templates(autoescape: bool = False) -> Any:
 
 
 def quoted(text: str) -> str:
-    """``text`` as a string of an S-expression."""
+    """Return ``text`` as a string of an S-expression."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'
 
 
 def render(template: str, **values: object) -> str:
-    """Text of ``template``; filters are ``n`` (number), ``name`` (checked), ``comment``
-    and ``q`` (a string of an S-expression)."""
+    """Return the text of a template with its values.
+
+    Filters are ``n`` (number), ``name`` (checked), ``comment`` and ``q`` (a string of an
+    S-expression).
+    """
     return templates().get_template(template).render(**values)

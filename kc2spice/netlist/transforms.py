@@ -59,7 +59,7 @@ def quiet(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
 
 
 def renamed(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
-    """Return ``circuit`` with other names of subcircuits, in definitions and in instances."""
+    """Return ``circuit`` with other names of its subcircuits."""
     new = lower_keys(names)
 
     def rename(entry: Item) -> Item:
@@ -93,7 +93,7 @@ def cards(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
 
 
 def parameter_defaults(deck: Deck) -> dict[str, float]:
-    """Return the default of every numeric parameter of the deck's parts, by ``PART.NAME``."""
+    """Return the default of every numeric parameter by ``PART.NAME``."""
     result = {}
     for part in deck.parts:
         for library, item in cards(part):
@@ -146,7 +146,7 @@ def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -
 
 
 def _require_within(param: Param, library: str, value: float) -> None:
-    """Check that a parameter is within its range: a mass of zero, say, has no solution."""
+    """Check that a parameter is within its range."""
     least, most = param.low, param.high
     if least <= value <= most and math.isfinite(value):
         return
@@ -161,7 +161,7 @@ def _require_within(param: Param, library: str, value: float) -> None:
 
 
 def array_deck(deck: Deck, count: int) -> Deck:
-    """Return a deck with ``count`` copies of ``deck``: subcircuits ``X1``, ``X2``, … on node 0.
+    """Return a deck with ``count`` copies of ``deck`` as ``X1``, ``X2``, … on node 0.
 
     Results of copy k are called ``k.NAME``.
 

@@ -1,4 +1,4 @@
-"""The same netlist for other tools: each has a printer of the tree, and KiCad has symbols."""
+"""Netlists for other tools: files in dialects, modules and symbols."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from kc2spice.netlist.printers.verilog_a import module_files, testbench
 
 
 def translate(deck: Deck, dialect: str) -> Deck:
-    """``deck`` with all its files in the words of ``dialect``; ``ngspice`` leaves it alone.
+    """Return ``deck`` with all its files in a dialect; unchanged for ngspice.
 
     Raises
     ------
@@ -43,11 +43,11 @@ def translate(deck: Deck, dialect: str) -> Deck:
 
 
 def dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
-    """``{file name: text}`` of ``deck`` in ``dialect``, or ``verilog-a`` modules of its parts.
+    """Return ``{file name: text}`` of a deck in a dialect, or modules of its parts.
 
-    Verilog-A describes devices: a part that cannot be a module (pulse generators, transistors)
-    comes along as the library that it is, and ``verilog-a.txt`` says which and why. A testbench
-    ``NAME_osdi.cir`` runs the compiled modules in ngspice.
+    Verilog-A describes devices. A part that cannot be a module, such as a pulse generator, remains
+    a library, and ``verilog-a.txt`` gives the reason. The testbench ``NAME_osdi.cir`` runs the
+    compiled modules in ngspice.
 
     Raises
     ------
@@ -73,11 +73,11 @@ def dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
 
 
 def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
-    """``{file name: text}`` of the symbols of ``deck``, whose libraries are written in ``dialect``.
+    """Return ``{file name: text}`` of the symbols of a deck with its libraries.
 
-    KiCad simulates with ngspice: a project of the whole deck with its symbol library. Symbols of
-    other simulators name the library ``NAME.lib`` in their dialect. Beside libraries for ngspice
-    they name ``NAME.DIALECT.lib``, which come along.
+    With ngspice these are a KiCad project of the whole deck and symbols of all other simulators.
+    The latter name the libraries ``NAME.DIALECT.lib``, which are written too. In another dialect
+    the symbols of its simulator name the libraries ``NAME.lib``.
 
     Raises
     ------

@@ -249,7 +249,7 @@ def _run_ngspice(
 
 
 def _processor_time(pid: int) -> int | None:
-    """Return the clock ticks of a process and its children; None if the system has no such data."""
+    """Return the clock ticks of a process and its children, None if unknown."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
         return sum(map(int, fields[11:15]))
@@ -260,7 +260,7 @@ def _processor_time(pid: int) -> int | None:
 def partial_waves(
     deck: Deck, vectors: Mapping[str, np.ndarray] | None, text: str
 ) -> Waveforms | None:
-    """Return the waves that a failed run saved; None if vectors of the deck are missing."""
+    """Return the waves of a failed run, None if vectors of the deck are missing."""
     try:
         return Waveforms(waves_by_name(deck, vectors), read_statistics(text)) if vectors else None
     except SimulationError:
@@ -280,9 +280,10 @@ def own_reltol(deck: Deck) -> float:
 
 
 def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the results in SI by name, first the scale ``time``, ``frequency`` or ``sweep``.
+    """Return the results in SI by name, the scale first.
 
-    The scale is in SI too: a swept displacement is in metres, although its source counts um.
+    The scale is called ``time``, ``frequency`` or ``sweep``. It is in SI too: a swept displacement
+    is in metres, although its source counts um.
 
     Raises
     ------
@@ -308,7 +309,7 @@ _CHGTOL = 1e-14  # ngspice's own, where the deck says nothing
 
 @dataclass(frozen=True)
 class RetrySetting:
-    """Settings for another attempt: options of a deck, and a ``factor`` on tolerances and steps.
+    """Settings of an attempt: options, and a factor on tolerances and steps.
 
     ``cures`` are the causes of failures that it may cure, ``why`` is the reason.
     """
@@ -415,7 +416,7 @@ class RetriesFailedError(SimulationError):
 
 
 def _join_suggestions(violated: Iterable[Check]) -> dict[str, Any]:
-    """Return the keys that cure all violated checks except those that smaller steps cure.
+    """Return the keys that cure the violated checks, except those of long steps.
 
     The result is empty if no keys cure one of these checks.
     """
@@ -437,7 +438,7 @@ def run_with_retries(
     retries: int,
     judge: Callable[[Waveforms], Verdict],
 ) -> Outcome:
-    """Run ``deck`` by ``engine``, and again with other settings if these may cure a failure.
+    """Run a deck, and again with other settings if these may cure a failure.
 
     The cause of a failure selects the next setting, in addition to the earlier ones. A warning
     announces each retry. ``engine`` writes its logs into ``directory``. ``judge`` checks a finished

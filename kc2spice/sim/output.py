@@ -173,7 +173,7 @@ class FailedRunError(SimulationError):
 def failed_run(
     deck: Deck, where: str, text: str, code: int = 0, last: float | None = None
 ) -> FailedRunError | None:
-    """Error of a failed run with the log ``text``; None if it did not fail.
+    """Return the error of a failed run with the log ``text``, None if it succeeded.
 
     ``last`` is its last time point [s], where the run has ended; ngspice can stop a transient early
     and say nothing.
@@ -200,10 +200,10 @@ def failed_run(
 
 
 def altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None:
-    """The error of a run that said in ``text`` that it simulated another circuit than ``deck``.
+    """Return the error of a run that simulated another circuit than ``deck``.
 
-    None, and a warning of each alteration, where the deck is trusted, or where they are of what
-    models have for display.
+    ``text`` is the log. The result is None, with a warning of each alteration, if the deck is
+    trusted or if only displayed values of models were ignored.
     """
     altered = list_alterations(text)
     fatal = [] if deck.trusted else [row for row in altered if not _DISPLAYED.search(row)]
@@ -223,7 +223,7 @@ def altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None:
 
 
 def describe_node(deck: Deck, node: str) -> str | None:
-    """Describe the part of ``deck`` that contains ``node``, and the pins next to the node.
+    """Describe the part that contains a node, and the pins next to the node.
 
     ``node`` is spelled as in ngspice: ``x1.x2.name``, ``b.x1.b2`` for a device, ``v1#branch`` for
     the current of a source. The result is None if the deck has no such node.
@@ -252,7 +252,7 @@ def describe_node(deck: Deck, node: str) -> str | None:
 
 
 def _describe_instance(deck: Deck, scope: Scope, instance: str, name: str) -> str:
-    """Describe the ``instance`` by its title in the library, and the pin of an inner node.
+    """Describe an instance by its title, and the pin of an inner node.
 
     The name of an inner node or element ends with its pin: ``fring0`` belongs to ring0.
     """
@@ -327,7 +327,10 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
 
 
 def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Join the points of several analyses in rising order of the scale, the first vector."""
+    """Join the points of several analyses in rising order of their scale.
+
+    The scale is the first vector.
+    """
     result = {}
     for name in analyses[0]:
         result[name] = np.concatenate(list(map(itemgetter(name), analyses)))
@@ -371,7 +374,7 @@ def last_scale_value(path: Path) -> float | None:
 
 
 def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
-    """Read the plot that begins at byte ``begin``; None while its header is not complete.
+    """Read the plot from the byte ``begin``, None if its header is not complete.
 
     Raises
     ------

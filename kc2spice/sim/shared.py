@@ -2,9 +2,9 @@
 
 The calls are those of the ngspice manual's chapter "Ngspice as shared library".
 
-Each :class:`Library` is a private copy of the library: other users of libngspice in the process
-(PySpice, InSpice) keep theirs, in either order, and a copy that ngspice has given up after a fatal
-error is replaced. Neither the user's start-up file nor code models are read.
+Each :class:`Library` is a private copy of the library. Other users of libngspice in the process
+(PySpice, InSpice) have their own copies. A new copy replaces one with a fatal error. A copy reads
+neither the user's start-up file nor code models.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class _Sampler:
                 self.answers[item.source] = (due + item.delay, item.call(due, values))
 
     def set_source(self, volts: Any, time: float, name: bytes, *_: object) -> None:
-        """Set the voltage of a source; it changes behind the step that ends at the instant."""
+        """Set the voltage of a source, which changes after the step to its instant."""
         key = name.decode().lower()
         if key in self.answers and time > self.answers[key][0] * (1 + 1e-12):
             self.inputs[key] = self.answers.pop(key)[1]
@@ -103,7 +103,7 @@ class _Sampler:
 def run_shared(
     deck: Deck, sampled: Sequence[Sampled] = (), progress: Callable[[float], None] | None = None
 ) -> Waveforms:
-    """Run the transient ``deck`` in libngspice; results and names as from the batch engine.
+    """Run the transient ``deck`` in libngspice and return its results.
 
     The ``sampled`` functions see the deck's saved node voltages in ngspice's names and set the
     ``EXTERNAL`` sources that they name. ngspice gets a time point at both instants of each, also in
@@ -201,7 +201,7 @@ class Library:
         return self._library.ngSpice_Circ((c_char_p * len(lines))(*lines)) == 0
 
     def run(self, loop: _Sampler | None) -> bool:
-        """Run the circuit's analyses with ``loop`` in them; False if ngspice reports a failure."""
+        """Run the circuit's analyses with ``loop``; False if ngspice reports a failure."""
         self._loop = loop
         return self._command("run")
 
@@ -225,7 +225,7 @@ class Library:
     # -- what ngspice calls ------------------------------------------------------------------
 
     def _guard_callback(self, name: str) -> Callable[..., int]:
-        """Return a callback to ``name`` of the loop, without effect after a callback has failed."""
+        """Return a callback to the loop, without effect after a callback has failed."""
 
         def guarded(*arguments: Any) -> int:
             try:
@@ -248,7 +248,7 @@ class Library:
 
 
 def _load_private_copy() -> ctypes.CDLL:
-    """Load libngspice from a copy of its file, so that no other user shares its globals."""
+    """Load libngspice from a private copy of its file, with its own globals."""
     result = ctypes.util.find_library("ngspice")
     if result is None:
         raise MissingToolError(

@@ -1,4 +1,4 @@
-"""Common syntax of Xyce and LTspice that differs from ngspice; other cards are refused.
+"""Syntax of Xyce and LTspice that differs from ngspice.
 
 Sources: Xyce Reference Guide (devices B, S, X, commands .PRINT and .SUBCKT) and LTspice Help
 (B sources, .model SW, .save).
@@ -80,7 +80,7 @@ _SCALES = frozenset({"t", "g", "meg", "k", "m", "u", "n", "p", "f"})  # the same
 
 
 class Dialect(Printer, ABC):
-    """One simulator's spelling of a netlist; a subclass states what differs from ngspice.
+    """One simulator's spelling of a netlist, as differences from ngspice.
 
     ``dialect`` is the name for ``--dialect``, ``title`` the name of the simulator in messages and
     ``command`` what runs a deck. ``keyword`` stands before parameters of subcircuits. ``functions``
@@ -119,7 +119,7 @@ class Dialect(Printer, ABC):
         return min(analyses, key=attrgetter("keyword"), default=transient)
 
     def symbols(self, part: Subcircuit, library: str) -> dict[str, str]:
-        """Return the symbols of a part in the file ``library``, by file name; by default none."""
+        """Return the symbols of a part of the file ``library``; by default none."""
         return {}
 
     # -- cards ------------------------------------------------------------------------------
@@ -182,14 +182,17 @@ class Dialect(Printer, ABC):
         return " ".join((self.measure_keyword, kind.upper(), name, *read))
 
     def measured(self, text: str, kind: str) -> str:
-        """Return the vector of a measure: in ``ac`` a magnitude, or the real part of a current."""
+        """Return the vector of a measure.
+
+        In ``ac`` it is the magnitude of a voltage, or the real part of a current.
+        """
         if text.startswith("vm("):
             return self.magnitude(self.vector(f"v({text[3:]}"))
         plain = self.vector(text)
         return self.real_part(plain) if kind == "ac" else plain
 
     def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Return the words of a measure of where an extreme is; none if it has no equivalent."""
+        """Return the words that measure the place of an extreme; by default none."""
         return ()
 
     @abstractmethod
@@ -263,7 +266,7 @@ class Dialect(Printer, ABC):
         """Return the model of a voltage-controlled switch."""
 
     def start(self, text: str) -> str:
-        """Return a start value ``v(NODE)=VALUE`` with the name of the node in this dialect."""
+        """Return a start value ``v(NODE)=VALUE`` in this dialect."""
         node, equals, value = text.partition("=")
         return f"{self.vector(node)}={self.value(value)}" if equals else text
 
@@ -298,7 +301,7 @@ class Dialect(Printer, ABC):
         return known.get(text.lower(), text)
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Return a function by its meaning: ``pwl`` is ``table``, ``log`` is the natural one."""
+        """Return a function by its meaning, such as ``table`` for ``pwl``."""
         if function == "pwl":
             values = arguments[1:]
             flat = len(values) >= 4 and values[1] == values[3] and values[-1] == values[-3]

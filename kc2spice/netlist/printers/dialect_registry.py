@@ -1,4 +1,4 @@
-"""Dialects of netlists by name: those of this package, of installed packages, and registered ones.
+"""Dialects of netlists by name, from this and from other packages.
 
 A module of :mod:`kc2spice.netlist.printers.dialects` is named after its dialect. Other packages
 name theirs as entry points of the group :data:`GROUP`.
@@ -22,7 +22,7 @@ _dialects: dict[str, type[Dialect]] = {}
 
 
 def register_dialect(dialect: type[Dialect]) -> type[Dialect]:
-    """Register a simulator's dialect under its name, for ``--dialect`` and :func:`kc2spice.export`.
+    """Register a simulator's dialect for ``--dialect`` and for exports.
 
     A second dialect of the same name replaces the first one.
 
@@ -106,7 +106,7 @@ def deck_dialects() -> tuple[str, ...]:
 
 
 def dialect_names() -> tuple[str, ...]:
-    """Return the names of all dialects of an export: those of decks, and Verilog-A of parts."""
+    """Return the names of all dialects of an export, among them Verilog-A."""
     return (*deck_dialects(), VERILOG_A)
 
 

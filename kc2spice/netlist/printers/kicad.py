@@ -1,4 +1,4 @@
-"""KiCad: symbols of parts and elements, and decks as projects with sheet and simulation.
+"""KiCad: symbols of parts and elements, and decks as projects.
 
 Global labels join the nets. They have the node names of the deck, so that a curve has the same name
 in KiCad, in the deck and in the results. The formats are version 20231120 of symbol library and
@@ -102,7 +102,7 @@ def part_symbol(part: Subcircuit) -> Symbol:
 
 
 def element_symbols() -> dict[str, Symbol]:
-    """Return the symbols of elements by letter, and ``GND``, ``PWR_FLAG`` and ``PROBE``.
+    """Return the symbols of elements by letter, and of ``GND`` and other marks.
 
     Values are written as in a netlist (``Sim.Device`` ``SPICE``), so that no digit is lost.
     """
@@ -187,7 +187,7 @@ class _Item:
 
 
 def project(deck: Deck) -> dict[str, str]:
-    """Return a KiCad project that shows and simulates ``deck``, as ``{file name: text}``.
+    """Return a KiCad project of ``deck`` as ``{file name: text}``.
 
     ``NAME.kicad_pro`` opens it. The sheet runs with the analysis and the options of the deck, and
     the exported netlist has the results of the deck.
@@ -368,7 +368,7 @@ def _choose_paper(width: float, height: float) -> str:
 
 
 def _draw_grounds(items: list[_Item], plain: dict[str, Symbol]) -> Iterator[_Item]:
-    """Yield a ground at every pin on node 0, turned away from the symbol, and one flag."""
+    """Yield a ground at every pin on node 0, and one flag."""
     count = 0
     for x, y, side, net in _free_ends(items):
         if net == "0":
@@ -387,7 +387,7 @@ def _ground_mark(symbol: Symbol, reference: str, x: int, y: int, turn: int = 0) 
 
 
 def _write_workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
-    """Return KiCad's saved simulation: the analysis and four node voltages of the results.
+    """Return KiCad's saved simulation: the analysis and four node voltages.
 
     The first voltage of every part precedes any second one.
     """

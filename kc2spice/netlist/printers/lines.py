@@ -38,7 +38,7 @@ def card_lines(card: str) -> Iterator[str]:
 
 
 def comment_lines(text: str) -> Iterator[str]:
-    """Yield comments as lines. Further lines of one are indented by three blanks at least."""
+    """Yield comments as lines; further lines of a comment are indented."""
     for line in text.split("\n"):
         yield from _wrap_comment(line)
 
@@ -69,7 +69,7 @@ def _add_blanks(text: str, width: int) -> str:
 
 
 def _choose_end(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
-    """Return where a line that begins at ``begin`` ends at best, 0 where it must stay whole.
+    """Return the best end of a line from ``begin``, 0 if it must not be split.
 
     ``breaks`` are the possible ends, the better kinds first.
     """
@@ -83,15 +83,15 @@ def _choose_end(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
 
 
 def _last_within(places: Sequence[int], low: int, high: int) -> int:
-    """Return the last place, in rising order, from ``low`` to ``high``, 0 if there is none."""
+    """Return the last of rising places from ``low`` to ``high``, 0 if there is none."""
     count = bisect_right(places, high)
     return places[count - 1] if count and places[count - 1] >= low else 0
 
 
 def _possible_ends(line: str) -> tuple[list[int], ...]:
-    """Return the blanks of a line between words, those within brackets, and its operators.
+    """Return the places where a line may end, the better kinds first.
 
-    Those of sums come before those of products.
+    These are blanks between words, blanks within brackets, and operators of sums and products.
     """
     outer, inner, fixed, depth, quote = list[int](), list[int](), set[int](), 0, ""
     for place, ch in enumerate(line):

@@ -1,4 +1,4 @@
-"""Printer of trees for ngspice, from which the printers of other simulators derive."""
+"""Printer of trees for ngspice, the base of printers for other simulators."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def _join_words(*words: str) -> str:
 
 
 def located(circuit: Circuit, file: str) -> Circuit:
-    """Return the tree of a ``file`` with the line and the text of each card as it is printed."""
+    """Return the tree of a ``file`` with the line and the printed text of each card."""
     return replace(circuit, items=tuple(_locate_items(circuit.items, Printer(), file, count(1))))
 
 

@@ -11,9 +11,10 @@ _AXIS = {"tran": "", "ac": " xlog", "dc": "", "noise": " loglog"}
 
 
 def plot_script(deck: Deck) -> dict[str, str]:
-    """``{"NAME_plot.sp": text}``: one window for each unit of the results; empty without curves.
+    """Return ``{"NAME_plot.sp": text}`` with one window for each unit of the results.
 
-    ngspice runs a file whose first line is ``*ng_script`` as commands.
+    It is empty if there are no curves. ngspice runs a file whose first line is ``*ng_script`` as
+    commands.
     """
     axis = _AXIS.get(deck.command.kind)
     windows: dict[str, list[str]] = {}

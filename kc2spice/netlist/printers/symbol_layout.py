@@ -1,4 +1,4 @@
-"""Places of pins on the symbol of a part: inputs left, outputs right, references below."""
+"""Places of pins on the symbol of a part."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ _CONTROLLED = frozenset("egs")  # the last two nodes of these draw nothing
 
 @dataclass(frozen=True)
 class Place:
-    """The free end of a pin at grid position ``(x, y)``, y upwards, ``length`` from the body."""
+    """The free end of a pin at grid position ``(x, y)``, with y upwards.
+
+    It is ``length`` away from the body of the symbol.
+    """
 
     number: int
     name: str
@@ -37,7 +40,7 @@ class Box:
 
 
 def layout(part: Subcircuit) -> Box:
-    """Return the symbol of ``part``; a pin has the number of its position on ``.subckt``.
+    """Return the symbol of ``part``; its pins are numbered as on ``.subckt``.
 
     The left side of an actuator has its electrical terminals, the right side its mechanical ports.
     Electronics have their inputs on the left and their outputs on the right. Mechanical parts have

@@ -1,6 +1,6 @@
-"""Parts as Verilog-A modules, translated element by element from their one netlist.
+"""Parts as Verilog-A modules, translated element by element.
 
-Every card becomes one contribution on the same nodes, so module and ``.subckt`` are the same
+Every card becomes one contribution on the same nodes. Module and ``.subckt`` therefore are the same
 system of equations (Verilog-AMS Language Reference Manual 2.4, chapters 4 and 5). Nested instances
 are flattened, because Verilog-A compilers of simulators do not support hierarchy.
 """
@@ -240,7 +240,7 @@ def module_files(part: Subcircuit) -> dict[str, str]:
 
 
 def _expand(names: VerilogNames) -> None:
-    """Add the contributions of an instance, with those of nested instances under a prefix."""
+    """Add the contributions of an instance and of the instances within."""
     scope, module, prefix = names.scope, names.module, names.prefix
     for card in scope.commands:
         names.where = card.where
@@ -340,7 +340,7 @@ def _is_sensed(source: Element, scope: Scope) -> bool:
 
 
 def _value(part: Element, names: VerilogNames) -> str:
-    """Return the one value of a card; a second one, a multiplier or a model is refused."""
+    """Return the one value of a card; a multiplier or a model is refused."""
     if len(part.values) != 1 or set(part.settings) - ({"ic"} if part.kind == "c" else set()):
         raise part.error(_UNSAID)
     return names.value(part.values[0])
@@ -408,7 +408,7 @@ def _table(name: str, x: list[float], f: list[float]) -> str:
 
 
 def testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:
-    """Return the deck with ``modules`` in place of their subcircuits, as ``{file name: text}``.
+    """Return the files of a deck with ``modules`` in place of their subcircuits.
 
     ``openvaf-r NAME.va`` makes ``NAME.osdi`` of each module. Parts that are no modules remain
     libraries. Vectors inside of modules cannot be saved and are left out. The transient needs no

@@ -1,1 +1,1 @@
-"""Simulators besides ngspice: one module for each dialect, which registers its printer."""
+"""Simulators besides ngspice: each module registers one dialect."""

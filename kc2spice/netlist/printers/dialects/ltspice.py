@@ -18,7 +18,7 @@ _SIDES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM", "top": "TOP"}
 
 @register_dialect
 class LTspice(Dialect):
-    """Its behavioural sources take parameters as numbers in braces, as text."""
+    """LTspice, which inserts parameters of behavioural sources as text."""
 
     dialect = "ltspice"
     title = "LTspice"
@@ -65,7 +65,7 @@ class LTspice(Dialect):
         return ":".join([*_instance_names(path[:-1]), path[-1]])
 
     def device(self, trace: Trace) -> str:
-        """Return a device as its letter, instances and rest of the name: ``b:contact:ring0``."""
+        """Return a device with its letter in front, such as ``b:contact:ring0``."""
         (name,) = trace.names
         inner = (name[0], *_instance_names(trace.path), name[1:])
         return ":".join(inner) if trace.path else name

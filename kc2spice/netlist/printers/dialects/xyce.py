@@ -25,8 +25,9 @@ _SCALES = {"tran": "TIME", "ac": "FREQ"}  # words of measures for the scale
 
 @register_dialect
 class Xyce(Dialect):
-    """Its ``uramp`` lacks the chain rule (release 7.5), and of two ``.options timeint`` the last
-    replaces the first.
+    """Xyce, whose function ``uramp`` lacks the chain rule (release 7.5).
+
+    The second of two ``.options timeint`` replaces the first.
     """
 
     dialect = "xyce"
@@ -42,13 +43,16 @@ class Xyce(Dialect):
     measure_keyword = ".measure"
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """``max(0, x)`` is differentiated, ``uramp(x)`` is not."""
+        """Return a function; ``max(0, x)`` replaces ``uramp(x)``."""
         if function == "uramp":
             return super().call("max", (Number("0"), *arguments))
         return super().call(function, arguments)
 
     def element(self, part: Element) -> str:
-        """Return a card without ``IC=`` if the analysis has no ``uic``, as ngspice ignores it."""
+        """Return a card without ``IC=`` if the analysis has no ``uic``.
+
+        ngspice ignores it there, Xyce does not.
+        """
         if not _from_states(self.analysis) and part.kind in "cl":
             parameters = {k: v for k, v in part.parameters.items() if k.lower() != "ic"}
             part = replace(part, parameters=parameters)
@@ -57,8 +61,8 @@ class Xyce(Dialect):
     def directive(self, card: Directive) -> str:
         """Return a card of an analysis that Xyce runs as ngspice does.
 
-        A logarithmic range ends at the first point at or beyond its end, because Xyce would stop
-        before an end that is not one of its points. Steps are limited if a controller closes a
+        A logarithmic range ends at the first point at or beyond its end. Xyce would stop before an
+        end that is not one of its points. Steps are limited if a controller closes a
         loop: error control alone loses 5e-4 of a launch. Contacts begin at rest.
         """
         if card.keyword == ".tran":
@@ -77,7 +81,7 @@ class Xyce(Dialect):
         return " ".join([card.keyword, *card.words[:3], number(beyond)])
 
     def options(self, words: Sequence[str]) -> str:
-        """Return the options with a smaller ``reltol``, whose error control is looser in Xyce."""
+        """Return the options with a smaller ``reltol``, which Xyce needs."""
         timed = self.analysis.keyword == ".tran"
         return super().options([*map(_tighten_reltol, words)] if timed else words)
 
@@ -94,7 +98,7 @@ class Xyce(Dialect):
         return " ".join([card.keyword, step, stop, start, ceiling, *words])
 
     def law(self, part: Element) -> str:
-        """Braces around all expressions are required."""
+        """Return the expression of a behavioural source, always in braces."""
         quantity = part.quantity if part.kind == "b" else "value"
         return f"{quantity}={{{self.write(part.law)}}}"
 
@@ -119,7 +123,10 @@ class Xyce(Dialect):
         return "\n+ ".join([f".print {kind} format=raw", *vectors])
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
-        """``VON`` and ``VOFF`` must differ; hysteresis does not exist."""
+        """Return a switch, whose ``VON`` and ``VOFF`` must differ.
+
+        Xyce has no hysteresis.
+        """
         parameters = " ".join(f"{key.upper()}={value}" for key, value in values.items())
         band = literal(values.get("vh", "0"), where=self.where)
         middle = literal(values.get("vt", "0"), where=self.where)
@@ -140,7 +147,7 @@ def _from_states(card: Directive) -> bool:
 
 
 def _initial_nodes(deck: Deck) -> Iterator[str]:
-    """Yield the nodes of the deck at which a part within an instance has an initial state."""
+    """Yield the nodes at which a part within an instance has an initial state."""
     for instance in deck.scope.elements_of("x").values():
         called = deck.scope.find(instance.model)
         if called is None:
