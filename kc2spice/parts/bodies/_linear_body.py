@@ -71,15 +71,8 @@ class LinearBody(BodyChecks[LinearKeysT]):
         from kc2spice.bodies.impedance import analyse
 
         frequency = waves["frequency"].real
-        figures: dict[str, Any] = {
-            "frequency_hz": Metric(frequency.tolist(), "Hz"),
-            "impedance_ohm": Metric(np.abs(z).tolist(), "Ohm"),
-        }
-        try:
-            result = figures | _with_units(asdict(analyse(frequency, z)))
-        except UsageError:  # no resonance in the range: nothing to read off but the curve
-            return figures
-        if not (keys := varied(part)):
+        result, keys = impedance_metrics(frequency, z), varied(part)
+        if not keys or "bvd" not in result:
             return result
         # d ln(metric) / d ln(key), by key and metric: central differences within the ranges
         box = self.varying(part, build.scene, Clock())
@@ -245,6 +238,23 @@ def _count_of_key(part: Part, key: str) -> int:
     for name in key.split("."):
         value = getattr(value, name)
     return int(value)
+
+
+def impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> dict[str, Any]:
+    """The impedance (frequencies,) [Ohm] as metrics, and what an analyser reads off from it.
+
+    Without a resonance in the range the curve is the only metric.
+    """
+    from kc2spice.bodies.impedance import analyse
+
+    curve: dict[str, Any] = {
+        "frequency_hz": Metric(frequency.tolist(), "Hz"),
+        "impedance_ohm": Metric(np.abs(impedance).tolist(), "Ohm"),
+    }
+    try:
+        return curve | _with_units(asdict(analyse(frequency, impedance)))
+    except UsageError:  # no resonance in the range
+        return curve
 
 
 def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
