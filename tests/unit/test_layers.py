@@ -118,7 +118,7 @@ def test_only_parts_name_part_types():
 
     asking = {"scene", "synthesis", "sim", "report", "workflow", "cli", "api"}
     words = {"mass", "spring", "damper", "body", "netlist", "source", "sensor", "matrices",
-             "resistor", "capacitor", "inductor"}  # fmt: skip
+             "resistor", "capacitor", "inductor", "bvd"}  # fmt: skip
     named = {
         f"{name}: {node.value!r}"
         for name, path in MODULES.items()

@@ -1,0 +1,1 @@
+"""Part types whose keys are the values of a maker's data sheet."""

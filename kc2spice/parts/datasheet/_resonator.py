@@ -1,0 +1,278 @@
+"""Resonators by the Butterworth-Van Dyke circuit, as data sheets of ceramics and crystals state it.
+
+A clamped capacitance ``c0`` lies beside one series branch ``lm``, ``cm``, ``rm`` for each mode:
+
+    Y(s) = s c0 + sum_n s cm_n / (1 + s rm_n cm_n + s^2 lm_n cm_n)
+
+(K. S. Van Dyke, Proc. IRE 16 (1928) 742; IEEE Std 177-1966). Part types state how their keys follow
+from these elements. The elements follow from the keys by :mod:`._stated_values`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core import laws
+from kc2spice.core.figure import Figure
+from kc2spice.core.quantities import Section, Voltage
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
+from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.prefixes import rounded
+from kc2spice.netlist.spelling import LEAK_RATE, comment
+from kc2spice.parts.datasheet._stated_values import Relation
+from kc2spice.scene.model import (
+    Build,
+    GovernedScene,
+    JoinedScene,
+    KeysT,
+    Part,
+    PartType,
+    Scene,
+    Terminal,
+)
+from kc2spice.scene.rows import Neglected, Vector
+
+TWO_PI = 2 * math.pi
+
+
+class RatedKeys(Section):
+    """Key of every electrical part with a rating."""
+
+    rated_voltage: Voltage | None = Field(
+        None, gt=0, description="Largest voltage between the pins; by default not checked"
+    )
+
+
+@dataclass(frozen=True)
+class Resonator:
+    """Elements of a resonator in SI: ``c0``, and ``fs``, ``cm`` and ``rm`` of each mode."""
+
+    c0: float
+    fs: tuple[float, ...]
+    cm: tuple[float, ...]
+    rm: tuple[float, ...]
+
+    @classmethod
+    def from_unknowns(cls, values: np.ndarray) -> Resonator:
+        """Resonator from ``(c0, fs_1, …, cm_1, …, rm_1, …)``."""
+        c0, *others = map(float, values)
+        modes = len(others) // 3
+        columns = (tuple(others[k * modes : (k + 1) * modes]) for k in range(3))
+        return cls(c0, *columns)
+
+    @cached_property
+    def lm(self) -> tuple[float, ...]:
+        """Motional inductances [H], ``1 / ((2 pi fs)^2 cm)``."""
+        return tuple(1 / ((TWO_PI * f) ** 2 * c) for f, c in zip(self.fs, self.cm, strict=True))
+
+    @cached_property
+    def fp(self) -> tuple[float, ...]:
+        """Antiresonances [Hz] of the lossless circuit, in the order of ``fs``.
+
+        With the charge of each branch as unknown, the open circuit has the eigenvalues of
+        ``diag(w^2) + g g' / c0``, ``g_n = lm_n^(-1/2)``.
+        """
+        w, g = TWO_PI * np.array(self.fs), 1 / np.sqrt(self.lm)
+        squares = np.linalg.eigvalsh(np.diag(w**2) + np.outer(g, g) / self.c0)
+        result = np.empty(len(self.fs))
+        result[np.argsort(self.fs)] = np.sqrt(squares) / TWO_PI
+        return tuple(map(float, result))
+
+    def admittance(self, frequency: np.ndarray) -> np.ndarray:
+        """Y (n,) complex [S] at frequencies [Hz]."""
+        s = 2j * np.pi * np.asarray(frequency, float)
+        result = s * self.c0
+        for cm, lm, rm in zip(self.cm, self.lm, self.rm, strict=True):
+            result = result + s * cm / (1 + s * rm * cm + s**2 * lm * cm)
+        return np.asarray(result)
+
+    def capacitance(self, frequency: float) -> float:
+        """Capacitance [F] without losses, ``c0 + sum cm / (1 - (f / fs)^2)``."""
+        modes = zip(self.cm, self.fs, strict=True)
+        return self.c0 + sum(c / (1 - (frequency / f) ** 2) for c, f in modes)
+
+    def coupling(self, mode: int) -> float:
+        """Effective coupling coefficient, ``sqrt(1 - (fs / fp)^2)``."""
+        return math.sqrt(max(0.0, 1 - (self.fs[mode] / self.fp[mode]) ** 2))
+
+    def quality(self, mode: int) -> float:
+        """Mechanical Q factor, ``1 / (2 pi fs rm cm)``."""
+        return 1 / (TWO_PI * self.fs[mode] * self.rm[mode] * self.cm[mode])
+
+
+@dataclass(frozen=True)
+class ResonatorNetlist:
+    """Parameters of a subcircuit, and its elements as texts of them, the last ones per mode."""
+
+    params: tuple[Param, ...]
+    constants: Mapping[str, str]
+    modes: tuple[str, ...]
+
+
+class ResonatorPart(PartType[KeysT]):
+    """A part whose subcircuit is the Butterworth-Van Dyke circuit between two pins."""
+
+    source = "data sheet"
+    noise = ("Rm*",)
+    ends: ClassVar[tuple[str, str]] = ("anode", "cathode")
+    rating = "not known; the current through rm heats the part"
+
+    @abstractmethod
+    def resonator(self, part: Part[KeysT]) -> Resonator:
+        """Elements from the keys of a part; UsageError if the keys do not determine them."""
+
+    @abstractmethod
+    def netlist(self, part: Part[KeysT], circuit: Resonator) -> ResonatorNetlist:
+        """Parameters, and equations from them to ``c0`` and to ``lm``, ``cm``, ``rm``."""
+
+    def detail(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
+        return self.resonator(part)
+
+    def circuit(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
+        """Elements of a part of a resolved scene."""
+        record = scene.record(part)
+        if record is None or not isinstance(record.detail, Resonator):
+            return self.resonator(part)
+        return record.detail
+
+    def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
+        plus, minus = self.ends
+        rated = getattr(part.keys, "rated_voltage", None)
+        joined = scene.is_target(part.name, minus)
+        return (
+            Terminal(plus, "V", "A", required=True, rated=rated),
+            Terminal(minus, "V", "A", None if joined else "gnd", required=joined, rated=rated),
+        )
+
+    def subcircuits(
+        self, part: Part[KeysT], build: Build, header: Header
+    ) -> tuple[Subcircuit, ...]:
+        from kc2spice.synthesis.header import defaults, part_header  # loads slowly
+
+        content = self.netlist(part, self.circuit(part, build.scene))
+        name, pins = build.libraries[part.name], tuple(Pin(end, "V", "A") for end in self.ends)
+        title = f"{name}: {self.title}"
+        head = part_header(header, title, pins, content.params, rating=self.rating)
+        items = tuple(_cards(content, *self.ends))
+        circuit = Circuit(name, self.ends, defaults(content.params), items, notes=head)
+        tree = Circuit(items=(circuit,))
+        return (
+            Subcircuit(
+                name, pins, content.params, tree, title=comment(title), head_lines=len(head)
+            ),
+        )
+
+    # --- results ----------------------------------------------------------------------------
+
+    def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
+        result, (plus, minus) = {}, self.ends
+        nets = (
+            (sign, build.net(part, end)) for sign, end in zip(("", "-"), self.ends, strict=True)
+        )
+        if across := "".join(f"{sign}v({net})" for sign, net in nets if net != "0"):
+            result[f"{part.name}.voltage"] = Vector(across, 1.0, "V")
+        meter = f"i(v.x{part.name.lower()}.vmeter)"
+        result[f"{part.name}.current"] = Vector(meter, 1.0, "A", (minus,), (plus,))
+        return result
+
+    def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
+        from kc2spice.rom.linear_model import LinearModel, Port  # loads slowly
+
+        circuit, n, (plus, minus) = self.circuit(part, build.scene), part.name, self.ends
+        ones = np.ones((len(circuit.fs), 1))
+        model = LinearModel(
+            M=np.diag(circuit.lm),
+            E=np.diag(circuit.rm),
+            K=np.diag(1 / np.array(circuit.cm)),
+            B=ones,
+            C=ones.T,
+            D=np.array([[circuit.c0]]),
+            ports=(Port(plus, "electrical", pins=self.ends),),
+            name=n,
+        )
+        body = laws.SecondOrderBody(n, model, (laws.LawPort(plus, "electrical", minus),))
+        results = {
+            f"{n}.voltage": laws.difference(f"{n}.{plus}", f"{n}.{minus}"),
+            f"{n}.current": laws.reading(f"{n}.{plus}.through"),
+        }
+        return laws.Equations((body,), tuple((end, f"{n}.{end}") for end in self.ends), results)
+
+    def metrics(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, object]:
+        from kc2spice.parts.bodies._linear_body import impedance_metrics, measured
+
+        z = measured(part, waves)
+        return {} if z is None else impedance_metrics(waves["frequency"].real, z)
+
+    def figures(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Figure]:
+        from kc2spice.parts.bodies._linear_body import measured
+        from kc2spice.parts.bodies._pictures import PEAKS, impedances
+
+        z = measured(part, waves)
+        if z is not None:
+            how = f"as the circuit shows it at {part.name}{PEAKS}"
+            yield impedances(part.name, waves["frequency"].real, {"": z}, how)
+
+    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
+        circuit = self.circuit(part, scene)
+        yield f"c0 = {circuit.c0:.4g} F"
+        for n, fs in enumerate(circuit.fs):
+            yield (
+                f"mode {n + 1}: fs {fs:.6g} Hz, fp {circuit.fp[n]:.6g} Hz, Q "
+                f"{circuit.quality(n):.4g}, coupling {circuit.coupling(n):.4g}, "
+                f"rm {circuit.rm[n]:.4g} Ohm"
+            )
+        yield Neglected("further modes", "the data sheet states none", "not estimated")
+        yield Neglected(
+            "dielectric loss", "c0 is an ideal capacitance", "tan delta of its admittance"
+        )
+        yield Neglected(
+            "nonlinearity and temperature", "the circuit is that of small signals", "not estimated"
+        )
+
+
+def of_unknowns(value: Callable[[Resonator], float]) -> Relation:
+    """A value of a resonator as a function of the unknowns."""
+    return lambda unknowns: value(Resonator.from_unknowns(unknowns))
+
+
+def _cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[Item]:
+    """Elements between two pins, with the leak that keeps the charge of a floating net."""
+    for name, text in content.constants.items():
+        yield Parameters({name: f"{{{text}}}"})
+    yield Element.of("Vmeter", plus, "inner", "0")
+    yield Element.of("C0", "inner", minus, "{c0}")
+    for n in content.modes:
+        # The small resistance beside the small admittance of the capacitor would take its digits.
+        inductor, capacitor = f"motion{n}", f"charge{n}"
+        yield Element.of(f"Rm{n}", "inner", inductor, f"{{rm{n}}}")
+        yield Element.of(f"Lm{n}", inductor, capacitor, f"{{lm{n}}}")
+        yield Element.of(f"Cm{n}", capacitor, minus, f"{{cm{n}}}")
+    total = "+".join(("c0", *(f"cm{n}" for n in content.modes)))
+    yield Element.of("Gleak", "inner", minus, "inner", minus, f"{{{LEAK_RATE:g}*({total})}}")
+
+
+def tolerance_note(value: float, tolerance: float | None) -> str:
+    """Range of a parameter by its tolerance, for the head of a netlist; empty without one."""
+    if tolerance is None:
+        return ""
+    low, high = (rounded(value * (1 + sign * tolerance)) for sign in (-1, 1))
+    return f", tolerance {100 * tolerance:.4g} % ({low} to {high})"
+
+
+def to_twelve_digits(value: float) -> float:
+    """A value with twelve significant digits, without the rounding errors of its equations."""
+    return float(f"{value:.12g}")
+
+
+def numbered(modes: int) -> Sequence[str]:
+    """Endings of the names of each mode's elements: none of a single mode."""
+    return ("",) if modes == 1 else [str(n + 1) for n in range(modes)]

@@ -1,0 +1,206 @@
+"""Unknowns of a circuit from the values of a data sheet, which may be more than are needed.
+
+Each value is a function of the unknowns. Unknowns and values are positive, so that the equations
+are solved in logarithms: with ``x = ln(unknowns)`` and the tolerance t of each value,
+
+    minimise  sum_j (ln value_j(x) - ln stated_j)^2 / t_j^2.
+
+A value that the others determine as well must agree with them within the tolerances of all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from kc2spice.core.errors import MOST_CHOICES, UsageError
+
+ROUNDING = 0.005  # relative, of a value with three digits: half a unit of the third one at most
+STEP = 1e-5  # in logarithms, of central differences: their errors are 1e-10 and 1e-11
+RANK = 1e-7  # relative singular value of an undetermined unknown; far above those errors
+EXACT = 1e-6  # relative error of an equation that counts as solved
+LARGEST = 150.0  # logarithm of the largest unknown, far inside the range of a float
+
+Relation = Callable[[np.ndarray], float]
+
+
+@dataclass(frozen=True)
+class StatedValues:
+    """Values of a data sheet by their keys, and what each of them is in terms of the unknowns.
+
+    ``relations`` has the functions of all values that a sheet may state, of the unknowns
+    ``start.size`` in SI. ``start`` is where the iteration begins. Values have the relative
+    ``tolerance`` that is stated, otherwise ``rounding``. ``units`` are those of the values.
+    """
+
+    part: str
+    stated: Mapping[str, float]
+    relations: Mapping[str, Relation]
+    start: np.ndarray
+    units: Mapping[str, str]
+    tolerance: Mapping[str, float]
+    rounding: Mapping[str, float]
+
+    def solve(self) -> np.ndarray:
+        """Return the unknowns.
+
+        Raises
+        ------
+        UsageError : too few values, values that contradict each other, or that no circuit has.
+        """
+        self._require_enough()
+        result = self._fitted
+        self._require_solution(result)
+        self._require_agreement(result)
+        return np.exp(result)
+
+    def tolerance_of(self, key: str) -> float:
+        """Tolerance of a value as a difference of logarithms."""
+        return math.log1p(self.tolerance.get(key, self.rounding.get(key, ROUNDING)))
+
+    def text(self, key: str, value: float) -> str:
+        """``key = value unit``."""
+        return f"{key} = {value:.5g} {self.units[key.partition('[')[0]]}".rstrip()
+
+    # --- equations --------------------------------------------------------------------------
+
+    def _logarithm(self, key: str, x: np.ndarray) -> float:
+        unknowns = np.exp(np.clip(x, -LARGEST, LARGEST))
+        value = self.relations[key](unknowns)
+        return math.log(value) if 0 < value < math.inf else -LARGEST
+
+    def _gradient(self, key: str, x: np.ndarray) -> np.ndarray:
+        """Derivatives (unknowns,) of the logarithm of a value by those of the unknowns."""
+        steps = STEP * np.eye(x.size)
+        rows = [self._logarithm(key, x + h) - self._logarithm(key, x - h) for h in steps]
+        return np.array(rows) / (2 * STEP)
+
+    def _residual(self, key: str, x: np.ndarray) -> float:
+        return self._logarithm(key, x) - math.log(self.stated[key])
+
+    @cached_property
+    def _fitted(self) -> np.ndarray:
+        """Logarithms of the unknowns."""
+        from scipy.optimize import least_squares  # loads slowly
+
+        weights = np.array([1 / self.tolerance_of(key) for key in self.stated])
+        weights /= weights.max()
+
+        def residuals(x: np.ndarray) -> np.ndarray:
+            return weights * [self._residual(key, x) for key in self.stated]
+
+        def slopes(x: np.ndarray) -> np.ndarray:
+            return weights[:, None] * [self._gradient(key, x) for key in self.stated]
+
+        close = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+        result = least_squares(residuals, np.log(self.start), slopes, method="lm", **close)
+        return np.asarray(result.x)
+
+    def _without(self, key: str) -> StatedValues:
+        stated = {other: value for other, value in self.stated.items() if other != key}
+        return replace(self, stated=stated)
+
+    def _rank(self, x: np.ndarray, *more: str) -> int:
+        rows = [self._gradient(key, x) for key in (*self.stated, *more)]
+        return int(np.linalg.matrix_rank(np.array(rows), tol=RANK)) if rows else 0
+
+    # --- faults -----------------------------------------------------------------------------
+
+    def _require_enough(self) -> None:
+        x, rank = np.log(self.start), self._rank(np.log(self.start))
+        if rank == x.size:
+            return
+        useful = [key for key in self.relations if self._rank(x, key) > rank]
+        chosen: list[str] = []
+        for key in useful:
+            if self._rank(x, *chosen, key) > rank + len(chosen):
+                chosen.append(key)
+        listed = ", ".join(useful[:MOST_CHOICES]) + ", …" * (len(useful) > MOST_CHOICES)
+        missing = x.size - rank
+        raise UsageError(
+            "these values do not determine the circuit",
+            where=self.part,
+            got=", ".join(self.stated) or "no value",
+            expected=f"{missing} more value{'s' * (missing > 1)} of {listed}",
+            hint=f"add {_enumerated(chosen[:missing])}",
+        )
+
+    def _require_solution(self, x: np.ndarray) -> None:
+        """Refuse values that determine the circuit but that no circuit has."""
+        if len(self.stated) > x.size:
+            return
+        misses = {key: abs(self._residual(key, x)) for key in self.stated}
+        if max(misses.values()) > EXACT:
+            self._refuse_worst(x, misses)
+
+    def _refuse_worst(self, x: np.ndarray, misses: Mapping[str, float]) -> None:
+        first, second = sorted(misses, key=lambda key: -misses[key] / self.tolerance_of(key))[:2]
+        nearest = (self.text(key, math.exp(self._logarithm(key, x))) for key in (first, second))
+        stated = (self.text(key, self.stated[key]) for key in (first, second))
+        raise UsageError(
+            "no circuit has these values",
+            where=f"{self.part}.{first}",
+            got=" and ".join(stated),
+            expected=f"values of one circuit; the nearest one has {' and '.join(nearest)}",
+            hint=f"check {first} and {second}, and their units",
+        )
+
+    def _require_agreement(self, x: np.ndarray) -> None:
+        """Refuse values that no circuit has within their tolerances.
+
+        A value that the others imply with the derivatives ``S_k`` may differ from the stated one by
+        ``t + sum |S_k| t_k``.
+        """
+        redundant = {}
+        for key in self.stated if len(self.stated) > x.size else ():
+            others = self._without(key)
+            if others._rank(x) == x.size:
+                redundant[key] = others._influence(key, x)
+        if not any(self._differs(key, shares, x) for key, shares in redundant.items()):
+            return
+        key = max(redundant, key=self._correction)
+        shares = redundant[key]
+        other = max(shares, key=lambda name: abs(shares[name]) * self.tolerance_of(name))
+        raise self._contradiction(key, other)
+
+    def _differs(self, key: str, shares: Mapping[str, float], x: np.ndarray) -> bool:
+        """Whether the value that others imply differs by more than all tolerances."""
+        implied = sum(share * self._residual(name, x) for name, share in shares.items())
+        allowed = sum(abs(share) * self.tolerance_of(name) for name, share in shares.items())
+        return abs(implied - self._residual(key, x)) > allowed + self.tolerance_of(key)
+
+    def _correction(self, key: str) -> float:
+        """Difference of a value from the one that all others imply, in logarithms."""
+        return abs(self._residual(key, self._without(key)._fitted))
+
+    def _influence(self, key: str, x: np.ndarray) -> dict[str, float]:
+        """Derivatives of the value that these values imply for ``key``, by each of them."""
+        weights = np.array([1 / self.tolerance_of(name) for name in self.stated])
+        slopes = np.array([self._gradient(name, x) for name in self.stated])
+        solution = np.linalg.pinv(weights[:, None] * slopes) * weights
+        return dict(zip(self.stated, self._gradient(key, x) @ solution, strict=True))
+
+    def _contradiction(self, key: str, other: str) -> UsageError:
+        implied = {name: self._without(name) for name in (key, other)}
+        texts = {
+            name: self.text(name, math.exp(rest._logarithm(name, rest._fitted)))
+            for name, rest in implied.items()
+        }
+        stated = [self.text(name, self.stated[name]) for name in (key, other)]
+        return UsageError(
+            f"{key} contradicts {other}",
+            where=f"{self.part}.{key}",
+            got=" and ".join(stated),
+            expected=f"{texts[key]}, which follows from {other} and the other values, or "
+            f"{texts[other]}, which follows from {key} and the other values",
+            hint=f"correct or delete one of both, or state the tolerance of {key}",
+        )
+
+
+def _enumerated(words: list[str]) -> str:
+    """Words with commas, and ``and`` before the last one."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))

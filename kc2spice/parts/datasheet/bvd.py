@@ -1,0 +1,350 @@
+"""A piezoelectric part from its data sheet: resonances, capacitance, coupling and losses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import Annotated
+
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import (
+    Capacitance,
+    Frequency,
+    Inductance,
+    Ratio,
+    Resistance,
+    refused,
+)
+from kc2spice.netlist.circuit import Param, positive
+from kc2spice.parts.datasheet._resonator import (
+    TWO_PI,
+    RatedKeys,
+    Resonator,
+    ResonatorNetlist,
+    ResonatorPart,
+    numbered,
+    of_unknowns,
+    to_twelve_digits,
+    tolerance_note,
+)
+from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
+from kc2spice.scene.model import GovernedScene, Part
+from kc2spice.scene.parttype import register
+
+MOST_MODES = 8
+LOW = 1e3  # Hz, at which sheets state capacitances
+FREQUENCY_ROUNDING = 5e-4  # relative, of a frequency with four digits
+# Elements relative to the clamped capacitance and the frequency, where the iteration begins: those
+# of a ceramic with a coupling of 0.22 and a Q factor of 100.
+START_RATIO, START_QUALITY = 0.05, 100.0
+SMALLEST_RATIO = 1e-9  # of a motional to the clamped capacitance, below that of any crystal
+FREQUENCY, CLAMPED = 1e4, 1e-9  # Hz and F, where it begins without a stated value
+
+
+def _listed(value: object) -> object:
+    """One value as a list of one."""
+    if isinstance(value, (list, tuple)):
+        if value == []:  # the default is an empty tuple
+            raise refused("an empty list", "a value, or a list with one value for each mode")
+        return value
+    return (value,)
+
+
+Modes = BeforeValidator(_listed)
+
+
+class BvdKeys(RatedKeys):
+    """Any values of the sheet that determine the circuit; further ones must agree with them.
+
+    A part with several modes has lists of equal length, one entry for each mode.
+    """
+
+    fs: Annotated[tuple[Annotated[Frequency, Field(gt=0)], ...], Modes] = Field(
+        (), description="Series resonance, at which the motional branch is a resistance"
+    )
+    fp: Annotated[tuple[Annotated[Frequency, Field(gt=0)], ...], Modes] = Field(
+        (), description="Parallel resonance (antiresonance) without losses"
+    )
+    keff: Annotated[tuple[Annotated[Ratio, Field(gt=0, lt=1)], ...], Modes] = Field(
+        (), description="Effective coupling coefficient, sqrt(1 - (fs/fp)^2)"
+    )
+    cm: Annotated[tuple[Annotated[Capacitance, Field(gt=0)], ...], Modes] = Field(
+        (), description="Motional capacitance, also called C1"
+    )
+    lm: Annotated[tuple[Annotated[Inductance, Field(gt=0)], ...], Modes] = Field(
+        (), description="Motional inductance, also called L1"
+    )
+    rm: Annotated[tuple[Annotated[Resistance, Field(gt=0)], ...], Modes] = Field(
+        (), description="Motional resistance, also called R1"
+    )
+    qm: Annotated[tuple[Annotated[Ratio, Field(gt=0)], ...], Modes] = Field(
+        (), description="Mechanical Q factor, 1/(2 pi fs rm cm)"
+    )
+    zs: Annotated[tuple[Annotated[Resistance, Field(gt=0)], ...], Modes] = Field(
+        (), description="Magnitude of the impedance at the series resonance"
+    )
+    c0: Capacitance | None = Field(None, gt=0, description="Clamped capacitance beside the branch")
+    c_low: Capacitance | None = Field(
+        None, gt=0, description="Capacitance at the low frequency c_low_at"
+    )
+    c_low_at: Frequency = Field(LOW, ge=0, description="Frequency at which c_low was measured")
+    tolerance: dict[str, Annotated[Ratio, Field(gt=0, lt=1)]] = Field(
+        {}, description="Relative tolerances of stated values by their keys, such as c_low = '30 %'"
+    )
+
+
+# Values of each mode, by their keys.
+PER_MODE: Mapping[str, Callable[..., float]] = {
+    "fs": lambda circuit, mode: circuit.fs[mode],
+    "fp": lambda circuit, mode: circuit.fp[mode],
+    "keff": lambda circuit, mode: circuit.coupling(mode),
+    "cm": lambda circuit, mode: circuit.cm[mode],
+    "lm": lambda circuit, mode: circuit.lm[mode],
+    "rm": lambda circuit, mode: circuit.rm[mode],
+    "qm": lambda circuit, mode: circuit.quality(mode),
+    "zs": lambda circuit, mode: 1 / abs(circuit.admittance(np.array(circuit.fs[mode]))),
+}
+UNITS = {
+    "fs": "Hz", "fp": "Hz", "keff": "", "cm": "F", "lm": "H", "rm": "Ohm", "qm": "", "zs": "Ohm",
+    "c0": "F", "c_low": "F",
+}  # fmt: skip
+WORDS = {
+    "fs": "series resonance",
+    "fp": "parallel resonance",
+    "keff": "effective coupling coefficient",
+    "cm": "motional capacitance",
+    "rm": "motional resistance",
+    "qm": "mechanical Q factor",
+    "zs": "impedance at the series resonance",
+    "c0": "clamped capacitance",
+}
+
+
+class Bvd(ResonatorPart[BvdKeys]):
+    name = "bvd"
+    title = "resonator from its data sheet (Butterworth-Van Dyke)"
+    schema = BvdKeys
+    example = """
+[bvd]
+part = "bvd"
+fs = "6.3 kHz"
+keff = 0.22
+c_low = "10 nF"
+zs = "200 Ohm"
+tolerance = { c_low = "30 %" }
+pins = { anode = "drive.out" }
+
+[drive]
+part = "source"
+ac = "1 V"
+
+[analysis]
+type = "ac"
+start = "1 kHz"
+stop = "10 kHz"
+"""
+
+    def problems(self, part: Part[BvdKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        circuit = self.circuit(part, scene)
+        if part.keys.c_low is not None and part.keys.c_low_at >= min(circuit.fs):
+            yield part.wrong(
+                "c_low_at",
+                "the capacitance is measured above the lowest resonance",
+                f"{part.keys.c_low_at:g} Hz, the resonance is at {min(circuit.fs):.5g} Hz",
+                "a frequency below the lowest series resonance",
+                "set c_low_at to the frequency that the sheet states with the capacitance",
+            )
+
+    def resonator(self, part: Part[BvdKeys]) -> Resonator:
+        keys, modes = part.keys, self._mode_count(part)
+        stated: dict[str, float] = {}
+        for name in PER_MODE:
+            labels = _labels(name, modes)
+            stated |= dict(zip(labels, getattr(keys, name), strict=False))
+        stated |= {name: v for name in ("c0", "c_low") if (v := getattr(keys, name)) is not None}
+        self._check_tolerances(part)
+        start = _start(keys, modes)
+        for problem in _impossible(part, start):
+            raise problem
+        tolerance = {label: keys.tolerance.get(label.partition("[")[0]) for label in stated}
+        values = StatedValues(
+            part.name,
+            stated,
+            _relations(modes, keys.c_low_at),
+            start,
+            UNITS,
+            {label: value for label, value in tolerance.items() if value is not None},
+            {label: FREQUENCY_ROUNDING for label in stated if label[:2] in ("fs", "fp")},
+        )
+        return Resonator.from_unknowns(values.solve())
+
+    def _mode_count(self, part: Part[BvdKeys]) -> int:
+        """Number of modes; UsageError if lists differ in length."""
+        counts = {name: len(v) for name in PER_MODE if (v := getattr(part.keys, name))}
+        most = max(counts.values(), default=1)
+        short = [name for name, count in counts.items() if count < most]
+        if short or most > MOST_MODES:
+            name = min(counts, key=lambda key: counts[key]) if short else max(counts)
+            raise part.wrong(
+                name,
+                "lists of modes differ in length" if short else "too many modes",
+                ", ".join(f"{key} of {count}" for key, count in counts.items()),
+                f"one entry for each of {most} modes" if short else f"at most {MOST_MODES}",
+                "state each value for every mode, or delete the list",
+            )
+        return most
+
+    def _check_tolerances(self, part: Part[BvdKeys]) -> None:
+        for name in part.keys.tolerance:
+            if not (name in UNITS and getattr(part.keys, name)):
+                values = [key for key in UNITS if getattr(part.keys, key)]
+                raise part.wrong(
+                    f"tolerance.{name}",
+                    "the tolerance of a value that is not stated",
+                    name,
+                    f"one of {', '.join(values)}",
+                    f"state {name}, or delete its tolerance" if name in UNITS else None,
+                )
+
+    def netlist(self, part: Part[BvdKeys], circuit: Resonator) -> ResonatorNetlist:
+        keys, modes = part.keys, len(circuit.fs)
+        ends, params, constants = numbered(modes), list[Param](), dict[str, str]()
+        level = "c0" if keys.c_low is None else "c_low"
+        total, fixed = ["1"], []
+        for n, end in enumerate(ends):
+            ratio, loss = _ratio_key(keys, modes), _loss_key(keys, modes)
+            for key in ("fs", ratio, loss):
+                params.append(_param(keys, circuit, key, n, end))
+            slow = f"/(1-{keys.c_low_at**2!r}/(fs{end}*fs{end}))"
+            if ratio == "cm":
+                fixed.append(f"-cm{end}{slow}")
+                continue
+            square = f"keff{end}*keff{end}" if ratio == "keff" else "(1-fs*fs/(fp*fp))"
+            constants[f"ratio{end}"] = f"{square}/(1-{square})"
+            total.append(f"ratio{end}{slow}")
+        value = to_twelve_digits(
+            circuit.c0 if level == "c0" else circuit.capacitance(keys.c_low_at)
+        )
+        params.append(positive(level, value, "F", _words(keys, level, value)))
+        if level == "c_low":
+            constants["c0"] = f"(c_low{''.join(fixed)})/({'+'.join(total)})"
+        for end in ends:
+            constants |= _elements(end, ratio, loss)
+        return ResonatorNetlist(tuple(params), constants, tuple(ends))
+
+
+def _impossible(part: Part[BvdKeys], start: np.ndarray) -> Iterator[UsageError]:
+    """Pairs of values that no circuit has."""
+    keys = part.keys
+    for fs, fp in zip(keys.fs, keys.fp, strict=False):
+        if fs >= fp:
+            yield part.wrong(
+                "fp",
+                "the parallel resonance is not above the series resonance",
+                f"fs = {fs:g} Hz and fp = {fp:g} Hz",
+                "fp above fs",
+                "exchange both values",
+            )
+    if keys.c0 and keys.c_low and keys.c0 >= keys.c_low:
+        yield part.wrong(
+            "c_low",
+            "the low-frequency capacitance is not above the clamped one",
+            f"c0 = {keys.c0:g} F and c_low = {keys.c_low:g} F",
+            "c_low above c0, by the motional capacitances",
+            "exchange both values, or delete c0",
+        )
+    if len(keys.zs) == 1:
+        zs, reactance = keys.zs[0], 1 / (TWO_PI * start[1] * start[0])
+        if zs >= reactance:
+            yield part.wrong(
+                "zs",
+                "the impedance at the series resonance exceeds that of the capacitance",
+                f"zs = {zs:g} Ohm, but the capacitance alone has {reactance:.4g} Ohm",
+                f"less than {reactance:.4g} Ohm",
+                "check zs, the capacitance and their units",
+            )
+
+
+def _labels(name: str, modes: int) -> list[str]:
+    return [name] if modes == 1 else [f"{name}[{n}]" for n in range(modes)]
+
+
+def _relations(modes: int, low: float) -> dict[str, Relation]:
+    """All values that a sheet may state, as functions of the unknowns."""
+    result: dict[str, Relation] = {}
+    for name, function in PER_MODE.items():
+        functions = (of_unknowns(partial(function, mode=n)) for n in range(modes))
+        result |= dict(zip(_labels(name, modes), functions, strict=True))
+    result["c0"] = lambda unknowns: float(unknowns[0])
+    result["c_low"] = lambda unknowns: Resonator.from_unknowns(unknowns).capacitance(low)
+    return result
+
+
+def _start(keys: BvdKeys, modes: int) -> np.ndarray:
+    """Unknowns where the iteration begins: stated values, otherwise those of a usual ceramic."""
+    ratio = np.full(modes, START_RATIO)
+    if keys.keff:
+        ratio = np.square(keys.keff) / (1 - np.square(keys.keff))
+    elif keys.fs and keys.fp:
+        ratio = np.maximum(np.square(keys.fp) / np.square(keys.fs) - 1, SMALLEST_RATIO)
+    c0 = keys.c0 or (keys.c_low or max(keys.cm, default=CLAMPED) / ratio[0]) / (1 + ratio.sum())
+    cm = np.array(keys.cm) if keys.cm else ratio * c0
+    fs = np.full(modes, FREQUENCY)
+    if keys.fs:
+        fs = np.array(keys.fs)
+    elif keys.fp:
+        fs = np.array(keys.fp) / np.sqrt(1 + ratio)
+    elif keys.lm:
+        fs = 1 / (TWO_PI * np.sqrt(np.array(keys.lm) * cm))
+    if keys.lm and not keys.cm:
+        cm = 1 / ((TWO_PI * fs) ** 2 * np.array(keys.lm))
+    quality = np.array(keys.qm) if keys.qm else START_QUALITY
+    rm = np.array(keys.rm or keys.zs) if keys.rm or keys.zs else 1 / (TWO_PI * fs * cm * quality)
+    return np.concatenate([[c0], fs, cm, rm])
+
+
+def _ratio_key(keys: BvdKeys, modes: int) -> str:
+    """Key of the netlist that determines the motional capacitances."""
+    if keys.cm:
+        return "cm"
+    return "fp" if keys.fp and not keys.keff and modes == 1 else "keff"
+
+
+def _loss_key(keys: BvdKeys, modes: int) -> str:
+    """Key of the netlist that determines the motional resistances."""
+    if keys.qm or keys.rm:
+        return "rm" if keys.rm else "qm"
+    return "zs" if modes == 1 else "rm"
+
+
+def _words(keys: BvdKeys, key: str, value: float) -> str:
+    words = f"capacitance at {keys.c_low_at:g} Hz" if key == "c_low" else WORDS[key]
+    return words + tolerance_note(value, keys.tolerance.get(key))
+
+
+def _param(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
+    """Parameter of one mode. The coupling of several modes is that of each mode beside c0."""
+    value = PER_MODE[key](circuit, mode)
+    if key == "keff":
+        value = (circuit.cm[mode] / (circuit.c0 + circuit.cm[mode])) ** 0.5
+    unit, value = UNITS[key] or "-", to_twelve_digits(value)
+    return positive(f"{key}{end}", value, unit, _words(keys, key, value))
+
+
+def _elements(end: str, ratio: str, loss: str) -> dict[str, str]:
+    """Equations of one mode from its parameters to the elements that are no parameters."""
+    fs, cm, rm = f"fs{end}", f"cm{end}", f"rm{end}"
+    result = {} if ratio == "cm" else {cm: f"c0*ratio{end}"}
+    result[f"lm{end}"] = f"1/({TWO_PI**2!r}*{fs}*{fs}*{cm})"
+    if loss == "qm":
+        result[rm] = f"1/({TWO_PI!r}*{fs}*{cm}*qm{end})"
+    if loss == "zs":
+        reactive = f"{TWO_PI!r}*fs*c0*zs"
+        result[rm] = f"zs/sqrt(1-{reactive}*({reactive}))"
+    return result
+
+
+register(Bvd())

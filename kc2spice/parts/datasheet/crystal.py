@@ -1,0 +1,142 @@
+"""A quartz crystal or tuning fork from its data sheet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from pydantic import Field
+
+from kc2spice.core.quantities import Capacitance, Frequency, Inductance, Ratio, Resistance
+from kc2spice.netlist.circuit import positive
+from kc2spice.parts.datasheet._resonator import (
+    TWO_PI,
+    RatedKeys,
+    Resonator,
+    ResonatorNetlist,
+    ResonatorPart,
+    of_unknowns,
+    to_twelve_digits,
+    tolerance_note,
+)
+from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
+from kc2spice.scene.model import Part
+from kc2spice.scene.parttype import register
+
+FREQUENCY_ROUNDING = 1e-6  # relative, of a crystal's frequency: a tenth of its usual tolerance
+START_RATIO, START_QUALITY = 1 / 300, 5e4  # c1 / c0 and Q of usual crystals
+SHUNT = 3e-12  # F, of usual crystals
+
+
+class CrystalKeys(RatedKeys):
+    """``f = fs sqrt(1 + c1 / (c0 + cl))`` with the load capacitance ``cl``, without it the series
+    resonance ``fs`` itself. Two of ``c1``, ``l1`` or of ``r1``, ``q`` must agree."""
+
+    f: Frequency = Field(gt=0, description="Nominal frequency, with the load capacitance if stated")
+    cl: Capacitance | None = Field(
+        None, gt=0, description="Load capacitance of the frequency; by default f is the series one"
+    )
+    c0: Capacitance = Field(gt=0, description="Shunt capacitance of electrodes and holder")
+    c1: Capacitance | None = Field(None, gt=0, description="Motional capacitance of the branch")
+    l1: Inductance | None = Field(None, gt=0, description="Motional inductance of the branch")
+    r1: Resistance | None = Field(None, gt=0, description="Motional resistance, often called ESR")
+    q: Ratio | None = Field(None, gt=0, description="Q factor of the motional branch")
+    f_tolerance: Ratio | None = Field(
+        None, gt=0, lt=1, description="Relative tolerance of the frequency, such as 20e-6"
+    )
+
+
+UNITS = {"f": "Hz", "c0": "F", "c1": "F", "l1": "H", "r1": "Ohm", "q": ""}
+
+
+class Crystal(ResonatorPart[CrystalKeys]):
+    name = "crystal"
+    title = "quartz crystal or tuning fork from its data sheet"
+    schema = CrystalKeys
+    ends = ("a", "b")
+    rating = "not known; the power i^2 r1 is the drive level of the data sheet"
+    example = """
+[crystal]
+part = "crystal"
+f = "32.768 kHz"
+cl = "12.5 pF"
+c0 = "1.2 pF"
+c1 = "3 fF"
+r1 = "35 kOhm"
+pins = { a = "drive.out" }
+
+[drive]
+part = "source"
+ac = "1 V"
+
+[analysis]
+type = "ac"
+start = "32.76 kHz"
+stop = "32.78 kHz"
+scale = "linear"
+"""
+
+    def resonator(self, part: Part[CrystalKeys]) -> Resonator:
+        keys = part.keys
+        stated = {key: v for key in UNITS if (v := getattr(keys, key)) is not None}
+        c1 = keys.c1 or START_RATIO * keys.c0
+        if keys.l1 and not keys.c1:
+            c1 = 1 / ((TWO_PI * keys.f) ** 2 * keys.l1)
+        r1 = keys.r1 or 1 / (TWO_PI * keys.f * c1 * (keys.q or START_QUALITY))
+        relations = _relations(keys.cl)
+        rounding = {"f": FREQUENCY_ROUNDING}
+        start = np.array([keys.c0, keys.f, c1, r1])
+        values = StatedValues(part.name, stated, relations, start, UNITS, {}, rounding)
+        return Resonator.from_unknowns(values.solve())
+
+    def netlist(self, part: Part[CrystalKeys], circuit: Resonator) -> ResonatorNetlist:
+        keys = part.keys
+        loaded = "" if keys.cl is None else "(c0+cl)"
+        words = "frequency with the load cl" if loaded else "series resonance"
+        f = to_twelve_digits(_loaded_frequency(circuit, keys.cl))
+        params = [
+            positive("f", f, "Hz", words + tolerance_note(f, keys.f_tolerance)),
+            positive("c0", to_twelve_digits(circuit.c0), "F", "shunt capacitance"),
+        ]
+        if keys.cl is not None:
+            params.append(positive("cl", keys.cl, "F", "load capacitance at which f is stated"))
+        motion = "c1" if keys.c1 or not keys.l1 else "l1"
+        value = circuit.cm[0] if motion == "c1" else circuit.lm[0]
+        words = "motional capacitance" if motion == "c1" else "motional inductance"
+        params.append(positive(motion, to_twelve_digits(value), UNITS[motion], words))
+        loss = "r1" if keys.r1 else "q"
+        value = circuit.rm[0] if loss == "r1" else circuit.quality(0)
+        words = "motional resistance" if loss == "r1" else "Q factor"
+        params.append(positive(loss, to_twelve_digits(value), UNITS[loss] or "-", words))
+        inverse = f"{TWO_PI**2!r}*f*f*l1" + f"-1/{loaded}" * bool(loaded)
+        cm = "c1" if motion == "c1" else f"1/({inverse})"
+        equations = {
+            "cm": cm,
+            "fs": f"f/sqrt(1+cm/{loaded})" if loaded else "f",
+            "lm": f"1/({TWO_PI**2!r}*fs*fs*cm)",
+            "rm": "r1" if loss == "r1" else f"1/({TWO_PI!r}*fs*cm*q)",
+        }
+        return ResonatorNetlist(tuple(params), equations, ("",))
+
+
+def _loaded_frequency(circuit: Resonator, load: float | None) -> float:
+    """Frequency [Hz] in series with a load capacitance [F], at which both are in resonance."""
+    shift = 0.0 if load is None else circuit.cm[0] / (circuit.c0 + load)
+    return circuit.fs[0] * math.sqrt(1 + shift)
+
+
+def _relations(load: float | None) -> dict[str, Relation]:
+    """Values of the sheet as functions of the unknowns."""
+    values: dict[str, Callable[[Resonator], float]] = {
+        "f": lambda circuit: _loaded_frequency(circuit, load),
+        "c0": lambda circuit: circuit.c0,
+        "c1": lambda circuit: circuit.cm[0],
+        "l1": lambda circuit: circuit.lm[0],
+        "r1": lambda circuit: circuit.rm[0],
+        "q": lambda circuit: circuit.quality(0),
+    }
+    return {key: of_unknowns(value) for key, value in values.items()}
+
+
+register(Crystal())
