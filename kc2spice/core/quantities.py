@@ -33,6 +33,7 @@ from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.errors import UsageError, candidates, did_you_mean
 
 AIR_DENSITY = 1.204  # kg/m3 at 20 °C and 1013 hPa
+SOUND_SPEED = 343.2  # m/s in dry air at 20 °C
 
 KeyPath = tuple[str | int, ...]
 # Names that pydantic gives to members of a union, such as ``dict[str,float]``; they are not keys.
