@@ -74,7 +74,7 @@ def intermediate_model(
         if inaccurate is not None:
             raise inaccurate
         if complete is not None:
-            return _in_units_of(pencil, band, complete)
+            return _restore_units(pencil, band, complete)
     if (result := _definite_model(pencil, band, target, limit)) is not None:
         return result
     if expects_cholesky(pencil):  # its memory was checked for a Cholesky factor only
@@ -112,7 +112,7 @@ def _definite_model(
     return definite_krylov_model(pencil, band, target, limit, body)
 
 
-def _in_units_of(
+def _restore_units(
     pencil: Pencil, band: tuple[float, float], result: IntermediateModel
 ) -> IntermediateModel:
     """Convert the basis of a scaled model to the units of the pencil.

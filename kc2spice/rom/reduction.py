@@ -10,7 +10,7 @@ import numpy as np
 from kc2spice.core.errors import UsageError
 from kc2spice.linalg.solver import DirectSolver, solving_with
 from kc2spice.rom.band import frequency_band
-from kc2spice.rom.certification import with_full_order
+from kc2spice.rom.certification import certify, with_full_order
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.linear_model import LinearModel, Norm
@@ -18,6 +18,9 @@ from kc2spice.rom.reduce import (
     LARGEST_SHARE,
     Target,
     choose_band,
+    find_basis_of_order,
+    find_basis_within,
+    list_methods,
     require_valid,
     verified_first_step,
     warn_of_rounding,
@@ -197,7 +200,7 @@ class Reduction:
             basis, order = self._of_order(target)
         else:
             basis, order = self._within(tolerance, target)
-        rom = certified(basis, order)
+        rom = certify(basis, order)
         warn_of_rounding(rom, self._intermediate.floor, tolerance)
         return with_full_order(rom, self._proof)
 
@@ -211,7 +214,9 @@ class Reduction:
     def _of_order(self, target: Target) -> tuple[ReducedBasis, int]:
         """The best basis of a prescribed order, and the order."""
         with solving_with(self._solver):
-            return basis_of_order(self._task, methods_of(self._task, target), target, self._bases)
+            return find_basis_of_order(
+                self._task, list_methods(self._task, target), target, self._bases
+            )
 
     def _within(self, tolerance: float, target: Target) -> tuple[ReducedBasis, int]:
         """The basis of the fewest states within a tolerance, and the order."""
@@ -219,7 +224,7 @@ class Reduction:
             self._prepare(target)
         task = replace(self._task, tolerance=tolerance)
         with solving_with(self._solver):
-            return basis_within(task, methods_of(task, target), target)
+            return find_basis_within(task, list_methods(task, target), target)
 
     def _serves(self, tolerance: float) -> bool:
         """Whether the basis is accurate enough for a tolerance."""

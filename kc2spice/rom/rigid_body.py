@@ -66,11 +66,15 @@ def split_rigid_body(
         others = scipy.linalg.null_space((inertia @ X).T)
         if others.shape[1] + free == pencil.size:
             return _congruent_apart(pencil, X, others, rounding)
-    result, V = _oblique(first_order(pencil, omega), omega)
-    return Apart(result, V, True) if result.free else Apart(pencil, np.eye(pencil.size), False)
+    result, V = _project_obliquely(first_order(pencil, omega), omega)
+    return (
+        RigidBodySplit(result, V, True)
+        if result.free
+        else RigidBodySplit(pencil, np.eye(pencil.size), False)
+    )
 
 
-def driven_apart(pencil: Pencil, free: int, rounding: Rounding) -> Apart:
+def driven_apart(pencil: Pencil, free: int, rounding: Rounding) -> RigidBodySplit:
     """A projection whose first ``free`` unknowns are known rigid-body modes, with those that an
     input drives exact and in front. ``rounding`` bounds the errors of the entries of each matrix.
     """
@@ -81,12 +85,12 @@ def driven_apart(pencil: Pencil, free: int, rounding: Rounding) -> Apart:
 
 def _congruent_apart(
     pencil: Pencil, X: np.ndarray, others: np.ndarray, rounding: Rounding
-) -> Apart:
+) -> RigidBodySplit:
     """A pencil with the driven motions of X in front of ``others``, orthogonal in the inertia."""
-    X = _driven(pencil, X, rounding)
+    X = _select_driven(pencil, X, rounding)
     V = np.hstack([X, others])
-    result, projected = congruent(pencil, V, X.shape[1], rounding)
-    return Apart(result, V, True, projected)
+    result, projected = project_with_rigid_body(pencil, V, X.shape[1], rounding)
+    return RigidBodySplit(result, V, True, projected)
 
 
 def free_part(pencil: Pencil, omega: float) -> Pencil | None:

@@ -345,11 +345,6 @@ class DeclaredScene:
         """Return all parts of these types, in order."""
         return tuple(part for part in self.parts.values() if part.type.name in types)
 
-    @property
-    def bodies(self) -> tuple[Part, ...]:
-        """Parts with a reduced finite-element model, in order."""
-        return tuple(part for part in self.parts.values() if part.reduced)
-
     def of_schema(self, kind: str, schema: type[S]) -> tuple[Part[S], ...]:
         """Return all parts of the type ``kind``, with keys of the class ``schema``, in order."""
         return tuple(part.with_schema(schema) for part in self.of(kind))

@@ -41,7 +41,7 @@ from kc2spice.scene.results import (
     require_probed_results,
     resolve_dc_sweep,
 )
-from kc2spice.scene.start_conditions import find_floating_nets, find_start_errors
+from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
 from kc2spice.synthesis.header import plan_lines
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.edits import changed, element_text, instance, with_value
@@ -163,7 +163,9 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
                 )
 
 
-def _items(build: Build, loose: Sequence[Free], noise_items: Iterable[Item]) -> Iterator[Item]:
+def _items(
+    build: Build, loose: Sequence[FloatingNets], noise_items: Iterable[Item]
+) -> Iterator[Item]:
     """Yield the cards of the parts, of noise sources, and of supports of ``loose`` nets."""
     scene = build.scene
     for part in scene.parts.values():
@@ -236,7 +238,7 @@ def _command(build: Build, sweep: DcSweep | None) -> Command:
     return dc(sweep.source, sweep.scale * values[0], sweep.scale * values[-1], values.size)
 
 
-def _initial_values(build: Build, loose: Sequence[Free]) -> dict[str, float]:
+def _initial_values(build: Build, loose: Sequence[FloatingNets]) -> dict[str, float]:
     """Return the initial values of a transient by node.
 
     Nets that only dampers join have no other value and begin at 0.

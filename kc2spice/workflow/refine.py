@@ -128,7 +128,7 @@ class Runs:
     def _body_of_axis(self, axis: Axis) -> Part | None:
         """Return the body whose mesh an axis refines; None if it refines no mesh."""
         for part in self.start.build.scene.parts.values() if axis.model else ():
-            refined = axis.name.startswith(f"{key_prefix(part)}.")
+            refined = axis.name.startswith(f"{part.key_prefix}.")
             if refined and isinstance(part.type, MeshedBody):
                 return part
         return None

@@ -21,6 +21,7 @@ from kc2spice.fem.body_keys import Damping
 from kc2spice.parts.bodies._body_ports import BodyPorts, massless
 from kc2spice.parts.bodies._box import (
     PARAMETERS,
+    check_corners,
     middle_values,
     values_of_part,
     varied,

@@ -20,7 +20,7 @@ from kc2spice.rom.intermediate import IntermediateModel, not_converged
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reductors.block_krylov import Operator, extend
 from kc2spice.rom.reductors.rational_krylov import CONFIRMATIONS, MOST_VECTORS
-from kc2spice.rom.response import GRID, Response, samples
+from kc2spice.rom.response import GRID, Response, sample_band
 from kc2spice.rom.rigid_body import hidden_support
 from kc2spice.rom.rounding import removed_stiffness, with_rounding, zero_entries
 
@@ -78,7 +78,7 @@ def definite_krylov_model(
         response = Response(small)
         response.zero = zero_entries(pencil, basis, response, band)
         # notches come last
-        frequency = samples(response, band, GRID, not small.free, (0.0, 1.0, 4.0))
+        frequency = sample_band(response, band, GRID, not small.free, (0.0, 1.0, 4.0))
         s = 2j * np.pi * frequency
         H = response.transfer(s)
         size = np.ones((len(s), 1, 1))

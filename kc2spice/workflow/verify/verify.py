@@ -34,6 +34,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import PAIRS, Check, Gate, Verdict
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
+from kc2spice.scene.results import collect_powers
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.metrics import metrics, verdict
@@ -74,7 +75,7 @@ class OutputError:
 def solution(waves: Waveforms, build: Build) -> Solution:
     """Return a solution with the powers and metrics that follow from its waves."""
     known = {}
-    for name, terms in powers(build, waves.data).items():
+    for name, terms in collect_powers(build, waves.data).items():
         if all(term.names <= set(waves) for term in terms):
             known[name] = terms
     waves = with_powers(waves, known)
