@@ -207,16 +207,16 @@ class ResonatorPart(PartType[KeysT]):
         return laws.Equations((body,), tuple((end, f"{n}.{end}") for end in self.ends), results)
 
     def metrics(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, object]:
-        from kc2spice.parts.bodies._linear_body import impedance_metrics, measured
+        from kc2spice.parts.bodies._linear_body import impedance_metrics, measured_impedance
 
-        z = measured(part, waves)
+        z = measured_impedance(part, waves)
         return {} if z is None else impedance_metrics(waves["frequency"].real, z)
 
     def figures(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Figure]:
-        from kc2spice.parts.bodies._linear_body import measured
+        from kc2spice.parts.bodies._linear_body import measured_impedance
         from kc2spice.parts.bodies._pictures import PEAKS, impedances
 
-        z = measured(part, waves)
+        z = measured_impedance(part, waves)
         if z is not None:
             how = f"as the circuit shows it at {part.name}{PEAKS}"
             yield impedances(part.name, waves["frequency"].real, {"": z}, how)

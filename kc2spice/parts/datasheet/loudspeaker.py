@@ -32,7 +32,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.parts.datasheet._resonator import TWO_PI, to_twelve_digits, tolerance_note
 from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
-from kc2spice.physics.cards import body
+from kc2spice.physics.cards import subcircuit_items
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import declared_subcircuit
 from kc2spice.scene.checks import Check, Metric
@@ -261,8 +261,8 @@ stop = "1 kHz"
     def subcircuits(
         self, part: Part[LoudspeakerKeys], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        d, name = self.built(part, build), build.libraries[part.name]
-        cone = body(moving_mass(self._parameters(part, build.scene).mms))
+        d, name = self.built_declaration(part, build), build.libraries[part.name]
+        cone = subcircuit_items(moving_mass(self._parameters(part, build.scene).mms))
         values = d.values(part.keys)
         return (declared_subcircuit(header, name, d, values, build.noisy, cone),)
 
