@@ -1,8 +1,8 @@
 """Cache of expensive results on disk, by a hash of everything they depend on.
 
-An entry is an ``.npz`` archive: arrays without pickle and one JSON text with the structure around
-them. It is written to a temporary name and renamed, so readers see whole entries only; a damaged
-one is noticed by the checksums of its members and built again.
+An entry is an ``.npz`` archive: arrays without pickle, and one JSON text with their structure. It
+is written to a temporary name and renamed, so readers see complete entries only. Checksums of the
+members show that an entry is damaged, and the result is then built again.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def cached(
     classes: Iterable[type] = (),
     sources: Iterable[str] = (),
 ) -> T:
-    """The stored result of an earlier ``build()``, else a new one.
+    """Return the stored result of an earlier ``build()``, or that of a new one.
 
     Parameters
     ----------

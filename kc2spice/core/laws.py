@@ -1,13 +1,14 @@
 """Laws of parts: equations of each part type for the independent integrator.
 
-A law is plain data in SI with named, typed pins. It knows no scene and no netlist. A pin's kind is
-the name of a domain (:mod:`kc2spice.core.domains`). It states which *across* quantity all pins of a
-net share, such as a voltage [V], and which *through* quantities into the parts sum to zero there,
-such as currents [A]. The kind ``signal`` has nothing through its pins; one pin of a net sets it.
+A law is plain data in SI with named, typed pins, without a scene or a netlist. A pin's kind is the
+name of a domain (:mod:`kc2spice.core.domains`). All pins of a net share the *across* quantity of
+this domain, such as a voltage [V]. The *through* quantities into the parts, such as currents [A],
+sum to zero there. The kind ``signal`` has no through quantity, and one pin of a net sets the
+signal.
 
-Bodies and sources are stamped into matrices by the assembler
-(:mod:`kc2spice.reference.system`). Every other law is a :class:`Device`: smooth expressions
-within a *mode*, and guards whose zeros end the mode; a linear one becomes constant matrices too.
+The assembler stamps bodies and sources into matrices (:mod:`kc2spice.reference.system`). Every
+other law is a :class:`Device`: smooth expressions within a *mode*, and guards whose zeros end the
+mode. A linear device becomes constant matrices as well.
 """
 
 from __future__ import annotations
@@ -228,16 +229,15 @@ class Flow:
 class Device(ABC):
     """Law of inputs, rates and states; subclasses are frozen dataclasses.
 
-    Each has a ``name``.
-
-    With the taps and then the own states as its inputs ``e`` (m,), in a mode that is any value::
+    Each has a ``name``. The inputs ``e`` (m,) are the taps and then the states. In a mode, which
+    may be any value::
 
         out = [through of every flow, rate of every state's store, value of every signal it drives]
-        d/dt store(e) = rate,   store(e) = the states themselves unless said otherwise
+        d/dt store(e) = rate,   store(e) = the states themselves by default
 
-    Flows that are ``charged`` are the rates of further entries of ``store`` besides.
-    A mode lasts while every guard is positive. What ``start`` [m], [m/s] is given to the first tap
-    and its rate holds there at t = 0; without it they begin where the system holds them.
+    Flows that are ``charged`` contain the rates of further entries of ``store`` as well. A mode
+    lasts while every guard is positive. ``start`` [m], [m/s] are the initial values of the first
+    tap and of its rate. Without it these begin at equilibrium.
     """
 
     name: str
@@ -368,14 +368,13 @@ class Relation:
 class PortBody(Device):
     """Linear model of any size as a relation at its ports.
 
-    Its mode is a :class:`Relation`.
+    Its mode is a :class:`Relation`. Loads are forces [N], voltages [V], accelerations and signals,
+    in the order of the ports with a column of B. Outputs are displacements [m], charges [C] and
+    signals, in the order of the rows of C. Forces and currents are unknowns of the device, with the
+    equations ``u = y(a)`` and ``dq(a)/dt = i``.
 
-    Loads are forces [N], voltages [V], accelerations and signals, in the order of the ports with a
-    column of B; answers are displacements [m], charges [C] and signals, in that of the rows of C.
-    Forces and currents are unknowns of the device, held by ``u = y(a)`` and ``dq(a)/dt = i``.
-
-    ``model`` has a ``pencil`` with ``transfer(s)``; the relation at rest and that at a frequency
-    are taken from it, those of time steps from whoever steps.
+    ``model`` has a ``pencil`` with ``transfer(s)``, which gives the relation at rest and that at a
+    frequency. An integrator makes those of time steps.
     """
 
     name: str

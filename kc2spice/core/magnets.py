@@ -174,10 +174,12 @@ class EMTable(EqualByContent):
     """
 
     def scale_magnets(self, remanence: float, shift: float) -> EMTable:
-        """Table for magnets with ``remanence`` times the remanence, ``shift`` [m] higher.
+        """Make the table of magnets with another remanence and height.
 
-        In linear materials the pull between the magnets grows with the square of the remanence,
-        what a current adds in proportion, and what currents do alone not at all.
+        The remanence is multiplied by ``remanence``, and the magnets are ``shift`` [m] higher. In
+        linear materials the force between the magnets is proportional to the square of the
+        remanence. The contribution of a current is proportional to the remanence, and that of
+        currents alone does not depend on it.
         """
         magnets = remanence ** np.array([2, 1, 1, 0, 0, 0])
         coarser = None if self.coarser is None else self.coarser.scale_magnets(remanence, shift)
@@ -208,11 +210,11 @@ class EMTable(EqualByContent):
 
     @cached_property
     def coenergy(self) -> Coenergy:
-        """Integrals over y of the splines.
+        """Coenergy: integrals over y of the splines.
 
-        Integrating the force keeps force and flux consistent exactly and smooths, where a
-        differentiated flux would lose an order; the free constants put the mean over the nodes on
-        the FE fluxes.
+        Integrating the force keeps force and flux exactly consistent and smooths. A differentiated
+        flux would lose an order. The free constants set the mean over the nodes to that of the FE
+        fluxes.
         """
         integrals = self.splines.integral()
         half = self.inductance / 2

@@ -525,11 +525,10 @@ GateTime = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "s"
 class Notch:
     """Marks a key that trades time for error.
 
-    One notch finer multiplies the key by ``factor``.
-
-    ``spaces`` says that it counts points, whose spaces are multiplied; ``finest`` is a value below
-    which rounding decides; ``model`` marks what costs no time of the simulator, ``mesh`` the
-    fineness of a mesh or of rings, whose error the part estimates. It counts where the keys
+    One notch finer multiplies the key by ``factor``. With ``spaces`` the key counts points, and the
+    number of spaces between them is multiplied. ``finest`` is a value below which rounding
+    dominates. ``model`` marks a key that costs no time of the simulator. ``mesh`` marks the
+    fineness of a mesh or of rings, whose error the part estimates. The mark applies if the keys
     ``when`` of its table have these values.
     """
 

@@ -18,10 +18,10 @@ FEWEST = 20  # samples of the signal itself then
 def energy_frequency(
     time: np.ndarray, values: np.ndarray, constant: float = 0.0, share: float = ENERGY
 ) -> float:
-    """The frequency [Hz] up to which a signal has the ``share`` of its energy.
+    """Frequency [Hz] that bounds the ``share`` of the energy of a signal.
 
-    Its energy is that of ``x(t) - x(0)``, of straight lines through the points: a constant has
-    none. What has not returned at the end does so as it came, without a jump of its own.
+    The energy is that of ``x(t) - x(0)``, of straight lines through the points, so a constant has
+    none. A signal that has not returned at its end returns as it came, without a jump.
 
     Parameters
     ----------

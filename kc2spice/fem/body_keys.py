@@ -22,16 +22,14 @@ class Mesh(Section):
 class Damping(Section):
     """Losses of the motion and of the dielectric.
 
-    By ``model = "rayleigh"`` a viscous damping matrix E.
+    ``model = "rayleigh"`` is a viscous damping matrix E. With ``E = alpha M + beta K`` and ``beta =
+    2 zeta / omega`` the ratio ``zeta`` (or the quality ``Q = 1/(2 zeta)``, or the loss factor ``2
+    zeta``) holds at ``at``. This is the body's first resonance by default. Two ratios at two
+    frequencies determine alpha and beta: ``zeta = alpha/(2 omega) + beta omega/2``. With
+    ``per_material`` E is the sum of ``K_i/(Q_i omega)`` over the materials i instead.
 
-    ``E = alpha M + beta K`` with ``beta = 2 zeta / omega`` so that the ratio ``zeta`` (or the
-    quality ``Q = 1/(2 zeta)``, or the loss factor ``2 zeta``) is met at ``at``, by default the
-    body's first resonance. Two ratios at two frequencies fix alpha and beta both:
-    ``zeta = alpha/(2 omega) + beta omega/2``. With ``per_material`` E is the sum of
-    ``K_i/(Q_i omega)`` over the materials i instead.
-
-    By ``model = "ieee176"`` complex constants of IEEE Std 176: Q is the same for all modes, and the
-    stiffness is as stated at ``at``, by default the body's first resonance.
+    ``model = "ieee176"`` is that of complex constants of IEEE Std 176. Q is the same for all modes,
+    and the stiffness is as stated at ``at``, by default the body's first resonance.
     """
 
     ratio: Ratio | tuple[Ratio, Ratio] | None = Field(

@@ -1,24 +1,24 @@
-"""The catch actuator's force, flux and inductance, swept over the sphere's height.
+"""The catch actuator's force, flux and inductance over the sphere's height.
 
-Axisymmetric magnetostatics (scikit-fem). The unknown is ``a = A_phi / r``, smooth and even in r, so
-the axis needs no condition. With ``b(a) = 2 a + r da/dr`` the field is ``B_y = b(a)``, ``B_r = -r
-da/dy`` and the potential energy ::
+The model is axisymmetric magnetostatics (scikit-fem). The unknown is ``a = A_phi / r``, smooth and
+even in r, so the axis needs no condition. With ``b(a) = 2 a + r da/dr`` the field is ``B_y =
+b(a)``, ``B_r = -r da/dy`` and the potential energy ::
 
     P(a) = 1/2 int nu (B_r^2 + B_y^2) dV - int nu B_rem b(a) dV - int J r a dV,   dV = 2 pi r dr dy
 
 is least at the solution; ``a = 0`` on the air cylinder (paper 2.2.1). The force on the sphere is
-``-dP/dy`` with the air around it stretched by a weight g (1 on the sphere, 0 on the mover's
-outline): virtual work of the discrete energy, which equals the Maxwell stress averaged over a thick
+``-dP/dy``, with the air around it stretched by a weight g (1 on the sphere, 0 on the mover's
+outline). This virtual work of the discrete energy equals the Maxwell stress averaged over a thick
 shell (Henrotte, Deliege, Hameyer: The eggshell approach, COMPEL 23(4), 2004).
 
-Materials are linear, so at each height the four sources (ring magnet, sphere magnet, a current in
-each coil) superpose: one factorisation and four right-hand sides give every current (paper 2.2.1
-solves 369 cases instead). All elements are assembled once.
+The materials are linear, so the fields of four sources superpose at each height: ring magnet,
+sphere magnet, and a current in each coil. One factorisation and four right-hand sides give the
+result for every current (paper 2.2.1 solves 369 cases instead). All elements are assembled once.
 
-Remeshing for each position of the sphere would cost time and add noise to the force. Here the
-sphere lives in a box (the *mover*) that is meshed once, mirrored about its equator; the rest (the
-*stator*) is meshed once too, with a regular lattice in the bore. The mover's outline has the
-lattice's nodes, so it replaces lattice cells wherever the sphere stands on a lattice point.
+A new mesh for each position of the sphere would cost time and add noise to the force. Instead the
+box around the sphere (the *mover*) is meshed once, symmetric about its equator. The rest (the
+*stator*) is meshed once as well, with a regular lattice in the bore. The mover's outline has the
+lattice's nodes. At each lattice point of the sphere, the mover replaces cells of the lattice.
 """
 
 from __future__ import annotations

@@ -1,19 +1,20 @@
 """Error estimates of the strain and field of hexahedra.
 
 Around every corner of the mesh a polynomial is fitted to the strain and field of the elements that
-meet there, by least squares at the points where these are best. Blended by the linear shape
-functions these polynomials are the recovered strain and field, which are nearer to the solution
-than those of the elements. Their difference d = (dS, dE) measures the error: in the energy product
+meet there. The least-squares fit uses the points of an element where these are most accurate.
+Linear shape functions blend the polynomials to the recovered strain and field, which are more
+accurate than those of the elements. Their difference d = (dS, dE) measures the error in the energy
+product
 
     A(1, 2) = int dS1' C dS2 - dS1' e' dE2 - dE1' e dS2 - dE1' eps dE2
 
-of two solutions. Fits stay within one piece of materials of one name, where no strain may jump.
-Layers of one name whose coupling is s times that of the first have their field times s continuous,
-as those of a stack poled by turns have under electrodes by turns. Elements of first order need
-these neighbours, as they have no field within a layer; of second order each layer is a piece,
-because strain and field jump at electrodes by what the mean strain changes from layer to layer.
-Sources: O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E. Wiberg and
-F. Abdulwahab, Int. J. Numer. Meth. Eng. 36 (1993) 2703.
+of two solutions. A fit stays within one piece of materials of one name, in which no strain jumps.
+In layers of one name, whose coupling is s times that of the first, the field times s is continuous,
+as in a stack with alternating poling and electrodes. Elements of first order need these neighbours,
+because their field in a layer is constant. With elements of second order each layer is a piece:
+strain and field jump at electrodes by the change of the mean strain from layer to layer. Sources:
+O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E. Wiberg and F.
+Abdulwahab, Int. J. Numer. Meth. Eng. 36 (1993) 2703.
 """
 
 from __future__ import annotations

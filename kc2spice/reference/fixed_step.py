@@ -1,12 +1,13 @@
 """Transient in equal steps of laws and of bodies as their ports (`PortBody`).
 
-A body of n unknowns meets the others at p ports. Within a stage of an implicit method with the
-rate ``s`` its unknowns are ``x = P(s)^-1 (r + B a)`` with what its past leaves in ``r``, thus
-``y = H(s) a + C P(s)^-1 r``: one factorisation for all steps, one back substitution a stage, and
-a small nonlinear system of all other laws with the body as p linear relations.
+A body of n unknowns is joined to other parts at p ports. Within a stage of an implicit method with
+the rate ``s`` its unknowns are ``x = P(s)^-1 (r + B a)``, where ``r`` is the effect of its past.
+Thus ``y = H(s) a + C P(s)^-1 r``. All steps need one factorisation. Each stage needs one back
+substitution, and the solution of a small nonlinear system of all other laws, in which the body is p
+linear relations.
 
 The method is that of Alexander (SIAM J. Numer. Anal. 14, 1006, 1977): two stages, second order,
-L-stable, so that what is too fast for the steps dies out instead of ringing::
+L-stable, so that motions that are too fast for the steps decay instead of ringing::
 
     g(z_1) = g(z_0) + gamma h f(z_1),                gamma = 1 - 1/sqrt(2),  s = 1/(gamma h)
     g(z)   = g(z_0) + (1 - gamma) h f(z_1) + gamma h f(z)

@@ -1,10 +1,10 @@
 """Transient of a `System`: smooth intervals between corners and events.
 
 Steps are those of Radau IIA of order five for ``d/dt g(t, z) = f(t, z)`` (Hairer and Wanner 1996,
-IV.8). ``scipy.integrate.Radau`` takes no mass matrix, and algebraic unknowns can be eliminated only
-where the index is 1: for two inductors in series, or one behind a current source, which are of
-index 2, what elimination has to solve is singular. This method follows both as they are. Carrying
-``g`` from step to step keeps charge, flux and momentum.
+IV.8). ``scipy.integrate.Radau`` accepts no mass matrix, so algebraic unknowns would have to be
+eliminated. This is possible for index 1 only. Two inductors in series, or one behind a current
+source, are of index 2, and their elimination is singular. This method needs no elimination. Its
+steps carry ``g``, which conserves charge, flux and momentum.
 """
 
 from __future__ import annotations
