@@ -142,7 +142,7 @@ class EnrichedModel:
 
     def solve_functions(self, residual: Pair) -> Pair:
         """Solve for the additional functions alone, with one iteration of their coupling."""
-        (z, r_u), (q, r_p) = self._split(residual)
+        (z, r_u), (q, r_p) = self._split_blocks(residual)
         (of_u, of_p), C = self.factors, self.operators.C
         u, p = of_u.solve(r_u) if of_u else r_u, r_p
         if of_p:
@@ -152,7 +152,7 @@ class EnrichedModel:
 
     def solve_mesh(self, residual: Pair) -> Pair:
         """Solve for the unknowns of the mesh alone."""
-        ((z, more_u), (q, more_p)), K = self._split(residual), self.device.model.K
+        ((z, more_u), (q, more_p)), K = self._split_blocks(residual), self.device.model.K
         if isinstance(K, Schur):
             q = K.inner.solve(q)
             z = self.solve_at_rest(z - K.up @ q)
@@ -161,7 +161,7 @@ class EnrichedModel:
             z = self.solve_at_rest(z)
         return np.vstack([z, 0.0 * more_u]), np.vstack([q, 0.0 * more_p])
 
-    def _split(self, pair: Pair) -> list[list[np.ndarray]]:
+    def _split_blocks(self, pair: Pair) -> list[list[np.ndarray]]:
         """Split displacements and potentials into parts of the mesh and of functions."""
         counts = self.K.mesh.shape[0], self.P.mesh.shape[0]
         return [np.vsplit(part, [count]) for part, count in zip(pair, counts, strict=True)]
@@ -190,7 +190,7 @@ def enrich_model(
         Blocks(C, (more.D_nodes @ to_u).T, more.C_nodes @ to_phi, more.C),
         Blocks(P, p.T, p, more.P),
         Blocks(model.M, m.T, m, more.M),
-        (_factor(more.K), _factor(more.P)),
+        (_factorise(more.K), _factorise(more.P)),
         solve_at_rest,
     )
 
@@ -202,7 +202,7 @@ def _mesh_blocks(K: Schur | sparse.csc_array) -> tuple[sparse.csc_array, ...]:
     return K, sparse.csc_array((K.shape[0], 0)), sparse.csc_array((0, 0))
 
 
-def _factor(matrix: sparse.csr_array) -> Factor | None:
+def _factorise(matrix: sparse.csr_array) -> Factor | None:
     return factorise(sparse.csc_array(matrix), definite=True) if matrix.shape[0] else None
 
 

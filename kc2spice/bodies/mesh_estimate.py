@@ -50,7 +50,9 @@ def estimate_mesh_errors(
     solid. ``modes`` is the largest error of all modes that were computed.
     """
     volts = answers.static.shape[1]
-    estimate = _by_recovery if isinstance(device.solid.mesh, MeshHex) else _by_enrichment
+    estimate = (
+        _estimate_by_recovery if isinstance(device.solid.mesh, MeshHex) else _estimate_by_enrichment
+    )
     frequencies, products = estimate(device, answers, sectors)
     changes = {}
     if frequencies.size:
@@ -64,10 +66,10 @@ def estimate_mesh_errors(
     if not volts and answers.pushed.shape[1]:
         pushed = answers.pushed[:, 0]
         changes["compliance"] = products[-1, -1] / (pushed @ (device.model.K @ pushed))
-    return {f"{MESH_ERROR}{name}": _relative(change) for name, change in changes.items()}
+    return {f"{MESH_ERROR}{name}": _relative_error(change) for name, change in changes.items()}
 
 
-def _by_enrichment(
+def _estimate_by_enrichment(
     device: FiniteElementModel, answers: UndampedResponses, sectors: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Estimate errors of frequencies and static responses by enrichment.
@@ -82,10 +84,10 @@ def _by_enrichment(
     return corrections.frequencies / CORRECTED, products / CORRECTED
 
 
-def _by_recovery(
+def _estimate_by_recovery(
     device: FiniteElementModel, answers: UndampedResponses, sectors: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate errors as :func:`_by_enrichment`, from recovered strains and fields."""
+    """Estimate errors as :func:`_estimate_by_enrichment`, from recovered strains and fields."""
     n, volts = answers.modes.shape[1], answers.static.shape[1]
     z = np.hstack([answers.modes, answers.static, answers.pushed])
     voltages = np.zeros((volts, z.shape[1]))
@@ -102,6 +104,6 @@ def _signed_hypot(values: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.copysign(np.hypot(values, others), values)
 
 
-def _relative(change: float) -> float:
+def _relative_error(change: float) -> float:
     """Convert a relative change to a better value to an error relative to this value."""
     return float(max(abs(change) / max(1 + change, LEAST_SHARE), LEAST_ERROR))

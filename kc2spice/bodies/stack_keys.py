@@ -60,7 +60,7 @@ class ChipMesh(Section):
     )
 
     @model_validator(mode="after")
-    def _even(self) -> ChipMesh:
+    def _require_even_sectors(self) -> ChipMesh:
         if self.sectors % 2:
             raise ValueError("sectors: no mesh line meets the chip's corner, give an even number")
         return self
@@ -151,7 +151,7 @@ class Chip(Section):
     )
 
     @model_validator(mode="after")
-    def _consistent(self) -> Chip:
+    def _require_consistent(self) -> Chip:
         if self.diameter is not None and {"side", "depth"} & self.model_fields_set:
             raise ValueError("give diameter, or side and depth")
         if self.layer_thickness is not None:

@@ -61,7 +61,7 @@ class Damping(Section):
     )
 
     @model_validator(mode="after")
-    def _constant(self) -> Damping:
+    def _require_quality_only(self) -> Damping:
         if self.model == "ieee176":
             others = {"per_material": self.per_material, "alpha": self.alpha}
             others["two ratios"] = isinstance(self.ratio, tuple)
@@ -71,7 +71,7 @@ class Damping(Section):
         return self
 
     @model_validator(mode="after")
-    def _one(self) -> Damping:
+    def _require_one_form(self) -> Damping:
         choices = [self.ratio, self.quality, self.loss_factor]
         if sum(item is not None for item in choices) + self.per_material > 1:
             raise ValueError("give one of ratio, quality, loss_factor, per_material")
@@ -86,14 +86,14 @@ class Damping(Section):
                 "a ratio of 1 or more (Q of one half or less) leaves nothing that oscillates: "
                 "1 % is ratio = 0.01, a Q factor of 50"
             )
-        if two[0] and (self.at[0] == self.at[1] or min(self._pair()) < 0 or self.alpha):  # type: ignore[index]
+        if two[0] and (self.at[0] == self.at[1] or min(self._solve_two_ratios()) < 0 or self.alpha):  # type: ignore[index]
             raise ValueError(
                 "no alpha and beta of at least 0 give these ratios: at two frequencies f1 < f2 "
                 "their quotient zeta2/zeta1 lies from f1/f2 to f2/f1"
             )
         return self
 
-    def _pair(self) -> tuple[float, float]:
+    def _solve_two_ratios(self) -> tuple[float, float]:
         """alpha and beta that two ratios fix."""
         omega = 2 * math.pi * np.asarray(self.at, dtype=float)
         ratios = np.asarray(self.ratio, dtype=float)
@@ -118,7 +118,7 @@ class Damping(Section):
     def rayleigh(self, resonance_hz: float) -> tuple[float, float]:
         """``alpha`` [1/s] and ``beta`` [s] of ``E = alpha M + beta K``."""
         if isinstance(self.ratio, tuple):
-            return self._pair()
+            return self._solve_two_ratios()
         at = self.frequency(resonance_hz)
         assert at is not None
         return self.alpha, self.zeta / (math.pi * at)

@@ -248,20 +248,20 @@ def bond(R: np.ndarray) -> np.ndarray:
     return M
 
 
-def _components(unit: str) -> BeforeValidator:
+def _validate_components(unit: str) -> BeforeValidator:
     """Validate a tensor of named components or nested lists.
 
     Each number may have a unit.
     """
-    return BeforeValidator(partial(_convert, unit))
+    return BeforeValidator(partial(_convert_units, unit))
 
 
-def _convert(unit: str, value: object) -> object:
+def _convert_units(unit: str, value: object) -> object:
     """Convert all quantities in nested mappings and lists to numbers in this unit."""
     if isinstance(value, Mapping):
-        return {str(key): _convert(unit, item) for key, item in value.items()}
+        return {str(key): _convert_units(unit, item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return list(map(partial(_convert, unit), value))
+        return list(map(partial(_convert_units, unit), value))
     try:
         return quantity(value, unit)
     except UsageError as error:
@@ -296,28 +296,28 @@ class MaterialTable(Section):
     symmetry: Symmetry | None = Field(
         None, description="Crystal symmetry of the components, or a point group such as 6mm or 32"
     )
-    youngs_modulus: Annotated[_Modulus, _components("Pa")] | None = Field(
+    youngs_modulus: Annotated[_Modulus, _validate_components("Pa")] | None = Field(
         None, description="Young's modulus, isotropic or one value each along x, y and z"
     )
-    poisson_ratio: Annotated[float | dict[str, float], _components("")] | None = Field(
+    poisson_ratio: Annotated[float | dict[str, float], _validate_components("")] | None = Field(
         None, description="Poisson's ratio, isotropic or nu_xy, nu_yz and nu_xz"
     )
-    shear_modulus: Annotated[dict[str, float], _components("Pa")] | None = Field(
+    shear_modulus: Annotated[dict[str, float], _validate_components("Pa")] | None = Field(
         None, description="Shear moduli g_yz, g_xz and g_xy, beside three Young's moduli"
     )
-    stiffness: Annotated[_Tensor, _components("Pa")] | None = Field(
+    stiffness: Annotated[_Tensor, _validate_components("Pa")] | None = Field(
         None, description="Stiffness components c11, c12, … at constant electric field"
     )
-    compliance: Annotated[_Tensor, _components("1/Pa")] | None = Field(
+    compliance: Annotated[_Tensor, _validate_components("1/Pa")] | None = Field(
         None, description="Compliance components s11, s12, … at constant electric field"
     )
-    stress_coupling: Annotated[_Tensor, _components("C/m2")] | None = Field(
+    stress_coupling: Annotated[_Tensor, _validate_components("C/m2")] | None = Field(
         None, description="Piezoelectric components e31, e33, … of stress per field"
     )
-    strain_coupling: Annotated[_Tensor, _components("C/N")] | None = Field(
+    strain_coupling: Annotated[_Tensor, _validate_components("C/N")] | None = Field(
         None, description="Piezoelectric components d31, d33, … of strain per field"
     )
-    permittivity: Annotated[_Tensor, _components("")] | None = Field(
+    permittivity: Annotated[_Tensor, _validate_components("")] | None = Field(
         None, description="Relative permittivity components eps11, eps22 and eps33"
     )
     permittivity_at: Literal["stress", "strain"] | None = Field(
@@ -362,9 +362,9 @@ class MaterialTable(Section):
         """Add the properties of the material ``like`` that the table leaves out."""
         if not isinstance(data, Mapping) or "like" not in data:
             return data
-        base = dict(_tables().get(data["like"], {}))
+        base = dict(_load_tables().get(data["like"], {}))
         if not base:
-            raise ValueError(f"like: no such material: {data['like']}; {', '.join(_tables())}")
+            raise ValueError(f"like: no such material: {data['like']}; {', '.join(_load_tables())}")
         for forms in _ALTERNATIVES:
             if set(chain.from_iterable(forms)).isdisjoint(data):
                 continue
@@ -405,12 +405,12 @@ class MaterialTable(Section):
         UsageError : components missing or unknown, units that cannot be right, or a matrix that
             is not positive definite.
         """
-        C, e = self._stiffness(), np.zeros((3, 6))
+        C, e = self._build_stiffness(), np.zeros((3, 6))
         if self.stress_coupling is not None:
-            e = self._tensor("stress_coupling", "e")
+            e = self._build_tensor("stress_coupling", "e")
         elif self.strain_coupling is not None:
-            e = self._tensor("strain_coupling", "d") @ C
-        eps = EPSILON_0 * self._permittivity()
+            e = self._build_tensor("strain_coupling", "d") @ C
+        eps = EPSILON_0 * self._build_permittivity()
         if self.permittivity_at == "stress":
             eps = eps - e @ np.linalg.solve(C, e.T)
         hint = "is the permittivity at constant stress or at constant strain?" if e.any() else None
@@ -421,11 +421,15 @@ class MaterialTable(Section):
                 stated[key] = getattr(self, key)
         return Material(name=name, C=C, e=e, eps_S=eps, **stated)
 
-    def _stiffness(self) -> np.ndarray:
+    def _build_stiffness(self) -> np.ndarray:
         if self.stiffness is not None:
-            C = self._tensor("stiffness", "c")
+            C = self._build_tensor("stiffness", "c")
         else:
-            s = self._engineering() if self.compliance is None else self._tensor("compliance", "s")
+            s = (
+                self._engineering_compliance()
+                if self.compliance is None
+                else self._build_tensor("compliance", "s")
+            )
             _require_definite(s, "youngs_modulus" if self.compliance is None else "compliance")
             C = np.linalg.inv(s)
         _require_definite(C, "stiffness")
@@ -436,7 +440,7 @@ class MaterialTable(Section):
             raise wrong(None, problem, f"{largest:g} Pa", "1e3 to 2e12 Pa", hint)
         return (C + C.T) / 2
 
-    def _engineering(self) -> np.ndarray:
+    def _engineering_compliance(self) -> np.ndarray:
         """Compute the compliance of Young's moduli and ratios ``nu_ij = -S_jj/S_ii``."""
         E_keys, nu, G = self.youngs_modulus, self.poisson_ratio, self.shear_modulus
         ratios, planes = ("nu_xy", "nu_xz", "nu_yz"), ("g_yz", "g_xz", "g_xy")
@@ -467,7 +471,7 @@ class MaterialTable(Section):
         s[0, 1:3], s[1, 2] = -np.array(n[:2]) / E[0], -n[2] / E[1]
         return np.triu(s) + np.triu(s, 1).T
 
-    def _permittivity(self) -> np.ndarray:
+    def _build_permittivity(self) -> np.ndarray:
         values, names = self.permittivity, ("eps11", "eps22", "eps33")
         if values is None:
             return np.eye(3)
@@ -480,7 +484,7 @@ class MaterialTable(Section):
         first = values["eps11"]
         return np.diag([first, values.get("eps22", first), values.get("eps33", first)])
 
-    def _tensor(self, key: str, letter: str) -> np.ndarray:
+    def _build_tensor(self, key: str, letter: str) -> np.ndarray:
         """Make a tensor from lists, or from the free components of the symmetry.
 
         The letter tells stiffness ``c`` or compliance ``s`` (6, 6), coupling ``e`` or ``d`` (3, 6).
@@ -538,20 +542,20 @@ def _require_definite(matrix: np.ndarray, key: str, hint: str | None = None) -> 
 
 
 @cache
-def _tables() -> dict[str, dict[str, Any]]:
+def _load_tables() -> dict[str, dict[str, Any]]:
     return tomllib.loads((Path(__file__).parent / "materials.toml").read_text("utf-8"))
 
 
 @cache
 def _library_names() -> dict[str, str]:
     """Names of the library's materials by these names in lower case."""
-    return dict(zip(map(str.lower, _tables()), _tables(), strict=True))
+    return dict(zip(map(str.lower, _load_tables()), _load_tables(), strict=True))
 
 
 @cache
 def _library_material(name: str) -> Material:
     """Build a material of the library."""
-    return MaterialTable.model_validate(_tables()[name]).build(name)
+    return MaterialTable.model_validate(_load_tables()[name]).build(name)
 
 
 def material(
@@ -570,7 +574,7 @@ def material(
         with part_named(where):
             return table.build(where.rsplit(".", 1)[-1])
     if name_or_table.lower() not in _library_names():
-        names = list(_tables())
+        names = list(_load_tables())
         expected = f"one of {candidates(name_or_table, names, 'docs/reference/materials.md')}"
         hint = did_you_mean(name_or_table, names)
         hint = hint or 'write a table: { density = …, youngs_modulus = "… GPa", poisson_ratio = … }'

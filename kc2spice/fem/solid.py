@@ -229,8 +229,8 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
     n = solid.places.shape[1]
     shapes = ((n, n), (d * n, d * n), (d * n, n), (n, n))
     m, K_uu, K_up, K_pp = (_sum_matrices(p, s) for p, s in zip(parts, shapes, strict=True))
-    M = sparse.csc_array(sparse.kron(_symmetric(m), np.eye(d)))
-    return Operators(M, _symmetric(K_uu), K_up, _symmetric(K_pp))
+    M = sparse.csc_array(sparse.kron(_symmetrise(m), np.eye(d)))
+    return Operators(M, _symmetrise(K_uu), K_up, _symmetrise(K_pp))
 
 
 def _stress_stiffness(
@@ -260,6 +260,6 @@ def _sum_matrices(
     return total
 
 
-def _symmetric(matrix: sparse.csc_array) -> sparse.csc_array:
+def _symmetrise(matrix: sparse.csc_array) -> sparse.csc_array:
     """Remove the last-digit asymmetry of sums."""
     return sparse.csc_array((matrix + matrix.T) * 0.5)

@@ -48,7 +48,7 @@ class Interval:
         dX = np.concatenate((r, system.source_values(t, self.within, 1)))
         outputs = [np.zeros((0, t.size))]
         for device, mode in zip(system.devices, self.modes, strict=True):
-            evaluate = partial(device.out, mode=mode)
+            evaluate = partial(device.evaluate, mode=mode)
             points = map(evaluate, (device.inputs @ X).T, (device.inputs @ dX).T)
             outputs.append(np.array(list(points)).T)
         y = system.now @ X + system.rated @ dX + system.direct @ np.concatenate(outputs)

@@ -57,7 +57,7 @@ class _BodyIntegrator:
         self.x, self.v, self._v, self._a = np.zeros((4, self.pencil.size))
         a = law.loads(e)
         if np.abs(a).max(initial=0.0) > NOTHING:
-            self.x = at_rest(self.pencil)(self.pencil.B @ a)
+            self.x = make_static_solver(self.pencil)(self.pencil.B @ a)
 
     def begin_stage(self, second: bool) -> Relation:
         """Compute the relation between the ports of the body in the next stage."""
@@ -98,7 +98,7 @@ def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
     return result
 
 
-def at_rest(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
+def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
     """Return the product with ``P(0)^-1``, of a free body with ``P(s)^-1``.
 
     The rate s is slow.
@@ -126,7 +126,7 @@ class Steps:
     modes: list[tuple[Any, ...]]
 
 
-def steps(
+def integrate_steps(
     system: System,
     first: float,
     step: float,

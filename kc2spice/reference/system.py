@@ -37,7 +37,7 @@ class PlacedDevice:
     states: np.ndarray  # their places among the unknowns
     first: int  # place of its outputs among those of all devices
 
-    def out(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
+    def evaluate(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
         """Compute the outputs (k,) for inputs ``e`` and their rate.
 
         They contain the rates of charges.

@@ -12,7 +12,7 @@ from kc2spice.parts.electronics.two_terminal_types import element
 from kc2spice.parts.mechanics.mass import point_mass
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.reference.equilibrium import solve_operating_point
-from kc2spice.reference.fixed_step import steps
+from kc2spice.reference.fixed_step import integrate_steps
 from kc2spice.reference.small_signal import solve_ac
 from kc2spice.reference.system import assemble_system
 from kc2spice.rom.linear_model import LinearModel, Port
@@ -48,7 +48,7 @@ def test_steps_follow_a_closed_form_with_an_error_of_second_order() -> None:
     system, errors = assemble_system((body, force, still), joins), []
     for count in (400, 800):
         step = 200e-6 / count
-        run = steps(system, 0.0, step, count)
+        run = integrate_steps(system, 0.0, step, count)
         exact = (risen(run.time) - risen(run.time - RAMP)) / RAMP
         errors.append(np.abs(run.waves["x.tip"] - exact).max() * K)
         # the charge of a short circuit is 0.3 C/m times the displacement, the current its rate

@@ -19,7 +19,7 @@ from kc2spice.core.laws import PortBody
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
-from kc2spice.reference.fixed_step import steps
+from kc2spice.reference.fixed_step import integrate_steps
 from kc2spice.reference.integrate import Trajectory
 from kc2spice.reference.system import System, assemble_system
 from kc2spice.rom.linear_model import LinearModel
@@ -134,7 +134,7 @@ def full_differences(
     def difference(times: int, label: str) -> Difference:
         with clock.stage("full model", f"{names}: {label}") as share:
             first, second = (
-                steps(system, begin, times * step, count // times, state, share)
+                integrate_steps(system, begin, times * step, count // times, state, share)
                 for system in systems
             )
         ours = network.results(first.waves, first.time)
