@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from kc2spice.parts.mechanics._touching import separation
+from kc2spice.parts.mechanics._touching import find_separation
 
 
 def compare(waves, reference):
@@ -29,4 +29,4 @@ def _height(waves):
 
 
 def _leaves(waves):
-    return separation(waves["time"], waves["contact.force"], waves["sphere.v"])
+    return find_separation(waves["time"], waves["contact.force"], waves["sphere.v"])

@@ -15,7 +15,7 @@ from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.netlist.circuit import Circuit, Item, Param, Pin
 from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.spelling import comment, distinct
+from kc2spice.netlist.spelling import comment, distinct, voltage_between
 from kc2spice.netlist.spelling import name as checked
 from kc2spice.physics.cards import (
     force_node,
@@ -54,8 +54,8 @@ _INNER = rf"(?:{_OWN})_.+|(?:edge|poly)\d+|tick"  # nodes
 _UNEXPLAINED = 1e-3  # share of what pins bring in that the steps of a run may lose
 
 
-def settling(part: Part, scene: DeclaredScene) -> Iterator[Numerics]:
-    """Tighter tolerance of Newton's method in sweeps, whose points begin at the previous one."""
+def sweep_numerics(part: Part, scene: DeclaredScene) -> Iterator[Numerics]:
+    """Yield a tighter tolerance of Newton's method for sweeps and operating points."""
     if scene.analysis.type in ("dc", "op"):
         change = "1e-6", "change at which Newton's method stops: nonlinear parts"
         yield Numerics(part.name, options={"reltol": change})
@@ -67,7 +67,7 @@ class DeclaredPart(PartType[KeysT]):
     source = "closed form"
 
     def __init__(self, declaration: Declaration | None = None) -> None:
-        """Without one, what it declares follows from a part's keys and the scene."""
+        """Make the type of a declaration; without one, each part has its own declaration."""
         if declaration is None:
             return
         self.declaration = declaration
@@ -79,17 +79,17 @@ class DeclaredPart(PartType[KeysT]):
     # --- pins and netlist -------------------------------------------------------------------
 
     def declared(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
-        """The physics of a part; that of its type, unless its keys say how many branches it has."""
+        """Declaration of a part, by default that of its type."""
         return self.declaration
 
     def built_declaration(self, part: Part[KeysT], build: Build) -> Declaration:
-        """The same, of a part that may have a model."""
+        """Declaration of a part whose model may be built."""
         return self.declared(part, build.scene)
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         d, result = self.declared(part, scene), []
         plus = {b.plus for b in d.branches}
-        for p in pins_of(d):
+        for p in make_pins(d):
             required = p.name in plus or scene.is_target(part.name, p.name)
             default = None if required else "gnd"
             result.append(Terminal(p.name, p.unit, p.flow, default, required=required))
@@ -100,7 +100,7 @@ class DeclaredPart(PartType[KeysT]):
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
     def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
-        """Holds displacements with a stiffness at rest, and is a path for flows."""
+        """Return paths: displacements with a stiffness at rest, and branches of flows."""
         d = self.declared(part, scene)
         values = d.values(part.keys)
         stiff, flowing = [], []
@@ -122,7 +122,7 @@ class DeclaredPart(PartType[KeysT]):
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterator[Numerics]:
         if not self.declared(part, scene).linear:
-            yield from settling(part, scene)
+            yield from sweep_numerics(part, scene)
 
     # --- results ----------------------------------------------------------------------------
 
@@ -131,7 +131,7 @@ class DeclaredPart(PartType[KeysT]):
         for b in d.branches:
             voltage = b.domain.across
             if b.plus and {build.net(part, b.plus), build.net(part, b.minus)} != {"0"}:
-                across = across_pins(build, part, b)
+                across = branch_voltage(build, part, b)
                 result[f"{part.name}.{b.across}"] = Vector(across, voltage.factor, voltage.unit)
             if not b.through:
                 continue
@@ -149,7 +149,7 @@ class DeclaredPart(PartType[KeysT]):
         return result
 
     def initial_motion(self, part: Part[KeysT], build: Build) -> tuple[float, float] | None:
-        """Displacement [m] and velocity [m/s] at t = 0, None where the system holds it."""
+        """Displacement [m] and velocity [m/s] at t = 0, None if the system determines them."""
         return None
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
@@ -170,7 +170,7 @@ class DeclaredPart(PartType[KeysT]):
     # --- what a run says --------------------------------------------------------------------
 
     def checks(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Any]:
-        """Limits, impacts, and the balance of the energy through pins, stored energy and losses."""
+        """Yield checks of limits and impacts, and the energy balance."""
         d = self.built_declaration(part, build)
         known = {} if "frequency" in waves else self._recorded_variables(part, build, waves)
         yield from _check_limits(d, part, known)
@@ -187,8 +187,7 @@ class DeclaredPart(PartType[KeysT]):
                 yield Check(f"strikes of {part.name}", strikes, STRIKES, "", REBOUND, "warn")
 
     def standing(self, part: Part[KeysT], build: Build, point: Waveforms) -> Iterator[Check]:
-        """Whether it rests on a stop, about which small signals are those of the stop, or beyond
-        its limits."""
+        """Yield checks whether the operating point is on a stop or outside the limits."""
         d, known = self.built_declaration(part, build), self._recorded_variables(part, build, point)
         small = build.scene.analysis.small
         if small:
@@ -203,7 +202,7 @@ class DeclaredPart(PartType[KeysT]):
     def _recorded_variables(
         self, part: Part[KeysT], build: Build, waves: Waveforms
     ) -> dict[str, np.ndarray]:
-        """Coordinates, states and signals over time, as far as the run has them."""
+        """Recorded coordinates, states and signals over time."""
         d = self.built_declaration(part, build)
         result = {}
         for name in (*d.coordinates, *d.states, *d.signals):
@@ -221,7 +220,7 @@ class DeclaredPart(PartType[KeysT]):
 def _check_limits(
     d: Declaration, part: Part, known: dict[str, np.ndarray], where: str = ""
 ) -> Iterator[Check]:
-    """Whether the limits hold that ``known`` coordinates, states and signals decide."""
+    """Yield checks of the limits that depend on ``known`` variables alone."""
     for what, tree in d.limit_trees.items():
         if names(tree) - set(d.parameters) <= set(known):
             value = float(np.min(evaluate_tree(tree, d.values(part.keys) | known)))
@@ -231,12 +230,12 @@ def _check_limits(
 
 
 def _inner_voltage(build: Build, part: Part, node: str, pin: str) -> str:
-    """The voltage of an inner node against a pin."""
+    """Return the vector of the voltage from an inner node to a pin."""
     low = build.net(part, pin)
     return f"v(x{part.name}.{node})" + f"-v({low})" * (low != "0")
 
 
-def pins_of(declaration: Declaration) -> tuple[Pin, ...]:
+def make_pins(declaration: Declaration) -> tuple[Pin, ...]:
     """Return the pins of a declared part in the order of its branches.
 
     With a base, all upper pins stand before the lower ones. The velocity of a rigid body stands
@@ -305,7 +304,7 @@ def declared_subcircuit(
     """
     from kc2spice.synthesis.header import defaults, part_header  # loads scipy
 
-    d, pins = declaration, pins_of(declaration)
+    d, pins = declaration, make_pins(declaration)
     ends = tuple(names_of(pins))
     distinct([*ends, *map(checked, d.signals)], _INNER, where=name)
     keys = []
@@ -324,18 +323,18 @@ def declared_subcircuit(
     return Subcircuit(name, pins, params, tree, title=title, **facts)
 
 
-def across_pins(build: Build, part: Part, branch: Branch) -> str:
-    """The voltage from ``plus`` to ``minus`` of a branch."""
-    a, b = build.net(part, branch.plus), build.net(part, branch.minus)
-    return f"v({a})" if b == "0" else f"-v({b})" if a == "0" else f"v({a})-v({b})"
+def branch_voltage(build: Build, part: Part, branch: Branch) -> str:
+    """Return the vector of the voltage from ``plus`` to ``minus`` of a branch."""
+    plus, minus = build.net(part, branch.plus), build.net(part, branch.minus)
+    return voltage_between(plus, minus) or "v(0)"
 
 
 def balance_energy(
     declaration: Declaration, part: Part, recorded: Mapping[str, np.ndarray], waves: Waveforms
 ) -> Iterator[Balance]:
-    """The balance of a transient, where all coordinates were recorded and something moves.
+    """Yield the energy balance of a transient if all coordinates were recorded and one moves.
 
-    What pins bring in is ``int F dx``, ``int v dq`` with the charge ``q = int i dt`` that flows
+    The work at the pins is ``int F dx``, ``int v dq`` with the charge ``q = int i dt`` that flows
     into them, and ``int i dl`` with ``l = int v dt`` of their voltage, both by what the run has at
     the pins: a charge, a flux or a loss that is not the declared one does not balance.
     """
@@ -388,7 +387,7 @@ def _step_heat(
     means: Mapping[str, np.ndarray],
     time: np.ndarray,
 ) -> np.ndarray:
-    """The heat (nt - 1,) of each step, by what is ``known`` (nt,) at both of its ends.
+    """Heat (nt - 1,) of each step, from the variables ``known`` (nt,) at both of its ends.
 
     The velocity of a coordinate without mass jumps at each corner of the drive. ``means``
     (nt - 1,) are its mean velocities over the steps, and replace the values at the ends.
@@ -405,8 +404,11 @@ def _step_heat(
 def _step_work(
     forces: Iterable[tuple[np.ndarray, np.ndarray]], near: np.ndarray, *, jumps: bool
 ) -> np.ndarray:
-    """The work (nt - 1,) in each step of forces (nt,) on their ways (nt - 1,): by their means, or
-    where ``jumps`` by their values at its end, whichever is nearer to ``near``."""
+    """Work (nt - 1,) in each step of forces (nt,) on displacements (nt - 1,).
+
+    It is that of their means. With ``jumps`` it may be that of the values at the end of the step,
+    if this is nearer to ``near``.
+    """
     means, ends = np.zeros_like(near), np.zeros_like(near)
     for force, displacement in forces:
         means += (force[1:] + force[:-1]) / 2 * displacement
@@ -415,13 +417,16 @@ def _step_work(
 
 
 def _select_nearer(near: np.ndarray, *tried: np.ndarray) -> np.ndarray:
-    """At each place, the value of two arrays that is nearer to ``near``."""
+    """Return the elements of two arrays that are nearer to ``near``."""
     first, second = tried
     return np.where(np.abs(second - near) < np.abs(first - near), second, first)
 
 
 def _integrate_steps(rate: np.ndarray, time: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """The integral (nt - 1,) of a rate over each step as simulators have it: by the trapezoidal
-    rule, or by the end of a step behind a jump, whichever is nearer to ``near`` (nt - 1,)."""
+    """Integrate a rate over each step as simulators do (nt - 1,).
+
+    Simulators use the trapezoidal rule, or the value at the end of a step after a jump. The result
+    is the one that is nearer to ``near`` (nt - 1,).
+    """
     step = np.diff(time)
     return _select_nearer(near, step * (rate[1:] + rate[:-1]) / 2, step * rate[1:])

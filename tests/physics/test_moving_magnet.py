@@ -11,7 +11,7 @@ from scipy.special import j1
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.magnet_rings import Winding, current_body
-from kc2spice.parts.magnetics.moving_magnet import demagnetising
+from kc2spice.parts.magnetics.moving_magnet import demagnetising_factor
 
 COIL = Winding(1.75e-3, 0.46e-3, 1.5e-3, 2.72e-3, 280.0)
 RADIUS, TALL, BR = 1.5e-3, 1.6e-3, 1.02
@@ -72,10 +72,10 @@ def test_a_magnet_weakens_itself_by_its_shape():
 
         return 2 / tall * sum(quad(share, a, a + 10, limit=200)[0] for a in range(0, 400, 10))
 
-    assert demagnetising(0.0, 1.0, 2.0) == pytest.approx(0.3116, abs=1e-4)
+    assert demagnetising_factor(0.0, 1.0, 2.0) == pytest.approx(0.3116, abs=1e-4)
     for tall in (0.5, 1.07, 8.0):
-        assert demagnetising(0.0, 1.0, tall) == pytest.approx(of_charges(tall), abs=1e-5)
-    whole, inner = demagnetising(0.0, 1.0, 1.0), demagnetising(0.5, 1.0, 1.0)
+        assert demagnetising_factor(0.0, 1.0, tall) == pytest.approx(of_charges(tall), abs=1e-5)
+    whole, inner = demagnetising_factor(0.0, 1.0, 1.0), demagnetising_factor(0.5, 1.0, 1.0)
     assert 0.0 < inner < whole  # its hole brings its faces' ends closer to its middle
 
 

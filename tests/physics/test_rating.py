@@ -25,16 +25,17 @@ def part_of(name, part, **overrides):
 
 def test_ratings_follow_layers_and_materials():
     chip, _ = part_of("impact", "kick")
-    assert chip.type.rated(chip) == pytest.approx(2e6 * 2e-3 / 33)
+    assert chip.type.rated_voltage(chip) == pytest.approx(2e6 * 2e-3 / 33)
     chip, _ = part_of("impact", "kick", rated_field=1e6)
-    assert chip.type.rated(chip) == pytest.approx(1e6 * 2e-3 / 33)
+    assert chip.type.rated_voltage(chip) == pytest.approx(1e6 * 2e-3 / 33)
     disc, _ = part_of("buzzer_7bb_20_6", "disc")
     (ceramic,) = (x for x in disc.keys.layers if x.electrodes is not None)
-    assert disc.type.rated(disc) == pytest.approx(0.7e6 * ceramic.thickness)  # PZT-5A, TP-226
+    volts = 0.7e6 * ceramic.thickness  # PZT-5A, TP-226
+    assert disc.type.rated_voltage(disc) == pytest.approx(volts)
     beam, _ = part_of("harvester", "beam")
     assert beam.keys.wiring in (None, "series")
     thick = sum(x.thickness for x in beam.keys.layers if x.material == "PZT-5A")
-    assert beam.type.rated(beam) == pytest.approx(0.7e6 * thick)
+    assert beam.type.rated_voltage(beam) == pytest.approx(0.7e6 * thick)
 
 
 @pytest.mark.parametrize(("volts", "passed"), [(121.0, True), (-122.0, False)])

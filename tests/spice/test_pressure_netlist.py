@@ -3,7 +3,7 @@
 import pytest
 from device import models
 
-from kc2spice.parts.mechanics._touching import separation
+from kc2spice.parts.mechanics._touching import find_separation
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.verify.law_solution import solve
@@ -31,7 +31,7 @@ def test_a_force_at_rest_is_that_of_the_law(solved):
 def test_contact_ends_where_the_law_says(solved):
     """The force ends while the surfaces still overlap by pace times their speed, 12 nm."""
     (time, speed), (exact_time, exact_speed) = (
-        separation(w["time"], w["contact.force"], w["sphere.v"])
+        find_separation(w["time"], w["contact.force"], w["sphere.v"])
         for w in (solved[0], solved[1].results)
     )
     assert time == pytest.approx(exact_time, abs=5e-10)

@@ -7,7 +7,7 @@ import pytest
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.control.pid import settling_time
-from kc2spice.parts.mechanics._touching import separation
+from kc2spice.parts.mechanics._touching import find_separation
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.resolve import resolve_build
@@ -35,7 +35,7 @@ def throw(t: np.ndarray) -> Waveforms:
 
 def edge(waves: Waveforms) -> tuple[float, float] | None:
     """End of the contact: time and velocity."""
-    return separation(waves["time"], waves["contact.force"], waves["sphere.v"])
+    return find_separation(waves["time"], waves["contact.force"], waves["sphere.v"])
 
 
 def of_scene(waves: Waveforms, name: str) -> dict[str, object]:

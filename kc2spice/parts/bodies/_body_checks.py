@@ -100,7 +100,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
 
         Of a response to small signals the amplitude counts, at the voltages that the scene states.
         """
-        volts, ports = self.rated(part, build), self.used_ports(part, build.scene)
+        volts, ports = self.rated_voltage(part, build), self.used_ports(part, build.scene)
         if volts is None:
             return
         for port in ports:
@@ -142,7 +142,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         worst, states = loaded
         model, target = build.model(part, LinearModel), reduction_target(part, build.scene)
         order = TWICE * (target.order or model.order)
-        default = self._chosen(part, build.scene) is None and not part.parameter_ranges
+        default = self._stated_reduction(part, build.scene) is None and not part.parameter_ranges
         key = "rom.order" if part.keys.rom is None and not default else f"{name}.rom.order"
         advice = FEWER.format(states, f"{key} = {order}")
         check = _reduction_check(name, worst, LOADED, advice)
@@ -169,7 +169,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         key = {**self.model_key(part, build.scene), "enriched": model.order}
 
         def richer() -> LinearModel | None:
-            if self._lossy(part):
+            if self._has_constant_losses(part):
                 return None
             try:
                 return self.orders(part, build.scene, Clock()).enriched(key["enriched"], band)

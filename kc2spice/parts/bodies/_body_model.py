@@ -82,7 +82,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         yield from check_dimensions(part.name, part.keys)
         yield from check_corners(part, scene)
 
-    def _chosen(self, part: Part[LinearKeysT], scene: Scene) -> Rom | None:
+    def _stated_reduction(self, part: Part[LinearKeysT], scene: Scene) -> Rom | None:
         """The reduction that somebody chose: the body's own, which may as well say no more than
         which keys are parameters of the netlist, else the scene's."""
         specified: Rom | None = part.keys.rom
@@ -98,7 +98,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         frequencies of the body. The tolerance of 1e-3 is a tenth of usual mesh errors. It is above
         the effect of rounding on a free thin plate, some 1e-4 at its resonances.
         """
-        specified, result = part.keys.rom, self._chosen(part, scene)
+        specified, result = part.keys.rom, self._stated_reduction(part, scene)
         if result is None and scene.analysis.small:
             low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
             result = Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
@@ -114,7 +114,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
         It does not depend on the natural frequencies of the body.
         """
-        if self._chosen(part, scene) is not None or scene.analysis.type != "transient":
+        if self._stated_reduction(part, scene) is not None or scene.analysis.type != "transient":
             return None
         return max([LEAST, *(r.content for r in scene.numerics if math.isfinite(r.step))])
 
@@ -161,7 +161,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 other = with_values(part, values)
                 return self.varied(other, scene, clock, middle).select(key["ports"])
 
-            band = _reaching(target.band, key, lambda: full(middle_values(keys)))
+            band = _limit_band(target.band, key, lambda: full(middle_values(keys)))
             text = f"model of {part.name} over {len(keys)} parameters"
             with clock.stage("reduce", text) as share:
                 return reduce_over_ranges(
@@ -179,7 +179,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
         return scene.workspace.latest(f"range of {part.name}", key, load)
 
-    def _lossy(self, part: Part[LinearKeysT]) -> bool:
+    def _has_constant_losses(self, part: Part[LinearKeysT]) -> bool:
         """Whether it has losses that the matrices of a full model cannot have."""
         return bool(loss_tangent(part)) or by_complex_constants(part)
 
@@ -196,7 +196,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     ) -> LinearModel | None:
         if full:
             # the matrices of a full model cannot have some losses
-            return None if self._lossy(part) else self._full_model(part, scene, clock)
+            return None if self._has_constant_losses(part) else self._full_model(part, scene, clock)
         if keys := varied(part):
             return self.varying(part, scene, clock).at(values_of_part(keys))
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
@@ -213,10 +213,10 @@ class BodyModel(BodyPorts[LinearKeysT]):
             selected = orders.model
             with clock.stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, selected.order)
-                band = _reaching(target.band, model_key, lambda: selected)
+                band = _limit_band(target.band, model_key, lambda: selected)
                 norm = target.norm or default_norm(selected)
                 if constants:
-                    selected = _barely_damped(part, selected, band)
+                    selected = _with_least_damping(part, selected, band)
                 # a contact, a switch or a table excites modes above the band
                 if order is not None and selected is orders.model:
                     small = orders.reduce(order, band, norm)
@@ -299,7 +299,7 @@ def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
     return ComplexConstants(2 * damping.zeta, loss_tangent(part), at)
 
 
-def _barely_damped(part: Part, model: LinearModel, band: tuple[float, float]) -> LinearModel:
+def _with_least_damping(part: Part, model: LinearModel, band: tuple[float, float]) -> LinearModel:
     """``model`` with viscous damping that nowhere in the band exceeds that of complex constants, so
     that the error of a reduction is no larger with these."""
     loss = losses_of(part, model).loss_factor
@@ -337,10 +337,10 @@ def scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float, floa
     kind = part.type
     assert isinstance(kind, BodyModel)
     target, key = reduction_target(part, scene), kind.model_key(part, scene)
-    return _reaching(target.band, key, lambda: full)
+    return _limit_band(target.band, key, lambda: full)
 
 
-def _reaching(
+def _limit_band(
     band: tuple[float, float], key: Mapping[str, Any], full: Callable[[], LinearModel]
 ) -> tuple[float, float]:
     """The band up to natural frequencies of the full model in it, see ``least_band_end``."""
@@ -352,7 +352,7 @@ def _reaching(
     return low, high
 
 
-def aim(rom: Rom) -> str:
+def describe_target(rom: Rom) -> str:
     """Target of a reduction in words: order or tolerance, and band."""
     low, high = rom.band
     target = f"order {rom.order}"

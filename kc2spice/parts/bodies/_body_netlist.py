@@ -65,7 +65,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         self, part: Part[LinearKeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
         name = build.libraries[part.name]
-        volts = self.rated(part, build)
+        volts = self.rated_voltage(part, build)
         rating = f"{volts:.4g} V between {RATED}" if volts else UNRATED
         if not volts and paired_ports(build.model(part, LinearModel).ports):
             rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"

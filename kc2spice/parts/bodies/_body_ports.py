@@ -54,14 +54,14 @@ class BodyPorts(Touching[LinearKeysT]):
         """First line of its library, with its assumptions."""
         return self.title
 
-    def by_material(self, part: Part[LinearKeysT]) -> float | None:
+    def rated_by_material(self, part: Part[LinearKeysT]) -> float | None:
         """Largest voltage [V] between electrodes for its material, None if not known."""
         return None
 
-    def rated(self, part: Part[LinearKeysT], build: Build | None = None) -> float | None:
+    def rated_voltage(self, part: Part[LinearKeysT], build: Build | None = None) -> float | None:
         """Largest voltage [V] between electrodes, from its keys, its layers or its mesh."""
         mesh = {} if build is None else build.model(part, LinearModel).facts
-        known = part.keys.rated_voltage or self.by_material(part)
+        known = part.keys.rated_voltage or self.rated_by_material(part)
         return known or mesh.get("depoling_voltage_v")
 
     def used_ports(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Port, ...]:
@@ -87,7 +87,7 @@ class BodyPorts(Touching[LinearKeysT]):
 
     def pins(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Pins in the order of the subcircuit."""
-        ports, rated = self.used_ports(part, scene), self.rated(part)
+        ports, rated = self.used_ports(part, scene), self.rated_voltage(part)
         result: list[Terminal] = []
         shared: set[str] = set()
         for port in ports:

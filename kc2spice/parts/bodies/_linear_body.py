@@ -23,8 +23,8 @@ from kc2spice.parts.bodies import _pictures
 from kc2spice.parts.bodies._body_checks import TWICE, BodyChecks
 from kc2spice.parts.bodies._body_model import (
     MOTIONS,
-    aim,
     by_complex_constants,
+    describe_target,
     loss_tangent,
     reduction_target,
 )
@@ -149,16 +149,16 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def figures(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Figure | Written]:
-        yield from _pictures.port_figures(part.name, waves)
+        yield from _pictures.plot_port_waves(part.name, waves)
         z = measured_impedance(part, waves)
         if z is not None:
             how = f"as the circuit shows it at {part.name}"
             f = waves["frequency"].real
-            yield _pictures.impedances(part.name, f, {"": z}, how + _pictures.PEAKS)
+            yield _pictures.plot_impedances(part.name, f, {"": z}, how + _pictures.PEAKS)
             return
-        yield from _pictures.response_figures(part.name, waves)
+        yield from _pictures.plot_responses(part.name, waves)
         model = build.model(part, LinearModel)
-        yield from _pictures.own_impedances(part.name, model, resonators(model))
+        yield from _pictures.plot_port_impedances(part.name, model, resonators(model))
 
     def notes(self, part: Part[LinearKeysT], scene: Scene) -> Iterator[str | Neglected]:
         rom = reduction_target(part, scene)
@@ -169,7 +169,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
             if self.least_band_end(part, scene) is None
             else f", or {MOTIONS} natural frequencies"
         )
-        yield f"reduced to {aim(rom)}{reach}; ports {ports}"
+        yield f"reduced to {describe_target(rom)}{reach}; ports {ports}"
         unused = names_of(filterfalse(used.__contains__, self.ports(part, scene)))
         if unused:
             what = f"{part.name}: ports {', '.join(unused)}"

@@ -33,7 +33,7 @@ from kc2spice.parts.bodies._neglected import (
     disc_envelope,
     neglected_effects,
 )
-from kc2spice.parts.bodies._pictures import deformed, shapes
+from kc2spice.parts.bodies._pictures import draw_deformed, draw_modes
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.checks import Balance, Check, Metric
 from kc2spice.scene.model import (
@@ -182,7 +182,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
                 name, title = f"{part.name}_modes", f"Modes of {part.name}"
                 caption = "Modes that its ports excite, electrodes shorted, undamped; colours are "
                 caption += "displacements relative to the largest."
-                panels = tuple(shapes(device, hertz, columns))
+                panels = tuple(draw_modes(device, hertz, columns))
                 yield Figure(name, title, caption, panels, columns=3)
         recovered = self.recovered(part, build, waves)
         if recovered is not None:
@@ -196,7 +196,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
                 instants[f"_{k}"] = t, "as chosen"
             for stem, (t, what) in instants.items():
                 device, state = recovered.motion.device, recovered.motion.at(t)
-                panel, factor = deformed(device, *state)
+                panel, factor = draw_deformed(device, *state)
                 caption = f"At {1e3 * t:.4g} ms, {what}; displacements times {factor:g}."
                 name = f"{part.name}_deformed{stem}"
                 yield Figure(name, f"Deformed {part.name}", caption, (panel,))
@@ -273,7 +273,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     ) -> LinearModel:
         return replace(self.bonded(part), like=self.bonded(like)).device().model
 
-    def by_material(self, part: Part[FieldKeysT]) -> float | None:
+    def rated_by_material(self, part: Part[FieldKeysT]) -> float | None:
         return self.bonded(part).rated
 
     def dimensions(self, part: Part[FieldKeysT]) -> int:

@@ -26,7 +26,9 @@ PEAKS = ": minimum at resonance, maximum at antiresonance."
 OBLIQUE = 0.35  # drawn shift of the depth, to the right and upwards, over the depth
 
 
-def impedances(name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], how: str) -> Figure:
+def plot_impedances(
+    name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], how: str
+) -> Figure:
     """Magnitude and phase of impedances [Ohm] over frequency [Hz], as an analyser shows them."""
     log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
     unit, scale = ("kHz", 1e3) if frequency[-1] > 5e3 else ("Hz", 1.0)
@@ -43,7 +45,9 @@ def impedances(name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], ho
     return Figure(f"{name}_impedance", f"Impedance of {name}", caption, panels)
 
 
-def own_impedances(name: str, model: LinearModel, modal: Resonators | None) -> Iterator[Figure]:
+def plot_port_impedances(
+    name: str, model: LinearModel, modal: Resonators | None
+) -> Iterator[Figure]:
     """Impedance of every electrical port, with other ports shorted and no force on the body.
 
     Frequencies are dense around the resonances of ``modal``, without the undamped resonances
@@ -67,10 +71,10 @@ def own_impedances(name: str, model: LinearModel, modal: Resonators | None) -> I
         port_name = name if port.name == "anode" else f"{name}_{port.name}"
         how = "of the reduced model, nothing pressing on the body, other electrodes shorted"
         if (charge != 0).all():
-            yield impedances(port_name, f, {"": 1 / (2j * np.pi * f * charge)}, how + PEAKS)
+            yield plot_impedances(port_name, f, {"": 1 / (2j * np.pi * f * charge)}, how + PEAKS)
 
 
-def response_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
+def plot_responses(name: str, waves: Waveforms) -> Iterator[Figure]:
     """Plot voltages and displacements over frequency, if no impedance was measured."""
     if "frequency" not in waves:
         return
@@ -92,7 +96,7 @@ def response_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
         yield Figure(f"{name}_response", f"Response of {name}", caption, tuple(panels))
 
 
-def port_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
+def plot_port_waves(name: str, waves: Waveforms) -> Iterator[Figure]:
     """Plot displacements, voltage and current of the ports of ``name``.
 
     They are drawn over the shortest interval that includes every swing above 2 % of the largest.
@@ -117,7 +121,7 @@ def port_figures(name: str, waves: Waveforms) -> Iterator[Figure]:
     yield Figure(f"{name}_ports", f"Motion of {name}", caption, tuple(panels))
 
 
-def deformed(
+def draw_deformed(
     device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray
 ) -> tuple[Panel, float]:
     """Draw the deformed body over its edges at rest, and return the factor of displacements.
@@ -129,7 +133,7 @@ def deformed(
     result = at_nodes(device, z, voltages)
     stress = 1e-6 * principal_stress(result["stress"])
     moved, factor = _enlarge(device, result["displacement"])
-    at_rest = edges("at rest", device.solid.mesh, ":", fine=0)
+    at_rest = draw_edges("at rest", device.solid.mesh, ":", fine=0)
     label = "largest principal stress in MPa"
     panel = Panel(
         "mm", "mm", (at_rest,), equal=True, map=_map_surface(device, moved, stress, label)
@@ -137,7 +141,9 @@ def deformed(
     return panel, factor
 
 
-def shapes(device: FiniteElementModel, hertz: np.ndarray, columns: np.ndarray) -> Iterator[Panel]:
+def draw_modes(
+    device: FiniteElementModel, hertz: np.ndarray, columns: np.ndarray
+) -> Iterator[Panel]:
     """Yield a panel for each mode, a column of ``columns`` (n, modes)."""
     from kc2spice.bodies.fields import at_nodes
 
@@ -147,7 +153,7 @@ def shapes(device: FiniteElementModel, hertz: np.ndarray, columns: np.ndarray) -
         moved, _ = _enlarge(device, result)
         size = np.linalg.norm(result, axis=1)
         colours = _map_surface(device, moved, size / size.max(), "of the largest")
-        at_rest = edges("at rest", device.solid.mesh, ":", fine=0)
+        at_rest = draw_edges("at rest", device.solid.mesh, ":", fine=0)
         word = f"{f / 1e3:.4g} kHz" if f >= 1e3 else f"{f:.4g} Hz"
         yield Panel(f"mm, {word}", "mm", (at_rest,), equal=True, map=colours)
 
@@ -203,7 +209,7 @@ def _map_surface(
     return Map(x, y, z, label)
 
 
-def _edges(mesh: Any, fine: int) -> np.ndarray:
+def _visible_edges(mesh: Any, fine: int) -> np.ndarray:
     """Return the vertices (2, edges) of the surface mesh.
 
     Of more lines than ``fine``, only those remain where faces meet at an angle.
@@ -226,9 +232,9 @@ def _edges(mesh: Any, fine: int) -> np.ndarray:
     return np.asarray(mesh.edges[:, edge[value[:, -2] > BENT * value[:, -1]]])
 
 
-def edges(label: str, mesh: Any, style: str = "-", fine: int = FINE) -> Curve:
+def draw_edges(label: str, mesh: Any, style: str = "-", fine: int = FINE) -> Curve:
     """Return the edges of a mesh [mm] in oblique projection, separated by points of NaN."""
-    points, edges = mesh.p[:, : mesh.nvertices], _edges(mesh, fine)  # no nodes on edges
+    points, edges = mesh.p[:, : mesh.nvertices], _visible_edges(mesh, fine)  # no nodes on edges
     flat = points if len(points) == 2 else points[[0, 2]] + OBLIQUE * points[1]
     path = np.full((2, 3, edges.shape[1]), np.nan)
     path[:, :2] = 1e3 * flat[:, edges]

@@ -50,7 +50,7 @@ from kc2spice.parts.bodies._body_model import file_stamp
 from kc2spice.parts.bodies._linear_keys import FieldKeys
 from kc2spice.parts.bodies._meshed import MeshedBody
 from kc2spice.parts.bodies._neglected import Envelope, box_envelope
-from kc2spice.parts.bodies._pictures import edges
+from kc2spice.parts.bodies._pictures import draw_edges
 from kc2spice.rom.linear_model import Port
 from kc2spice.scene.model import (
     Build,
@@ -556,7 +556,7 @@ class Body(MeshedBody[BodyKeys]):
         curve = cached(
             "outline",
             self.full_key(part, build.scene),
-            lambda: edges("", self.device(part, build.scene).solid.mesh),
+            lambda: draw_edges("", self.device(part, build.scene).solid.mesh),
             classes=(Curve,),
             sources=self.sources(),
         )

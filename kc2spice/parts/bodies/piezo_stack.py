@@ -19,7 +19,7 @@ from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, si
 from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.fem.materials import material
-from kc2spice.parts.bodies._body_model import SOURCES, aim, reduction_target
+from kc2spice.parts.bodies._body_model import SOURCES, describe_target, reduction_target
 from kc2spice.parts.bodies._body_ports import required_ports
 from kc2spice.parts.bodies._linear_keys import FieldKeys
 from kc2spice.parts.bodies._meshed import MeshedBody
@@ -92,7 +92,7 @@ class Drive(Section):
     )
 
     @model_validator(mode="after")
-    def _edges(self) -> Drive:
+    def _visible_edges(self) -> Drive:
         if self.edge > self.width:
             raise ValueError("the edges of the pulse are longer than the pulse: edge above width")
         return self
@@ -269,7 +269,7 @@ class PiezoStack(MeshedBody[Stack]):
     def headline(self, part: Part[Stack]) -> str:
         return f"{self.title}; {describe_mounting(part.keys)}"
 
-    def by_material(self, part: Part[Stack]) -> float:
+    def rated_by_material(self, part: Part[Stack]) -> float:
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
     def full_key(self, part: Part[Stack], scene: GovernedScene) -> Mapping[str, Any]:
@@ -357,7 +357,7 @@ class PiezoStack(MeshedBody[Stack]):
         used, last = used_rings(part, scene), keys.mesh.rings
         ports = "a patch of pressure as port" if pressed else f"{used} rings as ports"
         detail = f"quarter chip, {keys.layers} layers, {describe_mounting(keys)}, "
-        yield f"{detail}reduced to {aim(rom)}, anode {keys.electrical}, {ports}"
+        yield f"{detail}reduced to {describe_target(rom)}, anode {keys.electrical}, {ports}"
         yield from self.neglected(part, scene)
         if keys.mounting == "roller":
             why = "its bottom face slides without friction on a plane"

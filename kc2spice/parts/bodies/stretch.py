@@ -24,7 +24,7 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section, Stiffness, si
-from kc2spice.parts.electrostatics.gap import Patched, patches
+from kc2spice.parts.electrostatics.gap import Patched, patch_ports
 from kc2spice.physics import Declaration, displacement
 from kc2spice.scene.model import (
     GovernedScene,
@@ -59,10 +59,10 @@ class Stretch(Patched[StretchKeys]):
     """The part type, whose keys determine the number of branches."""
 
     def declared(self, part: Part[StretchKeys], scene: GovernedScene) -> Declaration:
-        return _declare(len(patches(part, scene)), part.keys.rows)
+        return _declare(len(patch_ports(part, scene)), part.keys.rows)
 
     def problems(self, part: Part[StretchKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        keys, count = part.keys, len(patches(part, scene))
+        keys, count = part.keys, len(patch_ports(part, scene))
         if count % keys.rows:
             problem, got = "patches do not fill the rows", f"{count} patches, {keys.rows} rows"
             yield part.wrong("rows", problem, got, "as many patches in each row")

@@ -19,7 +19,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import self_contained
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics._template import BANDWIDTH, opamp_subcircuit
-from kc2spice.parts.magnetics.ring_magnet_coils import Coils, label
+from kc2spice.parts.magnetics.ring_magnet_coils import Coils, result_prefix
 from kc2spice.parts.mechanics import sphere
 from kc2spice.physics.declaration import Branch, Declaration, displacement, measured, voltage
 from kc2spice.physics.law import DeclaredLaw
@@ -263,7 +263,7 @@ class Pid(PartType[Control]):
             return {}
         t, y, setpoint = waves["time"], waves[f"{ball.name}.y"], part.keys.setpoint
         settled = settling_time(t, y, setpoint, sphere.settling_band(part, ball))
-        current = waves.data.get(f"{label(_coils(part, build.scene))}.upper.current")
+        current = waves.data.get(f"{result_prefix(_coils(part, build.scene))}.upper.current")
         caught = settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0]))
         return {
             "settling_time_s": Metric(settled, "s"),
@@ -273,7 +273,7 @@ class Pid(PartType[Control]):
         }
 
     def checks(self, part: Part[Control], build: Build, waves: Waveforms) -> Iterator[Check]:
-        current = waves.data.get(f"{label(_coils(part, build.scene))}.upper.current")
+        current = waves.data.get(f"{result_prefix(_coils(part, build.scene))}.upper.current")
         if current is None or "time" not in waves:
             return
         t, start = waves["time"], part.keys.switching[0][0]

@@ -26,7 +26,7 @@ from kc2spice.physics.declaration import (
     voltage,
 )
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.part import DeclaredPart, across_pins
+from kc2spice.physics.part import DeclaredPart, branch_voltage
 from kc2spice.physics.symbolic import ONE, ZERO, derivative, evaluate_tree, over, times
 from kc2spice.scene.model import (
     Build,
@@ -40,7 +40,7 @@ from kc2spice.scene.rows import Vector
 
 
 class Row(NamedTuple):
-    """``stated`` in terms of the one ``key`` in ``unit``; ``drive`` is what its example is on."""
+    """An element: its one ``key`` with its unit, its energies ``stated``, its example's source."""
 
     name: str
     title: str
@@ -83,7 +83,7 @@ TABLE = (
 
 
 def declare_element(row: Row) -> Declaration:
-    """The row's physics with its key, an example and its equations as documentation."""
+    """Declare the element of a row, with its key, an example and its equations."""
     noun = row.name.replace("_", " ")
     value = Field(gt=0, description=f"{row.key.capitalize()} of the {noun}")
     fields: dict[str, Any] = {row.key: (Annotated[float, si(row.unit)], value)}
@@ -114,12 +114,12 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def branch(self) -> Branch:
-        """The only one."""
+        """Its only branch."""
         return self.declaration.branches[0]
 
     @cached_property
-    def linear(self) -> tuple[int, Tree]:
-        """``order`` and ``admittance``, from what is stated."""
+    def admittance_law(self) -> tuple[int, Tree]:
+        """Order of the derivative, and admittance, from the declaration."""
         d, b = self.declaration, self.branch
         flow = d.direct_flow(b)
         stiff, slow = derivative(flow, b.name), derivative(flow, b.rate)
@@ -133,7 +133,7 @@ class LinearElement(DeclaredPart[KeysT]):
     @cached_property
     def _letter(self) -> str:
         """Letter of its card, in which a displacement is the voltage and a velocity its rate."""
-        return {-1: "L", 0: "R", 1: "C"}[self.linear[0] + self.branch.moves]
+        return {-1: "L", 0: "R", 1: "C"}[self.admittance_law[0] + self.branch.moves]
 
     @cached_property
     def _unit(self) -> Number:
@@ -141,7 +141,7 @@ class LinearElement(DeclaredPart[KeysT]):
         value = self.branch.domain.admittance
         return ONE if value == 1 else Number(f"{value:g}")
 
-    def _number(self, part: Part[KeysT], tree: Tree) -> float:
+    def _evaluate(self, part: Part[KeysT], tree: Tree) -> float:
         return float(evaluate_tree(tree, self.declaration.values(part.keys)))
 
     def subcircuits(
@@ -152,22 +152,23 @@ class LinearElement(DeclaredPart[KeysT]):
     def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterator[tuple[str, ...]]:
         n = part.name
         yield from ((f"V{n}", "meter"), (n.lower(), "metered"), (f"G{n}", "leak"))
-        yield from ((name, "noise") for name in (f"R{n}", f"G{n}", n.lower()))
+        yield from ((f"R{n}", "noise"), (f"G{n}", "noise"), (n.lower(), "noise"))
 
     def cards(self, part: Part[KeysT], build: Build) -> tuple[Item, ...]:
         a, b = build.net(part, "a"), build.net(part, "b")
-        admittance = times(self._unit, self.linear[1])
+        admittance = times(self._unit, self.admittance_law[1])
         if self._letter != "C":
-            value = self._number(part, over(ONE, admittance))
-            noise = self._noise_cards(part, build, a, b) if build.noisy and not self._card else ()
-            silent = build.noisy and self._letter == "R" and not (self._lossy and self._card)
-            words = {"noisy": "0"} if silent else {}
+            value = self._evaluate(part, over(ONE, admittance))
+            separate = build.noisy and not self._has_si_units
+            noise = self._noise_cards(part, build, a, b) if separate else ()
+            silent = self._letter == "R" and not (self._has_loss and self._has_si_units)
+            words = {"noisy": "0"} if build.noisy and silent else {}
             card = Element.of(f"{self._letter}{part.name}", a, b, value, **words)
             return (card.valued(self.branch.domain.value_unit(self._letter)), *noise)
         inner = build.inner_name(part, part.name.lower(), "metered")
         return (
-            Element.of(_meter(part, build), a, inner, "0"),
-            Element.of(f"C{part.name}", inner, b, self._number(part, admittance)).valued(
+            Element.of(_meter_name(part, build), a, inner, "0"),
+            Element.of(f"C{part.name}", inner, b, self._evaluate(part, admittance)).valued(
                 self.branch.domain.value_unit("C")
             ),
             *(() if self.branch.moves else self._leak_cards(part, build, a, b)),
@@ -175,41 +176,43 @@ class LinearElement(DeclaredPart[KeysT]):
         )
 
     def _leak_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
-        """A conductance by which the operating point of a floating net keeps its charge: it is in
-        proportion to the capacitance, as that of a body's electrode is, so that their currents
-        ``rate C v`` sum to zero where the charges ``C v`` do."""
-        value = LEAK_RATE * self._number(part, times(self._unit, self.linear[1]))
+        """Return a conductance that conserves the charge of a floating net.
+
+        It is in proportion to the capacitance, as that of a body's electrode. The currents
+        ``rate C v`` of a net then sum to zero if the charges ``C v`` do.
+        """
+        value = LEAK_RATE * self._evaluate(part, times(self._unit, self.admittance_law[1]))
         return (Element.of(build.inner_name(part, f"G{part.name}", "leak"), a, b, a, b, value),)
 
     @cached_property
-    def _lossy(self) -> bool:
-        """Whether it has the thermal noise of a loss."""
+    def _has_loss(self) -> bool:
+        """Whether it has a loss, whose noise is thermal."""
         return self.declaration.loss_coefficient(self.branch) != ZERO
 
     @cached_property
-    def _card(self) -> bool:
-        """Whether the noise of a resistor's card is that of the element, whose units are SI."""
+    def _has_si_units(self) -> bool:
+        """Whether the pins have SI units, so that the resistor's card has the noise of the loss."""
         return self._unit == ONE
 
     def _noise_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
         """Force noise ``4 k T c`` [N^2/Hz]: the voltage noise of a resistor of c ohms."""
-        if not self._lossy:
+        if not self._has_loss:
             return ()
-        n, value = part.name, self._number(part, self.linear[1])
-        R, G, node = (
-            build.inner_name(part, name, "noise") for name in (f"R{n}", f"G{n}", n.lower())
-        )
+        n, value = part.name, self._evaluate(part, self.admittance_law[1])
+        R, G = build.inner_name(part, f"R{n}", "noise"), build.inner_name(part, f"G{n}", "noise")
+        node = build.inner_name(part, n.lower(), "noise")
         gain = f"{self.branch.domain.quantity('through').per_unit:g}"
         return Element.of(R, node, "0", value), Element.of(G, a, b, node, "0", gain)
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
-        across, n, b = across_pins(build, part, self.branch), part.name, self.branch
+        across, n, b = branch_voltage(build, part, self.branch), part.name, self.branch
         voltage, flow = b.domain.across, b.domain.quantity("through")
         if self._letter == "R":
-            factor = self._number(part, times(Number(f"{voltage.factor:g}"), self.linear[1]))
+            admittance = times(Number(f"{voltage.factor:g}"), self.admittance_law[1])
+            factor = self._evaluate(part, admittance)
             through = Vector(across, factor, flow.unit, ("b",), ("a",))
         else:
-            instance = _meter(part, build) if self._letter == "C" else f"l{n}"
+            instance = _meter_name(part, build) if self._letter == "C" else f"l{n}"
             through = Vector(f"i({instance.lower()})", flow.factor, flow.unit, ("b",), ("a",))
         if b.moves:
             return {f"{n}.{b.through}": through}
@@ -221,7 +224,7 @@ class LinearElement(DeclaredPart[KeysT]):
         yield f"{row.name.replace('_', ' ')} of {getattr(part.keys, row.key):g} {row.unit}"
 
 
-def _meter(part: Part, build: Build) -> str:
+def _meter_name(part: Part, build: Build) -> str:
     return build.inner_name(part, f"V{part.name}", "meter")
 
 
@@ -229,7 +232,7 @@ DECLARED = {row.name: declare_element(row) for row in TABLE}
 
 
 def element(name: str, kind: str, value: float) -> DeclaredLaw:
-    """The law of an element of this ``kind``, such as ``spring``, whose key has ``value`` in SI."""
+    """Make the law of an element of this ``kind``, such as ``spring``, with the SI ``value``."""
     return DeclaredLaw(name, DECLARED[kind], (value,))
 
 

@@ -49,7 +49,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.mechanics import _stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
-from kc2spice.physics.part import pins_of
+from kc2spice.physics.part import make_pins
 from kc2spice.physics.symbolic import evaluate_tree
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
 from kc2spice.scene.highest_frequency import highest_frequency
@@ -141,13 +141,13 @@ class Patched(DeclaredPart[KeysT]):
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         ends = {"minus": "gnd", "b": "gnd"}
         result = []
-        for pin in pins_of(self.declared(part, scene)):
+        for pin in make_pins(self.declared(part, scene)):
             end, required = ends.get(pin.name), pin.name == "plus"
             result.append(Terminal(pin.name, pin.unit, pin.flow, end, required=required))
         return tuple(result)
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        return {f"p{k}": port for k, port in enumerate(patches(part, scene), 1)}
+        return {f"p{k}": port for k, port in enumerate(patch_ports(part, scene), 1)}
 
 
 class Gap(Patched[GapKeys]):
@@ -179,10 +179,10 @@ class Gap(Patched[GapKeys]):
         self, part: Part[GapKeys], scene: GovernedScene, branches: int
     ) -> Declaration:
         keys, top = part.keys, highest_frequency(scene) if part.keys.film else 0.0
-        return _declare(keys.model_dump_json(), len(patches(part, scene)), branches, top)
+        return _declare(keys.model_dump_json(), len(patch_ports(part, scene)), branches, top)
 
     def problems(self, part: Part[GapKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        keys, ports = part.keys, patches(part, scene)
+        keys, ports = part.keys, patch_ports(part, scene)
         if not keys.travel < keys.gap:
             got, expected = f"{keys.travel:g} m", f"less than the gap, {keys.gap:g} m"
             yield part.wrong("travel", "the stop lies beyond the electrode", got, expected)
@@ -249,7 +249,7 @@ class Gap(Patched[GapKeys]):
         return result | {"largest_travel_m": Metric(float(stroke.max()), "m")}
 
 
-def patches(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
+def patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
     """Return the ports of the body under a part's patches, in their order."""
     name = getattr(part.keys, "a", "")
     if not isinstance(name, str):

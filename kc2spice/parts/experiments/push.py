@@ -103,7 +103,7 @@ class Push(Touching[PushKeys]):
         pair, gates = _pair(part, build.scene), build.scene.gates
         # The first depths are contacts of one basis function, which the law does not resolve: all
         # errors are of the largest force then, and against the full model those of the basis.
-        law = pair.unresolved()
+        law = pair.basis_error()
         limits = {
             "rom_vs_fom": max(gates.imprint_rom, law),
             "ngspice_vs_rom": gates.imprint_ngspice,

@@ -78,7 +78,9 @@ class Throw(_touching.Touching[ThrowKeys]):
         ball = sphere_of(part, build.scene)
         t, y = waves["time"], waves[f"{ball.name}.y"] - ball.keys.radius
         force = waves[f"{pair.part.name}.force"]
-        leave = _touching.separation(t, force, waves[f"{ball.name}.v"], power=pair.normal.power)
+        leave = _touching.find_separation(
+            t, force, waves[f"{ball.name}.v"], power=pair.normal.power
+        )
         time, lowest = minimum(t, y)
         return {
             "min_position_m": Metric(lowest, "m"),
@@ -91,7 +93,7 @@ class Throw(_touching.Touching[ThrowKeys]):
     def checks(self, part: Part[ThrowKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
         gates, ball = build.scene.gates, sphere_of(part, build.scene).name
         pair = _touching.only_pair(build.scene)
-        law = pair.unresolved() if pair else 0.0
+        law = pair.basis_error() if pair else 0.0
         place = dict.fromkeys(PAIRS, max(gates.position, law)) | {"ngspice_vs_rom": gates.position}
         yield Gate("position over travel", f"{ball}.y", place, "travel", leads=True)
         speed = dict.fromkeys(PAIRS, gates.rebound_velocity)

@@ -37,7 +37,7 @@ from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import Cells, Ladder, Winding, divide_section, ladder, roughness
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
 from kc2spice.physics.declaration import Branch
-from kc2spice.physics.part import settling
+from kc2spice.physics.part import sweep_numerics
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import (
@@ -226,7 +226,7 @@ class MovingBody(DeclaredPart[MovingT]):
     rating: ClassVar[str]
 
     def numerics(self, part: Part[MovingT], scene: WiredScene) -> Iterator[Numerics]:
-        return settling(part, scene)
+        return sweep_numerics(part, scene)
 
     def declared(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
         return _declare(self, _branches(part.keys, 0))

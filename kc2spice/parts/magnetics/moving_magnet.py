@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import product
 from typing import Annotated
 
 from pydantic import Field
@@ -51,11 +52,15 @@ class MovingMagnetKeys(Magnetisation, Moving):
     )
 
 
-def demagnetising(inner: float, outer: float, height: float) -> float:
-    """Mean (magnetometric) factor of a ring or cylinder along its axis: the mean field of the
-    currents on its surfaces is ``(1 - N)`` times that of an endless one."""
-    shells = [Winding(r, 0.0, height, 0.0, s) for r, s in ((outer, 1.0), (inner, -1.0)) if r]
-    linked = sum(a.with_other(b) for a in shells for b in shells)
+def demagnetising_factor(inner: float, outer: float, height: float) -> float:
+    """Mean (magnetometric) demagnetising factor N of a ring or cylinder along its axis.
+
+    The mean field of the currents on its surfaces is ``(1 - N)`` times that of a very long one.
+    """
+    shells = [Winding(outer, 0.0, height, 0.0, 1.0)]
+    if inner:
+        shells.append(Winding(inner, 0.0, height, 0.0, -1.0))
+    linked = sum(a.with_other(b) for a, b in product(shells, repeat=2))
     return 1 - linked * height / (MU_0 * math.pi * (outer**2 - inner**2))
 
 
@@ -104,7 +109,7 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
         frequency: float,
     ) -> Ladder:
         shape = keys.inner, keys.radius, keys.thickness
-        share = 1 / (1 + demagnetising(*shape) * (keys.mu_r - 1))
+        share = 1 / (1 + demagnetising_factor(*shape) * (keys.mu_r - 1))
         ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=0.0)
         return current_body(
             surface_currents(ring, share), windings(keys), fixed, keys.y_min, keys.y_max, tolerance
@@ -114,7 +119,7 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
         yield f"{len(part.keys.coils)} coils, exact in currents, power series of the height"
         keys = part.keys
         extra = keys.mu_r - 1
-        factor = demagnetising(keys.inner, keys.radius, keys.thickness)
+        factor = demagnetising_factor(keys.inner, keys.radius, keys.thickness)
         yield Neglected(
             "an uneven magnetisation",
             f"the recoil permeability {keys.mu_r:g} feels the mean field of its own alone",

@@ -30,7 +30,7 @@ from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.netlist.circuit import positive
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import number
-from kc2spice.parts.bodies._pictures import impedances
+from kc2spice.parts.bodies._pictures import plot_impedances
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics.netlist import driver
 from kc2spice.parts.mechanics._touching import Penetration, Touching, impact_penetration
@@ -391,7 +391,7 @@ class RingMagnetCoils(Touching[Coils]):
     def vectors(self, part: Part[Coils], build: Build) -> Mapping[str, Vector]:
         if not _is_driven(part, build.scene):
             return {}
-        prefix, inst = label(part), f"x{part.name.lower()}"
+        prefix, inst = result_prefix(part), f"x{part.name.lower()}"
         result = {
             f"{prefix}.lower.current": Vector(f"v({inst}.i)", -1.0, "A"),
             f"{prefix}.upper.current": Vector(f"v({inst}.i)", 1.0, "A"),
@@ -408,13 +408,13 @@ class RingMagnetCoils(Touching[Coils]):
         if y is None or distance_outside(build.model(part, EMTable), y) > 0:
             return {}
         zero = np.zeros_like(y)
-        lower = waves.data.get(f"{label(part)}.lower.current", zero)
-        upper = waves.data.get(f"{label(part)}.upper.current", zero)
+        lower = waves.data.get(f"{result_prefix(part)}.lower.current", zero)
+        upper = waves.data.get(f"{result_prefix(part)}.upper.current", zero)
         return {"v": np.asarray(build.model(part, EMTable).coenergy.force(y, lower, upper))}
 
     def law(self, part: Part[Coils], build: Build) -> laws.Equations:
         n, scene, table = part.name, build.scene, build.model(part, EMTable)
-        prefix, apart = label(part), has_real_coils(part, scene)
+        prefix, apart = result_prefix(part), has_real_coils(part, scene)
         stated, ends = (
             coils.declare_resistive_coils(),
             (("drive.through", -1.0), ("drive.through", 1.0)),
@@ -430,10 +430,10 @@ class RingMagnetCoils(Touching[Coils]):
         return laws.Equations((law,), law.joins, results)
 
     def metrics(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, object]:
-        if f"{label(part)}.voltage" not in waves:
+        if f"{result_prefix(part)}.voltage" not in waves:
             return {}
-        current = waves[f"{label(part)}.upper.current"]
-        voltage = float(np.abs(waves[f"{label(part)}.voltage"]).max())
+        current = waves[f"{result_prefix(part)}.upper.current"]
+        voltage = float(np.abs(waves[f"{result_prefix(part)}.voltage"]).max())
         return {
             "coil_voltage_peak_v": Metric(voltage, "V"),
             "coil_current_peak_a": Metric(float(np.abs(current).max()), "A"),
@@ -507,7 +507,7 @@ class RingMagnetCoils(Touching[Coils]):
     def figures(
         self, part: Part[Coils], build: Build, waves: Waveforms
     ) -> Iterator[Figure | Written]:
-        prefix = label(part)
+        prefix = result_prefix(part)
         currents = _coil_currents(part, waves)
         if "time" in waves and len(currents) == len(COILS):
             t = 1e3 * waves["time"]
@@ -580,10 +580,10 @@ def plot_impedance(part: Part[Coils], build: Build) -> Figure:
         i = np.array(pair)
         z[name] = i**2 @ table.resistance + 2j * np.pi * f * (i @ matrix @ i)
     how = f"of the coils of {part.name}, the sphere held in the middle of their field, capacitance "
-    return impedances(part.name, f, z, how + "of the windings left out.")
+    return plot_impedances(part.name, f, z, how + "of the windings left out.")
 
 
-def label(part: Part[Coils]) -> str:
+def result_prefix(part: Part[Coils]) -> str:
     """First word of its results: ``coil`` for the paper's catch, otherwise its name."""
     return "coil" if part.name == "catch" else part.name
 
@@ -603,7 +603,7 @@ def _coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]
     """Return the recorded currents [A] of the coils, the upper one first."""
     result = {}
     for coil in reversed(COILS):
-        name = f"{label(part)}.{coil}.current"
+        name = f"{result_prefix(part)}.{coil}.current"
         if name in waves:
             result[coil] = waves[name]
     return result

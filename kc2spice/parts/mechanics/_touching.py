@@ -24,7 +24,7 @@ from kc2spice.scene.model import (
 )
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.pressure import IndentationLaw, LocalCompliance, PressureBasis
+    from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
     from kc2spice.core.waveforms import Waveforms
 
 FLOOR = "floor"  # port of a rigid plane
@@ -67,7 +67,7 @@ class Surface:
         return bool(self.velocity)
 
     @property
-    def pushed(self) -> tuple[str, ...]:
+    def force_pins(self) -> tuple[str, ...]:
         """Pins that take the force."""
         return (self.velocity,) if self.velocity else self.ports
 
@@ -76,7 +76,7 @@ class Surface:
         if self.part == GROUND:
             return dict.fromkeys(pins, GROUND)
         owner = scene.movers.get(self.part) or self.part
-        ends = (*self.pushed, *self.ports) if self.rigid else self.ports
+        ends = (*self.force_pins, *self.ports) if self.rigid else self.ports
         return {pin: f"{owner}.{end}" for pin, end in zip(pins, ends, strict=False)}
 
     def height(self, port: str, waves: Waveforms) -> np.ndarray | None:
@@ -140,24 +140,24 @@ class Pair:
     @cached_property
     def a(self) -> Surface:
         """The side below."""
-        return self._side("a", round_=False)
+        return self._side("a", spherical=False)
 
     @cached_property
     def b(self) -> Surface:
         """The side above."""
-        return self._side("b", round_=True)
+        return self._side("b", spherical=True)
 
-    def _side(self, key: str, *, round_: bool) -> Surface:
+    def _side(self, key: str, *, spherical: bool) -> Surface:
         part, scene = self.part, self.scene
         selected: str | tuple[str, ...] | None = getattr(part.keys, key)
         if selected is None:
             offers = []
             for other in scene.parts.values():
                 surface = surface_of(other, scene)
-                if surface is not None and (surface.radius is not None) == round_:
+                if surface is not None and (surface.radius is not None) == spherical:
                     offers.append(surface)
             if len(offers) != 1:
-                kind = ("a sphere", "sphere") if round_ else ("a body with a surface", "kick")
+                kind = ("a sphere", "sphere") if spherical else ("a body with a surface", "kick")
                 raise part.wrong(
                     key,
                     f"{part.name} needs to know what touches",
@@ -208,7 +208,7 @@ class Pair:
         return max(result, key=lambda item: item.depth)
 
     @property
-    def thrown(self) -> bool:
+    def starts_moving(self) -> bool:
         """Whether one side starts with a prescribed velocity, or each may; no ceiling does."""
         return self.b.part == GROUND or self.a.rigid or self.b.part in self.scene.initial_states
 
@@ -240,13 +240,13 @@ class Pair:
             return Normal(stiffness, 1.5, *along, curve, *of)
         value, power = self.a.sectors * float(keys.penalty), 1.0
         if keys.law == "hertz":
-            round_ = [1 / side.radius for side in (self.a, self.b) if side.radius is not None]
-            if not round_ or len(self.a.ports) > 1:
-                got = f"{len(self.a.ports)} ports, {len(round_)} spheres"
+            spherical = [1 / side.radius for side in (self.a, self.b) if side.radius is not None]
+            if not spherical or len(self.a.ports) > 1:
+                got = f"{len(self.a.ports)} ports, {len(spherical)} spheres"
                 expected, hint = "a sphere against one port or another sphere", 'law = "linear"'
                 problem = "Hertz's law is that of a sphere at one point"
                 raise self.part.wrong("law", problem, got, expected, hint)
-            value, power = 4 / 3 * self._modulus / math.sqrt(sum(round_)), 1.5
+            value, power = 4 / 3 * self._modulus / math.sqrt(sum(spherical)), 1.5
         if (s := self.flank) is not None:
             value *= 2 * s ** (1 + power)
             along = s * keys.damping, keys.friction / s, keys.creep
@@ -312,7 +312,7 @@ class Pair:
         result = contact_forces(self.indentation[0].compliance, gap, np.array([depth]))[0]
         return np.asarray(force / result.sum() * result)
 
-    def unresolved(self) -> float:
+    def basis_error(self) -> float:
         """Gate of the law against a full model with a finer basis, relative: 0 for rings.
 
         By how much the force differs from that of a basis half as wide, at depths from half of
@@ -334,13 +334,13 @@ class Pair:
 
     # --- motion -----------------------------------------------------------------------------
 
-    def pushed(self, waves: Waveforms) -> np.ndarray | None:
+    def pushed_depth(self, waves: Waveforms) -> np.ndarray | None:
         """Indentation [m] by a part that pushes side ``b``; None if it moves freely."""
         return waves.data.get(f"{self.scene.movers.get(self.b.part)}.depth")
 
-    def place(self, waves: Waveforms) -> np.ndarray | None:
+    def lowest_point(self, waves: Waveforms) -> np.ndarray | None:
         """Position [m] of side ``b`` at its lowest point, zero where it touches."""
-        depth = self.pushed(waves)
+        depth = self.pushed_depth(waves)
         result = self.b.height(self.b.ports[0], waves) if depth is None else -depth
         if not self.b.elastic or result is None:
             return result
@@ -362,12 +362,12 @@ def only_pair(scene: GovernedScene) -> Pair | None:
     return None if contact is None else pair_of(contact, scene)
 
 
-def _indentation_law(shape: PressureBasis, compliance: np.ndarray, radius: float) -> IndentationLaw:
-    return _dented_by(shape.nodes.tobytes(), compliance.tobytes(), radius)
+def _indentation_law(shape: PressureBasis, compliance: np.ndarray, radius: float) -> Indented:
+    return _cached_indentation_law(shape.nodes.tobytes(), compliance.tobytes(), radius)
 
 
 @lru_cache(maxsize=8)
-def _dented_by(nodes: bytes, compliance: bytes, radius: float) -> IndentationLaw:
+def _cached_indentation_law(nodes: bytes, compliance: bytes, radius: float) -> Indented:
     from kc2spice.bodies.pressure import PressureBasis, indentation_law
 
     shape = PressureBasis(np.frombuffer(nodes))
@@ -400,7 +400,7 @@ def impact_penetration(
 # --- how both sides part --------------------------------------------------------------------------
 
 
-def separation(
+def find_separation(
     t: np.ndarray, force: np.ndarray, v: np.ndarray, busy: float = math.inf, power: float = 1.0
 ) -> tuple[float, float] | None:
     """Return time [s] and velocity [m/s] at the end of the contact before the flight, or None.
@@ -418,7 +418,7 @@ def separation(
     for last in np.flatnonzero(loaded[:-1] & ~loaded[1:]):
         again = np.flatnonzero(loaded[last + 1 :])
         if again.size == 0 or t[last + 1 + again[0]] - t[last] >= _FLIGHT:
-            flights.append(_edge(t, v, force, int(last)))
+            flights.append(_extrapolate_release(t, v, force, int(last)))
     if not flights:
         return None
     kicked = [item for item in flights if item[0] <= busy + _FLIGHT] or flights[:1]
@@ -426,7 +426,9 @@ def separation(
     return next(item for item in kicked if item[1] >= min(fastest, fastest / 2))
 
 
-def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> tuple[float, float]:
+def _extrapolate_release(
+    t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int
+) -> tuple[float, float]:
     """Extrapolate the load to zero, and the velocity from the flight back to that instant.
 
     Velocity still changes under load after the last loaded sample, but is constant in flight.
@@ -440,7 +442,7 @@ def _edge(t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int) -> tuple[f
     return float(time), float(v[free] + slope * (time - t[free]))
 
 
-def busy_until(scene: WiredScene) -> float:
+def last_source_change(scene: WiredScene) -> float:
     """Return the time [s] at which the last source stops changing.
 
     Sources that only enable a controller do not count. The time is infinite if a source never

@@ -15,11 +15,17 @@ from kc2spice.core.figure import Curve, Figure, Panel, time_axis
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import PATCH, Pair, busy_until, pair_of, separation
+from kc2spice.parts.mechanics._touching import (
+    PATCH,
+    Pair,
+    find_separation,
+    last_source_change,
+    pair_of,
+)
 from kc2spice.physics import Declaration, DeclaredPart
 from kc2spice.physics.cards import force_node
 from kc2spice.physics.contact import SPACED, Normal, contact
-from kc2spice.physics.part import pins_of
+from kc2spice.physics.part import make_pins
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import PAIRS, Balance, Check, Gate, Metric, stepping
 from kc2spice.scene.model import (
@@ -77,7 +83,7 @@ class Contact(DeclaredPart[ContactKeys]):
         ends = {"rail": "gnd", "base": "gnd"}
         return tuple(
             Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name == "slide")
-            for p in pins_of(d)
+            for p in make_pins(d)
         )
 
     def default_joins(self, part: Part[ContactKeys], scene: GovernedScene) -> Mapping[str, str]:
@@ -106,7 +112,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def problems(self, part: Part[ContactKeys], scene: GovernedScene) -> Iterator[UsageError]:
         pair = pair_of(part, scene)
         a, b = pair.a, pair.b
-        if a.part == b.part != GROUND and set(a.pushed) & set(b.pushed):
+        if a.part == b.part != GROUND and set(a.force_pins) & set(b.force_pins):
             got, expected = f"{a.part} on both sides", "two parts, or two ports of a body"
             yield part.wrong("b", "nothing touches itself", got, expected)
         if b.radius is not None and max(a.distance) >= b.radius:
@@ -143,10 +149,10 @@ class Contact(DeclaredPart[ContactKeys]):
     ) -> Mapping[str, object]:
         pair = pair_of(part, build.scene)
         v = waves.data.get(f"{pair.b.part}.v")
-        if "time" not in waves or v is None or pair.thrown:
+        if "time" not in waves or v is None or pair.starts_moving:
             return {}
-        force, busy = waves[f"{part.name}.force"], busy_until(build.scene)
-        launch = separation(waves["time"], force, v, busy, pair.normal.power)
+        force, busy = waves[f"{part.name}.force"], last_source_change(build.scene)
+        launch = find_separation(waves["time"], force, v, busy, pair.normal.power)
         return {
             "launch_velocity_m_s": Metric(launch[1] if launch else None, "m/s"),
             "launch_time_s": Metric(launch[0] if launch else None, "s"),
@@ -156,7 +162,7 @@ class Contact(DeclaredPart[ContactKeys]):
         self, part: Part[ContactKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
         pair, gates = pair_of(part, build.scene), build.scene.gates
-        if "time" in waves and not pair.thrown:
+        if "time" in waves and not pair.starts_moving:
             steps = stepping(build.scene.solver)
             certificate = getattr(build.models.get(pair.a.part), "certificate", None)
             reduced = BEYOND
@@ -165,7 +171,7 @@ class Contact(DeclaredPart[ContactKeys]):
             limits = dict.fromkeys(PAIRS, gates.launch_full_model or steps + reduced)
             limits["ngspice_vs_rom"] = gates.launch_velocity or steps
             yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
-        place = pair.place(waves)
+        place = pair.lowest_point(waves)
         if "time" in waves:
             yield from _check_events(pair, waves)
         if place is not None:
@@ -183,7 +189,7 @@ class Contact(DeclaredPart[ContactKeys]):
         inside = _loaded_interval(force) if "time" in waves else slice(None)
         scale = next(iter(waves.data.values()))
         x, factor = time_axis(scale[inside])
-        if (depth := pair.pushed(waves)) is not None:
+        if (depth := pair.pushed_depth(waves)) is not None:
             scale, (x, factor) = depth, ("depth in µm", 1e6)
         curves = []
         for port, wave in zip(pair.ports, pair.forces(waves), strict=True):
@@ -210,7 +216,7 @@ class Contact(DeclaredPart[ContactKeys]):
         """The force on pressure basis functions half as wide."""
         if part.keys.shape == "pressure":
             name = f"force of {part.name}, pressure basis functions half as wide"
-            yield Check(name, pair_of(part, build.scene).unresolved(), COARSE_BASIS)
+            yield Check(name, pair_of(part, build.scene).basis_error(), COARSE_BASIS)
 
     def discretisation(self, part: Part[ContactKeys], build: Build) -> str:
         return f"mesh: {SPACED}" if part.keys.shape == "pressure" else ""
@@ -341,7 +347,7 @@ def _balance_energy(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator
 def _check_start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     """The operating point may hold the sphere elsewhere: other forces balance its weight there."""
     force, other = waves.data.get(f"{pair.part.name}.force"), pair.b.part
-    if pair.b.radius is None or force is None or pair.scene.movers.get(other) or pair.thrown:
+    if pair.b.radius is None or force is None or pair.scene.movers.get(other) or pair.starts_moving:
         return
     above = 0.0 if force[0] > 0 else float(place[0]) + pair.keys.gap
     advice = f"forces on {other} balance there before anything moves: change them (magnets: "
@@ -398,7 +404,7 @@ def _check_open_ports(
         advice = f"set {n}.rings to more than {len(ports)}, or to 'all'"
         suggested = {f"{n}.rings": len(ports) + 1} if pair.keys.rings == "needed" else {}
         yield Check("ring_left_out", highest, OPEN * gap, "m", advice, action, suggested=suggested)
-    elif pair.pushed(waves) is None:
+    elif pair.pushed_depth(waves) is None:
         advice = "the contact outgrows the modelled rings: more rings or a wider ring_spacing"
         yield Check("outer_ring", float(force[-1].max()), 0.0, "N", advice, action)
 

@@ -22,7 +22,7 @@ from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import Surface, Touching, pair_of
 from kc2spice.parts.mechanics.mass import point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
-from kc2spice.physics.part import pins_of
+from kc2spice.physics.part import make_pins
 from kc2spice.scene.checks import Balance, Gate, Metric, stepping
 from kc2spice.scene.model import (
     GROUND,
@@ -155,7 +155,7 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
         return {_elastic_part(part): {**keys, **table}}
 
     def pins(self, part: Part[SphereKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        declared = () if _moved(part, scene) else pins_of(self.declared(part, scene))
+        declared = () if _moved(part, scene) else make_pins(self.declared(part, scene))
         return tuple(
             Terminal(p.name, p.unit, p.flow, {"base": "gnd"}.get(p.name), signal_out=p.flow == "-")
             for p in declared

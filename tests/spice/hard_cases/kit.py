@@ -10,7 +10,7 @@ from device import bench as bench_deck  # noqa: F401
 from device import built, chip, magnets
 
 from kc2spice.netlist.library import Header
-from kc2spice.parts.mechanics._touching import separation
+from kc2spice.parts.mechanics._touching import find_separation
 from kc2spice.scene.checks import require
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
@@ -93,7 +93,7 @@ def exact(study, waves, model=None, table=None):
 
 def leaves(waves):
     """Time and velocity of the launch or rebound; not numbers where there is none."""
-    found = separation(waves["time"], waves["contact.force"], waves["sphere.v"])
+    found = find_separation(waves["time"], waves["contact.force"], waves["sphere.v"])
     return found if found is not None else (np.nan, np.nan)
 
 
