@@ -24,7 +24,7 @@ from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid
 from kc2spice.parts.bodies import disc, langevin
-from kc2spice.parts.bodies._pictures import OBLIQUE, deformed, shapes
+from kc2spice.parts.bodies._pictures import OBLIQUE, draw_deformed, draw_modes
 from kc2spice.rom.linear_model import Port
 from kc2spice.scene.load import load_scene
 
@@ -264,7 +264,7 @@ def test_a_picture_shows_the_surface_in_the_colour_of_its_stress(kind):
     model = device.model
     z = model.pencil.dense().coefficients[0]
     z = np.linalg.solve(z, model.B[:, [p.name for p in model.ports].index("pull")])
-    panel, factor = deformed(device, z, np.zeros(device.drive.shape[1]))
+    panel, factor = draw_deformed(device, z, np.zeros(device.drive.shape[1]))
     L, b, h = SIZE * 1e3
     shown = panel.map.z[np.isfinite(panel.map.z)]
     assert shown == pytest.approx(1 / (b * h), rel=1e-3)  # MPa
@@ -284,7 +284,7 @@ def test_shapes_of_modes_are_those_of_the_matrices():
     for f, z in zip(hertz, columns.T, strict=True):
         assert np.abs(exact / f - 1).min() < 1e-3
         assert np.linalg.norm(K @ z - (2 * np.pi * f) ** 2 * (M @ z)) < 0.05 * np.linalg.norm(K @ z)
-    panels = list(shapes(device, hertz, columns))
+    panels = list(draw_modes(device, hertz, columns))
     assert len(panels) == 4
     for f, panel in zip(hertz, panels, strict=True):
         assert f"{f / 1e3:.4g} kHz" in panel.x

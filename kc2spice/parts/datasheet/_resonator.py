@@ -214,12 +214,12 @@ class ResonatorPart(PartType[KeysT]):
 
     def figures(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Figure]:
         from kc2spice.parts.bodies._linear_body import measured_impedance
-        from kc2spice.parts.bodies._pictures import PEAKS, impedances
+        from kc2spice.parts.bodies._pictures import PEAKS, plot_impedances
 
         z = measured_impedance(part, waves)
         if z is not None:
             how = f"as the circuit shows it at {part.name}{PEAKS}"
-            yield impedances(part.name, waves["frequency"].real, {"": z}, how)
+            yield plot_impedances(part.name, waves["frequency"].real, {"": z}, how)
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
         circuit = self.circuit(part, scene)

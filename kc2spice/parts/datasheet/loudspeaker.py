@@ -305,12 +305,12 @@ stop = "1 kHz"
     def figures(
         self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure]:
-        from kc2spice.parts.bodies._pictures import impedances
-
         result = self._impedance(part, waves)
         if result is not None:
             how = f"as the circuit shows it at {part.name}: maximum at resonance."
-            yield impedances(part.name, result[0], {"": result[1]}, how)
+            from kc2spice.parts.bodies._pictures import plot_impedances
+
+            yield plot_impedances(part.name, result[0], {"": result[1]}, how)
 
     def notes(self, part: Part[LoudspeakerKeys], scene: Scene) -> Iterator[str | Neglected]:
         driver = self._parameters(part, scene)

@@ -24,7 +24,7 @@ from kc2spice.scene.model import (
 )
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
+    from kc2spice.bodies.pressure import IndentationLaw, LocalCompliance, PressureBasis
     from kc2spice.core.waveforms import Waveforms
 
 FLOOR = "floor"  # port of a rigid plane
@@ -362,12 +362,12 @@ def only_pair(scene: GovernedScene) -> Pair | None:
     return None if contact is None else pair_of(contact, scene)
 
 
-def _indentation_law(shape: PressureBasis, compliance: np.ndarray, radius: float) -> Indented:
+def _indentation_law(shape: PressureBasis, compliance: np.ndarray, radius: float) -> IndentationLaw:
     return _cached_indentation_law(shape.nodes.tobytes(), compliance.tobytes(), radius)
 
 
 @lru_cache(maxsize=8)
-def _cached_indentation_law(nodes: bytes, compliance: bytes, radius: float) -> Indented:
+def _cached_indentation_law(nodes: bytes, compliance: bytes, radius: float) -> IndentationLaw:
     from kc2spice.bodies.pressure import PressureBasis, indentation_law
 
     shape = PressureBasis(np.frombuffer(nodes))
