@@ -45,7 +45,7 @@ def on_files(files: Files, config: Any) -> Files:
 
 def parts_page() -> str:
     """Every part type with its pins, keys and a table that shows it."""
-    from kc2spice.scene.keys import part_docs
+    from kc2spice.scene.keys import describe_part_types
 
     return "\n".join([
         "# Parts",
@@ -55,7 +55,7 @@ def parts_page() -> str:
         "netlist; a signal carries no current. `pins = { PIN = \"part.pin\" }` joins pins. A pin "
         "with a default may be left out. `kc2spice scenes --parts` prints the same.",
         "",
-        *(line for doc in part_docs() for line in _part(doc)),
+        *(line for doc in describe_part_types() for line in _part(doc)),
     ])  # fmt: skip
 
 
@@ -140,7 +140,7 @@ def domains_page() -> str:
 
 def scenes_page() -> str:
     """The built-in scenes, and the keys outside of parts."""
-    from kc2spice.scene.keys import model_keys
+    from kc2spice.scene.keys import list_schema_keys
     from kc2spice.scene.load import load_scene
     from kc2spice.scene.scene_file import list_gallery
     from kc2spice.scene.settings import Frame
@@ -161,7 +161,7 @@ def scenes_page() -> str:
         _table(("scene", "what", "analysis", "parts"), rows),
         "## Keys outside of parts\n",
         "The page [Parts](parts.md) lists the keys of each part type.\n",
-        _keys(list(model_keys(Frame))),
+        _keys(list(list_schema_keys(Frame))),
     ])  # fmt: skip
 
 

@@ -454,7 +454,7 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     estimated size.
     """
     from kc2spice.core.progress import Clock
-    from kc2spice.scene.axes import plan
+    from kc2spice.scene.axes import describe_plan
     from kc2spice.scene.model import scene_hash
     from kc2spice.workflow.models import build_models
 
@@ -462,7 +462,7 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     build = build_models(loaded, Clock())
     step = None if build.largest is None else {"s": build.largest.step, "why": build.largest.why}
     head = {"scene": loaded.name, "hash": scene_hash(loaded), "largest_step": step}
-    record = {**head, **plan(build)}
+    record = {**head, **describe_plan(build)}
     if caller.reads(record):
         from kc2spice.report.run_page import format_plan
 
@@ -484,7 +484,7 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
     """List the built-in scenes, or all keys or part types."""
     from dataclasses import asdict
 
-    from kc2spice.scene.keys import part_docs, scene_keys
+    from kc2spice.scene.keys import describe_part_types, list_all_keys
     from kc2spice.scene.load import load_scene
     from kc2spice.scene.scene_file import list_gallery
 
@@ -497,7 +497,7 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
             hint="run kc2spice scenes --keys, then kc2spice scenes --parts",
         )
     if keys:
-        every = list(scene_keys())
+        every = list(list_all_keys())
         if caller.reads(list(map(asdict, every))):
             texts = (": ".join(filter(None, (" | ".join(k.choices), k.doc))) for k in every)
             rows = [
@@ -506,7 +506,7 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
             ]
             print_table("keys of a scene", rows, ("key", "unit", "default", ""), names=0)
     elif parts:
-        docs = list(part_docs())
+        docs = list(describe_part_types())
         for doc in docs if caller.reads(list(map(asdict, docs))) else ():
             rows = [("pin", p.name, p.kind, _text(p.default or None, "default ")) for p in doc.pins]
             rows += [

@@ -29,7 +29,7 @@ from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.symbolic import derivative, evaluate_tree, kinks, names
 from kc2spice.scene.checks import Balance, Check
-from kc2spice.scene.keys import model_keys
+from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import (
     Build,
     DeclaredScene,
@@ -308,7 +308,7 @@ def declared_subcircuit(
     ends = tuple(names_of(pins))
     distinct([*ends, *map(checked, d.signals)], _INNER, where=name)
     keys = []
-    for key in model_keys(d.keys):
+    for key in list_schema_keys(d.keys):
         if key.name in d.numbers:
             unit = (key.unit or "-").replace(" ", "*")
             keys.append(Param(key.name, values[key.name], unit, key.doc))

@@ -1,10 +1,11 @@
-"""Scenes and part types as a reference: keys with units, defaults and meaning, pins, examples."""
+"""Reference of scenes and part types: keys with units and defaults, pins, examples."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from types import NoneType
 from typing import Any, get_args
 
@@ -22,9 +23,10 @@ from kc2spice.scene.settings import Frame, Probe
 
 @dataclass(frozen=True)
 class Key:
-    """One key of a scene file: ``unit`` is ``""`` for plain numbers and None for what is none.
+    """Key of a scene file.
 
-    ``integer`` marks whole numbers, ``mixed`` numbers whose unit follows from other keys.
+    ``unit`` is ``""`` for plain numbers and None for other values. ``integer`` marks whole numbers,
+    ``mixed`` numbers whose unit follows from other keys.
     """
 
     name: str
@@ -36,65 +38,63 @@ class Key:
     mixed: bool = False
 
 
-def _kinds(annotation: Any) -> Iterator[Any]:
-    """Types and choices that an annotation is made of."""
-    inner = get_args(annotation)
-    yield from (kind for arg in inner for kind in _kinds(arg)) if inner else (annotation,)
+def _list_kinds(annotation: Any) -> Iterator[Any]:
+    """Yield the types and the choices of an annotation."""
+    arguments = get_args(annotation)
+    return chain.from_iterable(map(_list_kinds, arguments)) if arguments else iter((annotation,))
 
 
-def model_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
-    """All keys of a schema in its order, those of its tables by dotted names."""
+def list_schema_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
+    """Yield all keys of a schema in its order, those of its tables by dotted names."""
     for path, field in entries(model):
-        default = _default(field)
-        doc, kinds = field.description or "", dict.fromkeys(_kinds(field.annotation))
+        default = _find_default(field)
+        doc, kinds = field.description or "", dict.fromkeys(_list_kinds(field.annotation))
         words = tuple(kind for kind in kinds if isinstance(kind, str))
         choices = words if kinds.keys() <= {*words, NoneType} else ()
-        integer, mixed = (
-            any(k is int or type(k) is int for k in kinds),
-            {float, str} <= kinds.keys(),
-        )
+        integer = int in kinds or int in map(type, kinds)
+        mixed = {float, str} <= kinds.keys()
         name = prefix + ".".join(path)
         yield Key(name, unit_of(field), default, choices, doc, integer, mixed)
 
 
-def _default(field: FieldInfo) -> Any:
-    """Default of a key, None if it has none. Keys that it follows from have their defaults."""
+def _find_default(field: FieldInfo) -> Any:
+    """Return the default of a key, None without one. Other keys have their defaults."""
     if field.is_required():
         return None
     return field.get_default(call_default_factory=True, validated_data={})
 
 
-def scene_keys() -> Iterator[Key]:
-    """All keys of all scenes: those of no part, then those of each part type.
+def list_all_keys() -> Iterator[Key]:
+    """Yield the keys of all scenes: those outside of parts, then those of each part type.
 
-    A part's keys stand under the name that needs no ``part`` key, else under the type's name.
+    Keys of a part have the prefix of the table that needs no ``part``, otherwise the type's name.
     """
-    yield from model_keys(Frame)
+    yield from list_schema_keys(Frame)
     for name, kind in part_types().items():
-        yield from model_keys(kind.schema, f"{DEFAULT_TABLES.get(name, name)}.")
+        yield from list_schema_keys(kind.schema, f"{DEFAULT_TABLES.get(name, name)}.")
 
 
-def keys_of(scene: Scene) -> dict[str, Key]:
-    """All keys of one scene by their dotted names, those of its parts under the parts' names."""
-    result = [key for key in model_keys(Frame) if not key.name.startswith("probes.")]
+def list_scene_keys(scene: Scene) -> dict[str, Key]:
+    """Return the keys of one scene by their dotted names."""
+    result = [key for key in list_schema_keys(Frame) if not key.name.startswith("probes.")]
     for name in scene.probes:
-        result += model_keys(Probe, f"probes.{name}.")
+        result += list_schema_keys(Probe, f"probes.{name}.")
     for part in scene.parts.values():
-        if part.at != (part.name,):  # else another part's keys say all
-            part_keys = model_keys(type(part.keys), f"{part.key_prefix}.")
+        if part.at != (part.name,):  # otherwise the keys of another part contain them
+            part_keys = list_schema_keys(type(part.keys), f"{part.key_prefix}.")
             result += [_with_unit(key, getattr(part.keys, "unit", None)) for key in part_keys]
     return {key.name: key for key in result}
 
 
 def _with_unit(key: Key, unit: Any) -> Key:
-    """``key``, in the unit of its part if it is a number or text whose unit follows from others."""
+    """Return ``key`` in the unit of its part, if its unit follows from other keys."""
     follows = key.unit is None and not key.integer and not key.choices and key.mixed
     return replace(key, unit=unit if isinstance(unit, str) else "") if follows else key
 
 
 @dataclass(frozen=True)
-class PartDoc:
-    """One part type; ``scene`` is the built-in scene that pins and example are from, if any."""
+class PartTypeReference:
+    """Description of a part type; ``scene`` is the built-in scene of its pins and example."""
 
     name: str
     title: str
@@ -106,9 +106,9 @@ class PartDoc:
     short_for: tuple[str, ...]
 
 
-def part_docs() -> Iterator[PartDoc]:
-    """All part types in the order of their names."""
-    examples = _in_gallery()
+def describe_part_types() -> Iterator[PartTypeReference]:
+    """Yield descriptions of all part types in the order of their names."""
+    examples = _find_examples()
     for name, kind in part_types().items():
         scene_name: str | None = None
         pins: tuple[Terminal, ...] = ()
@@ -122,20 +122,20 @@ def part_docs() -> Iterator[PartDoc]:
             tables = list_gallery()[scene_name].read_text().split("\n\n")
             heading = rf"(#.*\n)*\[{part.name}[].]"
             example = "\n\n".join(table for table in tables if re.match(heading, table))
-        yield PartDoc(
+        yield PartTypeReference(
             name,
             kind.title,
             " ".join((kind.schema.__doc__ or "").split()),
             pins,
-            tuple(model_keys(kind.schema)),
+            tuple(list_schema_keys(kind.schema)),
             example.strip(),
             scene_name,
             (DEFAULT_TABLES[name],) if name in DEFAULT_TABLES else (),
         )
 
 
-def _in_gallery() -> dict[str, tuple[str, Part, Scene]]:
-    """The first built-in scene with a part of each type."""
+def _find_examples() -> dict[str, tuple[str, Part, Scene]]:
+    """Return the first built-in scene with a part of each type."""
     result: dict[str, tuple[str, Part, Scene]] = {}
     for name in list_gallery():
         scene = load_scene(name)

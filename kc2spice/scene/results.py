@@ -19,7 +19,7 @@ from kc2spice.core.quantities import quantity
 from kc2spice.netlist.deck import PowerTerm
 from kc2spice.netlist.expression import terms, vector
 from kc2spice.scene.compose import metered_pins, powered_pins
-from kc2spice.scene.keys import model_keys
+from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.resolve import resolve, with_vectors
 from kc2spice.scene.rows import Swept, Vector
@@ -318,7 +318,7 @@ def resolve_dc_sweep(build: Build) -> DcSweep:
 
 def _unit_of_key(part: Part, key: str) -> str:
     """Return the SI unit of a key that a dc analysis sweeps."""
-    declared = (item.unit for item in model_keys(type(part.keys)) if item.name == key)
+    declared = (item.unit for item in list_schema_keys(type(part.keys)) if item.name == key)
     return getattr(part.keys, "unit", None) or next(declared, None) or ""
 
 

@@ -37,7 +37,7 @@ from kc2spice.core.files import staged
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import write_record
 from kc2spice.report.bench_page import write_bench
-from kc2spice.scene.axes import Axis, axes, finest_axes, keys_at
+from kc2spice.scene.axes import Axis, find_axes, find_finest_axes, move_axes
 from kc2spice.scene.model import Scene
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow import refine
@@ -87,7 +87,7 @@ class _Plane:
     """
 
     def __init__(self, run: Run) -> None:
-        finer, finest = axes(run.build), finest_axes(run.build)
+        finer, finest = find_axes(run.build), find_finest_axes(run.build)
         # a mesh costs the simulator no time
         self.axes = list(filterfalse(attrgetter("model"), (*finer, *finest)))
         self.finest = [axis.name for axis in finest if not axis.model]
@@ -123,7 +123,7 @@ class _Plane:
 
     def run_setting(self, place: Place) -> None:
         """Run a setting, unless it has run before."""
-        settings = keys_at(self.axes, self.notches(place))
+        settings = move_axes(self.axes, self.notches(place))
         label = _describe_settings(settings)
         if label in self.points or label in self.failed:
             return
@@ -271,7 +271,7 @@ def bench(
         plane.search(error, progress)
         plane.measure_times(repeats, progress)
         progress("estimate", None, "all settings and meshes a notch finer")
-        finest = keys_at(plane.axes, plane.notches((REFERENCE,) * len(plane.axes)))
+        finest = move_axes(plane.axes, plane.notches((REFERENCE,) * len(plane.axes)))
         best = plane.cheapest(error)
         points = sorted(plane.points.values(), key=attrgetter("time"))
         record = {

@@ -29,7 +29,7 @@ from kc2spice.netlist.read import Statement, statements, tree_of
 from kc2spice.netlist.scope import INCLUDES, Scope, circuit, has_vector
 from kc2spice.netlist.spelling import comment, number, tidy
 from kc2spice.netlist.transforms import quiet
-from kc2spice.scene.axes import MAX_STEP, plan
+from kc2spice.scene.axes import MAX_STEP, describe_plan
 from kc2spice.scene.frames import MOTIONS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.plausible import apply_action, check_models
@@ -91,7 +91,7 @@ def make_deck(build: Build) -> Deck:
     loose = find_floating_nets(scene, build.rests)
     header = Header(scene.name, scene_hash(scene))
     ours = () if scene.solver.max_step else (MAX_STEP,)  # a separate line gives the reason
-    notes = (*header.origin(), *plan_lines(plan(build), ours))
+    notes = (*header.origin(), *plan_lines(describe_plan(build), ours))
     results = collect_results(build)
     watts = collect_powers(build, results)
     require_probed_results(build)

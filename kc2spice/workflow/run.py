@@ -17,7 +17,7 @@ from kc2spice.core.waveforms import write_record, write_waveforms
 from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.report.figures import draw_pngs
 from kc2spice.report.run_page import plot_probes, write_run
-from kc2spice.scene.axes import plan
+from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.checks import require
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
@@ -81,7 +81,7 @@ class Completed:
             "metric_units": run.units,
             "model_units": {name: fact_units(row) for name, row in model_facts(build).items()},
             "checks": [check.record() for check in run.verdict.checks],
-            "plan": plan(build),
+            "plan": describe_plan(build),
             "wall_s": self.clock.wall_s,
         }
         if self.converged is not None:

@@ -15,7 +15,7 @@ from commands import asked
 from docs_numbers import different_lines
 
 import kc2spice as kc
-from kc2spice.scene.axes import axes
+from kc2spice.scene.axes import find_axes
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.workflow.run import run_scene
@@ -259,7 +259,9 @@ def test_bracket_of_a_stranger_becomes_a_library_by_one_command(tmp_path):
 
 def test_the_mesh_of_a_body_is_an_axis_that_its_model_answers():
     (axis,) = (
-        a for a in axes(Build(load_scene("buzzer_7bb_20_6"), {})) if a.name == "disc.mesh.refine"
+        a
+        for a in find_axes(Build(load_scene("buzzer_7bb_20_6"), {}))
+        if a.name == "disc.mesh.refine"
     )
     models = [kc.build(load_scene("buzzer_7bb_20_6", axis.at(n)))["disc"] for n in (0, 1)]
     coarse, fine = (model.facts["resonance_short_hz"] for model in models)

@@ -18,7 +18,7 @@ from kc2spice.fem.recovery import energy_products
 from kc2spice.netlist.library import Header
 from kc2spice.parts.bodies import bimorph, disc, langevin
 from kc2spice.parts.bodies.body import device
-from kc2spice.scene.axes import plan
+from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.models import build_models
 
@@ -292,7 +292,7 @@ def test_run_explain_and_header_state_the_error(tmp_path):
         assert error > 0.05
         assert 0.5 < facts[f"mesh_error_{word}"] / error < 2
     words = f"first resonance {100 * facts['mesh_error_resonance']:.2g} %"
-    planned = plan(build)
+    planned = describe_plan(build)
     assert words in planned["parts"][0]["detail"]
     (refine,) = [row for row in planned["settings"] if row["key"] == "uni.refine"]
     assert refine["error"] == max(v for k, v in facts.items() if k.startswith("mesh_error_"))

@@ -19,7 +19,7 @@ from kc2spice.netlist.library import Header
 from kc2spice.parts.magnetics import moving_conductor
 from kc2spice.physics.contact import SPACED
 from kc2spice.rom.io import read_rom, write_rom
-from kc2spice.scene.axes import plan
+from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import part_types
 from kc2spice.workflow.models import build_models, model_facts
@@ -32,7 +32,7 @@ def stated(tables, name, overrides=None):
     """Statements of ``explain``, of the result and of the header about one part."""
     build = build_models(load_scene(tables, overrides or {}), Clock())
     part = build.scene.parts[name]
-    (detail,) = (row["detail"] for row in plan(build)["parts"] if row["part"] == name)
+    (detail,) = (row["detail"] for row in describe_plan(build)["parts"] if row["part"] == name)
     (made,) = part.type.subcircuits(part, build, Header("s", "-"))
     head = made.text[: made.text.index(".subckt")].replace("\n*  ", "")
     (line,) = (line for line in head.splitlines() if line.startswith("* mesh: "))
@@ -141,7 +141,7 @@ def test_a_conductor_states_its_rings():
     assert f"error estimate of its {facts['rings']:.0f} rings: {text}" in detail
     assert header == f"mesh: error estimate of its {facts['rings']:.0f} rings: {text}"
     build = build_models(load_scene("levitated_disc", rings), Clock())
-    errors = {row["key"]: row["error"] for row in plan(build)["settings"]}
+    errors = {row["key"]: row["error"] for row in describe_plan(build)["settings"]}
     assert errors["conductor.rings"] == facts["mesh_error_rings"]
     assert errors["conductor.tolerance"] is None
     part = build.scene.parts["conductor"]

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.printers.dialect_registry import dialect_names
-from kc2spice.scene.axes import plan
+from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.load import _make_scene, load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.scene_file import SceneFile
@@ -142,13 +142,13 @@ def test_a_stop_on_the_frame_meets_relative_displacements():
 def test_explain_states_what_displacements_count_from():
     scene = load_scene(beam(own={"part": "mass", "mass": 1e-3, "pins": {"a": "k.a"}},
                             k={"part": "spring", "stiffness": 10.0}))  # fmt: skip
-    lines = plan(Build(scene, {}))["frames"]
+    lines = describe_plan(Build(scene, {}))["frames"]
     assert "beam.tip, m.a: relative to the frame that beam.base shakes; gnd is that frame" in lines
     assert "own.a, k.a: absolute" in lines
     still = load_scene(
         beam(beam=beam()["beam"] | {"pins": {}}, shaker=None, analysis={"type": "op"})
     )
-    assert plan(Build(still, {}))["frames"] == [
+    assert describe_plan(Build(still, {}))["frames"] == [
         "all displacements are absolute: they count from gnd, which is at rest"
     ]
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from kc2spice.core.untrusted_files import parse_toml
-from kc2spice.scene.keys import model_keys, part_docs
+from kc2spice.scene.keys import describe_part_types, list_schema_keys
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import part_types
 
@@ -15,7 +15,7 @@ NO_PINS = {"port_loads", "throw"}
 
 @pytest.fixture(scope="module")
 def docs():
-    return {doc.name: doc for doc in part_docs()}
+    return {doc.name: doc for doc in describe_part_types()}
 
 
 def test_every_type_is_there_with_pins_and_keys(docs):
@@ -47,13 +47,13 @@ def test_command_line_lists_them(docs, cli):
     "name", [n for n, kind in part_types().items() if "rom" in kind.schema.model_fields]
 )
 def test_every_key_of_every_body_is_described(name):
-    assert [k.name for k in model_keys(part_types()[name].schema) if len(k.doc) < 5] == []
+    assert [k.name for k in list_schema_keys(part_types()[name].schema) if len(k.doc) < 5] == []
 
 
 def test_every_key_has_a_description_that_stands_alone():
     """Three words or more, and none that begins as the end of another sentence."""
     prepositions = ("of ", "by ", "in ", "on ", "at ", "to ", "from ", "over ", "between ", "its ")
-    for name, key in [(doc.name, key) for doc in part_docs() for key in doc.keys]:
+    for name, key in [(doc.name, key) for doc in describe_part_types() for key in doc.keys]:
         where = f"{name}.{key.name}: {key.doc!r}"
         assert len(key.doc.split()) > 2, where
         assert not key.doc.lower().startswith(prepositions), where

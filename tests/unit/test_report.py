@@ -17,7 +17,7 @@ from kc2spice.report.charts import render_figure
 from kc2spice.report.figures import draw_pngs
 from kc2spice.report.html import PageSection, format_quantity, format_value_and_limit, write_page
 from kc2spice.report.run_page import format_operating_point, format_results, write_run
-from kc2spice.scene.axes import plan
+from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.resolve import resolve_build
@@ -133,7 +133,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
     result = {
         "metrics": found.values,
         "metric_units": found.units,
-        "plan": plan(Build(scene, {})),
+        "plan": describe_plan(Build(scene, {})),
         "wall_s": {"mesh": 1.5, "simulate": 0.5},
         "simulator": {"name": "ngspice", "version": "39", "engine": "<batch>"},
         "steps": {"accepted": 1234, "rejected": 5},

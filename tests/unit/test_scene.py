@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import MAX_BYTES
-from kc2spice.scene.keys import scene_keys
+from kc2spice.scene.keys import list_all_keys
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import scene_hash
 from kc2spice.scene.scene_file import list_gallery
@@ -187,7 +187,7 @@ def test_missing_scene(name, hint):
     assert hint in str(error.value)
 
 
-KEYS = [key.name for key in scene_keys()]
+KEYS = [key.name for key in list_all_keys()]
 VALUES = st.one_of(
     st.text(max_size=20),
     st.floats().map(repr),

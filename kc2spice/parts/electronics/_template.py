@@ -21,7 +21,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import self_contained
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.scene.checks import Check
-from kc2spice.scene.keys import model_keys
+from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import (
     Build,
     GovernedScene,
@@ -115,7 +115,7 @@ def parameters(keys: Section, *names: str) -> tuple[Param, ...]:
     """Keys, or those with these ``names``, as parameters of a netlist, all above zero."""
     return tuple(
         positive(key.name, getattr(keys, key.name), key.unit or "-", key.doc)
-        for key in model_keys(type(keys))
+        for key in list_schema_keys(type(keys))
         if (not names or key.name in names) and key.name not in InputNoise.model_fields
     )
 

@@ -48,7 +48,7 @@ from kc2spice.core.progress import Progress, silent
 from kc2spice.core.untrusted_files import MAX_BYTES, parse_toml, read_bounded, text_of
 from kc2spice.core.waveforms import plain_cell
 from kc2spice.netlist.transforms import with_parameters
-from kc2spice.scene.keys import keys_of
+from kc2spice.scene.keys import list_scene_keys
 from kc2spice.scene.model import Scene, scene_hash
 from kc2spice.scene.overrides import format_toml
 from kc2spice.workflow.sweep.grid import (
@@ -419,7 +419,7 @@ def make_sweep(
         else:
             fixed.append(text)
     # A range may make a part that the scene does not have without it.
-    keys = keys_of(scene.load((*fixed, *firsts)))
+    keys = list_scene_keys(scene.load((*fixed, *firsts)))
     plan = make_plan(
         {name: parse_range(name, value, keys) for name, value in ranges.items()},
         zipped=zipped,
