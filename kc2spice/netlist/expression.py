@@ -163,7 +163,7 @@ _OPERATORS: dict[str, Callable[[float, float], float]] = {
 }  # fmt: skip
 
 
-def evaluate_tree(tree: Tree, names: Mapping[str, float]) -> float:
+def parameter_value(tree: Tree, names: Mapping[str, float]) -> float:
     """Return the number that an expression of parameters has.
 
     Parameters
@@ -177,7 +177,7 @@ def evaluate_tree(tree: Tree, names: Mapping[str, float]) -> float:
 
     Examples
     --------
-    >>> evaluate_tree(parse("{2*k+1}"), {"k": 3.0})
+    >>> parameter_value(parse("{2*k+1}"), {"k": 3.0})
     7.0
     """
     match tree:
@@ -186,13 +186,15 @@ def evaluate_tree(tree: Tree, names: Mapping[str, float]) -> float:
         case Name(text) if text.lower() in names:
             return names[text.lower()]
         case Call(function, arguments) if function in _MATH:
-            return float(_MATH[function](*(evaluate_tree(item, names) for item in arguments)))
+            return float(_MATH[function](*(parameter_value(item, names) for item in arguments)))
         case Unary("-" | "+" as op, inner):
-            return -evaluate_tree(inner, names) if op == "-" else evaluate_tree(inner, names)
+            return -parameter_value(inner, names) if op == "-" else parameter_value(inner, names)
         case Binary(op, left, right) if op in _OPERATORS:
-            return float(_OPERATORS[op](evaluate_tree(left, names), evaluate_tree(right, names)))
+            return float(
+                _OPERATORS[op](parameter_value(left, names), parameter_value(right, names))
+            )
         case Choice(test, yes, no):
-            return evaluate_tree(yes if evaluate_tree(test, names) else no, names)
+            return parameter_value(yes if parameter_value(test, names) else no, names)
     raise UsageError("not a number", where="expression", got=Writer().write(tree)[:80])
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Circuit, Element, Parameters, items_of
-from kc2spice.netlist.expression import Tree, evaluate_tree, parse
+from kc2spice.netlist.expression import Tree, parameter_value, parse
 
 GROUND = "0"
 DENSE = 60  # unknowns up to which dense matrices, all frequencies at once, take less time
@@ -112,7 +112,7 @@ class NodalCircuit:
         names = self._parameter_values(values)
         stamps: tuple[list[tuple[int, int, float]], ...] = ([], [])
         for item, size in elements:
-            number = size if isinstance(size, float) else evaluate_tree(size, names)
+            number = size if isinstance(size, float) else parameter_value(size, names)
             for part, i, j, entry in _stamps(item, number):
                 if i in rows and j in rows:
                     stamps[part].append((rows[i], rows[j], entry))
@@ -122,10 +122,10 @@ class NodalCircuit:
         """Return the values of all parameters by names in lower case."""
         names: dict[str, float] = {}
         for key, text in self.circuit.defaults.items():
-            names[key.lower()] = evaluate_tree(parse(text), {})
+            names[key.lower()] = parameter_value(parse(text), {})
         names |= values
         for key, tree in self.parameters:
-            names[key] = evaluate_tree(tree, names)
+            names[key] = parameter_value(tree, names)
         return names
 
 

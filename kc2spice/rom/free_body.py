@@ -87,7 +87,7 @@ def free_body(pencil: Pencil, omega: float) -> FreeBody | None:
     """Return the rigid-body modes of a definite model that is free to move.
 
     ``omega`` [rad/s] is the end of the band. The result is None if the model has another form, is
-    not free, or has supports so soft that they cannot be told from rounding errors.
+    not free, or has supports so soft that they cannot be distinguished from rounding errors.
     """
     if not has_definite_form(pencil, undamped_too=True):
         return None

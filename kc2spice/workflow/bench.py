@@ -129,7 +129,7 @@ class _Plane:
             return
         try:
             run = self.runs.run_at(self.notches(place))
-            errors = metric_errors(run, self.run_all_at(REFERENCE), self.names)
+            errors = run_errors(run, self.run_all_at(REFERENCE), self.names)
             errors = {name: error + self.unrefined[name] for name, error in errors.items()}
         except (SimulationError, UsageError) as error:
             why = " ".join(f"{error.message} {error.got or ''}".split())
@@ -148,7 +148,7 @@ class _Plane:
             change = dict.fromkeys(self.names, np.inf)
             if (point := self.points.get(_describe_settings(axis.at(notch)))) is not None:
                 reference = self.runs.run_at({axis.name: REFERENCE})
-                change = metric_errors(point.run, reference, self.names)
+                change = run_errors(point.run, reference, self.names)
             self.known[axis.name, notch] = {n: max(result[n], change[n]) for n in self.names}
         return self.known[axis.name, notch]
 
@@ -332,7 +332,7 @@ def _require_convergence(plane: _Plane, selected: Sequence[str], *, keep_all: bo
         comparable = name in moved and max(moved[name], changed[name]) < np.inf
         if comparable and exact.values[name].any():
             present.append(name)
-    check = metric_errors(finer, exact, present)
+    check = run_errors(finer, exact, present)
     plane.names = tuple(name for name in check if keep_all or check[name] <= LARGEST_CHANGE)
     if not plane.names:
         raise SimulationError(
@@ -345,7 +345,7 @@ def _require_convergence(plane: _Plane, selected: Sequence[str], *, keep_all: bo
     return check
 
 
-def metric_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
+def run_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
     """Return the relative error of each of the metrics ``names``.
 
     Raises

@@ -184,7 +184,7 @@ def test_values_of_a_response_are_judged_by_themselves():
 def test_bench_and_error_budget_state_the_same_error():
     units = {"rest": "m", "stroke": "m"}
     coarse, fine = runs({"rest": 2e-9, "stroke": 1e-6}, {"rest": 1e-9, "stroke": 1.1e-6}, units)
-    assert bench.metric_errors(coarse, fine, ("rest", "stroke")) == refine.changes(coarse, fine)
+    assert bench.run_errors(coarse, fine, ("rest", "stroke")) == refine.changes(coarse, fine)
 
 
 def test_facts_of_models_have_units():

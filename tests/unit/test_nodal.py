@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.expression import evaluate_tree, parse
+from kc2spice.netlist.expression import parameter_value, parse
 from kc2spice.netlist.nodal import NodalCircuit
 from kc2spice.netlist.read import read
 
@@ -52,4 +52,4 @@ def test_what_is_not_linear_is_refused():
     with pytest.raises(UsageError, match="not an element of a linear circuit"):
         NodalCircuit(circuit).equations({}, ["b"], {})
     with pytest.raises(UsageError, match="not a number"):
-        evaluate_tree(parse("2*V(a)"), {})
+        parameter_value(parse("2*V(a)"), {})

@@ -19,7 +19,7 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import full_model
 from kc2spice.parts.bodies._linear_body import LinearBody
-from kc2spice.report.verify_page import Findings, plot_responses
+from kc2spice.report.verify_page import Findings, plot_solutions
 from kc2spice.rom.error_estimate import adaptive_frequencies, relative_error
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
@@ -81,7 +81,7 @@ def verify_body(
     findings.checks += checks
     errors["ngspice_vs_rom"] = float(checks[0].value or 0.0)
     curves[f"{part.name}: netlist, ngspice"] = _waves(frequency, answer, rom)
-    findings.figures += plot_responses(part.name, curves)
+    findings.figures += plot_solutions(part.name, curves)
     for pair, error in errors.items():
         findings.errors[pair] = max(error, findings.errors.get(pair, 0.0))
 
