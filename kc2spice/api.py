@@ -1,7 +1,7 @@
-"""The public functions of kc2spice, in the words of the command line.
+"""Public functions of kc2spice, named like the commands of the command line.
 
-Everything here is also found in the package itself: ``import kc2spice as kc; kc.run(...)``.
-Exceptions are those of :mod:`kc2spice.core.errors`, at hand as ``kc.errors``.
+``import kc2spice as kc`` provides all of them, as ``kc.run(...)``. Exceptions are those of
+:mod:`kc2spice.core.errors`, also called ``kc.errors``.
 """
 
 from __future__ import annotations
@@ -94,11 +94,11 @@ def build(scene: AnyScene) -> dict[str, LinearModel]:
     from kc2spice.parts.bodies._linear_body import LinearBody
 
     loaded = load_scene(scene)
-    return {
-        part.name: replace(full_alone(part, loaded, Clock()), name=part.name)
-        for part in loaded.parts.values()
-        if isinstance(part.type, LinearBody)
-    }
+    models = {}
+    for name, part in loaded.parts.items():
+        if isinstance(part.type, LinearBody):
+            models[name] = replace(full_alone(part, loaded, Clock()), name=name)
+    return models
 
 
 def reduce(
@@ -226,7 +226,7 @@ def deck(scene: AnyScene, *, trust: bool = False) -> Deck:
     scene : Scene, str, Path or mapping
         Scene in any form that :func:`kc2spice.load_scene` reads.
     trust : bool, default False
-        Whether netlists that the scene includes may run commands and write files on this machine.
+        Whether files that the scene includes may run commands and write files on this machine.
 
     Returns
     -------
@@ -275,7 +275,7 @@ def run(
     deck : str or Path, optional
         Netlist of this scene that was edited by hand. It is simulated instead of the scene's own.
     trust : bool, default False
-        Whether netlists and Python files that the scene names may act on this machine.
+        Whether files that the scene includes may run commands and write files on this machine.
     functions : mapping of str to callable, optional
         ``function(time, inputs) -> output`` of each ``controller`` part by its name, in SI units,
         instead of the Python file beside the scene. A run that is repeated with other settings
@@ -335,8 +335,9 @@ def run(
         if directory is not None:
             write_run_files(done, work)
     answer = done.run
-    more: dict[str, Any] = {"figures": {item.name: item for item in done.figures}, "_done": done}
-    return _result(answer.deck, answer.waves, done.record, answer.verdict.checks, **more)
+    figures = {item.name: item for item in done.figures}
+    more: dict[str, Any] = {"figures": figures, "_done": done}
+    return _make_result(answer.deck, answer.waves, done.record, answer.verdict.checks, **more)
 
 
 def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
@@ -382,7 +383,7 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
         waves = run_deck(deck, Path(work), timeout=timeout)
     record = {"scene": deck.name, "version": __version__, "netlist": deck.main}
-    return _result(deck, waves, record)
+    return _make_result(deck, waves, record)
 
 
 def export(
@@ -393,13 +394,13 @@ def export(
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        Scene, name of a built-in scene, path of a TOML file, or its tables.
+        Scene in any form that :func:`kc2spice.load_scene` reads.
     out : str or Path
         Directory of the files, which is made if it does not exist.
     dialect : str, optional
         Dialect of the netlists, by default ngspice.
-    trust : bool, optional
-        Whether included netlists may run commands and access files. By default they may not.
+    trust : bool, default False
+        Whether files that the scene includes may run commands and write files on this machine.
 
     Returns
     -------
@@ -438,13 +439,13 @@ def verify(
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        Scene, name of a built-in scene, path of a TOML file, or its tables.
+        Scene in any form that :func:`kc2spice.load_scene` reads.
     out : str or Path, optional
         Directory of ``verify.json`` and ``verify.html``. By default no files are written.
     full : bool, optional
         Whether full models are followed to the end of the scene and solved at all frequencies.
-    trust : bool, optional
-        Whether included netlists may run commands and access files. By default they may not.
+    trust : bool, default False
+        Whether files that the scene includes may run commands and write files on this machine.
 
     Returns
     -------
@@ -512,12 +513,22 @@ class Result:
 
     @property
     def time(self) -> np.ndarray:
-        """Time points [s] (points,), unequally spaced; UsageError unless it was a transient."""
+        """Time points [s] (points,), unequally spaced.
+
+        Raises
+        ------
+        UsageError : the analysis was no transient.
+        """
         return self._over("time")
 
     @property
     def frequency(self) -> np.ndarray:
-        """Frequencies [Hz] (points,); UsageError unless it was an ``ac`` analysis."""
+        """Frequencies [Hz] (points,).
+
+        Raises
+        ------
+        UsageError : the analysis was no ``ac``.
+        """
         return self._over("frequency")
 
     def _over(self, scale: str) -> np.ndarray:
@@ -542,7 +553,7 @@ class Result:
             names = (next(iter(self.figures)),)
         if len(names) == 1 and names[0] in self.figures:
             return make_notebook_figure(self.figures[names[0]])
-        known = [name for name in self.waves if name != self.scale]
+        _, *known = self.waves
         for name in names:
             if name not in known:
                 raise unknown("no such wave or figure", name, [*self.figures, *known], self.scene)
@@ -572,18 +583,18 @@ class Result:
         'A'
         """
         xarray = import_optional("xarray", "to_xarray")
-        variables = {
-            name: xarray.Variable((self.scale,), wave, {"units": self.units.get(name, "")})
-            for name, wave in self.waves.items()
-        }
+        variables = {}
+        for name, wave in self.waves.items():
+            units = {"units": self.units.get(name, "")}
+            variables[name] = xarray.Variable((self.scale,), wave, units)
         coordinate = {self.scale: variables.pop(self.scale)}
         return xarray.Dataset(variables, coordinate, {"scene": self.scene})
 
     def save(self, out: str | Path, *, png: bool = False) -> Path:
-        """Write deck, libraries, waveforms, ``result.json`` and, of a scene, ``report.html``; with
-        ``png`` its figures as files too.
+        """Write the files of ``kc2spice run`` into a directory and return its path.
 
-        Returns the directory ``out``; it gets all files at once or none.
+        These are deck, libraries, waveforms, ``result.json`` and, of a scene, ``report.html``. With
+        ``png`` they include its figures. The directory ``out`` gets all files or none.
 
         Raises
         ------
@@ -608,33 +619,35 @@ class Result:
         failed = [check.name for check in self.checks if not check.passed]
         if self.checks:
             head += f", {len(self.checks)} checks " + (f"FAILED {failed}" if failed else "passed")
-        lines = [f"  {name} = {_summary(value)}" for name, value in self.metrics.items()]
+        lines = [f"  {name} = {_summarize(value)}" for name, value in self.metrics.items()]
         return "\n".join([head + ">", *lines])
 
     def _repr_html_(self) -> str:
-        rows = [(name, _summary(value)) for name, value in self.metrics.items()]
-        return f"<p>{escape(repr(self).splitlines()[0])}</p>{_html(('metric', 'value'), rows)}"
+        rows = zip(self.metrics, map(_summarize, self.metrics.values()), strict=True)
+        table = _format_html_table(("metric", "value"), rows)
+        return f"<p>{escape(repr(self).splitlines()[0])}</p>{table}"
 
 
-def _html(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table for notebooks."""
-    cells = [("th", head), *(("td", row) for row in rows)]
-    lines = ("".join(f"<{tag}>{escape(c)}</{tag}>" for c in row) for tag, row in cells)
+def _format_html_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table for notebooks."""
+    lines = ["".join(f"<th>{escape(cell)}</th>" for cell in head)]
+    for row in rows:
+        lines.append("".join(f"<td>{escape(cell)}</td>" for cell in row))
     return f"<table><tr>{'</tr><tr>'.join(lines)}</tr></table>"
 
 
-def _summary(value: Any) -> str:
-    """A metric in one line; arrays by their length."""
+def _summarize(value: Any) -> str:
+    """Return a metric on one line; of an array its length."""
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return str(value)
     if isinstance(value, (int, float)):
         return f"{value:.6g}"
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_summary(item)}" for key, item in value.items())
+        return ", ".join(f"{key} {_summarize(item)}" for key, item in value.items())
     return f"{len(value)} values" if hasattr(value, "__len__") else str(value)
 
 
-def _result(
+def _make_result(
     deck: Deck,
     waves: Waveforms,
     record: Mapping[str, Any],
@@ -648,20 +661,19 @@ def _result(
 
 
 class Table(tuple[dict[str, Any], ...]):
-    """Rows of a sweep, each a mapping; ``columns`` names each swept key, each metric that is one
-    number, ``status``.
+    """Rows of a sweep, each a mapping.
 
-    ``status`` is ``"ok"``, or ``"failed: "`` and the reason why a point has no metrics (they are
-    None then).
+    The columns are each swept key, each metric that is one number, and ``status``. ``status`` is
+    ``"ok"``, or ``"failed: "`` and the reason. The metrics of a failed point are None.
     """
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names, in the order of every row."""
+        """Names of the columns, in the order of every row."""
         return tuple(next(iter(self)))
 
     def __getitem__(self, column: Any) -> Any:
-        """A column by name, or a row by number."""
+        """Return a column by name, or a row by number."""
         if not isinstance(column, str):
             return super().__getitem__(column)
         if column not in self.columns:
@@ -696,7 +708,8 @@ class Table(tuple[dict[str, Any], ...]):
         return pandas.DataFrame({name: self[name] for name in self.columns})
 
     def _cells(self) -> list[list[str]]:
-        return [list(map(_summary, row.values())) for row in self]
+        """Return the texts of all cells, row by row."""
+        return [list(map(_summarize, row.values())) for row in self]
 
     def __repr__(self) -> str:
         cells = [list(self.columns), *self._cells()]
@@ -705,7 +718,7 @@ class Table(tuple[dict[str, Any], ...]):
         return "\n".join(map("  ".join, lines))
 
     def _repr_html_(self) -> str:
-        return _html(self.columns, self._cells())
+        return _format_html_table(self.columns, self._cells())
 
 
 def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:

@@ -83,3 +83,12 @@ def test_public_function_has_all_sections(name):
     assert list(found) == ["Parameters", "Returns", "Raises", "Examples"]
     assert ENTRY.findall(found["Parameters"]) == list(inspect.signature(FUNCTIONS[name]).parameters)
     assert ">>> " in found["Examples"]
+
+
+def test_a_parameter_of_all_functions_has_one_text():
+    entry = re.compile(r"(?m)^(scene|trust) : (.*(?:\n    .*)*)")
+    texts = {}
+    for function in (kc.build, kc.deck, kc.run, kc.export, kc.verify, kc.sweep):
+        for name, text in entry.findall(sections(function)["Parameters"]):
+            texts.setdefault(name, set()).add(text)
+    assert {name: len(text) for name, text in texts.items()} == {"scene": 1, "trust": 1}
