@@ -111,7 +111,7 @@ def reduce(
     contact: bool = False,
     method: str | Reductor | None = None,
     parameters: Mapping[str, Any] | None = None,
-    solver: DirectSolver | None = None,
+    solver: DirectSolver | str | None = None,
 ) -> LinearModel:
     """Reduce a linear model to a tolerance or to a number of states.
 
@@ -145,10 +145,10 @@ def reduce(
         truncation that suit the model are tried.
     parameters : mapping, optional
         Refused unless empty: matrices have no parameters, only bodies of a scene have them.
-    solver : callable, optional
+    solver : callable or "pardiso", optional
         Direct solver that replaces CHOLMOD and SuperLU. ``solver(matrix)`` factorises a sparse
         matrix, and ``solve(rhs)`` of its result solves for (n, k) right-hand sides, as
-        ``scipy.sparse.linalg.splu`` does.
+        ``scipy.sparse.linalg.splu`` does. ``"pardiso"`` needs ``pip install 'kc2spice[fast]'``.
 
     Returns
     -------

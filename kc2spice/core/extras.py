@@ -37,6 +37,7 @@ LIBRARIES = {
     "ansys": OptionalLibrary("ansys-mapdl-reader", "ansys"),
     "distributed": OptionalLibrary("dask.distributed", "dask"),
     "InSpice": OptionalLibrary("InSpice", None),
+    "mkl": OptionalLibrary("mkl", "fast"),
     "pandas": OptionalLibrary("pandas", "dataframes"),
     "pyarrow": OptionalLibrary("pyarrow", "parquet"),
     "pymor": OptionalLibrary("pyMOR", "pymor"),

@@ -13,9 +13,12 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.errors import Kc2spiceError, SimulationError, UsageError
 
-HOW = "a class with solve(rhs), made from one sparse matrix, such as scipy.sparse.linalg.splu"
+HOW = (
+    "'pardiso', or a class with solve(rhs), made from one sparse matrix, such as "
+    "scipy.sparse.linalg.splu"
+)
 
 
 class Factorisation(Protocol):
@@ -30,18 +33,25 @@ class Factorisation(Protocol):
         ...
 
 
+PARDISO = "pardiso"
 DirectSolver: TypeAlias = Callable[[Any], Factorisation]
 _supplied: ContextVar[DirectSolver | None] = ContextVar("solver", default=None)
 
 
 @contextmanager
-def solving_with(solver: DirectSolver | None) -> Iterator[None]:
+def solving_with(solver: DirectSolver | str | None) -> Iterator[None]:
     """Use ``solver`` for all factors that are made meanwhile, None for the built-in ones.
+
+    The name ``"pardiso"`` stands for :class:`kc2spice.linalg.pardiso.Pardiso`.
 
     Raises
     ------
-    UsageError : not a function or class.
+    UsageError : not a function, a class or a known name.
     """
+    if solver == PARDISO:
+        from kc2spice.linalg.pardiso import Pardiso  # its library is an optional one
+
+        solver = Pardiso
     if solver is not None and not callable(solver):
         got = repr(solver)[:120]
         raise UsageError("not a direct solver", where="solver", got=got, expected=HOW)
@@ -95,6 +105,8 @@ def _call(function: Callable[[Any], Any], argument: Any) -> Any:
     """The result of a user's function, its errors as those of kc2spice."""
     try:
         return function(argument)
+    except Kc2spiceError:
+        raise
     except (RuntimeError, ArithmeticError, np.linalg.LinAlgError, MemoryError) as error:
         raise SimulationError(
             "matrix cannot be factorised", where="solver", got=f"{type(error).__name__}: {error}"

@@ -62,7 +62,7 @@ def reduce_model(
     norm: Norm = "pointwise",
     contact: bool = False,
     method: str | Reductor | None = None,
-    solver: DirectSolver | None = None,
+    solver: DirectSolver | str | None = None,
 ) -> LinearModel:
     """Return the smallest model found within ``tolerance``, or the one of ``order``.
 
@@ -101,7 +101,7 @@ def reduce_model(
     method : str or Reductor, optional
         Method of reduction. By default response POD and the variants
         of balanced truncation that suit the model are tried.
-    solver : callable, optional
+    solver : callable or "pardiso", optional
         Direct solver, see :func:`kc2spice.reduce`. By default CHOLMOD and SuperLU are used.
 
     Returns

@@ -55,7 +55,7 @@ class Reduction:
         of balanced truncation that suit the model are tried.
     points : sequence of floats, optional
         Expansion points in Hz, for rational Krylov vectors at these points instead of ``method``.
-    solver : callable, optional
+    solver : callable or "pardiso", optional
         Direct solver, as for :func:`kc2spice.reduce`.
 
     Attributes
@@ -91,7 +91,7 @@ class Reduction:
         tolerance: float = SMALLEST_TOLERANCE,
         method: str | Reductor | None = None,
         points: Sequence[float] | None = None,
-        solver: DirectSolver | None = None,
+        solver: DirectSolver | str | None = None,
     ) -> None:
         if points is not None:
             if method is not None:
