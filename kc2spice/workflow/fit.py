@@ -1,13 +1,16 @@
-"""``fit``: the keys of a body for which its impedance is the measured one."""
+"""Fit of a body's keys to its measured impedance."""
 
 from __future__ import annotations
 
 import re
 import warnings
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import compress, zip_longest
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +47,7 @@ from kc2spice.scene.model import Part, Scene
 from kc2spice.workflow.misfit import WARNED, covariance, likely_cause, misfit
 from kc2spice.workflow.sweep.grid import parse_value
 
-SPREAD, LOSSES = 1.3, 10.0  # range of a key by its value: ceramics differ by 30 %, losses by tens
+SPREAD, LOSSES = 1.3, 10.0  # range of a key over its value: ceramics vary by 30 %, losses by tens
 _LOSSY = re.compile(r"damping|quality|ratio|loss")
 LEAST_NOISE = 1e-3  # relative: the error of the mesh, which data may be better than
 DRAWS, STARTS = 64, 4  # points of the ranges that are looked at; descents, the scene's values first
@@ -222,16 +225,15 @@ def _varied_keys(
         factor = LOSSES if _LOSSY.search(key) else SPREAD
         span = (_range(key, limits) if limits else span) or (value / factor, value * factor)
         result.append(make_varied(key, unit, value, span))
-    names = [item.key for item in result]
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise UsageError(
-            "a key is varied twice",
-            where=part,
-            got=twice,
-            expected="each key once",
-            hint=f"delete one of the options --vary {twice}",
-        )
+    for name, count in Counter(map(attrgetter("key"), result)).items():
+        if count > 1:
+            raise UsageError(
+                "a key is varied twice",
+                where=part,
+                got=name,
+                expected="each key once",
+                hint=f"delete one of the options --vary {name}",
+            )
     return result
 
 
@@ -251,7 +253,10 @@ def _range(key: str, text: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """The body, its keys, the measurement, and the scene whose mesh all models have, moved."""
+    """The body, its keys, the measurement, and the scene whose mesh all models have, moved.
+
+    ``like`` is that scene. ``counted`` is the number of finite element models.
+    """
 
     scene: Scene
     part: str
@@ -269,7 +274,7 @@ class _Body:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of either part of log Y."""
+        """Standard deviation of the real and of the imaginary part of log Y."""
         return max(self.data.noise, LEAST_NOISE)
 
     @property
@@ -278,19 +283,20 @@ class _Body:
         return float(self.data.f[0]), float(self.data.f[-1])
 
     def full(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
-        """The full model at values of the keys, with its first electrical port; on its own mesh,
-        or on that of ``like``, ``moved``.
+        """Return the full model at values of the keys, with its first electrical port.
+
+        Its mesh is a new one, or with ``moved`` that of ``like`` with displaced nodes.
 
         Raises
         ------
-        UsageError : the part has none.
+        UsageError : the part has no electrical port.
         """
         try:
-            loaded = load_scene(self.scene, {f"{self.part}.{k}": v for k, v in values.items()})
+            loaded = load_scene(self.scene, self.scene_keys(values))
         except UsageError as error:
             raise UsageError(
                 "the ranges contain values that the part cannot have",
-                where=", ".join(item.key for item in self.keys),
+                where=", ".join(map(attrgetter("key"), self.keys)),
                 got=error.message if error.got is None else f"{error.message}: {error.got}",
                 expected="ranges of possible parts",
                 hint="give a narrower one: --vary KEY=low:high",
@@ -320,8 +326,12 @@ class _Body:
         self.last[key] = model
         return model
 
+    def scene_keys(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return values of the keys by the dotted names that they have in the scene."""
+        return {f"{self.part}.{key}": value for key, value in values.items()}
+
     def exact(self, values: Mapping[str, float]) -> np.ndarray:
-        """Admittance (n,) [S] of the full model."""
+        """Return the admittance (n,) [S] of the full model."""
         model = self.full(values, moved=False)
         pencil = modal_projection(model, float(self.data.f[-1]))
         if self.damping.model == "ieee176":
@@ -335,10 +345,10 @@ class _Body:
         return damping_of(self.scene.part(self.part))
 
     def by_complex_constants(self, pencil: Pencil, values: Mapping[str, float]) -> np.ndarray:
-        """Admittance (n,) [S] of a small model with complex constants of IEEE 176.
+        """Return the admittance (n,) [S] of a small model with complex constants of IEEE 176.
 
-        Stiffness is as stated at the damping's frequency, else at the lowest resonance that the
-        voltage excites.
+        The real part of the stiffness is that of the scene at the frequency of the damping, or at
+        the lowest resonance that the voltage excites.
         """
         omega, gain, lowest = self.modes(pencil)
         at = self.damping.frequency(lowest)
@@ -350,8 +360,10 @@ class _Body:
         return np.asarray(2j * np.pi * f * H)
 
     def modes(self, pencil: Pencil) -> tuple[np.ndarray, np.ndarray, float]:
-        """Angular frequencies (n,) of a small model, gains (n, 1) of its modes, and the lowest
-        frequency [Hz] that the voltage excites."""
+        """Return angular frequencies (n,) and gains (n, 1) of the modes of a small model.
+
+        The third value is the lowest resonance [Hz] that the voltage excites.
+        """
         K, _, M = pencil.dense().coefficients
         squares, shapes = scipy.linalg.eigh(K, M)
         rigid = squares < (2 * np.pi * self.frequencies[0]) ** 2
@@ -363,8 +375,10 @@ class _Body:
     def by_viscous_damping(
         self, model: LinearModel, pencil: Pencil, values: Mapping[str, float]
     ) -> np.ndarray:
-        """Admittance (n,) [S] with damping in proportion to the stiffness, whose Q factor at the
-        lowest excited resonance is that of the values."""
+        """Return the admittance (n,) [S] with damping in proportion to the stiffness.
+
+        Its Q factor at the lowest excited resonance is that of the values.
+        """
         at = self.damping.frequency(self.modes(pencil)[2])
         assert at is not None
         damped = replace(model, rayleigh=(0.0, self.loss_factor(values) / (2 * np.pi * at)))
@@ -372,7 +386,7 @@ class _Body:
         return self.lossy(charge, float(model.D[0, 0]), values)
 
     def loss_factor(self, values: Mapping[str, float]) -> float:
-        """``1 / Q`` at values of the keys."""
+        """Return ``1 / Q`` at values of the keys."""
         known = {name: values[name] for name in LOSS_FACTORS if name in values}
         if not known:
             return 2 * self.damping.zeta
@@ -381,12 +395,14 @@ class _Body:
 
     @property
     def frequencies(self) -> np.ndarray:
-        """One so low that the body is at rest, then those of the data (n + 1,) [Hz]."""
+        """A frequency near zero, then those of the data (n + 1,) [Hz]."""
         return np.r_[AT_REST * self.data.f[0], self.data.f]
 
     def lossy(self, charge: np.ndarray, clamped: float, values: Mapping[str, float]) -> np.ndarray:
-        """Admittance (n,) [S] of charges per volt (n + 1,) at :attr:`frequencies`, with the loss
-        of the dielectric."""
+        """Return the admittance (n,) [S] with the loss of the dielectric.
+
+        ``charge`` (n + 1,) is the charge per volt [C/V] at :attr:`frequencies`.
+        """
         f, charge, free = self.data.f, charge[1:], float(charge[0].real)
         tangent = values.get(TANGENT, loss_tangent(self.scene.part(self.part)))
         if tangent:
@@ -395,11 +411,14 @@ class _Body:
         return np.asarray(2j * np.pi * f * charge)
 
     def causes(self, values: Mapping[str, float], Y: np.ndarray) -> dict[str, np.ndarray]:
-        """Changes (n,) of the logarithm of the fitted admittance ``Y`` (n,) [S] by what the scene
-        may lack: losses that are not varied, and the leads of the measurement."""
+        """Return changes (n,) of the logarithm of the fitted admittance ``Y`` (n,) [S] by cause.
+
+        The causes are effects that the scene may lack: losses that are not varied, and the leads
+        of the measurement.
+        """
         model, w = self.full(values, moved=False), 2 * np.pi * self.data.f
         clamped = w * float(model.D[0, 0])
-        names = {item.key for item in self.keys}
+        names = set(map(attrgetter("key"), self.keys))
         result: dict[str, np.ndarray] = {}
         if TANGENT not in names:
             result[f"loss of the dielectric: vary {TANGENT}"] = clamped / Y
@@ -426,7 +445,7 @@ class _Body:
         return {name: column / self.noise for name, column in result.items()}
 
     def response(self, reduced: Parametric, values: Mapping[str, float]) -> np.ndarray:
-        """Admittance (n,) [S] of a reduced model."""
+        """Return the admittance (n,) [S] of a reduced model."""
         model = reduced.at(values)
         if self.damping.model == "ieee176":
             return self.by_complex_constants(model.pencil, values)
@@ -434,7 +453,7 @@ class _Body:
         return self.lossy(H[:, 0, 0], float(model.D[0, 0]), values)
 
     def descent(self, box: Box, degree: int | None = None) -> _Descent:
-        """Least squares of the reduced model of a box."""
+        """Return the least squares problem of the reduced model of a parameter range."""
         constant = {TANGENT, *LOSS_FACTORS} if self.damping.model == "ieee176" else {TANGENT}
         axes = [axis for name, axis in box.items() if name not in constant]
         reduced = parametric(self.full, axes, self.band, degree=degree)
@@ -471,25 +490,22 @@ class _Descent:
         return ends.min(axis=1), ends.max(axis=1)
 
     def values(self, x: np.ndarray) -> dict[str, float]:
-        """Values of the keys."""
-        low, high = self.bounds
-        inside = np.exp(np.clip(x, low, high))
-        return {
-            name: float(np.sign(axis.low) * v)
-            for (name, axis), v in zip(self.box.items(), inside, strict=True)
-        }
+        """Return the values of the keys at the logarithms ``x`` (keys,), clipped to the range."""
+        signs = np.sign(list(map(attrgetter("low"), self.box.values())))
+        values = signs * np.exp(np.clip(x, *self.bounds))
+        return dict(zip(self.box, values.tolist(), strict=True))
 
     def deviation(self, x: np.ndarray) -> np.ndarray:
-        """(2 n,) real and imaginary part of the logarithm of both admittances' ratio, by noise."""
+        """Return :meth:`log_ratio` (2 n,) of the reduced model at the logarithms ``x``."""
         return self.log_ratio(self.body.response(self.reduced, self.values(x)))
 
     def log_ratio(self, Y: np.ndarray) -> np.ndarray:
-        """The same of an admittance (n,) [S]."""
+        """Return real and imaginary part (2 n,) of log(Y / measurement), over the noise."""
         ratio = np.log(Y / self.body.Y)
         return np.concatenate([ratio.real, ratio.imag]) / self.body.noise
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """(2 n, keys) by central differences, one-sided at a bound."""
+        """Return the derivatives (2 n, keys) by central differences, one-sided at a bound."""
         low, high = self.bounds
         columns = []
         for k in range(len(x)):
@@ -500,11 +516,11 @@ class _Descent:
         return np.column_stack(columns)
 
     def start(self, values: Mapping[str, float]) -> np.ndarray:
-        """Coordinates of values, within the box."""
-        return np.clip(np.log(np.abs([values[name] for name in self.box])), *self.bounds)
+        """Return the logarithms (keys,) of values, clipped to the range."""
+        return np.clip(np.log(np.abs(list(map(values.__getitem__, self.box)))), *self.bounds)
 
     def solve(self, values: Mapping[str, float]) -> _End:
-        """The end of one descent."""
+        """Return the result of a descent that starts at ``values``."""
         solved = least_squares(
             self.deviation, self.start(values), jac=self.jacobian, bounds=self.bounds,
             x_scale="jac", xtol=1e-10, ftol=1e-10, max_nfev=60,
@@ -513,19 +529,22 @@ class _Descent:
 
 
 def _descents(descent: _Descent) -> list[_End]:
-    """Ends in the whole ranges, the best first."""
+    """Return the results of all descents in the full ranges, the best first."""
     low, high = descent.bounds
     draws = qmc.scale(qmc.Sobol(len(low), seed=1).random(DRAWS), low, high)
     costs = [float(np.sum(descent.deviation(x) ** 2)) for x in draws]
-    best = [descent.values(draws[k]) for k in np.argsort(costs)[: STARTS - 1]]
+    best = map(descent.values, draws[np.argsort(costs)[: STARTS - 1]])
     starts = [values_of_part(descent.body.keys), *best]
-    return sorted(map(descent.solve, starts), key=lambda end: end.cost)
+    return sorted(map(descent.solve, starts), key=attrgetter("cost"))
 
 
 def _correct_end(descent: _Descent, end: _End) -> _End | None:
-    """The end moved by what the mesh leaves over, with the reduced model's derivatives, until that
-    pulls at no combination of the keys by more than :data:`SETTLED` of its standard error; None
-    where it does not within the box."""
+    """Correct the result of a descent by the residual of the full model.
+
+    Each step uses the derivatives of the reduced model. The steps end when the residual moves no
+    combination of the keys by more than :data:`SETTLED` of its standard error. Returns None if that
+    does not happen within the range.
+    """
     body, (low, high) = descent.body, descent.bounds
     x = descent.start(end.values)
     for _ in range(CORRECTIONS):
@@ -535,8 +554,9 @@ def _correct_end(descent: _Descent, end: _End) -> _End | None:
         result = OptimizeResult(fun=left, jac=J, cost=0.5 * float(left @ left))
         free = np.array([not _at_bound(item, values[item.key]) for item in body.keys])
         U, s, Vt = np.linalg.svd(J[:, free], full_matrices=False)
-        pull = np.where(s * _widest(body.keys) > 4 * _more(result), U.T @ left, 0.0)
-        if np.abs(pull).max(initial=0.0) < SETTLED * _more(result):
+        excess = _noise_ratio(result)
+        pull = np.where(s * max(_log_widths(body.keys)) > 4 * excess, U.T @ left, 0.0)
+        if np.abs(pull).max(initial=0.0) < SETTLED * excess:
             return _End(values, result, end.box, exact)
         x[free] -= Vt.T @ (pull / np.maximum(s, 1e-12))
         if (x < low).any() or (x > high).any():
@@ -545,28 +565,29 @@ def _correct_end(descent: _Descent, end: _End) -> _End | None:
 
 
 def _refine_end(descent: _Descent, end: _End) -> _End:
-    """The end for the mesh itself; where the derivatives of the reduced model do not lead there,
-    in ever narrower ranges.
+    """Return the values that fit the full model.
+
+    If the derivatives of the reduced model do not lead there, models of narrower ranges follow.
 
     Raises
     ------
-    UsageError : it does not settle.
+    UsageError : the values do not converge.
     """
     body = descent.body
-    width = {
-        item.key: 0.5 * abs(float(np.log(item.high / item.low))) * NARROWER for item in body.keys
-    }
+    widths = 0.5 * np.array(_log_widths(body.keys)) * NARROWER
     for _ in range(ROUNDS):
         result = _correct_end(descent, end)
         if result is not None:
             return result
-        values = {f"{body.part}.{key}": value for key, value in end.values.items()}
-        body = replace(body, like=load_scene(body.scene, values))  # whose mesh is its own there
-        box = {item.key: _around(item, end.values[item.key], width[item.key]) for item in body.keys}
+        # the scene at these values has a mesh without displaced nodes
+        body = replace(body, like=load_scene(body.scene, body.scene_keys(end.values)))
+        box = {}
+        for item, half in zip(body.keys, widths.tolist(), strict=True):
+            box[item.key] = _narrow_range(item, end.values[item.key], half)
         descent = body.descent(box, DEGREE)
         end = descent.solve(end.values)
-        if not any(_between(item, box[item.key], end.values[item.key]) for item in body.keys):
-            width = {key: max(NARROWER * half, NARROW) for key, half in width.items()}
+        if not any(_at_inner_end(item, box[item.key], end.values[item.key]) for item in body.keys):
+            widths = np.maximum(NARROWER * widths, NARROW)
     raise UsageError(
         "the fit does not converge",
         where=body.data.where,
@@ -576,29 +597,32 @@ def _refine_end(descent: _Descent, end: _End) -> _End:
     )
 
 
-def _around(item: Varied, value: float, half: float) -> ParameterAxis:
-    """The part of the range within a factor ``exp(half)`` of a value."""
+def _narrow_range(item: Varied, value: float, half: float) -> ParameterAxis:
+    """Return the part of a key's range within a factor ``exp(half)`` of a value."""
     ends = sorted((value * np.exp(-half), value * np.exp(half)))
     return ParameterAxis(item.key, max(item.low, ends[0]), min(item.high, ends[1]))
 
 
-def _between(item: Varied, axis: ParameterAxis, value: float) -> bool:
-    """Whether a value meets an end of a box that is not one of the key's whole range."""
+def _at_inner_end(item: Varied, axis: ParameterAxis, value: float) -> bool:
+    """Return whether a value is at an end of a narrow range, inside the key's full range."""
     x = axis.coordinate(value)
     end = axis.high if x > 0 else axis.low
     return abs(x) > 1 - 1e-3 and not np.isclose([item.low, item.high], end).any()
 
 
 def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> dict[str, Any]:
-    """Content of ``fit --json``; ``start`` is the admittance (n,) [S] of the scene's values."""
+    """Return the content of ``fit --json``.
+
+    ``start`` is the admittance (n,) [S] at the values of the scene.
+    """
     solved, keys = end.solved, body.keys
-    J = solved.jac
-    still = [item.key for item, c in zip(keys, J.T, strict=True)
-             if np.linalg.norm(c) * abs(np.log(item.high / item.low)) < 1.0]  # fmt: skip
-    if still:
+    J, names = solved.jac, list(map(attrgetter("key"), body.keys))
+    widths = np.array(_log_widths(keys))
+    unimportant = np.linalg.norm(J, axis=0) * widths < 1.0
+    if unimportant.any():
         raise UsageError(
             "does not change the impedance",
-            where=", ".join(still),
+            where=", ".join(compress(names, unimportant)),
             got="less than the noise of the data over its range",
             expected="a key that changes the impedance",
         )
@@ -615,33 +639,32 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
             "vary one key alone first, such as a thickness",
         )
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
-    widths = np.array([abs(float(np.log(item.high / item.low))) for item in keys])
     scatter = covariance(J, solved.fun, widths)
     sigma = np.sqrt(np.diag(scatter))
-    weak = 4 * _more(solved) > s * _widest(keys)
-    parameters = {
-        item.key: {
-            "value": end.values[item.key],
-            "sigma": abs(end.values[item.key]) * float(sigma[k]),
+    weak = 4 * _noise_ratio(solved) > s * widths.max()
+    parameters = {}
+    for item, deviation in zip(keys, sigma.tolist(), strict=True):
+        value = end.values[item.key]
+        parameters[item.key] = {
+            "value": value,
+            "sigma": abs(value) * deviation,
             "low": item.low,
             "high": item.high,
-            "at_bound": _at_bound(item, end.values[item.key]),
+            "at_bound": _at_bound(item, value),
         }
-        for k, item in enumerate(keys)
-    }
-    best = min(ends, key=lambda item: item.cost)
+    best = min(ends, key=attrgetter("cost"))
     resonances = _match_resonances(body, start, end)
-    caution = _caution(body, end, resonances)
+    caution = _explain_misfit(body, end, resonances)
     if caution:
         warnings.warn(f"{body.data.where}: {caution}", stacklevel=3)
     return {
         "part": body.part,
         "data": body.data.where,
         "parameters": parameters,
-        "values": {f"{body.part}.{key}": value for key, value in end.values.items()},
+        "values": body.scene_keys(end.values),
         "error": {"rms": float(np.sqrt(np.mean(size**2))), "largest": float(size.max())},
         "identifiable": not weak.any(),
-        "undetermined": [dict(zip(parameters, map(float, row), strict=True)) for row in Vt[weak]],
+        "undetermined": [dict(zip(names, row, strict=True)) for row in Vt[weak].tolist()],
         "correlation": (scatter / np.outer(sigma, sigma)).tolist(),
         "noise": body.data.noise,
         "misfit": misfit(solved.fun, len(keys)),
@@ -654,10 +677,10 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
     }
 
 
-def _caution(
+def _explain_misfit(
     body: _Body, end: _End, resonances: Sequence[Mapping[str, float | None]]
 ) -> str | None:
-    """Advice about a misfit that exceeds the noise; None if noise explains the misfit."""
+    """Return the likely cause of a misfit in words; None if noise explains the misfit."""
     ratio = misfit(end.solved.fun, len(body.keys))
     if ratio <= WARNED:
         return None
@@ -668,19 +691,21 @@ def _caution(
     return f"{text}; likely cause: {cause or UNEXPLAINED}"
 
 
-def _more(solved: OptimizeResult) -> float:
-    """Ratio of the residual to the noise, at least 1."""
+def _noise_ratio(solved: OptimizeResult) -> float:
+    """Return the ratio of the residual to the noise, at least 1."""
     return max(1.0, misfit(solved.fun, solved.jac.shape[1]))
 
 
-def _widest(keys: Sequence[Varied]) -> float:
-    """The widest range in logarithms."""
-    return max(abs(float(np.log(item.high / item.low))) for item in keys)
+def _log_widths(keys: Sequence[Varied]) -> list[float]:
+    """Return the width of each key's range as the logarithm of the ratio of its ends."""
+    return [abs(float(np.log(item.high / item.low))) for item in keys]
 
 
 def _box(part: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
-    """``rom.parameters`` of the part: every key within :data:`LIKELY` standard errors of its value
-    and within its range, so that draws in a simulator are draws of the calibrated part."""
+    """Return ``rom.parameters`` of the part, so that random samples are calibrated parts.
+
+    Every key is within :data:`LIKELY` standard errors of its value, and within its range.
+    """
     result = []
     for key, item in parameters.items():
         half = max(LIKELY * item["sigma"], NARROWEST * abs(item["value"]))
@@ -691,23 +716,24 @@ def _box(part: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _at_bound(item: Varied, value: float) -> bool:
+    """Return whether a value is at an end of its key's range."""
     nearest = min(abs(np.log(value / item.low)), abs(np.log(value / item.high)))
     return bool(nearest < 1e-4 * abs(np.log(item.high / item.low)))
 
 
 def _match_resonances(body: _Body, start: np.ndarray, end: _End) -> list[dict[str, float | None]]:
-    """Resonances of the measurement, of the scene's values and of the end, in their order: peaks of
-    the conductance."""
-    rows = [_peaks(body.data.f, Y, body.data.noise) for Y in (body.Y, start, end.exact)]
-    longest = max(map(len, rows))
-    padded = [[*map(float, row), *[None] * (longest - len(row))] for row in rows]
-    return [
-        {"measured_hz": m, "start_hz": s, "fitted_hz": f} for m, s, f in zip(*padded, strict=True)
-    ]
+    """Return the resonances of the measurement, of the start and of the end in rising order.
+
+    A resonance is a peak of the conductance.
+    """
+    rows = [_find_resonances(body.data.f, Y, body.data.noise) for Y in (body.Y, start, end.exact)]
+    names = ("measured_hz", "start_hz", "fitted_hz")
+    return [dict(zip(names, row, strict=True)) for row in zip_longest(*rows)]
 
 
-def _peaks(f: np.ndarray, Y: np.ndarray, noise: float) -> np.ndarray:
-    """Frequencies at which the conductance stands out of its surroundings and of the noise."""
+def _find_resonances(f: np.ndarray, Y: np.ndarray, noise: float) -> list[float]:
+    """Return the frequencies [Hz] of prominent peaks of the conductance above the noise."""
     least = np.maximum(PROMINENT * float(Y.real.max()), ABOVE_NOISE * noise * np.abs(Y))
     result, _ = find_peaks(Y.real, prominence=least)
-    return np.asarray(f[result])
+    frequencies: list[float] = f[result].tolist()
+    return frequencies
