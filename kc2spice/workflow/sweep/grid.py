@@ -1,8 +1,8 @@
-"""The points of a sweep: ranges of keys, crossed, stepped through together or drawn.
+"""Points of a sweep: ranges of keys, crossed, stepped through together or sampled at random.
 
 A range is ``a:b:n`` (equally spaced, both ends), ``log:a:b:n``, ``x, y, z``,
-``normal(mu, sigma, n)`` or ``uniform(a, b, n)``. Numbers are SI or carry a unit; anything else is
-one plain value.
+``normal(mu, sigma, n)`` or ``uniform(a, b, n)``. Numbers are in SI units or carry a unit. Any other
+text is a single value.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import prod
 from typing import Any
 
@@ -31,15 +32,15 @@ Values = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Draws:
-    """``n`` draws of a key: ``normal(a, b)`` or ``uniform(a, b)``."""
+    """Random sample of ``n`` values of a key: ``normal(a, b)`` or ``uniform(a, b)``."""
 
     kind: str
     a: float
     b: float
     n: int
 
-    def at(self, share: np.ndarray) -> Values:
-        """The values below which the given shares (n,) of all draws lie."""
+    def quantiles(self, share: np.ndarray) -> Values:
+        """Return the quantiles of the distribution at the probabilities ``share`` (n,)."""
         if self.kind == "uniform":
             return tuple((self.a + (self.b - self.a) * share).tolist())
         from scipy.special import ndtri
@@ -52,7 +53,7 @@ class Draws:
 
 
 def _crosses_zero(text: str) -> UsageError:
-    """The error of a logarithmic range whose ends have no common sign."""
+    """Return the error of a logarithmic range whose ends have no common sign."""
     return UsageError(
         "a log range cannot start at, end at or cross 0",
         where="--set",
@@ -63,18 +64,19 @@ def _crosses_zero(text: str) -> UsageError:
 
 
 def form(text: str) -> tuple[str, list[str]]:
-    """Kind of a range (``value``, ``list``, ``linear``, ``log``, ``normal``, ``uniform``), words.
+    """Return the kind of a range and its words.
 
-    The first word is a value that the key takes.
+    The kinds are ``value``, ``list``, ``linear``, ``log``, ``normal`` and ``uniform``. The first
+    word is a possible value of the key.
 
     Raises
     ------
-    UsageError : a range that has other than three words.
+    UsageError : a range with more or fewer than three words.
     """
     if text[:1] in ('"', "'"):
         return "value", [text]
     if call := _CALL.fullmatch(text):
-        words = _split(call[2], ",")
+        words = _split_words(call[2], ",")
         if len(words) != 3:
             last = "MEAN,DEVIATION,POINTS" if call[1] == "normal" else "LOW,HIGH,POINTS"
             raise UsageError(
@@ -87,7 +89,7 @@ def form(text: str) -> tuple[str, list[str]]:
                 else None,
             )
         return call[1], words
-    words = _split(text, ":")
+    words = _split_words(text, ":")
     if len(words) > 1:
         kind, words = ("log", words[1:]) if words[0] == "log" else ("linear", words)
         if len(words) != 3:
@@ -104,12 +106,12 @@ def form(text: str) -> tuple[str, list[str]]:
         if kind == "log" and any(map(_ZERO.match, words[:2])):
             raise _crosses_zero(text)
         return kind, words
-    words = _split(text, ",")
+    words = _split_words(text, ",")
     return ("list", words) if len(words) > 1 else ("value", words)
 
 
-def _split(text: str, separator: str) -> list[str]:
-    """Parts between separators outside of brackets, as in ``1 A/(m s),2 A/(m s)``."""
+def _split_words(text: str, separator: str) -> list[str]:
+    """Split a text at separators outside of brackets, as in ``1 A/(m s),2 A/(m s)``."""
     parts, depth = [""], 0
     for character in text:
         depth += (character in "([{") - (character in ")]}")
@@ -117,64 +119,64 @@ def _split(text: str, separator: str) -> list[str]:
             parts.append("")
         else:
             parts[-1] += character
-    return [part.strip() for part in parts]
+    return list(map(str.strip, parts))
 
 
 def key_of(name: str, keys: Mapping[str, Key]) -> Key:
-    """Unit, range and type of a key, list entry, table or subcircuit parameter."""
+    """Return unit, range and type of a key, list entry, table or subcircuit parameter."""
     plain = Key(name, "" if PARAMETER.fullmatch(name) else None, None, (), "")
     return keys.get(re.sub(r"\[-?\d+\]", "", name), plain)
 
 
 def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Draws:
-    """The range ``text`` of the key ``name``.
+    """Return the values of the range ``text`` of the key ``name``.
 
     Raises
     ------
-    UsageError : a range that cannot be, or with values that the key cannot take.
+    UsageError : an impossible range, or values that the key cannot have.
     """
     key, (kind, words) = key_of(name, keys), form(text)
     where = f"--set '{name}={text}'"
     drawn = kind in ("normal", "uniform")
 
-    def refused(
+    def range_error(
         message: str, got: object, expected: str = GRAMMAR, hint: str | None = None
     ) -> UsageError:
         return UsageError(message, where=where, got=got, expected=expected, hint=hint)
 
     if kind in ("list", "value"):
-        values = [_value(where, key, word) for word in words]
+        values = list(map(partial(_parse_word, where, key), words))
     elif key.choices or (key.unit is None and (drawn or not key.integer)):
-        raise refused("only numbers have such a range", name)
+        raise range_error("only numbers have such a range", name)
     elif len(words) != 3:
-        raise refused(f"{kind} takes three values", ", ".join(words))
+        raise range_error(f"{kind} takes three values", ", ".join(words))
     else:
         count = words[2]
         if not count.isdecimal() or not 2 <= int(count) <= MAX_POINTS:
             expected = f"a whole number of points, 2 to {MAX_POINTS}"
             known = text.removesuffix(count) if text.endswith(count) else ""
             hint = f"write {known}5 for five points" if known else None
-            raise refused("not a number of points", repr(count), expected, hint)
-        a, b = (float(_value(where, key, word)) for word in words[:2])
+            raise range_error("not a number of points", repr(count), expected, hint)
+        a, b = map(float, map(partial(_parse_word, where, key), words[:2]))
         if kind == "normal" and b < 0:
-            raise refused("a standard deviation is not negative", f"{b:g}")
+            raise range_error("a standard deviation is not negative", f"{b:g}")
         if kind == "uniform" and b < a:
-            raise refused("empty range", f"{a:g} … {b:g}")
+            raise range_error("empty range", f"{a:g} … {b:g}")
         if drawn:
             return Draws(kind, a, b, int(count))
         if kind == "log" and not a * b > 0:
             raise _crosses_zero(text)
         values = (np.geomspace if kind == "log" else np.linspace)(a, b, int(count)).tolist()
-        if key.integer and not all(value == round(value) for value in values):
-            raise refused("not all values are whole numbers", values[:5])
+        if key.integer and not all(map(float.is_integer, values)):
+            raise range_error("not all values are whole numbers", values[:5])
         values = list(map(int, values)) if key.integer else values
     if len(set(map(repr, values))) < len(values):
-        raise refused("a value occurs twice", words)
+        raise range_error("a value occurs twice", words)
     return tuple(values)
 
 
-def _value(where: str, key: Key, text: str) -> Any:
-    """One value: a number in SI, a whole number, one of the choices, or what TOML says it is."""
+def _parse_word(where: str, key: Key, text: str) -> Any:
+    """Return a number in SI units, a whole number, one of the choices, or a value of TOML."""
     if key.choices and text not in key.choices:
         choices = f"one of {candidates(text, key.choices)}"
         hint = did_you_mean(text, key.choices)
@@ -188,7 +190,7 @@ def _value(where: str, key: Key, text: str) -> Any:
 
 
 def parse_value(text: str, unit: str, where: str) -> float:
-    """``text`` in the SI unit ``unit``; a plain number is in it already."""
+    """Return the value of ``text`` in the SI unit ``unit``, which plain numbers have."""
     try:
         return quantity(float(text), unit, where=where)
     except ValueError:
@@ -200,10 +202,10 @@ def parse_value(text: str, unit: str, where: str) -> float:
 
 @dataclass(frozen=True)
 class Plan:
-    """Swept ``keys`` in the order in which they were given, and all points.
+    """Swept ``keys`` in the order of the user, and all points.
 
-    ``blocks`` are crossed, the last one varies fastest; the keys of one block vary together.
-    ``random`` names the keys that were drawn.
+    All combinations of the ``blocks`` are points; the last block varies fastest. The keys of one
+    block vary together. ``random`` are the keys with random samples.
     """
 
     keys: tuple[str, ...]
@@ -221,29 +223,35 @@ class Plan:
         return prod(self.lengths)
 
     def values(self, index: int) -> dict[str, Any]:
-        """Values of all keys at point ``index``, 0 … size - 1."""
-        steps = zip(self.blocks, np.unravel_index(index, self.lengths), strict=True)
-        result = {key: item[step] for block, step in steps for key, item in block.items()}
-        return {key: result[key] for key in self.keys}
+        """Return the values of all keys at point ``index``, 0 … size - 1."""
+        result = dict[str, Any].fromkeys(self.keys)
+        for block, step in zip(self.blocks, np.unravel_index(index, self.lengths), strict=True):
+            for key, values in block.items():
+                result[key] = values[step]
+        return result
 
     def ends(self) -> list[dict[str, Any]]:
-        """The first point, and those that differ from it in one block: where a number of that is
-        least or largest, or where a word comes first."""
-        places = [0]
+        """Return the first point, and points that differ from it in one block.
+
+        In these a number of that block has its least or largest value, or a word occurs first.
+        """
+        indices = [0]
         for k, block in enumerate(self.blocks):
+            stride = prod(self.lengths[k + 1 :])
             for values in block.values():
                 numbers = all(isinstance(value, (int, float)) for value in values)
                 extremes = (min(values), max(values)) if numbers else values
                 steps = set(map(values.index, extremes))
-                places += [step * prod(self.lengths[k + 1 :]) for step in sorted(steps)]
-        return list(map(self.values, dict.fromkeys(places)))
+                indices += [stride * step for step in sorted(steps)]
+        return list(map(self.values, dict.fromkeys(indices)))
 
     def distinct(self, keys: Sequence[str]) -> int:
-        """Number of combinations of values of the ``keys`` in all points."""
-        blocks = (
-            [map(repr, v) for key, v in block.items() if key in keys] for block in self.blocks
-        )
-        return prod(len(set(zip(*item, strict=True))) for item in blocks if item)
+        """Return the number of combinations of values of the ``keys`` in all points."""
+        count = 1
+        for block in self.blocks:
+            values = [map(repr, block[key]) for key in block if key in keys]
+            count *= len(set(zip(*values, strict=True))) or 1
+        return count
 
 
 def make_plan(
@@ -253,10 +261,10 @@ def make_plan(
     latin: bool = False,
     seed: int = 0,
 ) -> Plan:
-    """Cross the ranges with each other and with the draws, or step through all together.
+    """Combine the ranges and the random samples, or step through all together.
 
-    One draw is a draw of all random keys, so these form one block. ``latin`` stratifies it: every
-    key's n equally likely intervals are each hit once (McKay, Beckman, Conover 1979).
+    A sample has a value of every random key, so that these keys form one block. With ``latin`` each
+    of n equally likely intervals of a key contains one value (McKay, Beckman, Conover 1979).
 
     Raises
     ------
@@ -273,25 +281,33 @@ def make_plan(
     random = {key: item for key, item in ranges.items() if isinstance(item, Draws)}
     blocks = [{key: item} for key, item in ranges.items() if not isinstance(item, Draws)]
     if random:
-        count = _common({key: item.n for key, item in random.items()}, "draws")
+        count = _common_length({key: item.n for key, item in random.items()}, "draws")
         generator = np.random.default_rng(seed)
         shares = generator.random((len(random), count))
         if latin:
             from scipy.stats.qmc import LatinHypercube
 
             shares = LatinHypercube(len(random), seed=generator).random(count).T
-        columns = zip(random.items(), shares, strict=True)
-        blocks.append({key: item.at(share) for (key, item), share in columns})
+        blocks.append(dict(zip(random, map(Draws.quantiles, random.values(), shares), strict=True)))
     if zipped:
-        blocks = [{key: item for block in blocks for key, item in block.items()}]
-        _common({key: len(item) for key, item in blocks[0].items()}, "--zip")
+        together: dict[str, Values] = {}
+        for block in blocks:
+            together |= block
+        _common_length({key: len(values) for key, values in together.items()}, "--zip")
+        blocks = [together]
     plan = Plan(tuple(ranges), tuple(blocks), tuple(random))
     if plan.size > MAX_POINTS:
         raise UsageError("too many points", got=plan.size, expected=f"at most {MAX_POINTS}")
     return plan
 
 
-def _common(lengths: Mapping[str, int], where: str) -> int:
+def _common_length(lengths: Mapping[str, int], where: str) -> int:
+    """Return the length that all keys have.
+
+    Raises
+    ------
+    UsageError : keys with different lengths.
+    """
     if len(set(lengths.values())) > 1:
         got = ", ".join(f"{key}: {length}" for key, length in lengths.items())
         raise UsageError("unequal numbers of values", where=where, got=got, expected="one number")
