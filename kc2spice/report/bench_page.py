@@ -28,7 +28,7 @@ def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
 
 
 def format_bench(record: Mapping[str, Any]) -> list[PageSection]:
-    """Return the results of ``bench`` for page and terminal, the fastest settings first."""
+    """Return results of ``bench`` for page and terminal, fastest settings first."""
     head = ("setting", "error", "sum of errors", "CPU time", "spread", "")
     failed = list(map(itemgetter("label", "why"), record["failed"]))
     return [
@@ -81,7 +81,7 @@ def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _list_metrics(metrics: Sequence[str]) -> str:
-    """Return the names of the metrics in one line, groups of curves by their common name."""
+    """Return the names of metrics in one line, and groups of curves by one name."""
     groups = Counter(name.partition(".")[0] for name in metrics)
     return ", ".join(n if count == 1 else f"{n} ({count} curves)" for n, count in groups.items())
 

@@ -1,7 +1,8 @@
-"""Figures as data for the browser, where ``templates/plots.js`` draws them with the library uPlot.
+"""Figures as data for the browser.
 
-uPlot draws curves over ascending x. A curve that turns back therefore becomes one curve for each
-direction, points are sorted, and equal numbers of x are replaced by neighbouring floats.
+The script ``templates/plots.js`` draws them with the library uPlot. uPlot draws curves over
+ascending x. A curve that turns back therefore becomes one curve for each direction, points are
+sorted, and equal numbers of x are replaced by neighbouring floats.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _PLAIN_UNITS = {
 
 
 def render_figure(figure: Figure) -> str:
-    """Return the element ``<figure>``: the panels as JSON for the page's script, and a caption.
+    """Return the element ``<figure>``: panels as JSON, and a caption.
 
     Panels without a curve are left out. A figure without other panels is empty.
     """
@@ -63,13 +64,13 @@ def render_figure(figure: Figure) -> str:
 
 
 def _prepare_panel(panel: Panel) -> Iterator[Panel]:
-    """Split a panel into panels with few ascending curves; yield none for an empty panel."""
+    """Split a panel into panels with few ascending curves; none if it is empty."""
     if panel.curves or panel.map is not None:
         yield from _split_curves(_scale_y(_sort_curves(panel)))
 
 
 def _sort_curves(panel: Panel) -> Panel:
-    """Return ``panel`` with curves over ascending x; outlines, whose axes are equal, stay."""
+    """Return ``panel`` with curves over ascending x, unless these are outlines."""
     if panel.equal:
         return panel
     curves = chain.from_iterable(map(_split_at_turns, panel.curves))
@@ -82,7 +83,7 @@ def _is_reference(curve: Curve) -> bool:
 
 
 def _split_at_turns(curve: Curve) -> Iterator[Curve]:
-    """Yield a curve over ascending x for each direction of ``curve``; points are sorted."""
+    """Yield a curve over ascending x for each direction of ``curve``."""
     x = np.asarray(curve.x, dtype=float)
     if curve.style == "o":
         yield _select_points(curve, np.argsort(x, kind="stable"))
@@ -142,7 +143,7 @@ def _spans_decade(panel: Panel) -> bool:
 
 
 def _scale_x(panels: Sequence[Panel], label: str) -> list[Panel]:
-    """Return ``panels`` over one x axis of this label, with the SI prefix that suits it."""
+    """Return ``panels`` over one x axis with the SI prefix that suits it."""
     values = np.concatenate(list(map(_x_values, panels)))
     name, scale = _choose_prefix(label, values)
     if scale == 1.0 or any(panel.log_x or panel.equal for panel in panels):
@@ -162,7 +163,7 @@ def _multiply_x(panel: Panel, label: str, scale: float) -> Panel:
 
 
 def _choose_prefix(label: str, values: np.ndarray) -> tuple[str, float]:
-    """Return ``quantity in unit`` with the prefix for the largest value, and the factor to it."""
+    """Return label and factor with the SI prefix that suits the largest value."""
     quantity, _, text = label.rpartition(" in ")
     factor, unit = _split_prefix(text)
     finite = np.asarray(values, dtype=float)
@@ -232,7 +233,7 @@ def _encode_panel(title: str, panel: Panel, span: Range | None, last: bool) -> d
 
 
 def _round_outwards(span: Range) -> Range:
-    """Return a range that contains ``span`` and its ends in the single precision of a page."""
+    """Return a range that contains ``span`` and its ends in single precision."""
     low, high = np.array(span, dtype=np.float32).tolist()
     return min(span[0], low), max(span[1], high)
 
@@ -280,7 +281,7 @@ def _range_y(panel: Panel) -> Range:
 
 
 def _cell_edges(centres: np.ndarray, log: bool) -> Range:
-    """Return the outer edges of the first and the last cell of a row with these centres."""
+    """Return the outer edges of a row of cells with these centres."""
     at = np.log10(centres) if log else np.asarray(centres, dtype=float)
     half = np.diff(at)[[0, -1]] / 2 if at.size > 1 else np.full(2, 0.5)
     low, high = at[0] - half[0], at[-1] + half[1]
@@ -322,7 +323,7 @@ def _encode_curve(curve: Curve, indices: np.ndarray, ascending: bool) -> dict[st
 
 
 def _encode_map(field: Map, low: float, high: float) -> dict[str, str]:
-    """Return centres and colours; 0 is ``low``, 65534 ``high``, and 65535 has no colour."""
+    """Return centres and colours: 0 is ``low``, 65534 ``high``, 65535 none."""
     share = (np.asarray(field.z, dtype=float) - low) / ((high - low) or 1.0)
     z = np.where(np.isfinite(share), np.round(65534 * share), 65535).astype("<u2")
     return {

@@ -24,7 +24,7 @@ COLOURS = {"A": BLUE, "N": ORANGE, "Nm": ORANGE, "-": GREEN}
 
 
 def draw_devices(scene: Scene) -> str:
-    """Draw the side view of all parts that have one, to scale; empty without such a part."""
+    """Draw the side view of all parts that have one, to scale."""
     shapes = _place_shapes(scene)
     if not shapes:
         return ""
@@ -113,7 +113,7 @@ def draw_circuit(scene: Scene) -> str:
 
 
 def _stack_nets(spans: Mapping[str, tuple[float, float]]) -> dict[str, int]:
-    """Return the level of each net, lowest for short ones; nets of one level do not overlap."""
+    """Return the level of each net; nets of one level do not overlap."""
     levels: list[list[tuple[float, float]]] = []
     result = {}
     for net, (first, last) in sorted(spans.items(), key=lambda item: item[1][1] - item[1][0]):

@@ -36,7 +36,7 @@ _STYLE: Any = {
 
 
 def draw_pngs(directory: Path, figures: Sequence[Figure]) -> list[str]:
-    """Draw every figure into ``directory`` as ``NAME.png`` and return the names of the files."""
+    """Draw every figure as ``NAME.png`` and return the names of the files."""
     names = []
     for figure in figures:
         page = make_notebook_figure(figure)
@@ -111,7 +111,7 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
 
 
 def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
-    """Draw the ``k``-th curve of a panel; further lines have marks, to differ in print."""
+    """Draw the ``k``-th curve of a panel; all lines but the first have marks."""
     colour = BLACK if curve.style == "reference" else PALETTE[k % len(PALETTE)]
     look: dict[str, Any] = {"color": colour, "label": curve.label or None}
     marks = {"marker": _MARKS[k % len(_MARKS)], "ms": 4}
@@ -130,7 +130,7 @@ def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
 
 
 def _set_log_scale(axes: Any, axis: Any) -> None:
-    """Make an axis logarithmic, with plain numbers at 1, 2, 5, … or at decades if there are many.
+    """Make an axis logarithmic, with plain numbers at 1, 2, 5, … or at decades.
 
     Minor ticks and powers of ten would take longer to draw than the rest of a figure.
     """

@@ -1,4 +1,4 @@
-"""``report.html`` of a fit: fitted keys, their errors, and the impedance before and after."""
+"""``report.html`` of a fit: keys, errors, and impedance before and after."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _correlation_row(key: str, coefficients: Sequence[float]) -> tuple[str, ...]
 
 
 def _format_quality(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return rows of the deviation, its statistics, and what the data do not determine."""
+    """Return rows of deviation, statistics, and keys that the data do not determine."""
     error = record["error"]
     facts = [
         ("deviation of |Z|", f"{error['rms']:.2g} rms, {error['largest']:.2g} at most"),

@@ -108,14 +108,14 @@ def flatten_mapping(value: Any, joint: str = ".", path: str = "") -> Iterator[tu
 
 
 def label_key(key: str, unit: str = "") -> str:
-    """Return a key of ``result.json`` as words, without a suffix that spells its ``unit``."""
+    """Return a key of ``result.json`` as words, without the suffix of its unit."""
     suffix = _UNIT_SUFFIXES.get(unit, f"_{unit.lower()}" if unit else "")
     words = (_LABEL_WORDS.get(word, word) for word in key.removesuffix(suffix).split("_"))
     return _LABELS.get(key) or " ".join(words)
 
 
 def format_fact(key: str, value: Any, unit: str = "") -> tuple[str, str]:
-    """Return a key of ``result.json`` and its value as words, in the ``unit`` of its record."""
+    """Return a key of ``result.json`` and its value with ``unit`` as words."""
     values = value if isinstance(value, (list, tuple)) else [value]
     if len(values) > FEW:
         return label_key(key, unit), f"{len(values)} values, in result.json"
@@ -135,7 +135,7 @@ def format_value(value: Any, unit: str = "") -> str:
 
 @dataclass(frozen=True)
 class PageSection:
-    """Section of a page: a heading above a drawing, a table, links, a note and figures.
+    """Section of a page: heading, drawing, table, links, note and figures.
 
     Each of these is optional. The ``drawing`` is HTML that needs no escaping.
     """
@@ -162,8 +162,9 @@ def write_page(
     *,
     origin: Sequence[str] = (),
 ) -> Path:
-    """Write a page without external files; sections that contain only a note are left out.
+    """Write a self-contained page.
 
+    Sections that contain only a note are left out.
     ``lead`` is the text below the title. The footer states version, date, command and ``origin``.
     """
     text = render_page(

@@ -1,4 +1,4 @@
-"""``report.html`` of a run: drawings, figures, metrics, checks, wall times and omitted effects."""
+"""``report.html`` of a run: drawings, figures, metrics, checks, wall times."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def _certificate_rows(certificate: Mapping[str, Any]) -> Rows:
 
 
 def format_operating_point(result: Mapping[str, Any], most: int | None = None) -> Rows:
-    """Return rows of at most ``most`` nonzero values at the small-signal operating point."""
+    """Return rows of at most ``most`` nonzero values at the operating point."""
     units, numbers = {}, {}
     for name, item in result.get("operating_point", {}).items():
         units[name], numbers[name] = item["unit"], float(item["value"])
@@ -163,7 +163,7 @@ def _label_check(check: Mapping[str, Any]) -> str:
 
 
 def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSection:
-    """Return the verdict of a run, its metrics that are single numbers, and error estimates.
+    """Return verdict, single numbers and error estimates of a run.
 
     ``most`` is the largest number of metrics.
     """
@@ -304,7 +304,7 @@ def _is_short(values: Sequence[Any]) -> bool:
 def _fact_row(
     name: str, value: Any, units: Mapping[str, str], scales: Mapping[str, float]
 ) -> tuple[str, str]:
-    """Return label and text of a number; ``scales`` are the largest magnitudes beside it."""
+    """Return label and text of a number; ``scales`` are largest magnitudes."""
     unit = units.get(name, "")
     return format_fact(name.replace(".", "_"), _chop_rounding(value, scales, unit), unit)
 

@@ -38,7 +38,7 @@ def _read_numbers(column: Sequence[Any]) -> np.ndarray:
 
 
 def compute_yields(table: Table, keys: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Return the share of points at which each flag is true, with its confidence interval.
+    """Return the share of true points of each flag, with its confidence interval.
 
     A failed point counts as false. The interval is exact (Clopper and Pearson, 1934): it covers at
     least ``confidence``. It describes the population only if the keys were random.
@@ -104,7 +104,7 @@ def _yield_row(name: str, share: Mapping[str, float]) -> tuple[str, str]:
 
 
 def _key_row(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple[str, str]:
-    """Return the row of a swept key: the number of its values, and their range or list."""
+    """Return the row of a swept key: number of values, and their range or list."""
     distinct = list(dict(zip(map(repr, column), column, strict=True)).values())
     text = ", ".join(map(str, distinct[:POINTS_PER_KEY]))
     if _is_of(column, *NUMBERS):

@@ -130,7 +130,7 @@ def _format_details(scene: str, findings: Findings) -> list[PageSection]:
 def plot_comparison(
     name: str, title: str, solutions: Solutions, units: Mapping[str, str]
 ) -> Iterator[Figure]:
-    """Plot the waves that all solutions contain, and their differences to the first solution.
+    """Plot the waves of all solutions, and their differences to the first one.
 
     One panel shows the largest wave of each unit, one further figure the differences of all.
     """
@@ -161,8 +161,8 @@ def plot_comparison(
     yield Figure(f"{name}_differences", f"{title}: differences", caption, (panel,))
 
 
-def plot_solutions(name: str, curves: Solutions) -> Iterator[Figure]:
-    """Plot the response of each port of a body to a load on the same port, in every solution."""
+def plot_responses(name: str, curves: Solutions) -> Iterator[Figure]:
+    """Plot the response of each port of a body to a load on the same port."""
     last = list(curves.values())[-1]
     pairs = list(filter(_is_driving_point, last))[:PANELS]
     end = float(last["frequency"].real[-1]) / 1e3

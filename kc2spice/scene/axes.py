@@ -1,4 +1,4 @@
-"""Plan of a run: parts, joins, omissions and numerical settings, each of them an axis.
+"""Plan of a run: its parts, joins, omissions and numerical settings (axes).
 
 A key that trades time for error has a :class:`kc2spice.core.quantities.Notch` in its declaration.
 ``error_budget`` and ``bench`` move along the same axes, and ``explain`` lists them.
@@ -30,8 +30,9 @@ BAND_GROWTH = 2.0  # of the highest frequency: steps and contacts excite a body 
 
 @dataclass(frozen=True)
 class Axis:
-    """Numerical setting: the dotted ``name`` of its key, its ``value`` and its ``notch``.
+    """Numerical setting with its key, its value and its notch.
 
+    ``name`` is the dotted name of the key.
     ``low`` and ``high`` bound the value. ``finer`` contains further keys of all finer settings.
     ``band`` belongs to the tolerance of a reduction: its highest frequency grows by ``wider`` with
     each finer notch. ``decades`` is the width of a grid with equally many points in each decade;
@@ -52,7 +53,10 @@ class Axis:
     mesh: bool = False
 
     def at(self, notches: float) -> dict[str, Any]:
-        """Return keys refined by ``notches``; negative ones are coarser. Empty without a change."""
+        """Return keys refined by ``notches``; negative ones are coarser.
+
+        The result is empty without a change.
+        """
         value = self.notch.moved(self.value, notches)
         if self.decades and notches:
             item = round(math.ceil(self.value / self.decades) * self.notch.factor**notches)
@@ -123,7 +127,7 @@ def _list_marked(keys: BaseModel, prefix: str) -> Iterator[Axis]:
 
 
 def _list_reductions(build: Build) -> Iterator[Axis]:
-    """Yield one axis for all bodies without a separate ``rom``, and one for each other body."""
+    """Yield one axis for the scene's ``rom``, and one for each separate ``rom``."""
     scene = build.scene
     timed = scene.analysis.type == "transient"
     known: set[str] = set()
@@ -151,7 +155,7 @@ def _list_reductions(build: Build) -> Iterator[Axis]:
 
 
 def _is_common(part: Part, scene: Scene) -> bool:
-    """Return whether all bodies have the reduction of ``part``, so that one key moves all."""
+    """Return whether one key moves the reductions of all bodies, as that of ``part``."""
     reduction = scene.records[part.name].reduction
     return all(record.reduction in (None, reduction) for record in scene.records.values())
 
@@ -199,7 +203,7 @@ def _describe_mesh(part: Part, build: Build) -> str:
 
 
 def _estimate_mesh_error(axis: Axis, build: Build) -> float | None:
-    """Return the largest error estimate of the mesh that an axis refines, None if unknown."""
+    """Return the error estimate of the mesh that an axis refines, None if unknown."""
     if not axis.mesh:
         return None
     errors: list[float] = []

@@ -1,4 +1,4 @@
-"""Metrics of a result, and its checks: physics, energy balances, and gates of ``verify``."""
+"""Metrics and checks of a result: physics, energy balances, gates of ``verify``."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ Measure = Literal["relative", "absolute", "travel", "largest", "spectral"]
 
 @dataclass(frozen=True)
 class Metric:
-    """A number of a result, or an array or table of numbers, and its SI unit: ``""`` of a pure one.
+    """Number, array or table of numbers of a result with its SI unit.
 
-    Readers get the unit from here, never from the metric's name, which an author may choose freely.
+    The unit of a pure number is ``""``. The name of a metric does not determine its unit, because
+    an author may choose it freely.
     """
 
     value: Any
@@ -31,20 +32,18 @@ class Metric:
 
 @dataclass(frozen=True)
 class Check:
-    """One check: ``value`` must not exceed ``limit``; ``advice`` is for the case that it does.
+    """Check that ``value`` does not exceed ``limit``, with an ``advice`` if it does.
 
-    A value that was not reached is no number.
-
-    ``action`` says what a violation does to the run. A ``coarse`` check fails for too large steps,
-    which tighter tolerances may cure. A ``wiring`` check holds the netlist against the scene, from
-    which a deck that somebody edited may differ on purpose. ``suggested`` are dotted keys and their
-    values by which the scene would not violate it, where these are known and not set.
-    A check of the ``discretisation`` compares it with a finer one at the frequencies of the run;
-    ``verify`` counts it in time, where it does not follow the finer one.
+    A value that was not reached is NaN. ``action`` is the effect of a violation on the run. A
+    ``coarse`` check fails because of too large steps, and tighter tolerances may correct it. A
+    ``wiring`` check compares the netlist with the scene; an edited deck may differ on purpose.
+    ``suggested`` contains dotted keys with values that avoid the violation, if they are known and
+    not set. A check of the ``discretisation`` compares a model with a finer one at the frequencies
+    of the run. In a transient, ``verify`` includes this check unless it solves the finer model.
 
     The value of a ``loaded`` check is the relative error of a reduced body under the recorded loads
-    of a transient. ``distance`` is that of a motion from the limit, on either side, and ``travel``
-    the range of this motion, both in the unit of the check.
+    of a transient. ``distance`` is the distance of a motion from the limit, on either side.
+    ``travel`` is the range of this motion. Both have the unit of the check.
     """
 
     name: str
@@ -63,26 +62,27 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """False also for a value that is not a number."""
+        """Whether the value is within the limit; False for NaN."""
         return self.value <= self.limit
 
     @property
     def fatal(self) -> bool:
-        """Does it fail the run?"""
+        """Whether the check fails the run."""
         return self.action == "fail" and not self.passed
 
     def record(self) -> dict[str, object]:
-        """Its row of ``result.json``."""
+        """Return the row of the check in ``result.json``."""
         names = ("name", "value", "limit", "unit", "passed", "action", "advice")
         return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, eq=False)
 class Balance(EqualByContent):
-    """An energy balance: ``entries`` [J] at the end of the run, ``missing`` [J] the largest gap at
-    any time, ``scale`` [J] what it is measured against, ``limit`` the share that may be missing.
+    """Energy balance of a run.
 
-    ``exact`` has by wave what the run has and what a linear part answers exactly to its loads.
+    ``entries`` [J] are the energies at the end, ``missing`` [J] is the largest error at any time.
+    ``limit`` is the largest ratio of ``missing`` to ``scale`` [J]. ``exact`` contains for each wave
+    the values of the run, and the exact response of a linear part to its loads.
     """
 
     entries: dict[str, float]
@@ -94,14 +94,13 @@ class Balance(EqualByContent):
 
     @property
     def share(self) -> float:
-        """``missing`` as a share of ``scale``."""
+        """Ratio of ``missing`` to ``scale``."""
         return self.missing / self.scale if self.scale else self.missing
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """All checks of a run, the energy balances behind some of them, and the gates of ``verify``, by
-    the parts that have them."""
+    """All checks of a run, with energy balances and gates of ``verify`` by parts."""
 
     checks: tuple[Check, ...] = ()
     balances: tuple[tuple[str, Balance], ...] = ()
@@ -127,19 +126,19 @@ def require(checks: tuple[Check, ...], where: str) -> None:
 
 
 def stepping(solver: Solver) -> float:
-    """Gate of motion in ngspice against the same laws, relative.
+    """Return the relative gate of motion between ngspice and the equations.
 
-    At the usual tolerances 1e-5 to 3e-5 are found; errors fall as ``(reltol chgtol)^0.55``.
+    At the usual tolerances, errors are 1e-5 to 3e-5. They fall as ``(reltol chgtol)^0.55``.
     """
     return float(4e-5 * (solver.reltol * solver.chgtol / 1e-12) ** 0.55)
 
 
 @dataclass(frozen=True)
 class Gate:
-    """How far two solutions may differ in one result.
+    """Largest difference between two solutions in one result.
 
-    ``of`` is a metric or waves by name (a prefix ends with ``*``); ``limits`` has the largest
-    difference for each pair of solutions, and ``measure`` says what of it:
+    ``of`` is the name of a metric or of waves (a prefix ends with ``*``). ``limits`` contains the
+    largest difference for each pair of solutions. ``measure`` is the measure of the difference:
 
     * *relative*: each value by its own size (arrays: where it exceeds 1e-6 of the largest);
     * *absolute*: in ``unit``; *travel*: by the swing of the wave;

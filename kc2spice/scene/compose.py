@@ -1,4 +1,4 @@
-"""From parts and their pins to nets: what is joined, what may be joined, and what must be.
+"""Nets of a scene: joins of pins, and checks of these joins.
 
 A target is ``"gnd"`` or ``"part.pin"``. All pins that are joined, directly or over other pins, are
 one net. The netlist names it after its first pin in the order of the scene. One allocator
@@ -200,7 +200,9 @@ def _with_inner_names(scene: Scene) -> Scene:
 
 
 def metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
-    """Return the pins of a part off ground whose flow can be metered, with their domains.
+    """Return pins of a part whose flow can be metered, with their domains.
+
+    They are not on ground.
 
     If the flow is a power, that at a reference pin, such as ``ambient``, is the sum of the others.
     """
@@ -226,7 +228,7 @@ def powered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 
 
 def _list_metered(scene: Scene) -> Iterator[Pin]:
-    """Yield pins of subcircuits whose flow a probe reads and no other part has as a result.
+    """Yield pins of subcircuits whose flow a probe reads from an ammeter.
 
     Probes read it as ``PART.power``, as ``PART.PIN.current`` or another flow such as
     ``PART.PIN.force``, and as ``PART.current``, which is that of the first pin. ``PART.force`` is a
@@ -352,7 +354,7 @@ def _require_no_source_loop(scene: Scene) -> None:
 
 
 def _require_ground(scene: Scene) -> None:
-    """Refuse parts without a connection to ground, whose potentials have no unique value."""
+    """Refuse parts without a connection to ground: their potentials are not unique."""
     union = Groups(["0", *scene.nets.values()])
     first: dict[str, str] = {}
     for (part, _), net in scene.nets.items():

@@ -148,7 +148,7 @@ def _name_frame(frame: ShakenFrame | None) -> str:
 def _require_inertial_force(
     part: Part, scene: Scene, known: Mapping[str, ShakenFrame], shaken: Mapping[str, ShakenFrame]
 ) -> None:
-    """Refuse a part without the force of its frame on its inertia; warn if that is unknown."""
+    """Refuse a part whose inertia lacks the force of its frame; warn if unknown."""
     if shaken:
         return
     for pin in _moving_pins(part, scene):

@@ -1,4 +1,4 @@
-"""The highest frequency of a scene, by which its parts choose how finely they resolve."""
+"""Highest frequency of a scene, which determines the resolution of its parts."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from kc2spice.scene.model import GovernedScene
 
 
 def highest_frequency(scene: GovernedScene, constant: float = 0.0) -> float:
-    """The highest frequency [Hz] that a scene drives its parts with.
+    """Return the highest frequency [Hz] that a scene drives its parts with.
 
-    Of ``ac`` and ``noise`` that is the end of their range, of ``dc`` and ``op`` zero. In a
-    transient it is the largest of all sines and carriers and of the frequencies up to which what
-    has edges has 99.9 % of its energy within the run. A ``resolved_frequency`` of the scene
-    replaces it.
+    For ``ac`` and ``noise`` it is the end of their range, for ``dc`` and ``op`` zero. In a
+    transient it is the largest frequency of all sines and carriers. A wave with edges counts up to
+    the frequency below which it has 99.9 % of its energy. A ``resolved_frequency`` of the scene
+    replaces the result.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Reference of scenes and part types: keys with units and defaults, pins, examples."""
+"""Reference of scenes and part types: keys, units, defaults, pins, examples."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _find_default(field: FieldInfo) -> Any:
 
 
 def list_all_keys() -> Iterator[Key]:
-    """Yield the keys of all scenes: those outside of parts, then those of each part type.
+    """Yield the keys of all scenes, first outside of parts, then by part type.
 
     Keys of a part have the prefix of the table that needs no ``part``, otherwise the type's name.
     """
@@ -94,7 +94,7 @@ def _with_unit(key: Key, unit: Any) -> Key:
 
 @dataclass(frozen=True)
 class PartTypeReference:
-    """Description of a part type; ``scene`` is the built-in scene of its pins and example."""
+    """Description of a part type with an example from a built-in ``scene``, if any."""
 
     name: str
     title: str

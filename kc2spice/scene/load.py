@@ -160,7 +160,7 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
 def _make_parts(
     data: Mapping[str, Any], types: Mapping[str, PartType], home: Path
 ) -> tuple[dict[str, Part], Analysis | None]:
-    """Return all parts with those that they expand to, and the analysis that they expand to."""
+    """Return all parts, and the analysis that they expand to."""
     parts = {}
     for name, kind in types.items():
         short = () if "part" in data[name] else tuple(data)
@@ -182,7 +182,7 @@ def _make_parts(
 
 
 def _with_default_drive(scene: Scene) -> Scene:
-    """Return the scene with 1 V at its electrical port if nothing drives an ``ac`` analysis.
+    """Return the scene with 1 V at its port if nothing drives an ``ac`` analysis.
 
     Raises
     ------
@@ -335,7 +335,7 @@ def _validate_table(
 
 
 def _complete_tables(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, Any]:
-    """Return ``table`` with the keys that the default of the schema adds to its tables.
+    """Return ``table`` with defaults of the schema in its inner tables.
 
     ``ring = { outer = "6 mm" }`` changes the outer diameter of the usual ring and nothing else.
     """

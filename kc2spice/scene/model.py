@@ -228,7 +228,7 @@ class Names:
         self.assigned: dict[Hashable, str] = {}
 
     def name(self, key: Hashable, preferred: str) -> str:
-        """Return the name of ``key``: at its first use ``preferred``, or a similar free name."""
+        """Return the name of ``key``, by default the ``preferred`` or a similar one."""
         if key not in self.assigned:
             free, count = preferred, 1
             while free.lower() in self.reserved:
@@ -346,7 +346,7 @@ class DeclaredScene:
         return tuple(part for part in self.parts.values() if part.type.name in types)
 
     def of_schema(self, kind: str, schema: type[S]) -> tuple[Part[S], ...]:
-        """Return all parts of the type ``kind``, with keys of the class ``schema``, in order."""
+        """Return all parts of the type ``kind``, with keys of the class ``schema``."""
         return tuple(part.with_schema(schema) for part in self.of(kind))
 
     def only(self, *types: str) -> Part | None:
@@ -392,14 +392,14 @@ class DeclaredScene:
         return result[0]
 
     def is_target(self, part: str, pin: str) -> bool:
-        """Return whether the ``pins`` of a part name this one, so that no default joins it."""
+        """Return whether ``pins`` of a part name this pin: then no default applies."""
         targets = chain.from_iterable(other.pins.values() for other in self.parts.values())
         return f"{part}.{pin}" in targets
 
 
 @dataclass(frozen=True, eq=False)
 class GovernedScene(DeclaredScene):
-    """Scene whose parts have stated what they govern, and the details of their packages.
+    """Scene with the governed parts and the details of its parts.
 
     ``records`` contains the answers of each part by its name. Three fields follow from them:
     ``movers`` names the part that prescribes all motion of another part. ``initial_states``
@@ -414,7 +414,7 @@ class GovernedScene(DeclaredScene):
     frames: Mapping[tuple[str, str], ShakenFrame] = field(default_factory=dict)
 
     def record(self, part: Part) -> Record[object] | None:
-        """Return the answers of a part, or None if the scene has this part with other keys."""
+        """Return the answers of a part, None if its keys in the scene differ."""
         result = self.records.get(part.name)
         return result if result is not None and result.part is part else None
 
@@ -486,7 +486,7 @@ class Scene(WiredScene):
 
     @property
     def rests(self) -> dict[str, Rest]:
-        """Constraints and loads of each part at rest, by its name, before any model is built."""
+        """Constraints and loads of each part at rest, before any model is built."""
         return {name: record.rest for name, record in self.records.items()}
 
     def __repr__(self) -> str:
@@ -533,7 +533,7 @@ class BuildRecord:
 
 @dataclass(frozen=True)
 class Build:
-    """Scene with the models of its parts, from which netlist, metrics and checks follow.
+    """Scene with the models of its parts: the basis of netlist, metrics and checks.
 
     ``models`` contains the results of :meth:`PartType.build` by part, ``libraries`` the names of
     the subcircuits. ``unjudged`` are parts whose parameters differ in the deck from their keys:
@@ -592,7 +592,7 @@ class Build:
         return self.scene.rests | {name: record.rest for name, record in self.records.items()}
 
     def facts(self, part: Part) -> Mapping[str, float]:
-        """Return the characteristic numbers of a part's model, ``model`` of ``result.json``."""
+        """Return characteristic numbers of a part's model, as in ``result.json``."""
         result: Mapping[str, float] = getattr(self.models.get(part.name), "facts", {})
         return result
 
@@ -650,8 +650,9 @@ class PartType(Generic[KeysT]):
     def expand(
         self, part: Part[KeysT], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return tables of further parts that this part expands to; ``data`` is the whole scene.
+        """Return tables of further parts that this part expands to.
 
+        ``data`` contains all tables of the scene.
         ``at`` in a table is the path of its keys in the file, such as ``("kick", "drive")``. A
         table ``analysis`` applies if the scene has none.
         """
@@ -662,23 +663,26 @@ class PartType(Generic[KeysT]):
         return ()
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Return targets of pins that follow from its keys; ``pins`` of the scene override them."""
+        """Return targets of pins that follow from its keys.
+
+        The key ``pins`` overrides them.
+        """
         return {}
 
     def files(self, part: Part[KeysT], scene: DeclaredScene) -> tuple[str, ...]:
-        """Return the files beside the scene that it reads, by default that of its key ``file``."""
+        """Return the files that it reads, by default that of its key ``file``."""
         file = getattr(part.keys, "file", None)
         return () if file is None else (file,)
 
     def governs(self, part: Part[KeysT], scene: DeclaredScene) -> Mapping[str, State | Governed]:
-        """Return the parts whose initial state or whole motion it prescribes, or that it copies.
+        """Return parts whose initial state or motion it prescribes, or that it copies.
 
         See :class:`State` and :data:`Governed`.
         """
         return {}
 
     def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterable[tuple[str, ...]]:
-        """Return the words of the names of its inner nodes and of cards other than ``LETTERname``.
+        """Return the words of the names of inner nodes and further cards.
 
         :meth:`Build.inner_name` returns the names.
         """
@@ -724,7 +728,7 @@ class PartType(Generic[KeysT]):
         return None
 
     def build(self, part: Part[KeysT], scene: Scene, clock: Clock, full: bool = False) -> object:
-        """Return its model: fields, reduced matrices or tables, from the cache if possible.
+        """Return its model: fields, reduced matrices or tables.
 
         With ``full`` it is the more accurate model in the same form: the full
         :class:`kc2spice.rom.linear_model.LinearModel`, or a table of more nodes. ``verify`` solves
@@ -733,13 +737,13 @@ class PartType(Generic[KeysT]):
         return None
 
     def library(self, part: Part[KeysT], scene: Scene) -> str:
-        """Return the name of its subcircuit: that of the type for the only part of this type."""
+        """Return the name of its subcircuit, which is that of the type if it is unique."""
         return self.name if len(scene.of(self.name)) == 1 else part.name
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuits that it needs and its own; empty for a part of plain cards."""
+        """Return its subcircuit, after those that it needs; empty for plain cards."""
         return ()
 
     def cards(self, part: Part[KeysT], build: Build) -> tuple[Item, ...]:
@@ -778,15 +782,15 @@ class PartType(Generic[KeysT]):
         return ()
 
     def rails(self, part: Part[KeysT]) -> tuple[float, float]:
-        """Return the lower and upper supply voltage [V] of its output, infinite without one."""
+        """Return the supply voltages [V] of its output, infinite without supplies."""
         return -math.inf, math.inf
 
     def voltage(self, part: Part[KeysT], scene: DeclaredScene) -> Waveform | None:
-        """Return the voltage [V] over time that it prescribes from ``ret`` to ``out``, if any."""
+        """Return the voltage [V] that it prescribes from ``ret`` to ``out``, if any."""
         return None
 
     def highest_frequency(self, part: Part[KeysT], scene: DeclaredScene) -> HighestFrequency | None:
-        """Return the frequency [Hz] below which its waves in a transient have nearly all energy.
+        """Return the frequency [Hz] below which its waves have nearly all energy.
 
         It is a function of the time constant [s] behind which a voltage or force acts.
         """

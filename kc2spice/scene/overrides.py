@@ -54,7 +54,7 @@ def expand_overrides(texts: Sequence[str]) -> list[str]:
 
 
 def _flatten_tables(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield dotted keys and values of nested tables; a table with dotted keys is a value."""
+    """Yield dotted keys and values; a table with dotted keys is a value."""
     for key, value in table.items():
         if isinstance(value, Mapping) and not any(map(_SEPARATOR.search, value)):
             yield from _flatten_tables(value, f"{above}{key}.")
@@ -96,7 +96,7 @@ def _syntax_error(text: str) -> UsageError:
 
 
 def set_key(data: dict[str, Any], name: str, value: Any, text: str) -> tuple[str, ...]:
-    """Set the key ``name`` and return its path, with entries of lists by their numbers.
+    """Set the key ``name`` and return its path with numbers of list entries.
 
     Missing tables are added. Entries of lists must exist.
     """

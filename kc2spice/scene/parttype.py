@@ -1,11 +1,10 @@
-"""Registered part types by name, and questions that the types of a scene's parts answer together.
+"""Registered part types by name, and results of several parts of a scene.
 
 A module, named after the type, defines a subclass of :class:`kc2spice.scene.model.PartType` and
 calls :func:`register` with an instance. A module named ``*_types`` registers several part types.
-Everything else (deck, metrics, checks, plots, energy balance, ``explain``, sweeps, symbols,
-``verify``) asks the parts of a scene through their hooks; nothing names a type. The modules of
-``kc2spice.parts`` are found by themselves, those of other packages through the entry point group
-``kc2spice.parts``; each is loaded when a scene needs it.
+All other modules call the methods of :class:`kc2spice.scene.model.PartType` and name no type.
+Modules of ``kc2spice.parts`` need no list. Other packages have an entry point in the group
+``kc2spice.parts``. A module is loaded when a scene needs it.
 """
 
 from __future__ import annotations
@@ -28,8 +27,10 @@ TABLE = "_types"  # ends the name of a module with several types
 
 
 def current_into(part: Part, pin: str, build: Build) -> Vector | None:
-    """The current into a part's pin, where one result of the one other part there tells it: a
-    source with other loads tells the sum of their currents."""
+    """Return the current into a pin, if it is a result of the only other part there.
+
+    A source with further loads has the sum of their currents as its result.
+    """
     others = build.scene.joined(part.name, pin)
     # The current of a body follows from the parts that are joined to it.
     if len(others) != 1 or build.scene.parts[others[0][0]].reduced:
@@ -43,7 +44,7 @@ def current_into(part: Part, pin: str, build: Build) -> Vector | None:
 
 
 def pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str], np.ndarray]:
-    """Forces [N] over time of all parts on what their pins are joined to, by part and pin."""
+    """Return the forces [N] over time that parts exert at their pins."""
 
     def compute() -> tuple[Build, Waveforms, dict[tuple[str, str], np.ndarray]]:
         result = {}
@@ -105,7 +106,7 @@ def register(part_type: PartType) -> PartType:
 
 
 def type_names() -> tuple[str, ...]:
-    """Names of all part types; of the package's modules only the tables are loaded.
+    """Return the names of all part types; load only modules with several types.
 
     ``kc2spice.parts`` has a folder for each family. A module there is named after its type; one
     that ends in ``_types`` registers several types, and one that begins with ``_`` is shared.
@@ -121,7 +122,7 @@ def type_names() -> tuple[str, ...]:
 
 @cache
 def _modules() -> Mapping[str, str]:
-    """Modules of part types with their full names, from all families of the package."""
+    """Return the full names of all modules of part types."""
     result: dict[str, str] = {}
     for family in pkgutil.iter_modules(import_module(PACKAGE).__path__, f"{PACKAGE}."):
         modules = pkgutil.iter_modules(import_module(family.name).__path__)
@@ -132,13 +133,15 @@ def _modules() -> Mapping[str, str]:
 
 @cache
 def _foreign() -> tuple[EntryPoint, ...]:
-    """Part types that other distributions bring; the search reads the metadata of all of them."""
+    """Return entry points of part types in other installed distributions."""
     return tuple(entry_points(group=PACKAGE))
 
 
 def part_type(name: str) -> PartType | None:
-    """The part type of this name, None where there is none; its module is loaded when needed, and
-    tables and other packages are looked into only for what no module is named after."""
+    """Load and return the part type of this name, None without one.
+
+    Modules with several types, and other packages, are searched only if no module has this name.
+    """
     if name not in _types and name in _modules():
         import_module(_modules()[name])
     if name not in _types and name in type_names():
@@ -150,5 +153,5 @@ def part_type(name: str) -> PartType | None:
 
 
 def part_types() -> Mapping[str, PartType]:
-    """All part types by name; loads them all."""
+    """Load all part types and return them by name."""
     return {name: result for name in type_names() if (result := part_type(name)) is not None}

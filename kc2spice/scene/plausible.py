@@ -1,4 +1,4 @@
-"""Plausible ranges of keys. A value outside of its range probably has a wrong unit."""
+"""Plausible ranges of keys; values outside of them probably have a wrong unit."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _OTHER_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug
 def check_range(
     where: str, value: float, unit: str, low: float, high: float, why: str
 ) -> Iterator[UsageError]:
-    """Yield an error with the physical reason if a value is outside ``low`` to ``high``."""
+    """Yield an error with its reason if a value is outside ``low`` to ``high``."""
     if not low <= value <= high:
         units = _OTHER_UNITS.get(unit, {}).items()
         fitting = next((name for name, size in units if low <= value * size <= high), None)
@@ -80,7 +80,7 @@ def check_layers(
 
 
 def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of source voltages at electrodes with a rating; the scene needs its nets.
+    """Yield errors of source voltages at electrodes with a rating.
 
     A voltage slightly above the rating, or far below it, is a warning.
     """
@@ -131,7 +131,7 @@ def check_models(build: Build) -> Iterator[UsageError]:
 
 
 def apply_action(errors: Iterable[UsageError], action: str) -> Iterator[UsageError]:
-    """Yield errors, print them as warnings or drop them, according to ``checks.plausible``."""
+    """Yield errors, warn or ignore them, according to ``checks.plausible``."""
     if action == "off":
         return
     for item in errors:

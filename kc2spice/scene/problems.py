@@ -67,7 +67,7 @@ def _check_includes(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_largest_step(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of a largest time step that is too long or too short for the transient."""
+    """Yield errors of a largest time step that is too long or too short."""
     step = scene.solver.max_step
     if scene.analysis.type != "transient" or not step:
         return
@@ -152,7 +152,7 @@ def _check_frequencies(selected: Analysis) -> Iterator[UsageError]:
 
 
 def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
-    """Yield an error of a noise analysis without output, or of an output without noise."""
+    """Yield an error of a noise analysis without output, or the reverse."""
     expected = 'output = "PART.RESULT" or "PART.PIN" with type = "noise"'
     if selected.type == "noise" and selected.output is None:
         yield UsageError(

@@ -1,4 +1,4 @@
-"""Calls of the methods of part types, once for each part, in the order of dependence.
+"""Calls of the methods of part types, in the order of their dependence.
 
 A scene with checked keys goes in. The resolved scene contains one :class:`Record` for each part,
 nets and reference frames. Later stages read the records and do not call the methods again.
@@ -32,7 +32,7 @@ def resolve(scene: Scene) -> Scene:
 
 
 def resolve_build(build: Build) -> Build:
-    """Return the build with the results of its parts, and the quantities that can be set.
+    """Return the build with results of its parts and quantities that can be set.
 
     The quantities of a part that can be set depend on the parts at rest around it.
     """
@@ -45,7 +45,7 @@ def resolve_build(build: Build) -> Build:
 
 
 def with_vectors(build: Build, without: Collection[str] = ()) -> Build:
-    """Return the build with its parts at rest and their results, except parts ``without``.
+    """Return the build with parts at rest and results, except those ``without``.
 
     The current of a body follows from the results of the parts that are joined to it. Parts without
     cards have no results.
@@ -69,7 +69,7 @@ def _with_cards(build: Build) -> list[Part]:
 
 
 def with_governed(scene: Scene) -> Scene:
-    """Return the scene with the answers that follow from keys: governed parts and details.
+    """Return the scene with answers that follow from keys: governed parts, details.
 
     Details may depend on each other; each is computed at its first use.
     """
@@ -105,7 +105,7 @@ def _find_movers(governs: Mapping[str, Mapping[str, State | Governed]]) -> dict[
 def _find_initial_states(
     governs: Mapping[str, Mapping[str, State | Governed]],
 ) -> dict[str, State]:
-    """Return the stated states at t = 0, with which a transient has no operating point.
+    """Return the stated states at t = 0; a transient then has no operating point.
 
     A state from another part replaces the state from the keys of a part.
     """
@@ -139,7 +139,7 @@ def find_period(rows: Iterable[Numerics]) -> float | None:
 
 
 def with_numerics(scene: Scene) -> Scene:
-    """Return a scene with nets, with numerical requirements and reductions of its parts."""
+    """Return the scene with numerical requirements and reductions of its parts."""
     records = {}
     rows: list[Numerics] = []
     for name, record in scene.records.items():
@@ -155,5 +155,5 @@ def with_numerics(scene: Scene) -> Scene:
 
 
 def resolve_again(scene: Scene) -> Scene:
-    """Return the scene after a change of keys or of its frame, with the same pins and nets."""
+    """Return the scene after a change of keys, with the same pins and nets."""
     return with_numerics(with_rests(with_governed(scene)))

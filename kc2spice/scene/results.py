@@ -55,7 +55,7 @@ def find_noise_output(build: Build) -> Vector:
 
 
 def format_voltage(result: Vector) -> str | None:
-    """Return a voltage in the syntax of the simulator; None if the result is no voltage."""
+    """Return a voltage in the syntax of the simulator, None for other results."""
     plus: list[str] = []
     minus: list[str] = []
     for sign, text in terms(result.expression):
@@ -72,7 +72,7 @@ Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part or pin
 
 
 def collect_results(build: Build) -> dict[str, Vector]:
-    """Return the results of all parts with cards; of a noise analysis its density alone.
+    """Return the results of all parts; of a noise analysis the density alone.
 
     Parameters of devices such as ``@b1[i]`` are no results of an ac analysis: ngspice returns
     their value at the operating point there, not a response.
@@ -192,7 +192,7 @@ def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vec
 
 
 def _collect_across(part: Part, build: Build) -> dict[str, Vector]:
-    """Return the quantity across a part of two pins in one domain; none for subcircuits."""
+    """Return the quantity across a part of two pins that is no subcircuit."""
     pins = [pin for pin in build.scene.pins(part.name) if pin.domain is not None]
     if part.is_subcircuit or len(pins) != 2 or pins[0].kind != pins[1].kind:
         return {}
@@ -207,7 +207,7 @@ def _collect_across(part: Part, build: Build) -> dict[str, Vector]:
 
 
 def collect_powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
-    """Return the terms of each ``PART.power`` and ``PART.PIN.power`` that a probe reads.
+    """Return the terms of each power of a part or pin that a probe reads.
 
     A source delivers its power [W]; any other part absorbs it.
     """
@@ -244,7 +244,7 @@ def _part_power(name: str, domain: Domain) -> PowerTerm:
 
 
 def _pin_power(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
-    """Return the power that enters a part through a pin; a velocity needs no derivative."""
+    """Return the power into a part at a pin; a velocity needs no derivative."""
     unit = build.scene.terminals[part.name, pin].unit
     power = domain.power if unit == domain.across.pin_unit else "across * through"
     across, through = domain.across.symbol, domain.quantity("through").name

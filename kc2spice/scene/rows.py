@@ -1,4 +1,4 @@
-"""Records that part types return: initial states, results, numerical needs, shaken frames."""
+"""Records that part types return: states, results, numerical needs, frames."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SQUARE = 1e-9  # cosine of two directions at a right angle, but for rounding
 
 @dataclass(frozen=True)
 class Neglected:
-    """An effect without a model, why, and what its absence changes at most."""
+    """Effect without a model, the reason, and the largest error without it."""
 
     effect: str
     why: str
@@ -22,7 +22,7 @@ class Neglected:
 
 @dataclass(frozen=True)
 class State:
-    """How a motion begins: velocity [m/s] and height over touching [m]."""
+    """Initial state of a motion: velocity [m/s] and height above contact [m]."""
 
     velocity: float
     height: float
@@ -39,13 +39,12 @@ HighestFrequency = Callable[[float], float]
 
 @dataclass(frozen=True)
 class Rest:
-    """Constraints and loads of a part at rest on pins that need a path to their reference.
+    """Constraints and loads of a part at rest.
 
-    ``paths`` are pairs of them, or such a pin and ``gnd``, between which it holds a distance or
-    leads heat. ``ideal`` are pairs of any pins whose difference it sets as an ideal
-    source. On ``pushed`` ones it puts a constant force or flow at t = 0. ``kinked`` is the key of a
-    motion that it prescribes with jumps of velocity, ``inert`` are pins whose velocity no finite
-    force makes jump.
+    ``paths`` are pairs of pins, or a pin and ``gnd``, between which the part holds a distance or
+    conducts heat. ``ideal`` are pairs of pins whose difference it sets as an ideal source.
+    ``pushed`` are pins with a constant force or flow at t = 0. ``kinked`` is the key of a
+    prescribed motion with jumps of velocity. ``inert`` are pins whose velocity cannot jump.
     """
 
     paths: tuple[tuple[str, str], ...] = ()
@@ -57,8 +56,10 @@ class Rest:
 
 @dataclass(frozen=True)
 class Vector:
-    """A result: an ngspice expression (``a+b`` is a sum), the factor to SI, the SI unit; the pins
-    where, as a current or force, it ``leaves`` and ``enters`` the part."""
+    """Result of a part: an ngspice expression, the factor to SI, and the SI unit.
+
+    ``a+b`` is a sum. A current or force ``leaves`` and ``enters`` the part at these pins.
+    """
 
     expression: str
     factor: float
@@ -69,15 +70,17 @@ class Vector:
 
 @dataclass(frozen=True)
 class LargestRealPart:
-    """The frequency at which the real part of a response has its largest magnitude."""
+    """Frequency at which the real part of a response has its largest magnitude."""
 
     of: str
 
 
 @dataclass(frozen=True)
 class Swept:
-    """The source that a dc sweep of a key moves, its volts or amperes per SI unit, and first and
-    last value in SI where they are not the scene's."""
+    """Source that a dc sweep of a key moves, with its volts or amperes per SI unit.
+
+    ``range`` contains the first and the last value in SI, if they differ from those of the scene.
+    """
 
     source: str
     scale: float
@@ -86,11 +89,12 @@ class Swept:
 
 @dataclass(frozen=True)
 class Sampled:
-    """A function outside of the simulator that sets ``source`` (a card's name in lower case).
+    """Function outside of the simulator that sets a source.
 
-    ``call(time, values)`` sees the saved node voltages every ``period`` [s], first at zero; what
-    it returns is held from ``delay`` [s] later on. A function that remembers earlier calls has
-    ``reload``, which returns it as it is before its first call.
+    ``source`` is the name of its card in lower case.
+    ``call(time, values)`` receives the saved node voltages every ``period`` [s], first at zero. Its
+    result is the value of the source from ``delay`` [s] later on. A function with memory has
+    ``reload``, which returns the function in its state before the first call.
     """
 
     source: str
@@ -101,13 +105,13 @@ class Sampled:
 
     @property
     def at_start(self) -> Sampled:
-        """The same before the first call of a run."""
+        """Function in its state before the first call of a run."""
         return self if self.reload is None else replace(self, call=self.reload())
 
 
 @dataclass(frozen=True)
 class StepLimit:
-    """A largest time step [s] and why."""
+    """Largest time step [s] and its reason."""
 
     step: float
     why: str
@@ -136,8 +140,10 @@ class Numerics:
 
 @dataclass(frozen=True)
 class Shake:
-    """The acceleration at a ``pin`` of a body, on the node ``net``, and how much of it is ``along``
-    a displacement: the cosine between both, None where a direction is not known."""
+    """Acceleration at a ``pin`` of a body, on the node ``net``.
+
+    ``along`` is the cosine between acceleration and displacement, None if a direction is unknown.
+    """
 
     net: str
     pin: Pin
@@ -146,7 +152,7 @@ class Shake:
 
 @dataclass(frozen=True)
 class ShakenFrame:
-    """Accelerations that shake the frame of a net; empty if all are at a right angle to it."""
+    """Accelerations of the frame of a net; empty if all are at a right angle."""
 
     body: str
     shakes: tuple[Shake, ...]
@@ -158,7 +164,7 @@ class ShakenFrame:
 
     @property
     def words(self) -> str:
-        """For ``explain``."""
+        """Accelerations in words, for ``explain``."""
         shares = []
         for shake in self.shakes:
             pin = ".".join(shake.pin)

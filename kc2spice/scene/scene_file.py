@@ -27,7 +27,7 @@ def list_gallery() -> dict[str, Traversable]:
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Text of a scene with its overrides, in which :meth:`where` finds the origin of a key."""
+    """Text of a scene with its overrides, by which errors state lines of keys."""
 
     label: str
     stem: str
@@ -40,7 +40,7 @@ class SceneFile:
         return parse_toml_file(self.text, self.label)
 
     def where(self, key: str) -> str:
-        """Return the override or the line that sets ``key``, such as ``disc.layers.0.diameter``."""
+        """Return the override or line of a key such as ``disc.layers.0.diameter``."""
         names = tuple(key.split("."))
         for path, text in self.overrides.items():
             if path[: len(names)] == names or names[: len(path)] == path:
@@ -95,7 +95,7 @@ def _missing_file_error(name: str, path: Path, scenes: Iterable[str]) -> UsageEr
 def _add_entry_numbers(
     table: tuple[str, ...], counts: Mapping[tuple[str, ...], int]
 ) -> tuple[str, ...]:
-    """Return the path of a table with the number of the entry after each list of tables."""
+    """Return the path of a table with the entry numbers of lists of tables."""
     result: list[str] = []
     for end in range(1, len(table) + 1):
         result.append(table[end - 1])
@@ -105,7 +105,7 @@ def _add_entry_numbers(
 
 
 def _find_line(text: str, path: tuple[str, ...]) -> int | None:
-    """Return the line that sets ``path``, or the longest part of it; for messages only."""
+    """Return the line that sets ``path`` or the longest part of it, for messages."""
     table: tuple[str, ...] = ()
     counts: dict[tuple[str, ...], int] = {}  # of the entries of each list of tables
     best: tuple[int, int | None] = (0, None)

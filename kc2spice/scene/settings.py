@@ -1,6 +1,7 @@
-"""Settings of a scene outside of its parts: analysis, probes, reduction, solver, checks, gates.
+"""Settings of a scene outside of its parts.
 
-Each class is a table of the scene's file, with the default and the description of every key.
+They are analysis, probes, reduction, solver, checks and gates. Each class is a table of the scene's
+file, with the default and the description of every key.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ class Rom(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _one_target(cls, data: Any) -> Any:
+    def _require_one_target(cls, data: Any) -> Any:
         if isinstance(data, dict) and "order" in data and "tolerance" in data:
             hint = "delete the key order"
             raise refused("order and tolerance are both set", "one of the two", hint=hint)
@@ -78,21 +79,21 @@ class Rom(Section):
 
     @field_validator("tolerance")
     @classmethod
-    def _some_target(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
-        """The default without an order, which is not among the fields that are set."""
+    def _set_default_tolerance(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
+        """Set the default tolerance if there is no order."""
         order_set = info.data.get("order") is not None
         return 1e-4 if tolerance is None and not order_set else tolerance
 
     @field_validator("band")
     @classmethod
-    def _some_band(cls, band: tuple[float, float]) -> tuple[float, float]:
+    def _require_band(cls, band: tuple[float, float]) -> tuple[float, float]:
         if not 0 <= band[0] < band[1]:
             raise refused("empty band", "0 <= low < high")
         return band
 
     @property
     def left_open(self) -> bool:
-        """Whether neither order nor tolerance was asked for."""
+        """Whether the scene sets neither order nor tolerance."""
         return not {"order", "tolerance"} & self.model_fields_set
 
 
@@ -182,7 +183,7 @@ class Bench(Section):
 
 
 class Gates(Section):
-    """Largest errors that a result may have; those with a dimension must be given with a unit."""
+    """Largest errors that a result may have; values with a dimension need a unit."""
 
     launch_velocity: Ratio | None = Field(
         None,
@@ -330,8 +331,8 @@ class Analysis(Section):
 
     @field_validator("stop", mode="before")
     @classmethod
-    def _stops(cls, stop: Any, info: ValidationInfo) -> Any:
-        """The end of a transient is a time, that of ac and noise a frequency."""
+    def _read_stop(cls, stop: Any, info: ValidationInfo) -> Any:
+        """Read the end of a transient as a time, that of ac and noise as a frequency."""
         unit = SCALE_OF.get(info.data.get("type", ""))
         if stop is None or unit is None:
             return stop
@@ -342,17 +343,17 @@ class Analysis(Section):
 
     @property
     def small(self) -> bool:
-        """Whether it is linear in signals about an operating point, over frequency."""
+        """Whether the analysis is linear about an operating point, over frequency."""
         return self.type in SMALL_SIGNALS
 
 
 class Probe(Section):
-    """A vector of the result and what to take of it; becomes a metric.
+    """Result that a probe reads, and the quantity that it computes as a metric.
 
-    ``argmax`` is where on the scale (Hz in ``ac``, s in a transient) the largest value lies,
-    ``value`` what the vector has ``at`` a place of the scale, ``frequency`` the mean rate of its
-    cycles over the last half of the run. Complex values are taken by magnitude. A window, ``from``
-    and ``to`` or the last ``periods``, is all that a probe reads, such as a steady state.
+    ``argmax`` is the place of the largest value on the scale (Hz in ``ac``, s in a transient).
+    ``value`` is the value ``at`` a place of the scale. ``frequency`` is the mean rate of cycles
+    over the last half of the run. Complex values count by their magnitude. With a window, ``from``
+    and ``to`` or the last ``periods``, a probe reads only this window, such as a steady state.
     """
 
     of: str = Field(
@@ -402,17 +403,17 @@ class Probe(Section):
 
     @property
     def places(self) -> dict[str, float]:
-        """Its places on the scale of the analysis by their keys."""
+        """Places on the scale of the analysis by their keys."""
         places = {"at": self.at, "from": self.from_, "to": self.to}
         return {key: place for key, place in places.items() if place is not None}
 
     @model_validator(mode="before")
     @classmethod
-    def _value_at(cls, data: Any) -> Any:
+    def _take_value_at_place(cls, data: Any) -> Any:
         return {"take": "value", **data} if isinstance(data, dict) and "at" in data else data
 
     @model_validator(mode="after")
-    def _goes_together(self) -> Self:
+    def _require_consistent_keys(self) -> Self:
         for take, key in (("value", "at"), ("crossing", "level")):
             present = getattr(self, key) is not None
             if self.take == take and not present:

@@ -1,4 +1,4 @@
-"""Nets at the start of an analysis: what holds them at rest, and what is missing for that."""
+"""Nets at the start of an analysis: clamps, and missing paths to references."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def _storage_errors(
 
 
 def _jump_errors(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
-    """Yield errors of prescribed displacements that make the velocity of an inertia jump."""
+    """Yield errors of displacements that make the velocity of an inertia jump."""
     inert: dict[str, str] = {}
     for name, rest in rests.items():
         inert |= dict.fromkeys(scene.nets_of(name, rest.inert), name)
@@ -168,7 +168,7 @@ def _jump_errors(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError
 
 
 def _units_of_nets(scene: Scene) -> dict[str, str]:
-    """Return the units of nets that need a path to their reference, in the order of the scene."""
+    """Return the units of nets that need a path to their reference."""
     result = {"0": ""}
     for key, terminal in scene.terminals.items():
         if terminal.needs_path:
