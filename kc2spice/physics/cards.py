@@ -76,7 +76,7 @@ _HEAD = {
 
 
 def subcircuit_items(declaration: Declaration, noise: bool = False) -> tuple[Item, ...]:
-    """Cards between ``.subckt`` and ``.ends``, with their comments."""
+    """Return the cards between ``.subckt`` and ``.ends``, with their comments."""
     return noted(_write_items(declaration, noise))
 
 
@@ -119,7 +119,7 @@ def _write_items(declaration: Declaration, noise: bool) -> Iterator[Line]:
 
 
 def _write_node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> Iterator[Line]:
-    """A node that has the value of ``tree``."""
+    """Write a node with the value of ``tree``."""
     yield from _write_current(name, (base, name), tree, nodes)
     yield Element.of(f"R{name}", name, base, "1")
 
@@ -127,8 +127,10 @@ def _write_node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> 
 def _write_current(
     name: str, ends: tuple[str, str], tree: Tree, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """A current from one end to the other: of linear sources where it is affine, which ngspice need
-    not differentiate."""
+    """Write a current from one node to another.
+
+    An affine current consists of linear sources, which ngspice need not differentiate.
+    """
     start, end = ends
     dependencies = sorted(names(tree) & set(nodes))
     voltages = [_only_voltage(nodes[item]) for item in dependencies]
@@ -161,9 +163,11 @@ def _only_voltage(tree: Tree) -> tuple[str, ...]:
 
 
 def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
-    """A velocity with the mass for a capacitance and a place that integrates it. What pins force
-    into it is a node, and once more a current, whose tolerance is closer, unless its velocity is a
-    pin."""
+    """Write a mass: its velocity is a voltage, the mass a capacitance, the position an integral.
+
+    Unless the velocity is a pin, the force of the pins is a node and also a current, whose
+    tolerance is tighter.
+    """
     n, base, speed = b.name, declaration.base or b.minus, declaration.speeds.get(b.plus)
     v, place = (speed, b.plus) if speed else (f"speed_{n}", f"place_{n}")
     start, fast = declaration.starts[n]
@@ -195,7 +199,7 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
 
 
 def _variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
-    """Expression of each coordinate and rate."""
+    """Return the expression of each coordinate, rate, state and signal in node voltages."""
     rest = reference_node(declaration)
     series = declaration.power_series.values()
     inner = {**dict(zip(series, series, strict=True)), **inner_nodes(declaration)}
@@ -230,45 +234,45 @@ def inner_nodes(declaration: Declaration) -> dict[str, str]:
 
 
 def coordinate_quantity(b: Branch) -> Quantity:
-    """Quantity that the coordinate of a branch is."""
+    """Physical quantity of the coordinate of a branch."""
     domain, side = QUANTITIES[b.kind]
     return domain.quantity(side)
 
 
 def _in_si(tree: Tree, factor: float) -> Tree:
-    """``factor`` times a voltage or current, as a product that shows it."""
+    """Multiply a voltage or current by ``factor``, without simplification."""
     return tree if factor == 1 else Binary("*", _decimal(factor), tree)
 
 
 def _decimal(value: float) -> Number:
-    """A power of ten as it is written by hand, such as 1e-6."""
+    """Return a power of ten as people write it, such as 1e-6."""
     return ONE if value == 1 else Number(re.sub(r"e([-+])0", r"e\1", f"{value:g}").replace("+", ""))
 
 
 def _coordinate_nodes(declaration: Declaration, b: Branch) -> tuple[str, str]:
-    """Nodes between which a branch's coordinate is."""
+    """Nodes whose voltage is the coordinate of a branch."""
     separate = b.less or b.name in declaration.lags
     return (f"x_{b.name}", reference_node(declaration)) if separate else (b.plus, b.minus)
 
 
 def reference_node(declaration: Declaration) -> str:
-    """The pin on which loops and inner nodes rest."""
+    """Reference pin of loops and inner nodes."""
     pins = (b.minus for b in declaration.branches if b.moves)
     return declaration.base or next(pins, "") or declaration.open_branches[0].minus
 
 
 def meter_name(branch: Branch) -> str:
-    """The source of no voltage through which the current of an electrical branch flows."""
+    """Name of the 0 V source that measures the current of a branch."""
     return f"Vmeter_{branch.name}"
 
 
 def state_node(name: str) -> str:
-    """The node on which a state is, in its own unit."""
+    """Node of a state, in its SI unit."""
     return f"state_{name}"
 
 
 def force_node(branch: Branch) -> str:
-    """The node on which the force of a displacement is."""
+    """Node of the force of a displacement."""
     return f"f_{branch.name}"
 
 
@@ -283,7 +287,7 @@ def _time_integral(quantity: Quantity) -> tuple[str, str]:
 
 
 def _write_states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Signals, then what integrates."""
+    """Write the signals, then the states."""
     base = reference_node(declaration)
     for name, tree in declaration.signal_trees.items():
         yield f"*   {name} = {text(tree)}"
@@ -302,13 +306,13 @@ def _write_law(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) 
 
 
 def _write_differentiator(name: str, node: str, minus: str) -> Iterator[Line]:
-    """The current of ``Vrate_NAME`` is 1e-6 of the rate of the node's voltage."""
+    """Write ``Vrate_NAME``, whose current is 1e-6 times the rate of the node's voltage."""
     yield Element.of(f"Crate_{name}", node, f"sense_{name}", _FARAD)
     yield Element.of(f"Vrate_{name}", f"sense_{name}", minus, "0")
 
 
 def _write_velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
-    """Cards of the velocity, for ends without a velocity node."""
+    """Write the velocity of pins that have no velocity node."""
     base = declaration.base or b.minus
     plus = base if b.plus in declaration.speeds else b.plus
     minus = base if b.minus in declaration.speeds else b.minus
@@ -319,8 +323,11 @@ def _write_velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
 
 
 def _write_coordinate(declaration: Declaration, b: Branch) -> Iterator[Line]:
-    """A node for what is not between two pins. With two lags of a quarter of the time in a row,
-    ``x + lag x'`` is ``x + 4 (2 x - first + second - first)`` but for the time squared."""
+    """Write a node of a coordinate that is not the voltage between two pins.
+
+    With two lags in series, each a quarter of the time, ``x + lag x'`` is
+    ``x + 4 (2 x - first + second - first)`` to first order in the lag.
+    """
     n, base, lag = b.name, reference_node(declaration), declaration.lags.get(b.name)
     node = f"in_{n}" if lag else f"x_{n}"
     words = f" less {b.less}" * bool(b.less) + f" + {lag} times its rate" * bool(lag)
@@ -369,7 +376,7 @@ def _write_force(
 def _write_stored_quantity(
     declaration: Declaration, b: Branch, stored: Tree, node: str, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Stored quantity in units of its derivative at rest; its voltages equal those of ``b``."""
+    """Write the stored quantity in units of its derivative at rest, and its rate."""
     scale = declaration.at_rest(derivative(stored, b.name))
     scale = times(_decimal(coordinate_quantity(b).factor), scale)
     unit = scale if scale != ZERO else Number("1e-12")
@@ -434,10 +441,12 @@ def _write_flux(
 
 
 def _write_edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Watches of displacements against thresholds, 10 kV per um, and of what states have to do
-    with, 100 V: ngspice shortens its steps as a switch nears its threshold, to 0.05 V of it, which
-    what moves fast must reach in a step that is not too small. Between edges the trapezoidal
-    rule loses no energy to a spring; a step across one gains or loses some."""
+    """Write switches at the kinks of laws, so that ngspice puts time points there.
+
+    ngspice shortens its steps as a switch nears its threshold, to 0.05 V of it. A displacement has
+    10 kV per um, a function of states 100 V, so that fast motion reaches the threshold in steps
+    that are not too small. A step across a kink would change the energy of a spring.
+    """
     moved = {b.name: b for b in declaration.displacements}
     inner = {*declaration.states, *declaration.signals}
     flows = map(declaration.direct_flow, declaration.stationary_branches)

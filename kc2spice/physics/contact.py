@@ -24,26 +24,27 @@ from kc2spice.physics.symbolic import (
 )
 
 RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
-# A block between compiled modules alone ended 35 mm away instead of 0.2, without an error message.
-# Mesh statement of a law of pressures, about the mesh of its compliances.
+# Statement on the mesh of a law of pressure, about the mesh of its compliances.
 SPACED = "error not estimated; a run with half the key spacing shows it"
+# A block between compiled modules alone ended 35 mm away instead of 0.2, without an error message.
 SLIPS = "compiled modules lose the digits that friction below its creep speed needs"
 SIGN = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
 
 
 @dataclass(frozen=True)
 class Normal:
-    """``F = f(x) max(0, 1 + damping x')`` along the axis (Hunt and Crossley 1975), with friction
-    beside it; ``f(x) = stiffness x^power (curve_0 + curve_1 s + ...)``, ``s = sqrt(x / depth)``,
-    where the overlap ``x`` is above zero.
+    """Force of a contact along its axis, with friction (Hunt and Crossley 1975).
 
-    ``stiffness`` in N/m^power; ``power`` is 1 or 1.5. The law with more than one ``curve``, whose
-    first is 1, holds up to ``depth`` [m], under a sphere of ``radius`` [m]; the surfaces follow its
-    force within ``pace`` [s]: all of it is said of ``x + pace x'`` instead of ``x``. Surfaces that
-    part faster than ``1 / damping`` do not pull: the dent is left behind.
+    For an overlap x above zero, ``F = f(x) max(0, 1 + damping x')`` with
+    ``f(x) = stiffness x^power (curve_0 + curve_1 s + ...)`` and ``s = sqrt(x / depth)``.
+
+    ``stiffness`` has the unit N/m^power; ``power`` is 1 or 1.5. A law with more than one ``curve``,
+    whose first is 1, holds up to ``depth`` [m] under a sphere of ``radius`` [m]. The surfaces
+    follow the force within ``pace`` [s]: the law contains ``x + pace x'`` in place of x. Surfaces
+    that separate faster than ``1 / damping`` do not pull.
 
     ``friction`` is Coulomb's coefficient: ``F friction clip(v / creep)`` acts against sliding at
-    the speed v; below the speed ``creep`` [m/s] it is viscous, which stands for sticking.
+    the speed v. Below the speed ``creep`` [m/s] it is viscous, in place of sticking.
     """
 
     stiffness: float
@@ -64,7 +65,7 @@ class Normal:
 
     @property
     def _laws(self) -> tuple[Tree, Tree, Tree]:
-        return _laws(self.power, len(self.curve), bool(self.damping))
+        return _contact_laws(self.power, len(self.curve), bool(self.damping))
 
     def energy(self, x: np.ndarray) -> np.ndarray:
         """``int f dx`` [J], 0 where nothing touches."""
@@ -76,8 +77,8 @@ class Normal:
 
 
 @cache
-def _laws(power: float, count: int, damped: bool) -> tuple[Tree, Tree, Tree]:
-    """Energy, which is what is stated, elastic force and force, of ``x`` and ``x_rate``."""
+def _contact_laws(power: float, count: int, damped: bool) -> tuple[Tree, Tree, Tree]:
+    """Return energy, elastic force and force as expressions of ``x`` and ``x_rate``."""
     terms = []
     for k in range(count):  # max(0, x), in this order, is closed at x = 0, where Newton starts
         order = power + 1 + k / 2
@@ -90,7 +91,7 @@ def _laws(power: float, count: int, damped: bool) -> tuple[Tree, Tree, Tree]:
 
 
 @cache
-def contact(
+def declare_contact(
     ports: tuple[str, ...],
     gaps: tuple[float, ...],
     law: Normal,
@@ -100,14 +101,14 @@ def contact(
     carried: str = "",
     groove: float | None = None,
 ) -> Declaration:
-    """``law`` of the overlap ``u - bottom - gap`` of each of the ``ports`` and the other side.
+    """Declare a contact with the overlap ``u - bottom - gap`` at each of the ``ports``.
 
-    ``law`` is that of a whole ring, ``gaps`` [m] one per ring. Given the radius of the sphere that
-    the rings are ``under`` and their own [m], the gaps follow from the parameter ``radius`` as
-    ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. A side that is a ``rigid`` body
-    has the pins ``v`` and ``bottom`` (the first ``va`` and ``a``), an elastic one its ports or
-    ``b``; a pin that a rigid one has ``carried`` adds its displacement. With friction ``slide``
-    moves over ``rail``. ``groove`` is the opening angle in degrees of which the law tells.
+    ``law`` is that of a whole ring; each ring has one of the ``gaps`` [m]. ``under`` is the radius
+    of a sphere above the rings, with the radii of the rings [m]. The gaps then follow from the
+    parameter ``radius`` as ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. A
+    ``rigid`` side has the pins ``v`` and ``bottom`` (the first side ``va`` and ``a``). An elastic
+    side has its ports, or ``b``. The displacement of a pin that a rigid side has ``carried`` is
+    added. With friction ``slide`` moves over ``rail``. ``groove`` is the opening angle in degrees.
 
     A pressure is that of the overlap times ``share`` of the radius that it was computed for.
     """

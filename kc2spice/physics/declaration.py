@@ -520,8 +520,10 @@ class Declaration:
         return plus(substitute(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
 
     def loss_coefficient(self, branch: Branch) -> Tree:
-        """Damping, conductance or resistance of a branch, for small signals; zero where heat
-        flows, which has no noise of this kind."""
+        """Damping, conductance or resistance of a branch for small signals.
+
+        It is zero for a flow of heat, which has no noise of this kind.
+        """
         if branch.domain.power == "through":
             return ZERO
         variable = branch.lossy_variable

@@ -43,8 +43,10 @@ def _input_name(branch: Branch) -> str:
 
 @dataclass(frozen=True)
 class DeclaredLaw(Device):
-    """The law of a part with these ``values`` of its parameters, and with the functions that its
-    ``tables`` and their derivatives are."""
+    """The law of a part with ``values`` of its parameters.
+
+    ``tables`` are the functions of its tables and of their derivatives.
+    """
 
     name: str
     declaration: Declaration

@@ -9,7 +9,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import linear, sine
 from kc2spice.parts.electronics.two_terminal_types import element
 from kc2spice.parts.mechanics.mass import point_mass
-from kc2spice.physics.contact import Normal, contact
+from kc2spice.physics.contact import Normal, declare_contact
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.reference.equilibrium import solve_operating_point
 from kc2spice.reference.integrate import Trajectory, solve_transient
@@ -20,7 +20,7 @@ from kc2spice.rom.linear_model import LinearModel, Port
 
 def touching(name: str, stiffness: float) -> DeclaredLaw:
     """A spring that pin ``a`` closes upwards against pin ``b``."""
-    stated = contact(("a",), (0.0,), Normal(stiffness), rigid=(False, False))
+    stated = declare_contact(("a",), (0.0,), Normal(stiffness), rigid=(False, False))
     return DeclaredLaw(name, stated, tuple(stated.values(stated.keys()).values()))
 
 

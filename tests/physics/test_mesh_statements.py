@@ -149,7 +149,7 @@ def test_a_conductor_states_its_rings():
     fixed = [
         s for m in keys.magnets.values() for s in moving_conductor.surface_currents(m, m.remanence)
     ]
-    body = moving_conductor._divided(keys, 1600, found.frequency)
+    body = moving_conductor._divide_body(keys, 1600, found.frequency)
     coils = moving_conductor.windings(keys)
     true = roughness(body, found, coils, fixed, keys.conductivity)
     assert 0.5 < found.rough / true < 2

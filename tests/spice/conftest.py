@@ -9,7 +9,7 @@ from kc2spice.parts.electronics._template import opamp_subcircuit
 from kc2spice.parts.magnetics.ring_magnet_coils import coils_subcircuit
 from kc2spice.parts.mechanics._touching import ring_gaps
 from kc2spice.parts.mechanics.sphere import SphereKeys, rigid_sphere
-from kc2spice.physics.contact import Normal, contact
+from kc2spice.physics.contact import Normal, declare_contact
 from kc2spice.physics.part import declared_subcircuit as declared
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
@@ -45,7 +45,7 @@ def parts(header, model, radii, table):
     made = (
         subcircuit(model.linear(), "kick", header),
         declared(header, "sphere", rigid_sphere(ball.mass, ball.radius, 9.81), {}),
-        declared(header, "contact", contact(rings, gaps, Normal(4e8)), {}),
+        declared(header, "contact", declare_contact(rings, gaps, Normal(4e8)), {}),
         coils_subcircuit(header, table, "catch", apart=False, points=81),
         coils_subcircuit(header, table, points=81),
         opamp_subcircuit(header),

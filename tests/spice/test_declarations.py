@@ -298,7 +298,7 @@ NORMALS = {
 
 
 def pressing(normal):
-    return contact.contact(("p", "q"), GAPS, normal, rigid=(False, False))
+    return contact.declare_contact(("p", "q"), GAPS, normal, rigid=(False, False))
 
 
 def touching(normal, count=20):

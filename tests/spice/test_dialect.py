@@ -14,7 +14,7 @@ from kc2spice.netlist.library import Header, subcircuits
 from kc2spice.netlist.printers.dialect_registry import dialect_named, dialect_names
 from kc2spice.netlist.printers.verilog_a import module_files
 from kc2spice.netlist.translate import dialect_files, translate
-from kc2spice.physics.contact import Normal, contact
+from kc2spice.physics.contact import Normal, declare_contact
 from kc2spice.physics.part import declared_subcircuit as declared
 from kc2spice.sim.ngspice import run_deck
 
@@ -167,7 +167,7 @@ LAWS = {
 
 def pressing(law):
     header = Header("laws", "0")
-    return declared(header, "contact", contact(("patch",), (0.0,), law), {})
+    return declared(header, "contact", declare_contact(("patch",), (0.0,), law), {})
 
 
 @pytest.mark.parametrize("dialect", ["xyce", "ltspice"])

@@ -9,11 +9,11 @@ from kc2spice.netlist.library import Header
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.parts.control.pid import Control, pid_subcircuit
 from kc2spice.parts.mechanics.sphere import rigid_sphere
-from kc2spice.physics.contact import Normal, contact
+from kc2spice.physics.contact import Normal, declare_contact
 from kc2spice.physics.part import declared_subcircuit as declared
 
 HEADER = Header("test", "0")
-CONTACT = contact(("ring0", "ring1"), (0.0, 5e-5), Normal(4e8), under=(1e-3, (0.0, 5e-5)))
+CONTACT = declare_contact(("ring0", "ring1"), (0.0, 5e-5), Normal(4e8), under=(1e-3, (0.0, 5e-5)))
 
 
 @pytest.mark.parametrize(

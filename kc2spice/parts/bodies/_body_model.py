@@ -71,7 +71,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def varied(
         self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock, like: Part[LinearKeysT]
     ) -> LinearModel:
-        """:meth:`full` on the mesh that ``like`` has, a part of other values, moved to these."""
+        """Return :meth:`full` on the mesh of ``like``, a part of other values, moved to these."""
         return self.full(part, scene, clock)
 
     def full_key(self, part: Part[LinearKeysT], scene: GovernedScene) -> Mapping[str, Any]:
@@ -83,8 +83,10 @@ class BodyModel(BodyPorts[LinearKeysT]):
         yield from check_corners(part, scene)
 
     def _stated_reduction(self, part: Part[LinearKeysT], scene: Scene) -> Rom | None:
-        """The reduction that somebody chose: the body's own, which may as well say no more than
-        which keys are parameters of the netlist, else the scene's."""
+        """Reduction that the keys of the body or the scene state, None if neither does.
+
+        Keys that state only the parameters of the netlist do not count.
+        """
         specified: Rom | None = part.keys.rom
         if specified is not None and specified.model_fields_set != {"parameters"}:
             return specified
@@ -132,7 +134,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return result | reached | {"massless": massless(part, scene)}
 
     def varying(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> Varying:
-        """The resonators over the box of ``rom.parameters``, which no value of these changes."""
+        """Return the resonators over the ranges of ``rom.parameters``."""
         keys = varied(part)
         middle = with_values(part, middle_values(keys))
         target, key = reduction_target(part, scene), self.model_key(middle, scene)
@@ -184,7 +186,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return bool(loss_tangent(part)) or by_complex_constants(part)
 
     def _full_model(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> LinearModel:
-        """The full model with the ports of the scene, in a box on the mesh of all its values."""
+        """Return the full model with the ports of the scene, on the mesh of the middle values."""
         keys, names = varied(part), self.used_port_names(part, scene)
         if not keys:
             return self.full(part, scene, clock).select(names)
@@ -247,8 +249,10 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return cached("body", model_key, build, classes=kinds, sources=self.sources())
 
     def orders(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> Orders:
-        """Reductions of the full model with the ports of the scene to prescribed orders; the next
-        scene often asks for a larger one of the same body."""
+        """Return reductions of the full model to prescribed orders, with the ports of the scene.
+
+        They stay in the workspace, because the next scene often needs another order.
+        """
         from kc2spice.rom.enriched import Orders
 
         names = self.used_port_names(part, scene)
@@ -262,13 +266,13 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return scene.workspace.latest(f"orders {self.name}", key, make)
 
     def sources(self) -> tuple[str, ...]:
-        """Modules whose text the models of this type depend on, for the cache."""
+        """Modules on whose text the models of this type depend, for the cache."""
         classes = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, BodyPorts))
         return (*SOURCES, *classes)
 
 
 def loss_tangent(part: Part) -> float:
-    """tan delta of the dielectric that a body's damping states."""
+    """Loss tangent of the dielectric in a body's damping, 0 if it states none."""
     return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", None) or 0.0)
 
 
@@ -284,8 +288,9 @@ def damping_of(part: Part) -> Damping:
 
 
 def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
-    """Complex constants of a body's damping, as stated at a frequency or at a resonance of its
-    ``model``.
+    """Return the complex constants of a body's damping.
+
+    They are those at the stated frequency, or at a resonance of its ``model``.
 
     Raises
     ------
@@ -300,21 +305,23 @@ def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
 
 
 def _with_least_damping(part: Part, model: LinearModel, band: tuple[float, float]) -> LinearModel:
-    """``model`` with viscous damping that nowhere in the band exceeds that of complex constants, so
-    that the error of a reduction is no larger with these."""
+    """Give ``model`` viscous damping that nowhere exceeds that of complex constants.
+
+    The error of a reduction is then no larger with complex constants.
+    """
     loss = losses_of(part, model).loss_factor
     return replace(model, E=None, rayleigh=(0.0, loss / (2 * math.pi * band[1])))
 
 
 def full_model(part: Part, scene: Scene, clock: Clock) -> LinearModel | None:
-    """The full model of a body in its scene, None where a full model cannot have its losses."""
+    """Build the full model of a body in its scene, None if its losses have no matrices."""
     kind = part.type
     assert isinstance(kind, BodyModel)
     return kind.build(part, scene, clock, full=True)
 
 
 def full_alone(part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
-    """The full model of a body outside its scene, with a warning of what matrices cannot hold."""
+    """Build the full model of a body outside its scene, with a warning of neglected losses."""
     if tangent := loss_tangent(part):
         warnings.warn(
             f"{part.name}.damping.loss_tangent: {tangent:g}: matrices have no constant loss of a "
@@ -343,7 +350,7 @@ def scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float, floa
 def _limit_band(
     band: tuple[float, float], key: Mapping[str, Any], full: Callable[[], LinearModel]
 ) -> tuple[float, float]:
-    """The band up to natural frequencies of the full model in it, see ``least_band_end``."""
+    """Limit a band to the first natural frequencies of the full model (``least_band_end``)."""
     from kc2spice.rom.band import band_end
 
     (low, high), least_end = band, key.get("sure")
@@ -353,7 +360,7 @@ def _limit_band(
 
 
 def describe_target(rom: Rom) -> str:
-    """Target of a reduction in words: order or tolerance, and band."""
+    """Describe the target of a reduction: order or tolerance, and band."""
     low, high = rom.band
     target = f"order {rom.order}"
     if rom.order is None:
@@ -362,7 +369,7 @@ def describe_target(rom: Rom) -> str:
 
 
 def reduction_target(part: Part, scene: Scene) -> Rom:
-    """Settings of a body's reduction, as its record in the scene has them."""
+    """Return the settings of a body's reduction from its record in the scene."""
     result = scene.records[part.name].reduction
     assert result is not None
     return result

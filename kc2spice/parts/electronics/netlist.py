@@ -274,8 +274,10 @@ def _probed(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str
 
 
 def _inner_vector(node: str, part: str = "") -> str:
-    """Vector of a node or of ``i(ELEMENT)``, ``i(x1.ELEMENT)`` in the part's subcircuit, or with
-    ``part`` in its instance."""
+    """Return the vector of a node, ``i(ELEMENT)`` or ``i(x1.ELEMENT)`` of a subcircuit.
+
+    With ``part`` it is the vector of the part's instance.
+    """
     low, instance = node.lower(), f"x{part.lower()}." if part else ""
     match = re.fullmatch(r"i\((?:(.+)\.)?(\w+)\)", low)
     if match is None:

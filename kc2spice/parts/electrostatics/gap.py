@@ -281,11 +281,10 @@ def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
 
 @lru_cache(maxsize=256)
 def truncation_error(film: Film, gap: float, branches: int, frequency: float) -> float:
-    """Relative error of the damping or of the force at a frequency [Hz] of a series of which
-    ``branches`` terms have their spring, the larger one.
+    """Larger relative error of damping and force of a series with ``branches`` springs.
 
-    With ``z = j w c / (1 + j w c / k)`` of a term, those without a spring have ``j w c``; the
-    damping is the imaginary part.
+    It is that at the ``frequency`` [Hz]. A term has the impedance ``z = j w c / (1 + j w c / k)``,
+    one without a spring ``j w c``. The damping is the imaginary part.
     """
     if not frequency:
         return 0.0
@@ -329,8 +328,10 @@ def _check_film(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator
 
 @lru_cache(maxsize=32)
 def _declare(text: str, count: int, film_branches: int, top: float) -> Declaration:
-    """The physics of a gap with so many patches and branches of its film, which follow from the
-    highest frequency ``top`` [Hz]."""
+    """Declare a gap with ``count`` patches and ``film_branches`` branches of its film.
+
+    The branches resolve frequencies up to ``top`` [Hz].
+    """
     keys = GapKeys.model_validate_json(text)
     shares = keys.shares or (1 / count,) * count
     numbers: dict[str, float | str] = {"eps0": EPSILON_0, **_stop.CONSTANTS}
@@ -410,8 +411,10 @@ def _neglected(keys: GapKeys, branches: int, top: float) -> Iterator[tuple[str, 
 
 
 def _series_terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Dampers times gap^3 (n,), springs times gap (n,) and orders along the length (n,) of all
-    terms, the largest dampers first."""
+    """Return dampers, springs and orders along the length of all terms, each (n,).
+
+    The dampers are multiplied by gap^3, the springs by gap. The largest dampers stand first.
+    """
     area, odd = film.length * film.width, np.arange(1, TERMS + 1, 2)
     m, n = np.reshape(np.meshgrid(odd, odd), (2, -1))
     S = 4 * area / (np.pi**2 * m * n)
@@ -424,8 +427,11 @@ def _series_terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _split_series(
     film: Film, count: int, branches: int
 ) -> tuple[list[tuple[float, float, np.ndarray]], float]:
-    """Terms (damper times gap^3, spring times gap, part of each patch in its motion) that keep
-    their spring, and the dampers of all others times gap^3."""
+    """Return the terms with a spring, and the sum of the other dampers times gap^3.
+
+    A term is its damper times gap^3, its spring times gap, and the share of each patch in its
+    motion.
+    """
     dampers, springs, orders = _series_terms(film)
     edges = np.linspace(0, 1, count + 1)
     result = []

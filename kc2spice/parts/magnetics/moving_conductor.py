@@ -241,7 +241,7 @@ class MovingBody(DeclaredPart[MovingT]):
             yield part.wrong("y_min", "empty range of heights", got, "y_min < y_max")
         if not keys.coils and not keys.magnets:
             yield part.wrong("coils", "neither coil nor magnet", "{}", "tables by name")
-        yield from self.misshapen(part)
+        yield from self.shape_problems(part)
         if keys.inner >= keys.radius:
             expected = f"less than radius, {keys.radius:g} m"
             yield part.wrong("inner", "no material left", f"{keys.inner:g} m", expected)
@@ -279,7 +279,7 @@ class MovingBody(DeclaredPart[MovingT]):
         The ``full`` model has more loops of more rings, up to twice the highest frequency, and
         couplings of a closer fit.
         """
-        keys, frequency = part.keys, self.resolved(part, scene)
+        keys, frequency = part.keys, self.resolved_frequency(part, scene)
         tolerance = (CLOSER if full else 1.0) * keys.tolerance
         rings = (FINER if full else 1) * getattr(keys, "rings", 1)
         if full and frequency:
@@ -291,7 +291,9 @@ class MovingBody(DeclaredPart[MovingT]):
                 fixed += surface_currents(magnet, magnet.remanence)
             with clock.stage("magnetics", f"field of {part.name}"):
                 ladder = self.field(keys, fixed, tolerance, rings, frequency)
-                return ladder if full or not frequency else self.refined(ladder, keys, fixed, rings)
+                if full or not frequency:
+                    return ladder
+                return self.add_ring_error(ladder, keys, fixed, rings)
 
         shape, settings = {"tolerance", "rings", "frequency"}, (tolerance, rings, frequency)
         key = {"keys": keys.model_dump(exclude=shape, mode="json"), "of": settings}
@@ -357,15 +359,17 @@ class MovingBody(DeclaredPart[MovingT]):
     ) -> Ladder:
         """Couplings of its loops with its coils and with ``fixed`` currents, and their rates."""
 
-    def misshapen(self, part: Part[MovingT]) -> Iterator[UsageError]:
+    def shape_problems(self, part: Part[MovingT]) -> Iterator[UsageError]:
         """Faults of its shape."""
         return iter(())
 
-    def resolved(self, part: Part[MovingT], scene: Scene) -> float:
+    def resolved_frequency(self, part: Part[MovingT], scene: Scene) -> float:
         """Frequency [Hz] up to which its eddy currents are resolved."""
         return 0.0
 
-    def refined(self, ladder: Ladder, keys: MovingT, fixed: list[Winding], rings: int) -> Ladder:
+    def add_ring_error(
+        self, ladder: Ladder, keys: MovingT, fixed: list[Winding], rings: int
+    ) -> Ladder:
         """The loops with the error of their rings."""
         return ladder
 
@@ -379,7 +383,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
     rating = "not known; i^2 resistance heats each coil, the eddy currents the body"
     source = "rings (integral equation, axisymmetric), reduced"
 
-    def misshapen(self, part: Part[MovingConductorKeys]) -> Iterator[UsageError]:
+    def shape_problems(self, part: Part[MovingConductorKeys]) -> Iterator[UsageError]:
         """Faults of its shape."""
         keys = part.keys
         if keys.shape == "disc" and not keys.thickness:
@@ -388,7 +392,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
             got = f"inner {keys.inner:g} m, thickness {keys.thickness}"
             yield part.wrong("shape", "a sphere has a radius alone", got, "neither of them")
 
-    def resolved(self, part: Part[MovingConductorKeys], scene: Scene) -> float:
+    def resolved_frequency(self, part: Part[MovingConductorKeys], scene: Scene) -> float:
         """Frequency [Hz] up to which its eddy currents are resolved."""
         return float(
             part.keys.frequency or max(LEAST, highest_frequency(scene, _shortest_lag(part, scene)))
@@ -403,21 +407,24 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         frequency: float,
     ) -> Ladder:
         """Couplings of its loops with its coils and with ``fixed`` currents, and their rates."""
-        body, coils = _divided(keys, rings, frequency), windings(keys)
+        body, coils = _divide_body(keys, rings, frequency), windings(keys)
         settings = keys.y_min, keys.y_max, keys.conductivity, frequency, tolerance
         return ladder(body, coils, fixed, *settings)
 
-    def refined(
+    def add_ring_error(
         self, ladder: Ladder, keys: MovingConductorKeys, fixed: list[Winding], rings: int
     ) -> Ladder:
-        """The loops with the error of their rings: of second order in the size of a ring, thus in
-        proportion to the reciprocal of their number, and so is what finer ones change."""
-        finer = _divided(keys, FINER * rings, ladder.frequency)
+        """Return the loops with the error of their rings.
+
+        The error is of second order in the size of a ring, in proportion to the reciprocal of their
+        number. So is the change by finer rings.
+        """
+        finer = _divide_body(keys, FINER * rings, ladder.frequency)
         changed = roughness(finer, ladder, windings(keys), fixed, keys.conductivity)
         return replace(ladder, rough=changed / max(1 - ladder.rings / finer.r.size, LEAST_CHANGE))
 
     def notes(self, part: Part[MovingConductorKeys], scene: Scene) -> Iterator[str | Neglected]:
-        keys, frequency = part.keys, self.resolved(part, scene)
+        keys, frequency = part.keys, self.resolved_frequency(part, scene)
         yield (
             f"{len(keys.coils)} coils, eddy currents as loops to {keys.tolerance:g} of flux and "
             f"force up to {frequency:.4g} Hz, exact in currents, power series of the height"
@@ -463,7 +470,7 @@ def _skin_depth(keys: MovingConductorKeys, frequency: float) -> float:
     return 1 / math.sqrt(math.pi * frequency * MU_0 * keys.conductivity)
 
 
-def _divided(keys: MovingConductorKeys, rings: int, frequency: float) -> Cells:
+def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> Cells:
     """The body in rings, fine enough for the skin depth at a frequency [Hz]."""
     box = keys.inner, keys.radius, -_body_height(keys) / 2, _body_height(keys) / 2, rings
 

@@ -24,7 +24,7 @@ from kc2spice.parts.mechanics._touching import (
 )
 from kc2spice.physics import Declaration, DeclaredPart
 from kc2spice.physics.cards import force_node
-from kc2spice.physics.contact import SPACED, Normal, contact
+from kc2spice.physics.contact import SPACED, Normal, declare_contact
 from kc2spice.physics.part import make_pins
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import PAIRS, Balance, Check, Gate, Metric, stepping
@@ -93,7 +93,7 @@ class Contact(DeclaredPart[ContactKeys]):
         return joins | ({CARRIED: f"{pair.b.elastic}.{PATCH}"} if pair.b.elastic else {})
 
     def at_rest(self, part: Part[ContactKeys], scene: WiredScene) -> Rest:
-        """Surfaces that touch at rest: what presses on them finds its place."""
+        """Return clamps, and paths through surfaces that touch at rest."""
         pair = pair_of(part, scene)
         pins = ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)
         clamps = [*product(pins, (GROUND,))]
@@ -102,8 +102,11 @@ class Contact(DeclaredPart[ContactKeys]):
         return Rest(tuple(clamps))
 
     def numerics(self, part: Part[ContactKeys], scene: WiredScene) -> Iterator[Numerics]:
-        """A trapezoid's errors of closing and opening cancel for a linear spring alone. Rebounds
-        that lose 0 to 70 % of their energy are then good to 1.5e-4 at the usual reltol."""
+        """Yield tighter tolerances for damped and curved laws.
+
+        The trapezoidal rule's errors of closing and opening cancel for a linear spring alone.
+        Rebounds that lose 0 to 70 % of their energy then have errors of 1.5e-4.
+        """
         curved = part.keys.law == "hertz" or part.keys.shape == "pressure"
         reltol = DAMPED if part.keys.damping else CURVED if curved else 1.0
         what = "contact, as far as a body has motions"
@@ -213,7 +216,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def finer_mesh(
         self, part: Part[ContactKeys], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
-        """The force on pressure basis functions half as wide."""
+        """Yield the change of the force with pressure basis functions half as wide."""
         if part.keys.shape == "pressure":
             name = f"force of {part.name}, pressure basis functions half as wide"
             yield Check(name, pair_of(part, build.scene).basis_error(), COARSE_BASIS)
@@ -272,11 +275,11 @@ def _declare(
     ports, rigid = pair.ports, (pair.a.rigid, pair.b.rigid)
     carried, gaps = CARRIED if pair.b.elastic else "", (pair.keys.gap,) * len(ports)
     words = {"rigid": rigid, "under": under, "carried": carried, "groove": groove}
-    return contact(ports, gaps, law, **words)
+    return declare_contact(ports, gaps, law, **words)
 
 
 def _sum_factors(pair: Pair) -> dict[str, float]:
-    """Results that are the sum of all forces, and by what times: in a groove that on a flank."""
+    """Return the factors of results that are sums of all forces; ``flank`` in a groove alone."""
     return {"force": 1.0} | ({} if pair.flank is None else {"flank": 1 / (2 * pair.flank)})
 
 
@@ -303,7 +306,7 @@ def _check_pressure(pair: Pair) -> Iterator[UsageError]:
 
 
 def _loaded_interval(force: np.ndarray) -> slice:
-    """From the first contact to the last of the first tenth of all that have a load."""
+    """Return the interval of the first contacts, with a margin."""
     loaded = np.flatnonzero(force > 1e-2 * force.max(initial=0.0))
     if loaded.size == 0:
         return slice(None)
@@ -313,10 +316,10 @@ def _loaded_interval(force: np.ndarray) -> slice:
 
 
 def _balance_energy(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Balance]:
-    """Work that closes the springs against what they store, and what their damping takes.
+    """Yield the energy balance of the springs: work, stored energy and damping.
 
-    Springs give back all they took: energy gained here is a bounce higher than the last. The scale
-    is the work that went into the springs, or what they hold where nothing moves.
+    Springs release all energy that they store. A gain of energy is a rebound that is too high. The
+    scale is the work on the springs, or their stored energy if nothing moves.
     """
     normal, ports = pair.normal, pair.ports
     heights = [pair.a.height(port, waves) for port in ports]
@@ -345,7 +348,7 @@ def _balance_energy(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator
 
 
 def _check_start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
-    """The operating point may hold the sphere elsewhere: other forces balance its weight there."""
+    """Yield a check whether the sphere rests on the body at the operating point."""
     force, other = waves.data.get(f"{pair.part.name}.force"), pair.b.part
     if pair.b.radius is None or force is None or pair.scene.movers.get(other) or pair.starts_moving:
         return
@@ -357,8 +360,7 @@ def _check_start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Ch
 
 
 def _check_events(pair: Pair, waves: Waveforms) -> Iterator[Check]:
-    """The deepest penetration, and contacts of the port that has most of them while the drive
-    moves."""
+    """Yield checks of the deepest penetration, and of the number of contacts during the drive."""
     n, scene, forces = pair.part.name, pair.scene, pair.forces(waves)
     if pair.b.radius is not None and pair.gaps.size > 1:
         depth = float(forces.max()) / pair.normal.stiffness
@@ -410,8 +412,11 @@ def _check_open_ports(
 
 
 def _check_depth(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
-    """The law of a pressure ends where the contact is as wide as half of its patch, and knows
-    little of one that a few basis functions carry (:data:`CARRYING`)."""
+    """Yield checks of the indentation, for a law of pressure.
+
+    The law holds until the contact is as wide as half of its patch. It is inaccurate if a few basis
+    functions carry the contact (:data:`CARRYING`).
+    """
     height = pair.a.height(pair.a.ports[0], waves)
     if pair.keys.shape != "pressure" or height is None:
         return

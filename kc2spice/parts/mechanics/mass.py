@@ -65,8 +65,11 @@ def point_mass(
     velocity: float = 0.0,
     shaken: tuple[float, ...] = (),
 ) -> Declaration:
-    """The physics of a mass at the pin ``a``, in a frame whose accelerations are ``shaken`` times
-    along its displacement: with the shares s, ``F = m x'' + m g + m sum_k s_k a_k``."""
+    """Declare a mass at the pin ``a`` in an accelerated frame.
+
+    ``shaken`` are the components s of the frame's accelerations along the displacement:
+    ``F = m x'' + m g + m sum_k s_k a_k``.
+    """
     branches = [displacement("x", "a", "base")]
     shares, inertia = [], []
     for end, value in zip(_frames(len(shaken)), shaken, strict=True):
@@ -107,7 +110,7 @@ class PointMass(Touching[MassKeys], DeclaredPart[MassKeys]):
     follows_frames = True
 
     def default_joins(self, part: Part[MassKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Its pins for the accelerations of a frame are where the body has those."""
+        """Join its pins of a frame's accelerations to those of the body."""
         shakes = _shakes(part, scene)
         pins = zip(_frames(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
@@ -135,9 +138,9 @@ class PointMass(Touching[MassKeys], DeclaredPart[MassKeys]):
         return Surface(part.name, ("a",), (0.0,))
 
     def initial_motion(self, part: Part[MassKeys], build: Build) -> tuple[float, float] | None:
-        """Position [m] and velocity [m/s] at which it begins, None where it begins in equilibrium.
+        """Position [m] and velocity [m/s] at t = 0, None if it starts in equilibrium.
 
-        Of masses that are fixed to each other the first one begins, the others follow.
+        Of masses that are fixed to each other, the first one has the state.
 
         Raises
         ------
@@ -167,7 +170,7 @@ class PointMass(Touching[MassKeys], DeclaredPart[MassKeys]):
         return state if next(masses) == part.name else None
 
     def checks(self, part: Part[MassKeys], build: Build, waves: Waveforms) -> Iterator[Any]:
-        """None: a mass at rest on something stiff turns over less energy than the steps lose."""
+        """Return no checks: a mass at rest exchanges less energy than the steps lose."""
         return iter(())
 
     def main_metrics(self, part: Part[MassKeys], build: Build) -> Mapping[str, Probe]:

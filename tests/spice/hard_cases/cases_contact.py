@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from bench.distance import compare
 from kc2spice.parts.mechanics.sphere import SphereKeys, rigid_sphere
-from kc2spice.physics.contact import Normal, contact
+from kc2spice.physics.contact import Normal, declare_contact
 from kc2spice.physics.part import declared_subcircuit as declared
 from kc2spice.synthesis.realize import subcircuit
 
@@ -28,7 +28,7 @@ def flat_contact(bench):
     model, gap, velocity, stop = chip(6), 1e-6, -1.0, 10e-6
     parts = [
         subcircuit(model.linear(), "kick", HEADER),
-        declared(HEADER, "contact", contact(RINGS, (0.0,) * 6, Normal(4e8)), {}),
+        declared(HEADER, "contact", declare_contact(RINGS, (0.0,) * 6, Normal(4e8)), {}),
         declared(HEADER, "sphere", rigid_sphere(MASS, 1e-3, 0.0, velocity, gap), {}),
     ]
     rings = " ".join(RINGS)
@@ -79,7 +79,7 @@ def chatter_after_a_kick_of_one_volt(bench):
 def hundred_bounces_on_a_rigid_plane(bench):
     """A sphere falls 5 um a hundred times."""
     speed, height, landings = 0.01, 1e-7, 100
-    ground = declared(HEADER, "contact", contact(("ring0",), (0.0,), Normal(4e8)), {})
+    ground = declared(HEADER, "contact", declare_contact(("ring0",), (0.0,), Normal(4e8)), {})
     sphere = declared(HEADER, "sphere", rigid_sphere(MASS, 1e-3, 9.81, -speed, height), {})
     stop = (landings + 0.5) * (2 * speed / 9.81 + np.pi * np.sqrt(MASS / 4e8))
     cards = f"""Xsphere v bottom y 0 sphere
