@@ -1,0 +1,216 @@
+"""A relay from its data sheet: coil, armature with hysteresis, and contacts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from pydantic import Field
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Inductance, Ratio, Resistance, Section, Time, Voltage
+from kc2spice.netlist.circuit import Param, positive
+from kc2spice.parts.datasheet._resonator import to_twelve_digits, tolerance_note
+from kc2spice.physics import Declaration, DeclaredPart, current, voltage
+from kc2spice.scene.model import GovernedScene, JoinedScene, Part, Scene, Terminal, WiredScene
+from kc2spice.scene.parttype import register
+from kc2spice.scene.rows import Neglected, Numerics
+
+SHARE = 0.9  # of the operate time by the current, where a sheet does not state the inductance
+HALF = math.log(2)  # time constants from one end of the armature's way to its middle
+
+
+class RelayKeys(Section):
+    """The armature moves once the current times the coil's resistance is above ``pick_up``, and
+    returns once that is below ``release``."""
+
+    resistance: Resistance = Field(gt=0, description="Resistance of the coil")
+    voltage: Voltage = Field(gt=0, description="Rated voltage of the coil")
+    pick_up: Voltage = Field(gt=0, description="Coil voltage at which the relay operates")
+    release: Voltage = Field(gt=0, description="Coil voltage at which the relay releases")
+    inductance: Inductance | None = Field(
+        None, gt=0, description="Inductance of the coil; by default that of the operate time"
+    )
+    operate_time: Time | None = Field(
+        None, gt=0, description="Time from the rated voltage to the closed contact"
+    )
+    contact_resistance: Resistance = Field(0.1, gt=0, description="Resistance of a closed contact")
+    insulation_resistance: Resistance = Field(
+        1e8, gt=0, description="Resistance of an open contact"
+    )
+    changeover: bool = Field(False, description="Whether there is a contact nc, closed at rest")
+    resistance_tolerance: Ratio | None = Field(
+        None, gt=0, lt=1, description="Relative tolerance of the coil's resistance"
+    )
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Inductance of the coil [H] and time constant of the armature [s]."""
+
+    inductance: float
+    armature: float
+
+
+def timing(part: Part[RelayKeys]) -> Timing:
+    """Inductance and time constant by which a relay at its rated voltage takes its operate time.
+
+    The current reaches the pick-up current after ``L/R ln(V / (V - Vp))``. The armature then is at
+    the middle of its way after ``ln 2`` of its time constants.
+    """
+    keys = part.keys
+    if not keys.release < keys.pick_up < keys.voltage:
+        raise part.wrong(
+            "pick_up",
+            "the voltages of the relay are not in order",
+            f"release {keys.release:g} V, pick_up {keys.pick_up:g} V, voltage {keys.voltage:g} V",
+            "release below pick_up, and pick_up below the rated voltage",
+            "check the three values",
+        )
+    rise = -math.log1p(-keys.pick_up / keys.voltage)
+    if keys.operate_time is None and keys.inductance is None:
+        raise part.wrong(
+            "",
+            "the relay has no time scale",
+            "neither inductance nor operate_time",
+            "the operate time of the sheet, the inductance of the coil, or both",
+            'add  operate_time = "10 ms"',
+        )
+    if keys.operate_time is None:
+        assert keys.inductance is not None
+        electrical = keys.inductance / keys.resistance * rise
+        return Timing(keys.inductance, (1 / SHARE - 1) * electrical / HALF)
+    if keys.inductance is None:
+        electrical = SHARE * keys.operate_time
+        inductance = electrical / rise * keys.resistance
+        return Timing(inductance, (keys.operate_time - electrical) / HALF)
+    electrical = keys.inductance / keys.resistance * rise
+    if electrical >= keys.operate_time:
+        most = keys.operate_time / rise * keys.resistance
+        raise part.wrong(
+            "operate_time",
+            "operate_time contradicts inductance",
+            f"operate_time = {keys.operate_time:g} s and inductance = {keys.inductance:g} H",
+            f"an operate time above {electrical:.4g} s, which the current alone takes, or an "
+            f"inductance below {most:.4g} H",
+            "correct or delete one of both",
+        )
+    return Timing(keys.inductance, (keys.operate_time - electrical) / HALF)
+
+
+def relay_law(params: tuple[Param, ...], changeover: bool) -> Declaration:
+    """Coil, armature and contacts; the armature is at 0 at rest and at 1 when it has operated.
+
+    It moves towards 1 while the voltage of the resistance is above the pick-up voltage, or above
+    the release voltage and the armature is beyond the middle. Contacts switch in the middle.
+    """
+    closed, opened = "1/contact_resistance", "1/insulation_resistance"
+    step = f"({closed} - {opened})*above(armature - 0.5)"
+    branches = [current("i", "plus", "minus"), voltage("v_no", "no", "com", "i_no")]
+    content = f"0.5*resistance*i^2 + 0.5*v_no^2*({opened} + {step})"
+    if changeover:
+        branches.append(voltage("v_nc", "nc", "com", "i_nc"))
+        content += f" + 0.5*v_nc^2*({closed} - {step})"
+    operated = "above(resistance*i - pick_up)"
+    kept = "above(resistance*i - release)*above(armature - 0.5)"
+    return Declaration(
+        "relay",
+        "relay from its data sheet",
+        Section,
+        tuple(branches),
+        coenergy="0.5*inductance*i^2",
+        content=content,
+        given=params,
+        states={"armature": f"({operated} + (1 - {operated})*{kept} - armature)/armature_time"},
+        rating="not known; compare contact currents and coil power with the data sheet",
+    )
+
+
+class Relay(DeclaredPart[RelayKeys]):
+    name, title = "relay", "relay with one contact from its data sheet"
+    schema = RelayKeys
+    source = "data sheet"
+    noise = ("Rnoise",)
+    example = """
+[relay]
+part = "relay"
+resistance = "70 Ohm"
+voltage = "5 V"
+pick_up = "3.75 V"
+release = "0.5 V"
+operate_time = "10 ms"
+pins = { plus = "drive.out", no = "supply.out" }
+
+[drive]
+part = "source"
+pulse = { high = "5 V", width = "30 ms", edge = "10 us", start = "1 ms" }
+
+[supply]
+part = "source"
+dc = "12 V"
+
+[load]
+part = "resistor"
+resistance = "100 Ohm"
+pins = { a = "relay.com", b = "gnd" }
+"""
+
+    def detail(self, part: Part[RelayKeys], scene: GovernedScene) -> Timing:
+        return timing(part)
+
+    def problems(self, part: Part[RelayKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        keys = part.keys
+        if keys.contact_resistance >= keys.insulation_resistance:
+            yield part.wrong(
+                "insulation_resistance",
+                "an open contact conducts better than a closed one",
+                f"{keys.insulation_resistance:g} Ohm",
+                f"above contact_resistance, {keys.contact_resistance:g} Ohm",
+                "exchange both values",
+            )
+
+    def declared(self, part: Part[RelayKeys], scene: GovernedScene) -> Declaration:
+        keys, record = part.keys, scene.record(part)
+        detail = record.detail if record is not None else None
+        times = detail if isinstance(detail, Timing) else timing(part)
+        words = "coil resistance" + tolerance_note(keys.resistance, keys.resistance_tolerance)
+        inductance, armature = map(to_twelve_digits, (times.inductance, times.armature))
+        params = (
+            positive("resistance", keys.resistance, "Ohm", words),
+            positive("inductance", inductance, "H", "coil inductance"),
+            positive("pick_up", keys.pick_up, "V", "coil voltage at which it operates"),
+            positive("release", keys.release, "V", "coil voltage at which it releases"),
+            positive("armature_time", armature, "s", "time constant of the armature"),
+            positive("contact_resistance", keys.contact_resistance, "Ohm", "closed contact"),
+            positive("insulation_resistance", keys.insulation_resistance, "Ohm", "open contact"),
+        )
+        return relay_law(params, keys.changeover)
+
+    def pins(self, part: Part[RelayKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
+        """Pins of the coil and of contacts, which may stay open."""
+        pins = super().pins(part, scene)
+        return tuple(replace(p, required=False) if p.name in ("no", "nc") else p for p in pins)
+
+    def numerics(self, part: Part[RelayKeys], scene: WiredScene) -> Iterator[Numerics]:
+        yield from super().numerics(part, scene)
+        times = timing(part)
+        yield Numerics(f"a tenth of the time constant of {part.name}", 0.1 * times.armature)
+
+    def notes(self, part: Part[RelayKeys], scene: Scene) -> Iterator[str | Neglected]:
+        keys, times = part.keys, timing(part)
+        yield (
+            f"operates at {keys.pick_up:g} V, releases at {keys.release:g} V, coil "
+            f"{keys.resistance:g} Ohm and {times.inductance:.3g} H"
+        )
+        if keys.inductance is None:
+            share = f"{100 * SHARE:g} % of the operate time"
+            yield Neglected("share of the armature in the operate time", share, "not estimated")
+        yield Neglected("bounce of contacts", "they switch once", "a few milliseconds")
+        yield Neglected(
+            "inductance that depends on the armature", "one value", "the dip of the coil's current"
+        )
+        yield Neglected("arcs", "contacts are resistances", "not estimated")
+
+
+register(Relay())
