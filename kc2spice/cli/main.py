@@ -62,7 +62,7 @@ def _out(default: str) -> Any:
 PARAMETERS = {
     "scene": typer.Argument(
         metavar="SCENE",
-        help="Name of a built-in scene, or path of a TOML file.",
+        help="Name of a built-in scene, part number, or path of a TOML file.",
         autocompletion=_names,
     ),
     "sweep.scene": typer.Argument(
@@ -134,6 +134,9 @@ PARAMETERS = {
         "--full",
         help="Follow full models for up to 400 000 steps, not 4 000, and solve large ones at all "
         "frequencies.",
+    ),
+    "search": typer.Argument(
+        metavar="SEARCH", help="Words in number, maker or device of a part. Default: all parts."
     ),
     "keys": typer.Option("--keys", help="List every key that a scene may have."),
     "parts": typer.Option("--parts", help="List the part types with their pins and keys."),
@@ -216,6 +219,7 @@ EXAMPLES = {
         "kc2spice explain impact --set contact.shape=pressure",
     ),
     "scenes": ("kc2spice scenes", "kc2spice scenes --parts"),
+    "parts": ("kc2spice parts murata", "kc2spice export 7BB-20-6 --out lib"),
     "doctor": ("kc2spice doctor", "kc2spice doctor --json"),
     "reduce": (
         "kc2spice reduce NAME.K --tolerance 1e-4 --band 0 5e5",
@@ -522,6 +526,22 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
 
 def _text(value: object, before: str = "") -> str:
     return "" if value is None else f"{before}{value}"
+
+
+@_command
+def _parts(caller: Caller, search: str | None = None) -> None:
+    """List the parts that can be bought, with the sources of their values.
+
+    A part number is accepted in place of SCENE by run, export, verify and explain.
+    """
+    from dataclasses import asdict
+
+    from kc2spice.scene.catalogue import search_parts
+
+    parts = search_parts(search or "")
+    if caller.reads(list(map(asdict, parts))):
+        rows = [(part.number, part.maker, part.device, part.kind) for part in parts]
+        print_table("parts", rows, ("number", "maker", "device", "part type"), names=0)
 
 
 @_command

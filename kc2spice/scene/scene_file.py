@@ -16,6 +16,7 @@ from kc2spice.core.errors import UsageError, candidates, did_you_mean
 from kc2spice.core.quantities import clipped, dotted
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import MAX_BYTES, lines_of, read_bounded, text_of
+from kc2spice.scene.catalogue import find_part, read_catalogue
 
 
 def list_gallery() -> dict[str, Traversable]:
@@ -52,7 +53,7 @@ class SceneFile:
 
 
 def open_scene(name_or_path: str | Path) -> SceneFile:
-    """Read a built-in scene, or a TOML file.
+    """Read a built-in scene, the scene of a part number, or a TOML file.
 
     Raises
     ------
@@ -62,7 +63,13 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
     if name in scenes:
         text = scenes[name].read_text(encoding="utf-8")
         return SceneFile(f"scene {name}", name, text, Path(str(scenes[name])).parent)
-    path = Path(name_or_path)
+    path, part = Path(name_or_path), find_part(name)
+    if part is not None and not path.exists():
+        return (
+            open_scene(part.scene)
+            if part.scene
+            else SceneFile(f"part {part.number}", part.stem, part.text, Path.cwd())
+        )
     try:
         text = text_of(read_bounded(path, MAX_BYTES))
     except UnicodeDecodeError:
@@ -83,7 +90,8 @@ def _missing_file_error(name: str, path: Path, scenes: Iterable[str]) -> UsageEr
         expected = (
             f"a TOML file, or a built-in scene: {candidates(name, scenes, 'kc2spice scenes')}"
         )
-        hint = did_you_mean(name, scenes) or listing
+        near = did_you_mean(name, scenes) or did_you_mean(name, read_catalogue())
+        hint = near or f"{listing}, kc2spice parts the part numbers"
         return UsageError("no such scene", got=repr(name), expected=expected, hint=hint)
     with contextlib.suppress(OSError):
         near = did_you_mean(path.stem, map(attrgetter("stem"), path.parent.glob("*.toml")))

@@ -15,14 +15,15 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, StringConstraints
 
 from kc2spice.core import laws
 from kc2spice.core.figure import Figure
 from kc2spice.core.quantities import Section, Voltage
+from kc2spice.core.untrusted_files import identifier
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
 from kc2spice.netlist.library import Header, Subcircuit
@@ -44,7 +45,15 @@ from kc2spice.scene.rows import Neglected, Vector
 TWO_PI = 2 * math.pi
 
 
-class RatedKeys(Section):
+class NumberedKeys(Section):
+    """Key of every part with a data sheet."""
+
+    number: Annotated[str, StringConstraints(min_length=1, max_length=40)] | None = Field(
+        None, description="Part number, the name of the exported library; by default the type"
+    )
+
+
+class RatedKeys(NumberedKeys):
     """Key of every electrical part with a rating."""
 
     rated_voltage: Voltage | None = Field(
@@ -118,7 +127,15 @@ class ResonatorNetlist:
     modes: tuple[str, ...]
 
 
-class ResonatorPart(PartType[KeysT]):
+class NumberedPart(PartType[KeysT]):
+    """A part whose library has the name of its part number."""
+
+    def library(self, part: Part[KeysT], scene: Scene) -> str:
+        number = getattr(part.keys, "number", None)
+        return identifier(number, part.name) if number else super().library(part, scene)
+
+
+class ResonatorPart(NumberedPart[KeysT]):
     """A part whose subcircuit is the Butterworth-Van Dyke circuit between two pins."""
 
     source = "data sheet"

@@ -29,7 +29,13 @@ from kc2spice.core.quantities import (
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.parts.datasheet._resonator import TWO_PI, to_twelve_digits, tolerance_note
+from kc2spice.parts.datasheet._resonator import (
+    TWO_PI,
+    NumberedKeys,
+    NumberedPart,
+    to_twelve_digits,
+    tolerance_note,
+)
 from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
 from kc2spice.physics.cards import subcircuit_items
@@ -55,7 +61,7 @@ WOOFER = {"re": 6.0, "bl": 6.0, "mms": 15e-3, "cms": 1e-3, "rms": 1.0, "sd": 13e
 Area = Annotated[float, si("m2")]
 
 
-class LoudspeakerKeys(Section):
+class LoudspeakerKeys(NumberedKeys):
     """Any values of the sheet that determine the driver; further ones must agree with them.
 
     ``Bl^2 = 2 pi fs mms re / qes``, ``qms = 2 pi fs mms / rms``, ``vas = rho c^2 sd^2 cms``
@@ -172,7 +178,7 @@ def moving_mass(mass: float) -> Declaration:
     )
 
 
-class Loudspeaker(DeclaredPart[LoudspeakerKeys]):
+class Loudspeaker(NumberedPart[LoudspeakerKeys], DeclaredPart[LoudspeakerKeys]):
     name, title = "loudspeaker", "loudspeaker from its Thiele-Small parameters"
     schema = LoudspeakerKeys
     source = "data sheet"

@@ -11,7 +11,12 @@ from pydantic import Field
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Inductance, Ratio, Resistance, Section, Time, Voltage
 from kc2spice.netlist.circuit import Param, positive
-from kc2spice.parts.datasheet._resonator import to_twelve_digits, tolerance_note
+from kc2spice.parts.datasheet._resonator import (
+    NumberedKeys,
+    NumberedPart,
+    to_twelve_digits,
+    tolerance_note,
+)
 from kc2spice.physics import Declaration, DeclaredPart, current, voltage
 from kc2spice.scene.model import GovernedScene, JoinedScene, Part, Scene, Terminal, WiredScene
 from kc2spice.scene.parttype import register
@@ -21,7 +26,7 @@ SHARE = 0.9  # of the operate time by the current, where a sheet does not state 
 HALF = math.log(2)  # time constants from one end of the armature's way to its middle
 
 
-class RelayKeys(Section):
+class RelayKeys(NumberedKeys):
     """The armature moves once the current times the coil's resistance is above ``pick_up``, and
     returns once that is below ``release``."""
 
@@ -127,7 +132,7 @@ def relay_law(params: tuple[Param, ...], changeover: bool) -> Declaration:
     )
 
 
-class Relay(DeclaredPart[RelayKeys]):
+class Relay(NumberedPart[RelayKeys], DeclaredPart[RelayKeys]):
     name, title = "relay", "relay with one contact from its data sheet"
     schema = RelayKeys
     source = "data sheet"

@@ -1,0 +1,133 @@
+"""Parts that can be bought: values of their data sheets, with source and date.
+
+``catalogue.toml`` contains one table for each part number. A part number is accepted wherever a
+scene is: its scene drives the part in the circuit of its kind.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.untrusted_files import identifier
+
+
+@dataclass(frozen=True)
+class CataloguePart:
+    """A part of a maker, and how its scene is written.
+
+    ``keys`` are lines of the part's table; ``band`` are the first and the last frequency of its
+    scene, empty for a transient. ``redundant`` are values of the sheet that are no keys.
+    ``assumed`` states what the sheet does not contain. The ``scene`` of a part without keys is a
+    built-in one.
+    """
+
+    number: str
+    kind: str
+    maker: str
+    device: str
+    source: str
+    date: str
+    keys: str = ""
+    band: Sequence[str] = ()
+    scale: str = "log"
+    assumed: str = ""
+    scene: str = ""
+    redundant: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """Maker, part number and device."""
+        return f"{self.maker} {self.number}: {self.device}"
+
+    @property
+    def words(self) -> str:
+        """Text in which words are searched."""
+        return f"{self.number} {self.maker} {self.device} {self.kind}".casefold()
+
+    @property
+    def stem(self) -> str:
+        """Name of its scene."""
+        return identifier(self.number, "part")
+
+    @property
+    def rated_voltage(self) -> str:
+        """Text of the key ``voltage``, at which the circuit of its kind drives it; may be empty."""
+        lines = (line.split('"')[1] for line in self.keys.splitlines() if "voltage =" in line)
+        return next(lines, "")
+
+    @property
+    def text(self) -> str:
+        """Scene with the part in the circuit of its kind, as text of a TOML file."""
+        circuit = _read_tables()["circuits"][self.kind]
+        lines = [f"# {self.source}, {self.date}"]
+        lines += [f"# assumed: {self.assumed}"] if self.assumed else []
+        lines += [f'title = "{self.title}"', "", "[device]", f'part = "{self.kind}"']
+        lines += [f'number = "{self.number}"', self.keys.strip(), f"pins = {circuit['pins']}", ""]
+        lines.append(circuit["text"].strip().replace("%RATED%", self.rated_voltage))
+        if self.band:
+            low, high = self.band
+            lines += ["", "[analysis]", 'type = "ac"', f'start = "{low}"', f'stop = "{high}"']
+            lines += [f'scale = "{self.scale}"', "points = 300"]
+        return "\n".join((*lines, ""))
+
+
+@cache
+def _read_tables() -> dict[str, Any]:
+    text = (resources.files("kc2spice") / "scene" / "catalogue.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
+@cache
+def read_catalogue() -> Mapping[str, CataloguePart]:
+    """Return all parts by their numbers.
+
+    Examples
+    --------
+    >>> read_catalogue()["7BB-20-6"].maker
+    'Murata'
+    """
+    tables = _read_tables()["parts"]
+    result: dict[str, CataloguePart] = {}
+    for number, table in sorted(tables.items()):
+        result[number] = CataloguePart(number, **table)
+    return result
+
+
+def find_part(name: str) -> CataloguePart | None:
+    """Return the part with this number, in whatever case; None if there is none."""
+    parts = read_catalogue()
+    numbers = {number.casefold(): number for number in parts}
+    number = numbers.get(name.casefold())
+    return None if number is None else parts[number]
+
+
+def search_parts(words: str = "") -> list[CataloguePart]:
+    """Return the parts whose number, maker, device or kind contain every word.
+
+    Raises
+    ------
+    UsageError : there is none.
+
+    Examples
+    --------
+    >>> [part.number for part in search_parts("murata 20")]
+    ['7BB-20-3', '7BB-20-6']
+    """
+    parts, searched = read_catalogue(), words.casefold().split()
+    result = [part for part in parts.values() if all(map(part.words.__contains__, searched))]
+    if not result:
+        makers = sorted({part.maker for part in parts.values()})
+        raise UsageError(
+            "no part matches",
+            where="parts",
+            got=repr(words),
+            expected=f"words of a number, maker or device, such as {', '.join(makers[:5])}",
+            hint="kc2spice parts lists all parts",
+        )
+    return result
