@@ -143,8 +143,9 @@ class Radau:
                 "current source",
             )
 
+    @np.errstate(over="ignore", invalid="ignore")
     def take(self, h: float) -> Step | None:
-        """Solve one step of length ``h``; None if Newton's method does not converge."""
+        """Solve one step of length ``h``; None if Newton's method diverges or overflows."""
         self._factor(h)
         p, t = self.interval, self.t + h * NODES
         sources = p.system.source_values(t, p.within)
