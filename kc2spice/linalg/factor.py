@@ -195,7 +195,7 @@ def factorise(
     if not definite:
         return two_sided(matrix, symmetric=True)[0]
     solver = supplied_solver()
-    if solver is not None and (factor := _supplied_definite(solver, matrix)) is not None:
+    if solver is not None and (factor := _factorise_definite_by(solver, matrix)) is not None:
         return factor
     coo = scipy.sparse.coo_array(matrix)
     bandwidth = int(np.abs(coo.row - coo.col).max(initial=0))
@@ -207,11 +207,11 @@ def factorise(
             order = _find_order(matrix) if order is None else order
             apply = supernodal(matrix, order)
     except (np.linalg.LinAlgError, RuntimeError) as error:
-        raise _not_definite(str(error)) from error
+        raise _indefinite_error(str(error)) from error
     return Factor(matrix, apply, order)
 
 
-def _not_definite(got: str) -> SimulationError:
+def _indefinite_error(got: str) -> SimulationError:
     """Error of a matrix that has no Cholesky factor."""
     return SimulationError(
         "matrix cannot be factorised",
@@ -222,21 +222,21 @@ def _not_definite(got: str) -> SimulationError:
     )
 
 
-def _supplied_definite(solver: DirectSolver, matrix: scipy.sparse.csc_array) -> Factor | None:
-    """Factor of a definite matrix by a supplied solver, None if the solver does not prove it."""
+def _factorise_definite_by(solver: DirectSolver, matrix: scipy.sparse.csc_array) -> Factor | None:
+    """Factorise a definite matrix by a supplied solver; None if it proves no definiteness."""
     supplied = factorise_by(solver, matrix)
     negative = getattr(supplied, "negative_eigenvalues", None)
     if negative is None:
         return None
     if negative:
-        raise _not_definite(f"{negative} negative eigenvalues")
+        raise _indefinite_error(f"{negative} negative eigenvalues")
     return Factor(matrix, lambda rhs: solve_by(supplied, matrix, rhs))
 
 
-def _supplied_two_sided(
+def _factorise_both_by(
     solver: DirectSolver, matrix: scipy.sparse.csc_array, symmetric: bool
 ) -> Pair:
-    """Factors by a supplied solver; the transpose of an unsymmetric matrix has its own factor."""
+    """Factorise a matrix by a supplied solver, and its transpose if the matrix is unsymmetric."""
     supplied = factorise_by(solver, matrix)
     forward = Factor(matrix, lambda rhs: solve_by(supplied, matrix, rhs))
     if symmetric:
@@ -260,7 +260,7 @@ def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> Pair:
     matrix = scipy.sparse.csc_array(matrix)
     solver = supplied_solver()
     if solver is not None:
-        return _supplied_two_sided(solver, matrix, symmetric)
+        return _factorise_both_by(solver, matrix, symmetric)
     trial = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))
     reason: Exception | None = None
     for without_pivoting in (True, False) if symmetric else (False,):
