@@ -18,7 +18,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.definite import expects_cholesky, is_definite
 from kc2spice.rom.error_estimate import inaccuracy_error, relative_size
-from kc2spice.rom.free_body import free_body
+from kc2spice.rom.free_body import find_free_body
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil, Schur, symmetric
 from kc2spice.rom.reductors.definite_krylov import definite_krylov_model
@@ -75,7 +75,7 @@ def intermediate_model(
             raise inaccurate
         if complete is not None:
             return _restore_units(pencil, band, complete)
-    if (result := _definite_model(pencil, band, target, limit)) is not None:
+    if (result := _build_definite_model(pencil, band, target, limit)) is not None:
         return result
     if expects_cholesky(pencil):  # its memory was checked for a Cholesky factor only
         require_factors(pencil.bordered(1.0, 1.0, 1.0))
@@ -95,18 +95,18 @@ def intermediate_model(
     return _restore_units(pencil, band, result)
 
 
-def _definite_model(
+def _build_definite_model(
     pencil: Pencil, band: tuple[float, float], target: float, limit: float
 ) -> IntermediateModel | None:
-    """The model of a definite pencil or of a free body; None of all others.
+    """Build the model of a definite pencil or of a free body; return None for all others.
 
     With potentials, the search for rigid-body modes costs less than a factor of the stiffness, and
     comes first.
     """
     omega = 2 * np.pi * band[1]
-    body = free_body(pencil, omega) if isinstance(pencil.coefficients[0], Schur) else None
+    body = find_free_body(pencil, omega) if isinstance(pencil.coefficients[0], Schur) else None
     if body is None and not is_definite(pencil, undamped_too=True):
-        body = free_body(pencil, omega)
+        body = find_free_body(pencil, omega)
         if body is None:
             return None
     return definite_krylov_model(pencil, band, target, limit, body)

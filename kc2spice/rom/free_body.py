@@ -18,7 +18,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import Factor, factorise
 from kc2spice.rom.definite import has_definite_form
 from kc2spice.rom.pencil import Pencil, Schur, magnitudes
-from kc2spice.rom.rigid_body import RANDOM, driven_apart, energy_rounding
+from kc2spice.rom.rigid_body import RANDOM, energy_rounding, split_driven_modes
 from kc2spice.rom.rounding import FREE
 
 # The shift, relative to the square of the end of the band. The smaller it is, the more the Krylov
@@ -26,7 +26,9 @@ from kc2spice.rom.rounding import FREE
 SHIFT = 1e-6
 # The shift is at least so many times the rounding of K, and at most this share of the squared band.
 ABOVE_ROUNDING, LARGEST_SHIFT = 100.0, 1e-2
-STEPS = 3  # of inverse iteration; the error falls by the shift over the first squared frequency
+# Steps of inverse iteration, each of which reduces the error of a mode by the factor
+# shift / (shift + first squared frequency), and the product of these factors at which it ends.
+STEPS, CONVERGED = 12, 1e-14
 BLOCK, LARGEST_BLOCK = 8, 64  # vectors of inverse iteration: one body has six rigid-body modes
 
 
@@ -66,8 +68,8 @@ class FreeBody:
         The first columns of the basis ``V`` are :attr:`vectors`. Modes that no port drives are left
         out.
         """
-        rounding = tuple(self._rounding(forces, V) for forces in self._forces)
-        result = driven_apart(projected, self.modes.shape[1], rounding)
+        rounding = tuple(self._bound_rounding(forces, V) for forces in self._forces)
+        result = split_driven_modes(projected, self.modes.shape[1], rounding)
         return result.pencil, result.columns
 
     @cached_property
@@ -75,15 +77,15 @@ class FreeBody:
         """Sums of the sizes of all forces on :attr:`vectors`, for each matrix (n, r)."""
         return tuple(magnitudes(P) @ np.abs(self.vectors) for P in self.pencil.coefficients)
 
-    def _rounding(self, forces: np.ndarray, V: np.ndarray) -> np.ndarray:
-        """Bounds (k, k) of rounding errors of a projected matrix beside the rigid-body modes."""
+    def _bound_rounding(self, forces: np.ndarray, V: np.ndarray) -> np.ndarray:
+        """Bound the rounding errors (k, k) of a projected matrix beside the rigid-body modes."""
         bounds = np.zeros((V.shape[1],) * 2)
         side, count = FREE * np.finfo(float).eps * (np.abs(V).T @ forces), forces.shape[1]
         bounds[:, :count], bounds[:count] = side, side.T
         return bounds
 
 
-def free_body(pencil: Pencil, omega: float) -> FreeBody | None:
+def find_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
     """Return the rigid-body modes of a definite model that is free to move.
 
     ``omega`` [rad/s] is the end of the band. The result is None if the model has another form, is
@@ -91,14 +93,14 @@ def free_body(pencil: Pencil, omega: float) -> FreeBody | None:
     """
     if not has_definite_form(pencil, undamped_too=True):
         return None
-    shift = _shift(pencil, omega)
+    shift = _choose_shift(pencil, omega)
     if shift > LARGEST_SHIFT * omega**2:
         return None
     K, _, M = pencil.coefficients
     elastic = K.uu if isinstance(K, Schur) else K
     try:
         factor = factorise(scipy.sparse.csc_array(elastic + shift * M), definite=True)
-        modes = _rigid_body_modes(pencil, factor, shift)
+        modes = _find_rigid_body_modes(pencil, factor, shift)
         if not modes.shape[1]:
             return None
         if isinstance(K, Schur):
@@ -109,8 +111,8 @@ def free_body(pencil: Pencil, omega: float) -> FreeBody | None:
     return FreeBody(pencil, shift, factor, modes, M @ modes)
 
 
-def _shift(pencil: Pencil, omega: float) -> float:
-    """Shift of the stiffness [rad^2/s^2], well above the rounding errors of its entries."""
+def _choose_shift(pencil: Pencil, omega: float) -> float:
+    """Choose a shift [rad^2/s^2] well above the rounding errors of the stiffness."""
     K, _, M = pencil.coefficients
     stiff = (K.uu if isinstance(K, Schur) else K).diagonal()
     mass = M.diagonal()
@@ -119,8 +121,8 @@ def _shift(pencil: Pencil, omega: float) -> float:
     return max(SHIFT * omega**2, ABOVE_ROUNDING * np.finfo(float).eps * highest)
 
 
-def _rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.ndarray:
-    """Modes (n, r) without energy, orthonormal in the mass, by inverse iteration.
+def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.ndarray:
+    """Find modes (n, r) without energy, orthonormal in the mass, by inverse iteration.
 
     The ``factor`` is that of the shifted elastic stiffness. Modes that take no elastic force but
     change potentials have energy. No column is returned if the next mode is not above the shift.
@@ -129,20 +131,22 @@ def _rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.ndarra
     rng, count = np.random.default_rng(0), BLOCK
     while count <= min(LARGEST_BLOCK, pencil.size):
         X = rng.standard_normal((pencil.size, count))
-        for _ in range(STEPS):
+        for step in range(1, STEPS + 1):
             X = factor.solve(M @ X)
             values, turn = scipy.linalg.eigh(X.T @ (K @ X), X.T @ (M @ X))
             X = X @ turn
-        rigid = np.abs(values) <= np.diag(_energy_bound(pencil, X))
+            rigid = np.abs(values) <= np.diag(_bound_energy(pencil, X))
+            lowest = values[~rigid].min(initial=np.inf)
+            if shift < lowest < np.inf and (shift / (shift + lowest)) ** step < CONVERGED:
+                return np.asarray(X[:, rigid])
         if not rigid.all():
-            clear = values[~rigid].min() > shift
-            return np.asarray(X[:, rigid] if clear else X[:, :0])
+            break
         count *= 2
     return np.empty((pencil.size, 0))
 
 
-def _energy_bound(pencil: Pencil, V: np.ndarray) -> np.ndarray:
-    """Elastic energies (k, k) of motions V that rounding errors of the stiffness may cause."""
+def _bound_energy(pencil: Pencil, V: np.ndarray) -> np.ndarray:
+    """Bound the elastic energies (k, k) of motions V by rounding errors of the stiffness."""
     K = pencil.coefficients[0]
     bound = FREE * np.finfo(float).eps * (np.abs(V).T @ (magnitudes(K) @ np.abs(V)))
     if not isinstance(K, Schur):

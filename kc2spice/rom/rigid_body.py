@@ -65,7 +65,7 @@ def split_rigid_body(
     if symmetric(inertia) and _is_force_free(rest.T, X, rounding[0].T):
         others = scipy.linalg.null_space((inertia @ X).T)
         if others.shape[1] + free == pencil.size:
-            return _congruent_apart(pencil, X, others, rounding)
+            return _split_congruently(pencil, X, others, rounding)
     result, V = _project_obliquely(first_order(pencil, omega), omega)
     return (
         RigidBodySplit(result, V, True)
@@ -74,19 +74,21 @@ def split_rigid_body(
     )
 
 
-def driven_apart(pencil: Pencil, free: int, rounding: Rounding) -> RigidBodySplit:
-    """A projection whose first ``free`` unknowns are known rigid-body modes, with those that an
-    input drives exact and in front. ``rounding`` bounds the errors of the entries of each matrix.
+def split_driven_modes(pencil: Pencil, free: int, rounding: Rounding) -> RigidBodySplit:
+    """Make the known rigid-body modes of a projection exact and drop those that no input drives.
+
+    The modes are the first ``free`` unknowns. ``rounding`` bounds the errors of the entries of each
+    matrix.
     """
     X = np.eye(pencil.size)[:, :free]
     others = scipy.linalg.null_space((pencil.coefficients[-1] @ X).T)
-    return _congruent_apart(pencil, X, others, rounding)
+    return _split_congruently(pencil, X, others, rounding)
 
 
-def _congruent_apart(
+def _split_congruently(
     pencil: Pencil, X: np.ndarray, others: np.ndarray, rounding: Rounding
 ) -> RigidBodySplit:
-    """A pencil with the driven motions of X in front of ``others``, orthogonal in the inertia."""
+    """Project on the driven motions of X and on ``others``, orthogonal to X in the inertia."""
     X = _select_driven(pencil, X, rounding)
     V = np.hstack([X, others])
     result, projected = project_with_rigid_body(pencil, V, X.shape[1], rounding)
