@@ -161,7 +161,7 @@ def plot_comparison(
     yield Figure(f"{name}_differences", f"{title}: differences", caption, (panel,))
 
 
-def plot_responses(name: str, curves: Solutions) -> Iterator[Figure]:
+def plot_solutions(name: str, curves: Solutions) -> Iterator[Figure]:
     """Plot the response of each port of a body to a load on the same port."""
     last = list(curves.values())[-1]
     pairs = list(filter(_is_driving_point, last))[:PANELS]
