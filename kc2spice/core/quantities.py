@@ -288,6 +288,7 @@ MU_0 = 4e-7 * math.pi  # H/m
 
 BOLTZMANN = 1.380649e-23  # J/K, exact (SI, 2019)
 TEMPERATURE = 300.15  # K, of a simulation by default
+ELEMENTARY_CHARGE = 1.602176634e-19  # C, exact (SI, 2019)
 
 _PREFIX = {
     "f": -15, "p": -12, "n": -9, "u": -6, "µ": -6, "μ": -6, "m": -3, "c": -2,

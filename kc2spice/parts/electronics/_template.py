@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.magnets import EMTable
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Current, Section, Voltage
@@ -20,6 +21,13 @@ from kc2spice.netlist.circuit import Param, positive
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import self_contained
 from kc2spice.parts.control._pid_keys import Control
+from kc2spice.parts.electronics._driver_laws import (
+    OUTPUT,
+    STATIC_GAIN,
+    build_driver_equations,
+    make_parameters,
+)
+from kc2spice.physics.declaration import Declaration
 from kc2spice.scene.checks import Check
 from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import (
@@ -131,9 +139,9 @@ def opamp_subcircuit(
     """
     pins = [Terminal(pin, "V", "A") for pin in ("inp", "inn", "out", "vcc", "vee", "ref")]
     params = (
-        positive("a0", 1e7, "-", "gain at rest"),
+        positive("a0", STATIC_GAIN, "-", "gain at rest"),
         positive("gbw", BANDWIDTH, "Hz", "gain-bandwidth product"),
-        positive("rout", 0.1, "Ohm", "output resistance"),
+        positive("rout", OUTPUT, "Ohm", "output resistance"),
         Param("offset", 0.0, "V", "input offset"),
     )
     title, rating = "operational amplifier", "its output stays between vee and vcc"
@@ -153,7 +161,6 @@ def opamp_subcircuit(
 
 
 SLACK = 1e-3  # margin over span or current: rails sag by millivolts, saved points have reltol
-OUTPUT = 0.1  # Ohm, of the amplifier in it
 LOADED = "its load drives it beyond its rails, where diodes of a real output would conduct"
 
 
@@ -184,9 +191,11 @@ def ends(*terminals: str) -> tuple[Terminal, ...]:
 
 
 class Driver(TemplatePart[KeysT]):
-    """From ``command`` to its terminals; the last resistor of its netlist is ``Rout``."""
+    """From ``command`` to its terminals; the last resistor of its netlist is ``Rout``, which begins
+    at ``inner_node``."""
 
     opamp: ClassVar[Level | None] = "slew"
+    inner_node: ClassVar[str] = "drive"
     terminals: tuple[str, ...] = ("out",)
     fixed = ends("out")
     validity = "27 C, or what .options temp says of transistors; nothing heats up, ages or breaks"
@@ -194,6 +203,17 @@ class Driver(TemplatePart[KeysT]):
         "voltage and current stay within its parameters; compare rms current and power with the "
         "data sheet of your devices"
     )
+
+    def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration | None:
+        """Declare the circuit of its netlist with these parameters; None if that is impossible."""
+        return None
+
+    def law(self, part: Part[KeysT], build: Build) -> laws.Equations | None:
+        params, values = self.design(part, build)
+        declared = self.declare_circuit((*params, *make_parameters(values)))
+        if declared is None or build.noisy or build.net(part, "ref") != "0":
+            return None
+        return build_driver_equations(part.name, declared, self.inner_node, self.terminals)
 
     def library(self, part: Part[KeysT], scene: Scene) -> str:
         return self.template.removeprefix("driver_") if len(scene.of(self.name)) == 1 else part.name

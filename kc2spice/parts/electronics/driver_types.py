@@ -21,6 +21,12 @@ from kc2spice.core.quantities import (
 )
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.parts.control.pid import SENSE
+from kc2spice.parts.electronics._driver_laws import (
+    declare_amplifier,
+    declare_charge_drive,
+    declare_half_bridge,
+    declare_linear_drive,
+)
 from kc2spice.parts.electronics._template import (
     CoilDriver,
     Driver,
@@ -29,6 +35,7 @@ from kc2spice.parts.electronics._template import (
     ends,
     parameters,
 )
+from kc2spice.physics.declaration import Declaration
 from kc2spice.scene.model import (
     DeclaredScene,
     Part,
@@ -54,6 +61,9 @@ class Amplifier(Driver[AmplifierKeys]):
     template, heading = "driver_amplifier", "high-voltage amplifier for the chip"
     noise = ("R", "Rout")
     constants: ClassVar = {"sink": -10}  # V, the lower rail
+
+    def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
+        return declare_amplifier(parameters, self.constants["sink"])
 
     def rails(self, part: Part[AmplifierKeys]) -> tuple[float, float]:
         return self.constants["sink"], part.keys.rail
@@ -81,6 +91,9 @@ class ChargeDrive(Driver[ChargeKeys]):
     template, heading = "driver_charge", "charge drive for the chip"
     noise = ("Rout", "Rsense", "Rchip")
     terminals, fixed = ("anode", "cathode"), ends("anode", "cathode")
+
+    def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
+        return declare_charge_drive(parameters)
 
     def rails(self, part: Part[ChargeKeys]) -> tuple[float, float]:
         return -part.keys.rail, part.keys.rail
@@ -112,6 +125,10 @@ class HalfBridge(Driver[HalfBridgeKeys]):
     template, heading = "driver_half_bridge", "half-bridge for the chip"
     noise = ("Rout", "Rsupply", "Rhigh", "Rlow")
     opamp = None
+    inner_node = "bridge"
+
+    def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
+        return declare_half_bridge(parameters)
 
     def rails(self, part: Part[HalfBridgeKeys]) -> tuple[float, float]:
         return 0.0, part.keys.rail
@@ -131,6 +148,10 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
     template, heading = "driver_linear", "current source for the coils"
     noise = ("R", "Rout", "Rsense")
     constants: ClassVar = {"sense": SENSE}
+    inner_node = "power"
+
+    def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
+        return declare_linear_drive(parameters, self.constants["sense"])
 
     def rails(self, part: Part[LinearDriverKeys]) -> tuple[float, float]:
         return -part.keys.rail, part.keys.rail

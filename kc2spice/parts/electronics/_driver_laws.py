@@ -1,0 +1,194 @@
+"""Equations of the drivers' circuits, for the independent integrator.
+
+Every function states the circuit of a template ``templates/driver_….j2`` by its nodes: resistors by
+their content, capacitors by their coenergy, controlled sources by the current that they deliver.
+Nodes inside of a driver are pins that nothing else joins. Noise has no law here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+from kc2spice.core import laws
+from kc2spice.core.quantities import BOLTZMANN, ELEMENTARY_CHARGE, TEMPERATURE, Section
+from kc2spice.netlist.circuit import Param
+from kc2spice.physics.declaration import Branch, Declaration, measured, voltage
+from kc2spice.physics.law import DeclaredLaw
+
+OUTPUT = 0.1  # Ohm, output resistance of an operational amplifier
+STATIC_GAIN = 1e7  # of an operational amplifier
+RAIL_STIFFNESS = 1e3  # 1/V, rate beyond a rail relative to the slew rate
+TURN = repr(2 * math.pi)
+SERIES = "series_resistance"  # Ohm, of the last resistor of each circuit, ``Rout``
+GATE, THRESHOLD = 12.0, 3.0  # V, supply of the gates; threshold voltage of the transistors
+SATURATION = 1e-14  # A, of the diodes between source and drain
+THERMAL_VOLTAGE = BOLTZMANN * TEMPERATURE / ELEMENTARY_CHARGE  # V, at 27 C
+
+
+def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
+    """Declare the amplifier of gain 20 between ``rail`` and ``sink`` [V].
+
+    The command's divider and the feedback's both divide by 20; the feedback is 20 kOhm from
+    ``drive`` to ``ref``.
+    """
+    return Declaration(
+        "amplifier",
+        "high-voltage amplifier",
+        Section,
+        (*_declare_nodes("out", "drive"), measured(voltage("command", "command", "ref"))),
+        content=f"0.5*(drive - out)^2/{SERIES} + 0.5*drive^2/20000 - drive*delivered",
+        signals={"delivered": _write_output_current("drive")},
+        states={
+            "compensation": _write_compensation_rate("(command - v_drive)/20", str(sink), "rail")
+        },
+        given=tuple(parameters),
+        constants={SERIES: "resistance", "unity": f"{TURN}*20*bandwidth"},
+    )
+
+
+def declare_charge_drive(parameters: Iterable[Param]) -> Declaration:
+    """Declare the charge drive, whose amplifier holds the voltage of ``cathode``.
+
+    The leaks of chip and sense capacitor are as many siemens as the capacitors are farads.
+    """
+    product = "bandwidth*(sense + capacitance)/capacitance"
+    return Declaration(
+        "charge_drive",
+        "charge drive",
+        Section,
+        (
+            *_declare_nodes("anode", "cathode", "drive"),
+            measured(voltage("command", "command", "ref")),
+        ),
+        coenergy="0.5*sense*cathode^2",
+        content=f"0.5*(drive - anode)^2/{SERIES} - drive*delivered"
+        " + 0.5*sense*cathode^2 + 0.5*capacitance*(anode - cathode)^2",
+        signals={
+            "delivered": _write_output_current("drive"),
+            "target": "command*capacitance/sense",
+        },
+        states={"compensation": _write_compensation_rate("target - v_cathode", "-rail", "rail")},
+        given=tuple(parameters),
+        constants={SERIES: "resistance", "unity": f"{TURN}*{product}"},
+    )
+
+
+def declare_linear_drive(parameters: Iterable[Param], sense: float) -> Declaration:
+    """Declare the current source, with ``sense`` [Ohm] from ``ret`` to ``ref``.
+
+    R1 = 1 kOhm from ``ret`` to ``inverting``, R2 = ``ratio`` R1 from there to ``middle``, and a
+    capacitor from ``middle`` to ``drive`` whose time constant with R2 is ``constant``.
+    """
+    return Declaration(
+        "linear_drive",
+        "current source",
+        Section,
+        (
+            *_declare_nodes("drive", "ret", "power", "inverting", "middle"),
+            measured(voltage("command", "command", "ref")),
+        ),
+        coenergy="0.5*constant/(1000*ratio)*(middle - drive)^2",
+        content=f"0.5*(power - drive)^2/{SERIES} - power*delivered + 0.5*ret^2/{sense!r}"
+        " + 0.5*(ret - inverting)^2/1000 + 0.5*(inverting - middle)^2/(1000*ratio)",
+        signals={"delivered": _write_output_current("power")},
+        states={"compensation": _write_compensation_rate("command - v_inverting", "-rail", "rail")},
+        given=tuple(parameters),
+        constants={SERIES: "1", "unity": f"{TURN}*gbw"},
+    )
+
+
+def declare_half_bridge(parameters: Iterable[Param]) -> Declaration:
+    """Declare the half-bridge with both transistors, their gates and the reservoir ``tank``.
+
+    A transistor of level 1 conducts from drain to source, with the voltages v_gs and v_gd between
+    gate and source or drain::
+
+        i = kp/2 (max(0, v_gs - THRESHOLD)^2 - max(0, v_gd - THRESHOLD)^2)
+            - SATURATION (exp(v_sd / THERMAL_VOLTAGE) - 1)
+    """
+    supplies = "0.5*(tank - rail)^2/supply_resistance + 0.5*bridge^2/leakage"
+    output = f"0.5*(bridge - out)^2/{SERIES}"
+    gates = (
+        "0.5*(high - bridge - gate_high)^2/gate_resistance + 0.5*(low - gate_low)^2/gate_resistance"
+    )
+    transistors = "(tank - bridge)*current_high + bridge*current_low"
+    return Declaration(
+        "half_bridge",
+        "half-bridge",
+        Section,
+        (
+            *_declare_nodes("out", "bridge", "tank", "high", "low"),
+            measured(voltage("command", "command", "ref")),
+        ),
+        coenergy="0.5*reservoir*tank^2 + 0.5*1e-10*bridge^2"
+        " + 0.5*5e-10*(high - bridge)^2 + 0.5*2e-11*(tank - high)^2"
+        " + 0.5*5e-10*low^2 + 0.5*2e-11*(bridge - low)^2",
+        content=f"{supplies} + {output} + {gates} + {transistors}",
+        signals={
+            "asked": "2*command/rail - 1",
+            "gate_high": f"{GATE!r}*(max(0, asked) - max(0, asked - 1))",
+            "gate_low": f"{GATE!r}*(max(0, -asked) - max(0, -asked - 1))",
+            "current_high": _write_transistor_current("v_high", "v_tank", "v_bridge"),
+            "current_low": _write_transistor_current("v_low", "v_bridge", "0"),
+        },
+        given=tuple(parameters),
+        constants={SERIES: "resistance", "kp": f"2*current_limit/({GATE - THRESHOLD!r})^2"},
+    )
+
+
+def _write_transistor_current(gate: str, drain: str, source: str) -> str:
+    """Return the current [A] of a transistor from ``drain`` to ``source``."""
+    ends = (f"max(0, {gate} - {end} - {THRESHOLD!r})^2" for end in (source, drain))
+    diode = f"{SATURATION!r}*(exp(({source} - {drain})/{THERMAL_VOLTAGE!r}) - 1)"
+    return f"0.5*kp*({' - '.join(ends)}) - {diode}"
+
+
+def _declare_nodes(*names: str) -> tuple[Branch, ...]:
+    """Return the voltage of each node to ``ref``, and as ``v_NAME`` without a current."""
+    acting = (voltage(name, name, "ref", f"i_{name}") for name in names)
+    return (*acting, *(measured(voltage(f"v_{name}", name, "ref")) for name in names))
+
+
+def _write_output_current(node: str) -> str:
+    """Return the limited current [A] that an operational amplifier delivers to a node."""
+    return f"current_limit*clip((compensation - v_{node})/({OUTPUT!r}*current_limit))"
+
+
+def _write_compensation_rate(difference: str, low: str, high: str) -> str:
+    """Return the rate [V/s] of an amplifier's voltage before its output resistance.
+
+    ``difference`` [V] is that of the inputs, ``low`` and ``high`` are the rails. With the angular
+    frequency ``unity`` of unit gain::
+
+        rate = clip(unity difference, +-slew) - unity c / STATIC_GAIN
+               - RAIL_STIFFNESS slew (max(0, c - high) - max(0, low - c))
+    """
+    beyond = f"max(0, compensation - ({high})) - max(0, {low} - compensation)"
+    return (
+        f"slew*clip(unity*({difference})/slew) - unity*compensation/{STATIC_GAIN!r}"
+        f" - {RAIL_STIFFNESS!r}*slew*({beyond})"
+    )
+
+
+def build_driver_equations(
+    name: str, declared: Declaration, inner_node: str, terminals: Iterable[str]
+) -> laws.Equations:
+    """Build the equations of the driver ``name``, whose last resistor begins at ``inner_node``.
+
+    Results are the voltages of ``command`` and ``terminals``. The current ``NAME.i`` flows
+    through the resistor to the first terminal.
+    """
+    values, pins = declared.values(Section()), ("command", *terminals)
+    results = {f"{name}.{pin}": laws.reading(f"{name}.{pin}") for pin in pins}
+    conductance = 1.0 / values[SERIES]
+    ends = ((conductance, f"{name}.{inner_node}"), (-conductance, f"{name}.{pins[1]}"))
+    results[f"{name}.i"] = laws.Reading(ends)
+    law = DeclaredLaw(name, declared, tuple(values.values()))
+    joined = tuple((pin, f"{name}.{pin}") for pin in (*pins, "ref"))
+    return laws.Equations((law,), joined, results)
+
+
+def make_parameters(values: Mapping[str, float]) -> tuple[Param, ...]:
+    """Return numbers of a template as parameters of a declaration."""
+    return tuple(Param(name, value, "-", "") for name, value in values.items())
