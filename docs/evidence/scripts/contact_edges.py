@@ -11,7 +11,7 @@ import kc2spice as kc
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.library import Header
 from kc2spice.parts.mechanics.sphere import SphereKeys, rigid_sphere
-from kc2spice.physics.contact import Normal, contact
+from kc2spice.physics.contact import Normal, declare_contact
 from kc2spice.physics.part import declared_subcircuit
 
 MASS, STIFFNESS, GRAVITY = SphereKeys().mass, 4e8, 9.81  # kg, N/m, m/s2
@@ -21,7 +21,8 @@ HEADER = Header("bounces", "0")
 SPHERE = declared_subcircuit(
     HEADER, "sphere", rigid_sphere(MASS, 1e-3, GRAVITY, -SPEED, HEIGHT), {}
 )
-CONTACT = declared_subcircuit(HEADER, "contact", contact(("ring0",), (0.0,), Normal(STIFFNESS)), {})
+LAW = declare_contact(("ring0",), (0.0,), Normal(STIFFNESS))
+CONTACT = declared_subcircuit(HEADER, "contact", LAW, {})
 LAWS = {
     "max(0, depth)": f"Bcontact 0 v I={1e-6 * STIFFNESS}*max(0, -V(bottom))",
     "contact.lib": "Vplane ring0 0 0\nXcontact ring0 v bottom 0 contact",
