@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,15 +29,22 @@ BUDGET_SHARE = 0.03  # share of a larger error_budget, a tenth of that of time s
 
 
 def verdict(waves: Waveforms, build: Build) -> Verdict:
-    """The checks that apply to the parts of a scene, without those that it turns off.
+    """Return the checks that apply to the parts of a scene, without those that it turns off.
 
-    A larger error_budget loosens all energy balances alike.
+    A larger error_budget raises the limits of all energy balances by the same factor.
     """
     scene = build.scene
-    parts = [part for name, part in scene.parts.items() if name not in build.unjudged]
-    rows = [(part.name, row) for part in parts for row in part.type.checks(part, build, waves)]
-    checks = [row for _, row in rows if isinstance(row, Check)]
-    balances = {name: row for name, row in rows if isinstance(row, Balance)}
+    checks: list[Check] = []
+    balances: dict[str, Balance] = {}
+    gates: list[tuple[str, Gate]] = []
+    for name, part in scene.parts.items():
+        for row in part.type.checks(part, build, waves) if name not in build.unjudged else ():
+            if isinstance(row, Check):
+                checks.append(row)
+            elif isinstance(row, Balance):
+                balances[name] = row
+            else:
+                gates.append((name, row))
     checks += noise_analysis.checks(waves) if build.noisy else step_checks(build, waves, balances)
     if scene.checks.energy == "off":
         balances = {}
@@ -53,9 +61,8 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
         )
         for name, result in balances.items()
     ]
-    checks = list(with_undecided(checks))
-    gates = tuple((name, row) for name, row in rows if isinstance(row, Gate))
-    return Verdict(tuple(c for c in checks if c.action != "off"), tuple(balances.items()), gates)
+    active = tuple(check for check in with_undecided(checks) if check.action != "off")
+    return Verdict(active, tuple(balances.items()), tuple(gates))
 
 
 def with_undecided(checks: Sequence[Check]) -> Iterator[Check]:
@@ -110,17 +117,16 @@ def _plain(rows: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]:
-    """Records of metrics by name."""
+    """Return records of metrics by name."""
     scene, result = build.scene, dict[str, Mapping[str, Any]]()
     for part in scene.parts.values():
         with suppress(*([KeyError] if partial else [])):
             result[part.name] = part.type.metrics(part, build, waves)
-    count = Counter(name for item in result.values() for name in item)
-    records = {
-        name if count[name] == 1 else f"{part}.{name}": value
-        for part, item in result.items()
-        for name, value in item.items()
-    }
+    count = Counter(chain.from_iterable(result.values()))
+    records: dict[str, Any] = {}
+    for part_name, item in result.items():
+        for name, value in item.items():
+            records[name if count[name] == 1 else f"{part_name}.{name}"] = value
     records |= noise_analysis.noise_metrics(waves, build) if NOISE_WAVE in waves else {}
     units = collect_units(build) if scene.probes else {}
     probed: dict[str, Any] = {}

@@ -59,9 +59,11 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
         warnings.warn(message, stacklevel=2)
         return OperatingPoint()
     values = {name: float(point[name][-1]) for name in deck_at_rest.units if name in point}
-    rows = (p.type.standing(p, build, point) for p in scene.parts.values())
-    checks = tuple(check for row in rows for check in row)
-    return OperatingPoint(values, {name: deck_at_rest.units[name] for name in values}, checks)
+    checks: list[Check] = []
+    for part in scene.parts.values():
+        checks += part.type.standing(part, build, point)
+    units = {name: deck_at_rest.units[name] for name in values}
+    return OperatingPoint(values, units, tuple(checks))
 
 
 def is_linear(build: Build) -> bool:
