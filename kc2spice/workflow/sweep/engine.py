@@ -295,7 +295,7 @@ def columns(
     A point without a number has None there.
     """
     rows = sorted(outcomes.items())
-    names = metrics or dict.fromkeys(name for _, item in rows for name in item.metrics)
+    names = metrics or dict.fromkeys(chain.from_iterable(item.metrics for _, item in rows))
     table: dict[str, list[Any]] = {name: [] for name in (*plan.keys, *names, "status")}
     for point, outcome in rows:
         numbers = {**outcome.facts, **outcome.metrics}
@@ -526,7 +526,7 @@ def outcomes(
         first good point has nothing for a column.
     MissingToolError : no workers, or no ngspice where they are.
     """
-    ends = [pair for values in definition.plan.ends() for pair in subcircuit_parameters(values)]
+    ends = chain.from_iterable(map(subcircuit_parameters, definition.plan.ends()))
     if changed := [*definition.job.parameters, *ends]:
         _, deck = build_point(definition.job, definition.plan.values(0))
         with_parameters(deck, changed)
@@ -641,15 +641,14 @@ def run_sweep(
     """
     start = begin = time.monotonic()
     with closing(_open_rows(definition, out, table_format)) as rows:
-        done = {
-            index
-            for index, outcome in rows.outcomes.items()
-            if not outcome.interrupted and (outcome.failure is None or not retry_failed)
-        }
+        done = set()
+        for index, outcome in rows.outcomes.items():
+            if not outcome.interrupted and (outcome.failure is None or not retry_failed):
+                done.add(index)
         good = (item for item in rows.outcomes.values() if item.failure is None)
         for outcome in islice(good, 1):
             require_columns(outcome, definition.metrics, definition.scene.name)
-        missing = [index for index in range(definition.plan.size) if index not in done]
+        missing = sorted(set(range(definition.plan.size)) - done)
         for count, (index, outcome) in enumerate(outcomes(definition, missing, workers), 1):
             rows.record(index, outcome)
             begin = time.monotonic() if count == 1 else begin
@@ -703,7 +702,9 @@ def _publish(definition: Sweep, rows: RowStore, out: Path, table_format: str) ->
     plan = definition.describe()
     with staged(out) as work:
         WRITERS[table_format](table, work / name)
-        units = {k: v for item in rows.outcomes.values() for k, v in item.units.items()}
+        units: dict[str, str] = {}
+        for item in rows.outcomes.values():
+            units |= item.units
         write_sweep(
             work / PAGE,
             definition.scene,
