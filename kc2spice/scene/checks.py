@@ -125,7 +125,7 @@ def require(checks: tuple[Check, ...], where: str) -> None:
             )
 
 
-def stepping(solver: Solver) -> float:
+def motion_gate(solver: Solver) -> float:
     """Return the relative gate of motion between ngspice and the equations.
 
     At the usual tolerances, errors are 1e-5 to 3e-5. They fall as ``(reltol chgtol)^0.55``.

@@ -18,7 +18,7 @@ from kc2spice.core.domains import ELECTRICAL, Domain
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 from kc2spice.scene.frames import find_frames
 from kc2spice.scene.model import GROUND, Build, BuildRecord, Names, Part, Scene, Terminal
-from kc2spice.scene.parttype import current_into
+from kc2spice.scene.parttype import find_current_into
 from kc2spice.scene.rows import Rest
 
 Pin = tuple[str, str]
@@ -260,7 +260,7 @@ def _is_result(body: Part, pin: str, scene: Scene) -> bool:
         part = scene.parts[name]
         if not part.reduced:
             records[name] = BuildRecord(Rest(), part.type.vectors(part, build))
-    return current_into(body, pin, replace(build, records=records)) is not None
+    return find_current_into(body, pin, replace(build, records=records)) is not None
 
 
 def _require_joined(scene: Scene, alone: Collection[Pin]) -> None:

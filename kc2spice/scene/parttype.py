@@ -26,7 +26,7 @@ PACKAGE = "kc2spice.parts"
 TABLE = "_types"  # ends the name of a module with several types
 
 
-def current_into(part: Part, pin: str, build: Build) -> Vector | None:
+def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
     """Return the current into a pin, if it is a result of the only other part there.
 
     A source with further loads has the sum of their currents as its result.
@@ -43,7 +43,7 @@ def current_into(part: Part, pin: str, build: Build) -> Vector | None:
     return Vector(row.expression, sign * row.factor, row.unit)
 
 
-def pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str], np.ndarray]:
+def compute_pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str], np.ndarray]:
     """Return the forces [N] over time that parts exert at their pins."""
 
     def compute() -> tuple[Build, Waveforms, dict[tuple[str, str], np.ndarray]]:

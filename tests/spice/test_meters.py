@@ -8,7 +8,7 @@ import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import find_flows
-from kc2spice.scene.parttype import pin_forces
+from kc2spice.scene.parttype import compute_pin_forces
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.simulate import simulate_deck
 
@@ -135,7 +135,7 @@ def test_what_leaves_parts_at_a_net_is_nothing_together(tmp_path):
     build = models(scene)
     waves = simulate_deck(build, make_deck(build), tmp_path).waves
     at_mass = [("mass", "a"), *scene.joined("mass", "a")]
-    acting = pin_forces(build, waves)
+    acting = compute_pin_forces(build, waves)
     forces = [acting[end] for end in at_mass]
     assert len(forces) == 5
     assert forces[1].max() == pytest.approx(0.1, rel=1e-3)  # the source pushes upwards

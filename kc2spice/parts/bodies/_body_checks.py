@@ -30,7 +30,7 @@ from kc2spice.rom.modal import chip_response, resonators
 from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build, Part
-from kc2spice.scene.parttype import pin_forces
+from kc2spice.scene.parttype import compute_pin_forces
 from kc2spice.synthesis.realize import COARSE
 
 BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
@@ -226,7 +226,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         whose force is not recorded are left out.
         """
         ports, result = self.used_ports(part, build.scene), dict[str, np.ndarray]()
-        still, acting = np.zeros(waves["time"].size), pin_forces(build, waves)
+        still, acting = np.zeros(waves["time"].size), compute_pin_forces(build, waves)
         for port in ports:
             name = wave_name(part.name, ports, port)
             if not port.loaded:

@@ -24,7 +24,7 @@ from kc2spice.scene.model import (
     Part,
     Scene,
 )
-from kc2spice.scene.parttype import current_into
+from kc2spice.scene.parttype import find_current_into
 from kc2spice.scene.rows import Vector
 from kc2spice.synthesis.heat import is_heat
 from kc2spice.synthesis.realize import (
@@ -92,13 +92,13 @@ class BodyNetlist(BodyModel[LinearKeysT]):
                 across = voltage_between(build.net(part, plus), build.net(part, minus))
                 if across:
                     result[f"{name}.voltage"] = Vector(across, 1.0, "V")
-                if (meter := current_into(part, port.terminals[0], build)) is not None:
+                if (meter := find_current_into(part, port.terminals[0], build)) is not None:
                     result[f"{name}.current"] = meter
             elif node != "0":
                 known = None if port.domain is None else port.domain.across
                 factor, unit = (known.factor, known.unit) if known else (1.0, port.across)
                 result[name] = Vector(f"v({node})", factor, unit)
-                flow = current_into(part, port.terminals[0], build) if port.charged else None
+                flow = find_current_into(part, port.terminals[0], build) if port.charged else None
                 if flow is not None:
                     result[flow_name(part.name, ports, port)] = flow
         return result

@@ -27,7 +27,7 @@ from kc2spice.physics.cards import force_node
 from kc2spice.physics.contact import SPACED, Normal, declare_contact
 from kc2spice.physics.part import make_pins
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.scene.checks import PAIRS, Balance, Check, Gate, Metric, stepping
+from kc2spice.scene.checks import PAIRS, Balance, Check, Gate, Metric, motion_gate
 from kc2spice.scene.model import (
     GROUND,
     Build,
@@ -166,7 +166,7 @@ class Contact(DeclaredPart[ContactKeys]):
     ) -> Iterator[Check | Balance | Gate]:
         pair, gates = pair_of(part, build.scene), build.scene.gates
         if "time" in waves and not pair.starts_moving:
-            steps = stepping(build.scene.solver)
+            steps = motion_gate(build.scene.solver)
             certificate = getattr(build.models.get(pair.a.part), "certificate", None)
             reduced = BEYOND
             if certificate:

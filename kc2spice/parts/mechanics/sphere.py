@@ -23,7 +23,7 @@ from kc2spice.parts.mechanics._touching import Surface, Touching, pair_of
 from kc2spice.parts.mechanics.mass import point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import make_pins
-from kc2spice.scene.checks import Balance, Gate, Metric, stepping
+from kc2spice.scene.checks import Balance, Gate, Metric, motion_gate
 from kc2spice.scene.model import (
     GROUND,
     Build,
@@ -35,7 +35,7 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.parttype import pin_forces, register
+from kc2spice.scene.parttype import compute_pin_forces, register
 from kc2spice.scene.plausible import check_range
 from kc2spice.scene.rows import Neglected, Rest, State, Vector
 from kc2spice.scene.settings import Probe
@@ -248,14 +248,14 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
             return
         scene, words, of = build.scene, f"height of {part.name}", f"{part.name}.y"
         if part.name not in scene.initial_states:
-            limit, default = scene.gates.trajectory, {"ngspice_vs_rom": stepping(scene.solver)}
+            limit, default = scene.gates.trajectory, {"ngspice_vs_rom": motion_gate(scene.solver)}
             if limit is None:
                 yield Gate(f"{words} over its way", of, default, "travel")
             else:
                 yield Gate(words, of, {"ngspice_vs_rom": limit}, "absolute", "m")
         t, v, mass = waves["time"], waves[f"{part.name}.v"], part.keys.mass
         forces = {"weight": np.full_like(t, -mass * build.scene.gravity)}
-        acting = pin_forces(build, waves)
+        acting = compute_pin_forces(build, waves)
         for name, pin in scene.joined(part.name, "v"):
             if (name, pin) not in acting:
                 return
