@@ -102,7 +102,7 @@ class Element(Card):
         """Return the behavioural source of a current I or a voltage V by an expression."""
         return cls("b", name, (plus, minus), quantity=quantity, expression=law)
 
-    def valued(self, unit: str) -> Element:
+    def with_unit(self, unit: str) -> Element:
         """Return the same element with values in this unit."""
         return replace(self, unit=unit)
 

@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 from kc2spice.core.domains import Power, units_stated
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Circuit, Directive, Element, Item, items_of
-from kc2spice.netlist.elements import Line, noted
+from kc2spice.netlist.elements import Line, attach_comments
 from kc2spice.netlist.expression import literal, terms
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.printers.ngspice import Printer, located
+from kc2spice.netlist.printers.ngspice import Printer, locate_cards
 from kc2spice.netlist.read import OPTION_CARDS, read
 from kc2spice.netlist.scope import Scope
 from kc2spice.netlist.scope import circuit as scoped
-from kc2spice.netlist.spelling import comment, number, tidy
+from kc2spice.netlist.spelling import comment, number, write_rounded
 
 ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".noise"))
 
@@ -108,7 +108,7 @@ class PowerTerm(NamedTuple):
 def transient(stop: float, max_step: float, *, uic: bool) -> Command:
     """Return ``.tran`` to ``stop`` [s] in steps of ``max_step`` [s] at most."""
     step = min(max_step, stop / 1000)
-    words = (tidy(step), number(stop), "0", tidy(max_step))
+    words = (write_rounded(step), number(stop), "0", write_rounded(max_step))
     return Command("tran", (*words, "uic") if uic else words)
 
 
@@ -248,7 +248,7 @@ class Deck:
     def located(self) -> Mapping[str, Circuit]:
         """The trees with the place of each card in the files that are written, for errors."""
         libraries = dict(map(attrgetter("filename", "located"), self.parts))
-        main = located(self.circuit, self.main) if self.text is None else self.circuit
+        main = locate_cards(self.circuit, self.main) if self.text is None else self.circuit
         return {**self.trees, **libraries, self.main: main}
 
     @cached_property
@@ -289,7 +289,7 @@ class Deck:
         """
         if self.text is not None:
             return self.circuit
-        return Circuit(items=noted(self._lines(usage)))
+        return Circuit(items=attach_comments(self._lines(usage)))
 
     def _lines(self, usage: Iterable[str]) -> Iterator[Line]:
         yield f"* {comment(self.title)}"
@@ -378,7 +378,7 @@ class Deck:
                     result = value  # the last one counts
         return result
 
-    def saving(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
+    def with_results(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
         """Return the same deck with further results."""
         result = replace(self, vectors={**self.vectors, **vectors})
         if self.text is None or ".save" not in map(_keyword, self._read.items):
@@ -404,7 +404,7 @@ class Deck:
         step = literal(words[3], where=self.main)
         if step is None:
             return self
-        words[3] = tidy(factor * step)
+        words[3] = write_rounded(factor * step)
         return replace(self, command=Command("tran", tuple(words)))
 
 

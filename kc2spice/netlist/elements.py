@@ -18,7 +18,7 @@ _TICK = (
 )
 
 
-def noted(lines: Iterable[Line]) -> tuple[Item, ...]:
+def attach_comments(lines: Iterable[Line]) -> tuple[Item, ...]:
     """Return the cards among the lines, each with the comments that stand above it."""
     result: list[Item] = []
     notes: list[str] = []
@@ -32,7 +32,7 @@ def noted(lines: Iterable[Line]) -> tuple[Item, ...]:
     return tuple(result)
 
 
-def titled(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item, ...]:
+def add_title(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item, ...]:
     """Return the cards of an ``owner`` below a blank line and a title.
 
     The title states the units of values that are not V, A, Ohm, F or H.
@@ -44,7 +44,7 @@ def titled(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item, ..
     return (replace(first, notes=notes), *others)
 
 
-def pivots(base: str) -> Iterator[Line]:
+def pivot_cards(base: str) -> Iterator[Line]:
     """Yield cards that make ngspice choose its pivots in a short first step.
 
     ngspice chooses pivots at its first step. Pivots of a long step lose digits in the picoseconds

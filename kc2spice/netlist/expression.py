@@ -144,7 +144,7 @@ def probed_names(tree: Tree, kind: str) -> frozenset[str]:
     return frozenset(result)
 
 
-def rebuilt(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
+def change_operands(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
     """Return ``tree`` with its direct operands changed."""
     if isinstance(tree, Call):
         return Call(tree.function, tuple(map(change, tree.arguments)))
@@ -202,7 +202,7 @@ def substitute(tree: Tree, values: Mapping[str, Tree]) -> Tree:
     """Return ``tree`` with trees in place of names."""
     if isinstance(tree, Name):
         return values.get(tree.text, tree)
-    return rebuilt(tree, lambda node: substitute(node, values))
+    return change_operands(tree, lambda node: substitute(node, values))
 
 
 class Writer:
@@ -370,7 +370,7 @@ class Trace:
         return f"{self.quantity}({','.join(self.names) if self.quantity == 'v' else device})"
 
 
-def vector(text: str) -> Trace | None:
+def parse_vector(text: str) -> Trace | None:
     """Return the vector that a text names, None if it names none.
 
     It may be ``v(node)``, ``v(a,b)``, a bare node, ``i(source)`` or ``@device[parameter]``.

@@ -35,9 +35,9 @@ from kc2spice.netlist.expression import (
     Tree,
     Unary,
     Writer,
+    change_operands,
     literal,
     parse,
-    rebuilt,
 )
 
 # Series resistance [Ohm] of an inductor that states none and is not coupled (LTspice help, L).
@@ -419,7 +419,7 @@ class _Translator:
 
     def tree(self, tree: Tree) -> Tree:
         """The tree for ngspice, whatever it contains first."""
-        tree = rebuilt(tree, self.tree)
+        tree = change_operands(tree, self.tree)
         match tree:
             case Call(function, arguments):
                 return self._call(function, arguments)

@@ -218,7 +218,7 @@ _FUNCTION = re.compile(r"(?i)\.(?:func|param|params|csparam)\s+(\w+)\s*\(")
 _PARTS = "a file of subcircuits with their models, parameters and functions"
 
 
-def refuse(cards: Iterable[Statement], *, part: bool) -> None:
+def check_deck_effects(cards: Iterable[Statement], *, part: bool) -> None:
     """Check that a part defines subcircuits only, and that a deck keeps its parts.
 
     Raises
@@ -241,7 +241,7 @@ def refuse(cards: Iterable[Statement], *, part: bool) -> None:
 
 def _deck_effects(card: Statement, outside: bool, part: bool) -> Iterator[tuple[str, str, str]]:
     """Yield an effect of a card on the deck, the expected card, and the remedy."""
-    key, options = card.keyword, accuracy((card,))
+    key, options = card.keyword, accuracy_options((card,))
     if part and key in ANALYSES | _OUTPUTS:
         what = "asks for an analysis" if key in ANALYSES else "asks for an output"
         yield f"{what} of its own", _PARTS, "drop this line: the scene has analysis and results"
@@ -271,7 +271,7 @@ def _deck_effects(card: Statement, outside: bool, part: bool) -> Iterator[tuple[
         yield "defines a built-in name for the whole deck", "a name of its own", hint
 
 
-def accuracy(cards: Iterable[Statement]) -> Mapping[str, str]:
+def accuracy_options(cards: Iterable[Statement]) -> Mapping[str, str]:
     """Return the values of options that change results; ``""`` of a flag.
 
     The last value of an option counts.
@@ -321,7 +321,7 @@ _COMMAND_COMMENT = re.compile(r"(?i)^\s*\*(#|ng_script)")
 _PROGRAMS = re.compile(r"(?i)\b(d_process|d_cosim|filesource|d_source|d_state|table[23]d)\b")
 
 
-def checked(path: Path, *, trust: bool = False, home: Path | None = None) -> Flat:
+def read_checked_circuit(path: Path, *, trust: bool = False, home: Path | None = None) -> Flat:
     """Return a circuit with its includes, after a check that it is harmless.
 
     Parameters
@@ -365,8 +365,8 @@ def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
             expected="names of files beside the scene: letters, digits, blanks and _ . + -",
             hint="copy the netlist beside the scene, or repeat with --trust",
         )
-    result = checked(home / name, trust=trust, home=home)
-    refuse(result.cards(), part=True)
+    result = read_checked_circuit(home / name, trust=trust, home=home)
+    check_deck_effects(result.cards(), part=True)
     return result
 
 
@@ -381,7 +381,7 @@ def read_untrusted(name: str, home: Path) -> Flat:
     """
     path = home / name
     result = flatten(path, path.parent if home == Path() else home, trust=True, inside=True)
-    refuse(result.cards(), part=True)
+    check_deck_effects(result.cards(), part=True)
     return result
 
 

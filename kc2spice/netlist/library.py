@@ -17,7 +17,7 @@ from kc2spice.core.untrusted_files import read_bounded, text_of
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin, electrical_pins, items_of
 from kc2spice.netlist.expression import literal
 from kc2spice.netlist.prefixes import with_prefix
-from kc2spice.netlist.printers.ngspice import Printer, located
+from kc2spice.netlist.printers.ngspice import Printer, locate_cards
 from kc2spice.netlist.read import read
 from kc2spice.netlist.spelling import comment, number, word
 from kc2spice.netlist.spelling import name as checked_name
@@ -108,7 +108,7 @@ class Subcircuit:
     @cached_property
     def located(self) -> Circuit:
         """The circuit, each card with its text and its place in the library file."""
-        return self.circuit if self.source else located(self.circuit, self.filename)
+        return self.circuit if self.source else locate_cards(self.circuit, self.filename)
 
     def changed(self, circuit: Circuit) -> Subcircuit:
         """Return the same part with another circuit."""

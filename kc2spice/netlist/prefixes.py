@@ -3,7 +3,7 @@
 ngspice reads digits as one integer and multiplies it by a power of ten. Rounding makes ``100n``
 another double than ``1e-07``, but ``100.00n`` the same. A parameter is multiplied by its scale
 factor and printed with 16 digits before that. Both were measured on ngspice 39: 1500 random numbers
-agree with :func:`value_of` and :func:`parameter_of` in every bit.
+agree with :func:`read_value` and :func:`read_parameter` in every bit.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _SPELLED = re.compile(r"([-+]?)(\d*)\.?(\d*)(?:[eE]([-+]?\d+))?([a-z]*)")
 _LETTERS = {power: key for key, power in PREFIXES.items()}
 
 
-def value_of(text: str) -> float:
+def read_value(text: str) -> float:
     """Return the double that ngspice reads from a number on a card."""
     match = _SPELLED.fullmatch(text)
     assert match is not None
@@ -34,12 +34,12 @@ def value_of(text: str) -> float:
     return (-1.0 if sign == "-" else 1.0) * mantissa * 10.0**power
 
 
-def parameter_of(text: str) -> float:
+def read_parameter(text: str) -> float:
     """Return the double that ngspice reads from the value of a parameter."""
     match = _SPELLED.fullmatch(text)
     assert match is not None
     plain = float(text.removesuffix(match[5])) * float(f"1e{PREFIXES[match[5]]}")
-    return value_of(f"{plain:.15e}")
+    return read_value(f"{plain:.15e}")
 
 
 def with_prefix(text: str) -> str:
@@ -59,15 +59,15 @@ def with_prefix(text: str) -> str:
         return "0"
     power = number.adjusted() // 3 * 3
     plain = LEAST_PLAIN <= abs(number) < MOST_PLAIN
-    same = value_of(text), parameter_of(text)
+    same = read_value(text), read_parameter(text)
     spellings = (_spellings(number, k) for k in ((0,) if plain else (power, power + 3)))
     for spelled in chain.from_iterable(spellings):
-        if (value_of(spelled), parameter_of(spelled)) == same:
+        if (read_value(spelled), read_parameter(spelled)) == same:
             return spelled
     return text
 
 
-def rounded(value: float, digits: int = 4) -> str:
+def abbreviate(value: float, digits: int = 4) -> str:
     """Return a number to some digits with its prefix, for comments.
 
     Examples

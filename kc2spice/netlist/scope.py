@@ -20,7 +20,7 @@ from kc2spice.netlist.circuit import (
     Parameters,
     lower_keys,
 )
-from kc2spice.netlist.expression import vector
+from kc2spice.netlist.expression import parse_vector
 
 GROUND = frozenset({"0", "gnd", "!gnd"})
 INCLUDES = (".include", ".inc")
@@ -169,7 +169,7 @@ def _open_subcircuit(item: Circuit, parent: Scope) -> Scope:
 
 def has_vector(top: Scope, text: str) -> bool:
     """Whether the circuit contains the nodes or the device of a saved vector."""
-    result = vector(text.lower())
+    result = parse_vector(text.lower())
     if result is None:
         return False
     if result.quantity == "v":

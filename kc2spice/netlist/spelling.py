@@ -36,7 +36,7 @@ def number(value: float) -> str:
     return repr(plain)
 
 
-def tidy(value: float) -> str:
+def write_rounded(value: float) -> str:
     """Return a number rounded to 12 digits, without rounding errors of arithmetic."""
     return number(float(f"{value:.12g}"))
 
@@ -77,7 +77,7 @@ def word(text: str) -> str:
     return text
 
 
-def distinct(names: Sequence[str], inner: str, *, where: str) -> None:
+def require_distinct(names: Sequence[str], inner: str, *, where: str) -> None:
     """Check that pin names differ in more than case and match no internal node.
 
     ``inner`` is the pattern of the internal nodes of the subcircuit.
@@ -125,11 +125,11 @@ def templates(autoescape: bool = False) -> Any:
         keep_trailing_newline=True,
         line_comment_prefix="##",
     )
-    environment.filters.update(n=number, name=name, comment=comment, q=quoted)
+    environment.filters.update(n=number, name=name, comment=comment, q=quote)
     return environment
 
 
-def quoted(text: str) -> str:
+def quote(text: str) -> str:
     """Return ``text`` as a string of an S-expression."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'

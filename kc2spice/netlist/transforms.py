@@ -11,8 +11,8 @@ from typing import TypeVar
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param, lower_keys
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.elements import titled
-from kc2spice.netlist.expression import join_terms, terms, vector
+from kc2spice.netlist.elements import add_title
+from kc2spice.netlist.expression import join_terms, parse_vector, terms
 from kc2spice.netlist.library import Subcircuit, parameter_line, use_line
 from kc2spice.netlist.spelling import number
 
@@ -22,7 +22,7 @@ MOST = 10_000  # copies
 DIGITS = "0123456789"
 
 
-def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit:
+def include_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit:
     """Return ``part`` with the ``helpers`` that it instantiates, as ``PART_HELPER``.
 
     A user then includes one library file, and two such files never define the same name.
@@ -30,8 +30,8 @@ def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircui
     tree = part.circuit
     for helper in helpers:
         name = f"{part.name}_{helper.name}"
-        tree = renamed(tree, {helper.name: name})
-        items = list(renamed(helper.circuit, {helper.name: name}).items)
+        tree = rename_subcircuits(tree, {helper.name: name})
+        items = list(rename_subcircuits(helper.circuit, {helper.name: name}).items)
         for k, item in enumerate(items):
             if isinstance(item, Circuit) and item.name == name:
                 title = f"* {name}:{helper.title.partition(':')[2]}"
@@ -41,7 +41,7 @@ def self_contained(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircui
     return part.changed(tree)
 
 
-def quiet(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
+def remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
     """Return ``part`` without thermal noise of the resistors that only do arithmetic.
 
     Resistors ``Rnoise…`` keep their noise, and so do those that are called ``noisy`` and a number.
@@ -58,7 +58,7 @@ def quiet(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
     return part.changed(part.circuit.changed(silence))
 
 
-def renamed(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
+def rename_subcircuits(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
     """Return ``circuit`` with other names of its subcircuits."""
     new = lower_keys(names)
 
@@ -179,8 +179,8 @@ def array_deck(deck: Deck, count: int) -> Deck:
         expected = "a scene with a transient or an ac analysis"
         raise UsageError(message, where="--count", got=got, expected=expected)
     unit, numbers = f"{deck.name}_unit", range(1, count + 1)
-    copy = titled("one copy", [Circuit(unit, ("common",), items=deck.items)])
-    copies = titled(f"{count} copies", [Element.of(f"X{k}", "0", unit) for k in numbers])
+    copy = add_title("one copy", [Circuit(unit, ("common",), items=deck.items)])
+    copies = add_title(f"{count} copies", [Element.of(f"X{k}", "0", unit) for k in numbers])
     vectors, units, initial = dict[str, tuple[str, float]](), dict[str, str](), dict[str, float]()
     for k in numbers:
         for name, (expression, factor) in deck.vectors.items():
@@ -201,6 +201,6 @@ def _inside_instance(expression: str, instance: str) -> str:
     """Return a sum of vectors of an instance by the sum of vectors of its subcircuit."""
     signed = []
     for sign, text in terms(expression):
-        item = vector(text)
+        item = parse_vector(text)
         signed.append((sign, str(item.within(instance)) if item else text))
     return join_terms(signed)

@@ -15,8 +15,8 @@ from kc2spice.netlist.printers.dialect_registry import (
     deck_dialects,
     dialect_named,
 )
-from kc2spice.netlist.printers.kicad import project
-from kc2spice.netlist.printers.ngspice import located
+from kc2spice.netlist.printers.kicad import make_project
+from kc2spice.netlist.printers.ngspice import locate_cards
 from kc2spice.netlist.printers.verilog_a import module_files, testbench
 
 
@@ -31,7 +31,9 @@ def translate(deck: Deck, dialect: str) -> Deck:
         return deck
     printer = dialect_named(dialect)(deck)
     main = deck.printed_for(f"* Run it with:  {printer.command} {deck.main}")
-    trees = {**deck.located, deck.main: located(main, deck.main) if deck.text is None else main}
+    trees = {**deck.located, deck.main: main}
+    if deck.text is None:
+        trees[deck.main] = locate_cards(main, deck.main)
     files = {name: printer.file(tree) for name, tree in trees.items()}
     vectors = {}
     for key, (expression, factor) in deck.vectors.items():
@@ -85,7 +87,7 @@ def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
     """
     if dialect == VERILOG_A:
         return {}
-    files = project(deck) if dialect == NGSPICE else {}
+    files = make_project(deck) if dialect == NGSPICE else {}
     spoken = deck_dialects() if dialect == NGSPICE else (dialect,)
     for name in filter(NGSPICE.__ne__, spoken):
         printer = dialect_named(name)()

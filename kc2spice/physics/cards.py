@@ -14,7 +14,7 @@ from itertools import chain
 from kc2spice.core.domains import QUANTITIES, Quantity
 from kc2spice.core.naming import names_of
 from kc2spice.netlist.circuit import Element, Item, Model, Parameters
-from kc2spice.netlist.elements import Line, noted, pivots
+from kc2spice.netlist.elements import Line, attach_comments, pivot_cards
 from kc2spice.netlist.expression import (
     Binary,
     Call,
@@ -77,7 +77,7 @@ _HEAD = {
 
 def subcircuit_items(declaration: Declaration, noise: bool = False) -> tuple[Item, ...]:
     """Return the cards between ``.subckt`` and ``.ends``, with their comments."""
-    return noted(_write_items(declaration, noise))
+    return attach_comments(_write_items(declaration, noise))
 
 
 def has_losses(declaration: Declaration) -> bool:
@@ -458,7 +458,7 @@ def _write_edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterato
         if inputs & inner or (len(inputs) == 1 and inputs <= set(moved)):
             result.append((argument, moved.get(next(iter(inputs)))))
     if declaration.stops:
-        yield from pivots(reference_node(declaration))
+        yield from pivot_cards(reference_node(declaration))
     for k, (argument, b) in enumerate(result):
         base = declaration.base or (b.minus if b else reference_node(declaration))
         yield f"* {_HEAD['edge'].format(argument=text(argument))}"

@@ -38,7 +38,7 @@ from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
-from kc2spice.netlist.expression import Call, Name, Tree, Writer, rebuilt, substitute, walk
+from kc2spice.netlist.expression import Call, Name, Tree, Writer, change_operands, substitute, walk
 from kc2spice.physics.symbolic import (
     ZERO,
     derivative,
@@ -421,7 +421,7 @@ class Declaration:
     def name_power_series(self, tree: Tree) -> Tree:
         """Replace power series in ``tree`` by their names."""
         name = self.power_series.get(tree)
-        return rebuilt(tree, self.name_power_series) if name is None else Name(name)
+        return change_operands(tree, self.name_power_series) if name is None else Name(name)
 
     @cached_property
     def _number_keys(self) -> tuple[str, ...]:

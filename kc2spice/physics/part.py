@@ -15,7 +15,7 @@ from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.netlist.circuit import Circuit, Item, Param, Pin
 from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.spelling import comment, distinct, voltage_between
+from kc2spice.netlist.spelling import comment, require_distinct, voltage_between
 from kc2spice.netlist.spelling import name as checked
 from kc2spice.physics.cards import (
     force_node,
@@ -306,7 +306,7 @@ def declared_subcircuit(
 
     d, pins = declaration, make_pins(declaration)
     ends = tuple(names_of(pins))
-    distinct([*ends, *map(checked, d.signals)], _INNER, where=name)
+    require_distinct([*ends, *map(checked, d.signals)], _INNER, where=name)
     keys = []
     for key in list_schema_keys(d.keys):
         if key.name in d.numbers:

@@ -31,9 +31,9 @@ from kc2spice.netlist.expression import (
     Tree,
     Unary,
     Writer,
+    change_operands,
     children,
     parse,
-    rebuilt,
     substitute,
     walk,
 )
@@ -113,7 +113,7 @@ def _replace_above(tree: Tree) -> Tree:
     match tree:
         case Call("above", (value,)):
             return _step(simplify(_replace_above(value)))
-    return rebuilt(tree, _replace_above)
+    return change_operands(tree, _replace_above)
 
 
 class _Card(Writer):
@@ -356,9 +356,9 @@ def _terms(tree: Tree) -> list[_Product]:
                 expected="a whole number behind ^",
                 hint=f"write {Writer().write(_as_exponential(base, power))} for a positive base",
             )
-    return (
-        [_Product(Fraction(1), (rebuilt(tree, simplify),))] if _may_differ_from_zero(tree) else []
-    )
+    if not _may_differ_from_zero(tree):
+        return []
+    return [_Product(Fraction(1), (change_operands(tree, simplify),))]
 
 
 def _as_exponential(base: Tree, power: Tree) -> Tree:
@@ -436,7 +436,7 @@ def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
             return Binary("+", Binary("*", free, replace_kinks(value, corners)), ends)
         case Choice(Binary(">", value, _), _, _):
             return _flag(value, corners)
-    return rebuilt(tree, lambda node: replace_kinks(node, corners))
+    return change_operands(tree, lambda node: replace_kinks(node, corners))
 
 
 def _flag(argument: Tree, corners: tuple[Tree, ...]) -> Name:

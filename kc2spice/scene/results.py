@@ -17,7 +17,7 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.quantities import quantity
 from kc2spice.netlist.deck import PowerTerm
-from kc2spice.netlist.expression import terms, vector
+from kc2spice.netlist.expression import parse_vector, terms
 from kc2spice.scene.compose import metered_pins, powered_pins
 from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import Build, Part, Scene
@@ -59,7 +59,7 @@ def format_voltage(result: Vector) -> str | None:
     plus: list[str] = []
     minus: list[str] = []
     for sign, text in terms(result.expression):
-        read = vector(text)
+        read = parse_vector(text)
         if read is None or read.quantity != "v" or len(read.names) > 1:
             return None
         (plus if sign > 0 else minus).append(read.names[0])

@@ -153,7 +153,7 @@ def run_deck(
         failed = failed_run(deck, str(main), text, code)
         if failed is None:
             vectors = read_raw(unfinished)
-            facts = {**read_statistics(text), "reltol": own_reltol(deck)}
+            facts = {**read_statistics(text), "reltol": read_reltol(deck)}
             waves = Waveforms(waves_by_name(deck, vectors), facts)
             last = float(vectors["time"][-1]) if "time" in vectors else math.nan
             failed = failed_run(deck, str(main), text, last=last)
@@ -274,7 +274,7 @@ def _read_option(deck: Deck, key: str, default: float) -> float:
     return default if value is None else value
 
 
-def own_reltol(deck: Deck) -> float:
+def read_reltol(deck: Deck) -> float:
     """Return the ``reltol`` of ``deck``, or the default of ngspice."""
     return _read_option(deck, "reltol", 1e-3)
 
@@ -337,7 +337,7 @@ class RetrySetting:
         """Return ``deck`` with these settings instead of its own options."""
         options = dict(self.options)
         if self.factor != 1.0:
-            options["reltol"] = number(self.factor * own_reltol(deck))
+            options["reltol"] = number(self.factor * read_reltol(deck))
             options["chgtol"] = number(self.factor * _read_option(deck, "chgtol", _CHGTOL))
         if not options:
             return deck

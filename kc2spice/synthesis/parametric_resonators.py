@@ -20,7 +20,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Element, Param, Parameters
 from kc2spice.netlist.elements import Line
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.spelling import distinct, number
+from kc2spice.netlist.spelling import number, require_distinct
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.varying import Varying
 from kc2spice.synthesis.emitted import MICRO
@@ -93,7 +93,7 @@ def parametric_subcircuit(
             got=", ".join(unsupported),
             hint="leave rom.parameters out, or leave that port open",
         )
-    distinct(list(map(attrgetter("name"), parameters)), _RESERVED, where=name)
+    require_distinct(list(map(attrgetter("name"), parameters)), _RESERVED, where=name)
     terminals = model_terminals(rom, rom.D, name)
     pins, base = subcircuit_pins(terminals, name)
     body = [

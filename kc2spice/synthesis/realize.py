@@ -16,10 +16,10 @@ from kc2spice.core.domains import BASE, ELECTRICAL, ROTATION, TRANSLATION, Domai
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.prefix import PREFIXES, prefix_power
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
-from kc2spice.netlist.elements import Line, noted, pivots
+from kc2spice.netlist.elements import Line, attach_comments, pivot_cards
 from kc2spice.netlist.library import Header, ReductionFacts, Subcircuit
-from kc2spice.netlist.prefixes import rounded
-from kc2spice.netlist.spelling import LEAK_RATE, comment, distinct, number
+from kc2spice.netlist.prefixes import abbreviate
+from kc2spice.netlist.spelling import LEAK_RATE, comment, number, require_distinct
 from kc2spice.netlist.spelling import name as checked_name
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
@@ -462,10 +462,9 @@ def make_subcircuit(
     """
     certificate, (about, body) = rom.certificate, cards
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
-    first = ("", *pivots(base)) if base else ()
-    circuit = Circuit(
-        name, tuple(map(attrgetter("name"), pins)), defaults(params), noted([*first, *body])
-    )
+    first = ("", *pivot_cards(base)) if base else ()
+    names, items = tuple(map(attrgetter("name"), pins)), attach_comments([*first, *body])
+    circuit = Circuit(name, names, defaults(params), items)
     reduction = None
     if certificate is not None:
         compared = ((rom, dict[str, float]()), *others)
@@ -642,7 +641,7 @@ def _loaded_nodes(pin: Pin) -> str:
 
 def _require_distinct(pins: Iterable[Pin], inner: Iterable[str], name: str) -> None:
     """Check that names of pins are distinct and match no internal node."""
-    distinct(list(map(attrgetter("name"), pins)), "|".join(inner), where=checked_name(name))
+    require_distinct(list(map(attrgetter("name"), pins)), "|".join(inner), where=checked_name(name))
 
 
 def reference_pin(ports: Sequence[Port]) -> Pin:
@@ -962,9 +961,9 @@ def describe_branch(
         port = int(np.argmax(shares >= shares.max() * (1 - EQUAL_GAIN)))
         m, c, k = map(float, np.array([1.0, damp, omega**2]) / shares[port] ** 2)
         if ELECTRICAL in domains:
-            elements = f"L={rounded(m)} C={rounded(1 / k)} R={rounded(c)}"
+            elements = f"L={abbreviate(m)} C={abbreviate(1 / k)} R={abbreviate(c)}"
         else:
-            elements = f"m={rounded(m)} c={rounded(c)} k={rounded(k)}"
+            elements = f"m={abbreviate(m)} c={abbreviate(c)} k={abbreviate(k)}"
         return f", {elements} at {terminals[port].pins[0]}"
     return ""
 
@@ -1181,13 +1180,13 @@ def apply_unit_load(
         node, size = nodes[port.terminals[0].lower()], ("AC", "1") if port == load else ()
         if port.domain is not None and port.loaded:
             drive = Element.of(f"I{node}", "0", node, "DC", "0", *size)
-            cards += [drive.valued(port.domain.value_unit("I"))] if size else []
+            cards += [drive.with_unit(port.domain.value_unit("I"))] if size else []
             result[port.name] = (f"v({node})", port.domain.across.factor / one)
         elif port.kind == "output":
             result[port.name] = (f"v({node})", 1.0 / one)
         else:
             drive = Element.of(f"V{node}", node, "0", "DC", "0", *size)
-            cards.append(drive.valued(port.domain.value_unit("V") if port.domain else ""))
+            cards.append(drive.with_unit(port.domain.value_unit("V") if port.domain else ""))
             if port.domain is not None:
                 flow = port.domain.quantity("through").factor
                 result[port.name] = (f"i(v{node.lower()})", -flow / one)

@@ -20,15 +20,21 @@ from kc2spice.core.progress import Clock
 from kc2spice.equations.scene_laws import with_laws
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Command, Deck, Option, ac, dc, transient
-from kc2spice.netlist.elements import titled
-from kc2spice.netlist.expression import Trace, literal, vector
-from kc2spice.netlist.include_scan import ANALYSES, HARMLESS, accuracy, checked, refuse
+from kc2spice.netlist.elements import add_title
+from kc2spice.netlist.expression import Trace, literal, parse_vector
+from kc2spice.netlist.include_scan import (
+    ANALYSES,
+    HARMLESS,
+    accuracy_options,
+    check_deck_effects,
+    read_checked_circuit,
+)
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.read import Statement, statements, tree_of
 from kc2spice.netlist.scope import INCLUDES, Scope, circuit, has_vector
-from kc2spice.netlist.spelling import comment, number, tidy
-from kc2spice.netlist.transforms import quiet
+from kc2spice.netlist.spelling import comment, number, write_rounded
+from kc2spice.netlist.transforms import remove_arithmetic_noise
 from kc2spice.scene.axes import MAX_STEP, describe_plan
 from kc2spice.scene.frames import MOTIONS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
@@ -149,7 +155,7 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
         for result in part.type.subcircuits(part, build, header):
             if build.noisy and not part.netlist:
                 meters = part.type.noise
-                result = quiet(result, () if isinstance(meters, str) else meters)
+                result = remove_arithmetic_noise(result, () if isinstance(meters, str) else meters)
             first, same = known.setdefault(result.filename.lower(), (part.name, result))
             if same is result:
                 yield result
@@ -171,7 +177,7 @@ def _items(
     for part in scene.parts.values():
         cards = () if part.name in scene.without_cards else part.type.cards(part, build)
         if cards:
-            yield from titled(f"{part.name}: {part.type.title}", cards, part.name)
+            yield from add_title(f"{part.name}: {part.type.title}", cards, part.name)
     yield from noise_items
     if not scene.analysis.small:
         return
@@ -182,7 +188,7 @@ def _items(
             name = f"L{names.name(net, f'{net}_held')}"
             inductors.append(Element.of(name, net, "0", number(HOLD)))
     if inductors:
-        yield from titled("held at the operating point alone: nothing else does", inductors)
+        yield from add_title("held at the operating point alone: nothing else does", inductors)
 
 
 def _options(build: Build) -> Iterable[Option]:
@@ -197,7 +203,7 @@ def _options(build: Build) -> Iterable[Option]:
     reltol = solver.reltol * min(map(attrgetter("reltol"), rows), default=1.0)
     chgtol = solver.chgtol * min(map(attrgetter("chgtol"), rows), default=1.0)
     return [
-        Option("reltol", tidy(reltol), "relative error of a time step"),
+        Option("reltol", write_rounded(reltol), "relative error of a time step"),
         Option(
             "trtol",
             number(solver.trtol).removesuffix(".0"),
@@ -205,7 +211,7 @@ def _options(build: Build) -> Iterable[Option]:
         ),
         Option(
             "chgtol",
-            tidy(chgtol),
+            write_rounded(chgtol),
             f"C on 1 uF, thus {1e6 * chgtol:g} um: displacement error of a step",
         ),
         Option("method", solver.method, "rule of integration"),
@@ -273,9 +279,9 @@ def edited_deck(build: Build, original: Deck, path: Path) -> tuple[Deck, Build]:
 
     Warns of accuracy options that differ from those of the scene, and of parts without checks.
     """
-    result = checked(path, trust=build.trust)
+    result = read_checked_circuit(path, trust=build.trust)
     cards = list(result.cards(title=True))
-    refuse(cards, part=False)
+    check_deck_effects(cards, part=False)
     analysis = _require_analysis(original, cards, path)
     _require_saved(original, cards, path)
     tree = tree_of(cards)
@@ -331,9 +337,9 @@ def _require_saved(original: Deck, cards: Iterable[Statement], path: Path) -> No
     saved: set[Trace | None] = set()
     for card in cards:
         if card.keyword == ".save":
-            saved.update(map(vector, map(str.lower, card.words[1:])))
-    missing = [name for name in original.saved if vector(name.lower()) not in saved]
-    if saved and vector("all") not in saved and missing:
+            saved.update(map(parse_vector, map(str.lower, card.words[1:])))
+    missing = [name for name in original.saved if parse_vector(name.lower()) not in saved]
+    if saved and parse_vector("all") not in saved and missing:
         raise UsageError(
             "the scene's metrics need vectors that this deck does not save",
             where=str(path),
@@ -462,7 +468,7 @@ def _require_results(original: Deck, now: Scope, path: Path) -> None:
 def _warn_of_options(original: Deck, cards: Iterable[Statement], path: Path) -> None:
     """Warn of accuracy options that differ from those of the exported deck."""
     before = {item.key: item.value for item in original.options if item.key not in HARMLESS}
-    now = accuracy(cards)
+    now = accuracy_options(cards)
 
     def value(text: str | None) -> float | str | None:
         number = literal(text) if text else None

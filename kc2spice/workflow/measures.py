@@ -17,8 +17,8 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from kc2spice.netlist.deck import Measure
+from kc2spice.netlist.expression import parse_vector as parsed
 from kc2spice.netlist.expression import terms
-from kc2spice.netlist.expression import vector as parsed
 from kc2spice.netlist.spelling import number
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.rows import LargestRealPart, Vector

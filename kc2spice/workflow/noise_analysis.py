@@ -12,7 +12,7 @@ from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Command, Deck, noise
-from kc2spice.netlist.elements import titled
+from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.scope import Scope
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import Build, Names
@@ -81,7 +81,7 @@ def noise_cards(build: Build) -> NoiseCards:
     first, last = selected.start, float(selected.stop or 0.0)
     command = noise(str(ends), drive.name, first, last, selected.points, selected.scale)
     title = "drives nothing: what the analysis could refer the noise to"
-    return NoiseCards(command, titled(title, (drive, load)))
+    return NoiseCards(command, add_title(title, (drive, load)))
 
 
 def _rms(f: np.ndarray, density: np.ndarray) -> float:

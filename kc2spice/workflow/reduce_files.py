@@ -25,7 +25,7 @@ from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.quantities import quantity
 from kc2spice.core.untrusted_files import identifier
 from kc2spice.netlist.deck import Deck, ac
-from kc2spice.netlist.elements import titled
+from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.netlist.printers.plot_script import plot_script
@@ -440,8 +440,8 @@ def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
         vectors={f"{name}{words.get(name, '')}": result for name, result in answers.items()},
         notes=(f"* Over the band of the certificate, {low:g} to {high:g} Hz.",),
         items=(
-            *titled("the model", (instance,)),
-            *titled("what drives it, and what holds the other ports", sources),
+            *add_title("the model", (instance,)),
+            *add_title("what drives it, and what holds the other ports", sources),
         ),
         command=ac(low, high, 400, "log"),
     )

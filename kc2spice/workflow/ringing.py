@@ -20,7 +20,7 @@ from kc2spice.report.html import format_quantity
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.scene.model import Build
-from kc2spice.sim.ngspice import own_reltol
+from kc2spice.sim.ngspice import read_reltol
 
 LASTING = math.log(1e3)  # of an amplitude that counts, over what is left of it at the end
 MANY = 3e5  # time points that are announced: half a minute for 24 states
@@ -120,6 +120,6 @@ def _announce_ringing(build: Build, deck: Deck) -> None:
             continue
         drive = getattr(scene.parts[name].keys, "drive", None)
         span = scene.stop - min(getattr(drive, "start", 0.0), scene.stop)
-        result = ringing_of(name, modal, span, own_reltol(deck))
+        result = ringing_of(name, modal, span, read_reltol(deck))
         if result.points > MANY and result.frequency:
             warnings.warn(str(result), stacklevel=3)

@@ -8,7 +8,7 @@ import pytest
 
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import literal
-from kc2spice.netlist.prefixes import parameter_of, value_of, with_prefix, with_prefixes
+from kc2spice.netlist.prefixes import read_parameter, read_value, with_prefix, with_prefixes
 from kc2spice.sim.ngspice import run_deck
 
 EVERYDAY = [
@@ -52,7 +52,7 @@ def test_ngspice_reads_the_same_double(kind, tmp_path):
     spelled = [with_prefix(text) for text in NUMBERS]
     assert sum(text != other for text, other in zip(NUMBERS, spelled, strict=True)) > 500
     assert np.array_equal(read_by_ngspice(kind, spelled, tmp_path / "prefix"), plain)
-    read = value_of if kind in ("value", "waveform") else parameter_of
+    read = read_value if kind in ("value", "waveform") else read_parameter
     assert [read(text) for text in NUMBERS] == plain.tolist()
 
 

@@ -10,7 +10,7 @@ import pytest
 from kc2spice.core.progress import Clock
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.load import load_scene
-from kc2spice.sim.ngspice import own_reltol, run_deck
+from kc2spice.sim.ngspice import read_reltol, run_deck
 from kc2spice.workflow import ringing
 from kc2spice.workflow.decks import make_deck, prepare_deck
 
@@ -36,7 +36,7 @@ def test_ngspice_takes_the_time_points_that_are_expected(damping, tmp_path):
     deck = make_deck(build)
     taken = run_deck(deck, tmp_path)["time"].size
     modal = resonators(build.models["kick"])
-    expected = ringing.ringing_of("kick", modal, 59e-6, own_reltol(deck))
+    expected = ringing.ringing_of("kick", modal, 59e-6, read_reltol(deck))
     assert 0.75 < expected.points / taken < 1.35
 
 

@@ -74,7 +74,8 @@ def test_an_edited_deck_is_read_once(duffing, monkeypatch):
 
     monkeypatch.setattr(decks, "read", unread)
     assert edited.files[edited.main].count("gmin") == 1
-    changed = edited.with_options({"gmin": "1e-14"}, "a test").saving({"more": ("v(more)", 1.0)})
+    changed = edited.with_options({"gmin": "1e-14"}, "a test")
+    changed = changed.with_results({"more": ("v(more)", 1.0)})
     assert edited.option("gmin") == "1e-13"
     assert changed.option("gmin") == "1e-14"
     text = changed.with_command(decks.Command("op", ())).files[edited.main]

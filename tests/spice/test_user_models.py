@@ -7,7 +7,7 @@ every transistor switches, in ngspice, through the same gates as a user's own fi
 import pytest
 
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.include_scan import checked
+from kc2spice.netlist.include_scan import read_checked_circuit
 from kc2spice.netlist.lint import lint
 from kc2spice.sim.ngspice import run_deck
 
@@ -81,7 +81,7 @@ def through(text, pins, bench, vectors, tmp_path):
     main = f"* bench\n{bench}.include user.lib\n.dc Vin {{0}} {{1}} {{2}}\n"
     for vector, _ in vectors.values():
         main += f".save {vector}\n"
-    files = {"user.lib": checked(tmp_path / "user.lib").text}
+    files = {"user.lib": read_checked_circuit(tmp_path / "user.lib").text}
 
     def sweep(first, last, step):
         cards = main.replace("{0} {1} {2}", f"{first} {last} {step}") + ".end\n"

@@ -5,7 +5,7 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import name_threat
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.include_scan import checked, included_netlist
+from kc2spice.netlist.include_scan import included_netlist, read_checked_circuit
 from kc2spice.netlist.lint import lint
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.verify.verify import verify_scenes
@@ -119,7 +119,7 @@ def user(tmp_path):
         for name, text in files.items():
             (tmp_path / name).parent.mkdir(exist_ok=True)
             (tmp_path / name).write_bytes(text.encode())
-        return checked(tmp_path / next(iter(files)), **more)
+        return read_checked_circuit(tmp_path / next(iter(files)), **more)
 
     return check
 
@@ -278,7 +278,7 @@ def test_links_do_not_lead_out(tmp_path):
     (home / "link.lib").symlink_to(secret)
     (home / "user.cir").write_text(".include link.lib\n")
     with pytest.raises(UsageError, match="leads out"):
-        checked(home / "user.cir")
+        read_checked_circuit(home / "user.cir")
 
 
 def test_pins_are_looked_up_beside_the_scene_alone(tmp_path):

@@ -38,7 +38,7 @@ from kc2spice.netlist.expression import (
     Tree,
     Unary,
     parse,
-    vector,
+    parse_vector,
 )
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import Printer
@@ -271,7 +271,7 @@ class Dialect(Printer, ABC):
         return f"{self.vector(node)}={self.value(value)}" if equals else text
 
     def vector(self, text: str) -> str:
-        result = vector(text)
+        result = parse_vector(text)
         bare = "(" not in text and "@" not in text
         if result is None or bare or result.parameter.lower() not in ("", "i", "id", "current"):
             raise self.refusal(text, "this vector")

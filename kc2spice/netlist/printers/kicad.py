@@ -22,10 +22,10 @@ from uuid import NAMESPACE_URL, uuid5
 
 from kc2spice.netlist.circuit import Directive, Element
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import vector
+from kc2spice.netlist.expression import parse_vector
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.printers.symbol_layout import Place, layout
+from kc2spice.netlist.printers.symbol_layout import Place, arrange_pins
 from kc2spice.netlist.scope import GROUND, Scope, circuit
 from kc2spice.netlist.spelling import render
 
@@ -90,7 +90,7 @@ def part_symbol(part: Subcircuit) -> Symbol:
 
     The parameters have the exact defaults of the library until the user changes ``Sim.Params``.
     """
-    box = layout(part)
+    box = arrange_pins(part)
     fields = _standard_fields("X", part.name, part.title) | {
         "Sim.Device": "SUBCKT",
         "Sim.Library": part.filename,
@@ -186,7 +186,7 @@ class _Item:
             yield self.x + place.x, self.y - place.y, place.side, net
 
 
-def project(deck: Deck) -> dict[str, str]:
+def make_project(deck: Deck) -> dict[str, str]:
     """Return a KiCad project of ``deck`` as ``{file name: text}``.
 
     ``NAME.kicad_pro`` opens it. The sheet runs with the analysis and the options of the deck, and
@@ -397,7 +397,7 @@ def _write_workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
     first: dict[str, str] = {}
     nodes = []
     for name, (text, _) in deck.vectors.items():
-        trace = vector(text)
+        trace = parse_vector(text)
         if trace and trace.quantity == "v":
             nodes.append(trace.names[0])
             first.setdefault(name.partition(".")[0], trace.names[0])

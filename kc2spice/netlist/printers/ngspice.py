@@ -145,7 +145,7 @@ def _join_words(*words: str) -> str:
     return " ".join(filter(None, words))
 
 
-def located(circuit: Circuit, file: str) -> Circuit:
+def locate_cards(circuit: Circuit, file: str) -> Circuit:
     """Return the tree of a ``file`` with the line and the printed text of each card."""
     return replace(circuit, items=tuple(_locate_items(circuit.items, Printer(), file, count(1))))
 

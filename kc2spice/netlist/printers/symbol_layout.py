@@ -39,7 +39,7 @@ class Box:
     places: tuple[Place, ...]
 
 
-def layout(part: Subcircuit) -> Box:
+def arrange_pins(part: Subcircuit) -> Box:
     """Return the symbol of ``part``; its pins are numbered as on ``.subckt``.
 
     The left side of an actuator has its electrical terminals, the right side its mechanical ports.

@@ -32,9 +32,9 @@ from kc2spice.netlist.expression import (
     Writer,
     literal,
     parse,
+    parse_vector,
     probed_names,
     substitute,
-    vector,
     walk,
 )
 from kc2spice.netlist.library import Subcircuit
@@ -460,7 +460,7 @@ def _use_modules(item: Item, stems: Mapping[str, str], replaced: Collection[str]
 
 def _exists_outside(text: str) -> bool:
     """Whether a vector is one of the deck, not one inside of a subcircuit."""
-    result = vector(text)
+    result = parse_vector(text)
     if result is None or result.path or result.parameter or "." in result.names[0]:
         return False
     return result.quantity == "v" or result.names[0].lower().startswith("v")

@@ -16,7 +16,7 @@ from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.transforms import self_contained
+from kc2spice.netlist.transforms import include_helpers
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics._template import BANDWIDTH, opamp_subcircuit
 from kc2spice.parts.magnetics.ring_magnet_coils import Coils, result_prefix
@@ -177,7 +177,7 @@ def pid_subcircuit(
         pi=math.pi,
         output=output,
     )
-    return self_contained(part, [opamp_subcircuit(header)])
+    return include_helpers(part, [opamp_subcircuit(header)])
 
 
 class Pid(PartType[Control]):

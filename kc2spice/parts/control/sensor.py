@@ -12,7 +12,7 @@ from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Frequency, Length, Section
 from kc2spice.netlist.circuit import Element, Item, Param
-from kc2spice.netlist.elements import noted
+from kc2spice.netlist.elements import attach_comments
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import number
 from kc2spice.parts.mechanics import sphere
@@ -110,7 +110,7 @@ dc = "1 um"
         if keys.noise and build.noisy:
             # white up to the bandwidth, over the noise voltage of an ohm
             root = math.sqrt(4 * BOLTZMANN * TEMPERATURE * keys.bandwidth)
-            cards = noted((
+            cards = attach_comments((
                 "* noise by its density: that of an ohm at 27 C times a gain",
                 Element.of("Rnoise", "drawn", "ref", "1"),
                 Element.of("Gnoise", "ref", "out", "drawn", "ref", size / root),
@@ -118,7 +118,7 @@ dc = "1 um"
         elif keys.noise:
             step = number(0.5 / keys.bandwidth)
             wave = f"TRNOISE({number(size)} {step} 0 0)"
-            cards = noted((
+            cards = attach_comments((
                 f"* noise in {DISPLACEMENT.pin_unit}, a new random value at every {step} s",
                 Element.of("Inoise", "ref", "out", "DC", "0", wave),
             ))  # fmt: skip

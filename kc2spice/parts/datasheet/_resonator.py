@@ -27,7 +27,7 @@ from kc2spice.core.untrusted_files import identifier
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.prefixes import rounded
+from kc2spice.netlist.prefixes import abbreviate
 from kc2spice.netlist.spelling import LEAK_RATE, comment
 from kc2spice.parts.datasheet._stated_values import Relation
 from kc2spice.scene.model import (
@@ -281,7 +281,7 @@ def tolerance_note(value: float, tolerance: float | None) -> str:
     """Range of a parameter by its tolerance, for the head of a netlist; empty without one."""
     if tolerance is None:
         return ""
-    low, high = (rounded(value * (1 + sign * tolerance)) for sign in (-1, 1))
+    low, high = (abbreviate(value * (1 + sign * tolerance)) for sign in (-1, 1))
     return f", tolerance {100 * tolerance:.4g} % ({low} to {high})"
 
 

@@ -19,7 +19,7 @@ from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Current, Section, V
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.transforms import self_contained
+from kc2spice.netlist.transforms import include_helpers
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics._driver_laws import (
     OUTPUT,
@@ -114,7 +114,7 @@ class TemplatePart(PartType[KeysT]):
         result = library(self.template, header, name, self.heading, self.fixed, params, **words)
         if not self.opamp:
             return result
-        return self_contained(
+        return include_helpers(
             result, [opamp_subcircuit(header, self.opamp, values.get("input_noise"))]
         )
 

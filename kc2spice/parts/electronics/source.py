@@ -216,12 +216,12 @@ class Source(PartType[SourceKeys]):
             ends.reverse()
         if _sweeps_back(part, build.scene):
             swept = _sweep_cards(part, build, kind, ends)
-            return tuple(card.valued(kind.value_unit) for card in swept)
+            return tuple(card.with_unit(kind.value_unit) for card in swept)
         wave = part.keys.waveform(build.scene.home).spice(kind.scale)
         size = kind.scale * quantity(part.keys.ac, kind.unit)
         ac = ("AC", number(size)) if size else ()
         card = Element.of(f"{kind.letter}{part.name}", *ends, *words(wave), *ac)
-        return (card.valued(kind.value_unit),)
+        return (card.with_unit(kind.value_unit),)
 
     def inner_names(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[tuple[str, ...]]:
         if _sweeps_back(part, scene):

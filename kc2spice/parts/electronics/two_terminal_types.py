@@ -164,11 +164,11 @@ class LinearElement(DeclaredPart[KeysT]):
             silent = self._letter == "R" and not (self._has_loss and self._has_si_units)
             words = {"noisy": "0"} if build.noisy and silent else {}
             card = Element.of(f"{self._letter}{part.name}", a, b, value, **words)
-            return (card.valued(self.branch.domain.value_unit(self._letter)), *noise)
+            return (card.with_unit(self.branch.domain.value_unit(self._letter)), *noise)
         inner = build.inner_name(part, part.name.lower(), "metered")
         return (
             Element.of(_meter_name(part, build), a, inner, "0"),
-            Element.of(f"C{part.name}", inner, b, self._evaluate(part, admittance)).valued(
+            Element.of(f"C{part.name}", inner, b, self._evaluate(part, admittance)).with_unit(
                 self.branch.domain.value_unit("C")
             ),
             *(() if self.branch.moves else self._leak_cards(part, build, a, b)),

@@ -14,7 +14,7 @@ from kc2spice.core.magnets import EMTable
 from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.netlist.elements import Line, noted
+from kc2spice.netlist.elements import Line, attach_comments
 from kc2spice.netlist.spelling import number
 from kc2spice.parts.magnetics.ring_magnet_coils import Coils
 from kc2spice.parts.mechanics.sphere import sphere_of
@@ -70,7 +70,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def cards(self, part: Part[CurrentCasesKeys], build: Build) -> tuple[Item, ...]:
         library, y = build.libraries[_coils(part, build.scene).name], build.net(part, "y")
         height = Element.of(build.inner_name(part, "Vheight"), y, "0", "0")
-        cards: list[Line] = [height.valued(DISPLACEMENT.pin_unit)]
+        cards: list[Line] = [height.with_unit(DISPLACEMENT.pin_unit)]
         for k, (lower, upper) in enumerate(current_pairs(part)):
             a, b = build.inner_name(part, f"lower{k}"), build.inner_name(part, f"upper{k}")
             force = build.inner_name(part, f"force{k}")
@@ -83,7 +83,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
                 Element.of(build.inner_name(part, f"Iupper{k}"), "0", b, upper),
                 Element.of(build.inner_name(part, f"Vforce{k}"), force, "0", "0"),
             ]
-        return noted(cards)
+        return attach_comments(cards)
 
     def inner_names(
         self, part: Part[CurrentCasesKeys], scene: WiredScene

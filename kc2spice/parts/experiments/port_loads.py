@@ -19,7 +19,7 @@ from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Count, Frequency, Notch, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.netlist.elements import Line, noted
+from kc2spice.netlist.elements import Line, attach_comments
 from kc2spice.parts.bodies.piezo_stack import Stack
 from kc2spice.parts.electronics.two_terminal_types import element
 from kc2spice.scene.checks import PAIRS, Gate, Metric
@@ -88,7 +88,7 @@ class PortLoads(PartType[PortLoadsKeys]):
             cards += [f"* Load on {load}", instance]
             if load != "anode":
                 drive = Element.of(name(f"I{load}"), "0", name(load, load), "AC", "1")
-                cards.append(drive.valued(TRANSLATION.flow))
+                cards.append(drive.with_unit(TRANSLATION.flow))
             if is_open and load == "anode":
                 unit, node = name("Vload"), name("load")
                 cards += [
@@ -103,7 +103,7 @@ class PortLoads(PartType[PortLoadsKeys]):
                     Element.of(name("Ccharge", load), charge, "0", "1"),
                     Element.of(name("Rcharge", load), charge, "0", 1e9),
                 ]
-        return noted(cards)
+        return attach_comments(cards)
 
     def inner_names(
         self, part: Part[PortLoadsKeys], scene: WiredScene

@@ -68,7 +68,7 @@ class Push(Touching[PushKeys]):
 
     def cards(self, part: Part[PushKeys], build: Build) -> tuple[Item, ...]:
         drive = Element.of(f"V{part.name}", build.net(part, "bottom"), "0", "0")
-        return (drive.valued(DISPLACEMENT.pin_unit),)
+        return (drive.with_unit(DISPLACEMENT.pin_unit),)
 
     def settable(self, part: Part[PushKeys], build: Build) -> Mapping[str, Swept]:
         return {"depth": Swept(f"V{part.name}", -DISPLACEMENT.per_unit, (0.0, part.keys.depth))}

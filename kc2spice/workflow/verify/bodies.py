@@ -14,7 +14,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Item
 from kc2spice.netlist.deck import Deck, ac
-from kc2spice.netlist.elements import titled
+from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import full_model
@@ -229,7 +229,7 @@ def _deck(
     vectors: dict[str, tuple[str, float]] = {}
     for k, load in enumerate(port for port in rom.ports if port.kind != "output"):
         cards, answers = apply_unit_load(rom, library, load, f"_{k}")
-        items += titled(f"load on {load.name}", cards)
+        items += add_title(f"load on {load.name}", cards)
         vectors |= {f"{load.name}>{name}": result for name, result in answers.items()}
     return Deck(
         name=f"{part.name}_response",

@@ -27,7 +27,7 @@ from kc2spice.core.waveforms import Waveforms, write_record
 from kc2spice.equations.replay import replayed_nets, replayed_vectors
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.include_scan import Flat, checked
+from kc2spice.netlist.include_scan import Flat, read_checked_circuit
 from kc2spice.netlist.library import Subcircuit, subcircuits
 from kc2spice.report.verify_page import Findings, plot_comparison, write_verify
 from kc2spice.rom.linear_model import LinearModel
@@ -310,7 +310,9 @@ def verify_scenes(
             expected="the scene from which the deck was exported",
             hint=f"kc2spice verify SCENE --deck {deck}",
         )
-    libraries = () if deck is None else _included_subcircuits(checked(deck, trust=trust))
+    libraries: tuple[Subcircuit, ...] = ()
+    if deck is not None:
+        libraries = _included_subcircuits(read_checked_circuit(deck, trust=trust))
     find_ngspice()
     answer: dict[str, Findings] = {}
     with staged(out) as work:
@@ -417,7 +419,7 @@ class _Verification:
             result.units |= simulated.units
         else:
             vectors = replayed_vectors(self.replayed)
-            self._compare_solutions(deck.saving(vectors) if vectors else deck)
+            self._compare_solutions(deck.with_results(vectors) if vectors else deck)
         self._summarise()
         result.wall_s = {stage: time for stage, time in self.clock.wall_s.items() if time}
         return result

@@ -9,7 +9,7 @@ from kc2spice.netlist.expression import Trace
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.dialect import Dialect
 from kc2spice.netlist.printers.dialect_registry import register_dialect
-from kc2spice.netlist.printers.symbol_layout import layout
+from kc2spice.netlist.printers.symbol_layout import arrange_pins
 from kc2spice.netlist.spelling import number
 
 GRID = 32  # LTspice's units, two of its grid: pins must lie on multiples of 16
@@ -82,7 +82,7 @@ def _instance_names(path: Iterable[str]) -> list[str]:
 
 def _draw_symbol(part: Subcircuit, library: str) -> str:
     """Return the symbol of one part; LTspice includes the file ``library`` with it."""
-    box = layout(part)
+    box = arrange_pins(part)
     x, y = GRID * box.width, GRID * box.height
     lines = [
         "Version 4",

@@ -13,7 +13,7 @@ from kc2spice.netlist.expression import Number, Tree, literal
 from kc2spice.netlist.printers.dialect import COMMON, Dialect
 from kc2spice.netlist.printers.dialect_registry import register_dialect
 from kc2spice.netlist.scope import GROUND
-from kc2spice.netlist.spelling import number, tidy
+from kc2spice.netlist.spelling import number, write_rounded
 
 STEP = 1e-6  # s, largest where a controller closes a loop
 TIGHT = 1e-5  # largest reltol, and a tenth of the given one: contacts within 1e-5
@@ -164,4 +164,4 @@ def _tighten_reltol(word: str) -> str:
     if name.lower() != "reltol":
         return word
     reltol = literal(value, where="reltol")
-    return f"{name}={tidy(TIGHT if reltol is None else min(reltol / 10, TIGHT))}"
+    return f"{name}={write_rounded(TIGHT if reltol is None else min(reltol / 10, TIGHT))}"
