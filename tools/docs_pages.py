@@ -25,6 +25,7 @@ COMMANDS = (
     "sweep",
     "explain",
     "scenes",
+    "parts",
     "doctor",
 )
 
