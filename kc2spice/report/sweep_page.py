@@ -20,6 +20,7 @@ from kc2spice.scene.model import Scene
 
 CONFIDENCE = 0.95  # probability of the confidence intervals
 NUMBERS = (float, int, bool)  # types of a column of numbers
+EQUAL = 1e-9  # relative difference of values of a metric that is rounding of the simulator
 POINTS_PER_KEY = 10  # values of a key of words that the plan lists
 
 Table = Mapping[str, Sequence[Any]]
@@ -197,7 +198,8 @@ def _plot_map(x: Axis, y: Axis, z: Axis) -> Panel:
 def _plot_histogram(axis: Axis) -> Panel:
     """Plot the distribution of a metric with its median and two quantiles."""
     values = axis[1][np.isfinite(axis[1])]
-    counts, edges = np.histogram(values, bins="auto" if values.size > 1 else 1)
+    spread = np.ptp(values) > EQUAL * np.abs(values).max()
+    counts, edges = np.histogram(values, bins="auto" if spread else 1)
     bars = Curve("", (edges[:-1] + edges[1:]) / 2, counts.astype(float), "bar")
     low, middle, high = np.quantile(values, (0.05, 0.5, 0.95)).tolist()
     marks = ((low, "5 %"), (middle, "median"), (high, "95 %"))

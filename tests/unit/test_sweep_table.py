@@ -4,10 +4,11 @@ import contextlib
 import csv
 import sqlite3
 
+import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.report.sweep_page import compute_yields
+from kc2spice.report.sweep_page import _plot_histogram, compute_yields
 from kc2spice.workflow.sweep.engine import RowStore, columns, write_csv
 from kc2spice.workflow.sweep.grid import make_plan
 from kc2spice.workflow.sweep.point import PointResult
@@ -113,3 +114,10 @@ def test_no_cell_of_a_table_is_a_formula(text, tmp_path):
     with (tmp_path / "t.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.reader(file))
     assert rows == [[f"'{text}", "status"], ["1.5", f"'{text}"]]
+
+
+def test_values_that_differ_by_rounding_have_one_bar():
+    """Numpy refuses more bins than there are numbers between the least and the largest value."""
+    values = 6300.0 + np.spacing(6300.0) * np.array([0.0, 1.0, 0.0, 1.0, 2.0])
+    (bars,) = _plot_histogram(("resonance [Hz]", values)).curves
+    assert bars.y.tolist() == [5.0]
