@@ -126,6 +126,7 @@ def test_a_contradiction_names_both_values_and_what_each_implies():
         ({"fs": [1e3, 2e3], "keff": 0.2, "c0": C0, "rm": 1.0}, "lists of modes differ in length"),
         ({"fs": 500.0, "keff": 0.2, "c_low": C0, "rm": 1.0}, "above the lowest resonance"),
         ({"fs": FS, "keff": 0.2, "c0": C0, "rm": 1.0, "tolerance": {"qm": 0.1}}, "not stated"),
+        ({"fs": FS, "keff": 0.2, "c0": C0, "rm": 1e300}, "beyond what can be computed"),
         ({"fs": [], "keff": 0.2, "c0": C0, "rm": 1.0}, "an empty list"),
     ],
 )

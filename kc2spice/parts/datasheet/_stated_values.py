@@ -23,6 +23,7 @@ ROUNDING = 0.005  # relative, of a value with three digits: half a unit of the t
 STEP = 1e-5  # in logarithms, of central differences: their errors are 1e-10 and 1e-11
 RANK = 1e-7  # relative singular value of an undetermined unknown; far above those errors
 EXACT = 1e-6  # relative error of an equation that counts as solved
+SMALLEST = 1e-24  # SI, far below any value of a sheet; its inverse is far above
 LARGEST = 150.0  # logarithm of the largest unknown, far inside the range of a float
 
 Relation = Callable[[np.ndarray], float]
@@ -52,6 +53,7 @@ class StatedValues:
         ------
         UsageError : too few values, values that contradict each other, or that no circuit has.
         """
+        self._require_computable()
         self._require_enough()
         result = self._fitted
         self._require_solution(result)
@@ -109,6 +111,18 @@ class StatedValues:
         return int(np.linalg.matrix_rank(np.array(rows), tol=RANK)) if rows else 0
 
     # --- faults -----------------------------------------------------------------------------
+
+    def _require_computable(self) -> None:
+        for key, value in self.stated.items():
+            if not SMALLEST < value < 1 / SMALLEST:
+                unit = self.units[key.partition("[")[0]]
+                raise UsageError(
+                    "a value beyond what can be computed",
+                    where=f"{self.part}.{key}",
+                    got=self.text(key, value),
+                    expected=f"{SMALLEST:g} to {1 / SMALLEST:g} {unit}".rstrip(),
+                    hint="check the value and its unit",
+                )
 
     def _require_enough(self) -> None:
         x, rank = np.log(self.start), self._rank(np.log(self.start))

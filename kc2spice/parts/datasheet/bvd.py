@@ -90,7 +90,9 @@ class BvdKeys(RatedKeys):
     c_low: Capacitance | None = Field(
         None, gt=0, description="Capacitance at the low frequency c_low_at"
     )
-    c_low_at: Frequency = Field(LOW, ge=0, description="Frequency at which c_low was measured")
+    c_low_at: Frequency = Field(
+        LOW, ge=0, lt=1e12, description="Frequency at which c_low was measured"
+    )
     tolerance: dict[str, Annotated[Ratio, Field(gt=0, lt=1)]] = Field(
         {}, description="Relative tolerances of stated values by their keys, such as c_low = '30 %'"
     )
