@@ -249,17 +249,13 @@ class Pid(PartType[Control]):
     def law(self, part: Part[Control], build: Build) -> laws.Equations | None:
         """Law of both forms; deviations of the amplifiers count as an error of the netlist."""
         keys, n, scene = part.keys, part.name, build.scene
-        if build.net(part, "ref") != "0":
+        if _remote(part, scene) or build.net(part, "ref") != "0":
             return None
-        remote, height = _remote(part, scene), sphere.offset(part, "y", scene)
-        declared = declare_control(keys, output=not remote)
+        declared, height = declare_control(keys), sphere.offset(part, "y", scene)
         values = declared.values(keys) | {"setpoint": keys.setpoint - height}
         controller = DeclaredLaw(n, declared, tuple(values.values()))
         error = laws.reading(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
-        results = {f"{n}.error": error}
-        if remote:
-            results["coil.wanted"] = laws.reading(f"{n}.command", 1.0 / SENSE)
-        return laws.Equations((controller,), controller.joins, results)
+        return laws.Equations((controller,), controller.joins, {f"{n}.error": error})
 
     def metrics(self, part: Part[Control], build: Build, waves: Waveforms) -> Mapping[str, object]:
         ball = sphere.controlled_sphere(part, build.scene)
