@@ -136,6 +136,19 @@ def test_sheets_that_no_circuit_has_are_errors(keys, message):
     assert "key part" in caught.value.where
 
 
+def test_values_that_fit_two_circuits_are_refused():
+    """``zs`` and ``fp`` of 1 nF, and of 12.38 nF, by the closed forms, at 1 MHz and Qm = 100."""
+    w, cm, c0 = 2e6 * np.pi, 0.3e-9, 1e-9
+    lm = 1 / (w**2 * cm)
+    rm = w * lm / 100
+    values = {"fp": 1e6 * np.sqrt(1 + cm / c0), "lm": lm, "qm": 100.0}
+    with pytest.raises(kc.errors.UsageError, match="fit more than one circuit") as caught:
+        kc.load_scene(scene(**values, zs=1 / abs(1j * w * c0 + 1 / rm)))
+    assert "c0 = 1e-09 F" in caught.value.expected
+    assert "c0 = 1.238e-08 F" in caught.value.expected
+    assert caught.value.hint == "add c0"
+
+
 def test_a_missing_value_is_named():
     with pytest.raises(kc.errors.UsageError) as caught:
         kc.load_scene(scene(fs=FS, keff=0.2, c0=C0))

@@ -27,7 +27,7 @@ MAY = {
     "equations": "core scene",
     "report": "core netlist scene",
     "workflow": "core netlist rom fem bodies scene synthesis parts sim reference equations report",
-    "api": "core netlist rom scene parts sim report workflow",
+    "api": "core linalg netlist rom scene parts sim report workflow",
     "pyspice": "core netlist",
     "cli": "core netlist scene sim report workflow",
     "__main__": "core cli",

@@ -23,6 +23,8 @@ ROUNDING = 0.005  # relative, of a value with three digits: half a unit of the t
 STEP = 1e-5  # in logarithms, of central differences: their errors are 1e-10 and 1e-11
 RANK = 1e-7  # relative singular value of an undetermined unknown; far above those errors
 EXACT = 1e-6  # relative error of an equation that counts as solved
+ELSEWHERE = 30.0  # factor of one unknown where the search for another circuit begins
+DISTINCT = 1e-3  # logarithm of an unknown by which two circuits are not the same
 SMALLEST = 1e-24  # SI, far below any value of a sheet; its inverse is far above
 LARGEST = 150.0  # logarithm of the largest unknown, far inside the range of a float
 
@@ -58,6 +60,7 @@ class StatedValues:
         result = self._fitted
         self._require_solution(result)
         self._require_agreement(result)
+        self._require_unique(result)
         return np.exp(result)
 
     def tolerance_of(self, key: str) -> float:
@@ -87,6 +90,10 @@ class StatedValues:
     @cached_property
     def _fitted(self) -> np.ndarray:
         """Logarithms of the unknowns."""
+        return self._fit_from(np.log(self.start))
+
+    def _fit_from(self, start: np.ndarray) -> np.ndarray:
+        """Logarithms of the unknowns nearest to these."""
         from scipy.optimize import least_squares  # loads slowly
 
         weights = np.array([1 / self.tolerance_of(key) for key in self.stated])
@@ -99,7 +106,7 @@ class StatedValues:
             return weights[:, None] * [self._gradient(key, x) for key in self.stated]
 
         close = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
-        result = least_squares(residuals, np.log(self.start), slopes, method="lm", **close)
+        result = least_squares(residuals, start, slopes, method="lm", **close)
         return np.asarray(result.x)
 
     def _without(self, key: str) -> StatedValues:
@@ -190,6 +197,31 @@ class StatedValues:
     def _correction(self, key: str) -> float:
         """Difference of a value from the one that all others imply, in logarithms."""
         return abs(self._residual(key, self._without(key)._fitted))
+
+    def _require_unique(self, x: np.ndarray) -> None:
+        """Refuse values that another circuit has as well.
+
+        The search begins at unknowns that are :data:`ELSEWHERE` times larger or smaller, one each.
+        """
+        steps = math.log(ELSEWHERE) * np.eye(x.size)
+        for start in (*(x + steps), *(x - steps)):
+            other = self._fit_from(start)
+            if np.abs(other - x).max() < DISTINCT:
+                continue
+            if all(abs(self._residual(key, other)) < EXACT for key in self.stated):
+                implied = [key for key in self.relations if key not in self.stated]
+                key = max(implied, key=lambda key: abs(self._difference(key, x, other)))
+                values = [self.text(key, math.exp(self._logarithm(key, y))) for y in (x, other)]
+                raise UsageError(
+                    "these values fit more than one circuit",
+                    where=self.part,
+                    got=", ".join(self.stated),
+                    expected=f"one more value: the circuits have {' and '.join(values)}",
+                    hint=f"add {key}",
+                )
+
+    def _difference(self, key: str, x: np.ndarray, y: np.ndarray) -> float:
+        return self._logarithm(key, x) - self._logarithm(key, y)
 
     def _influence(self, key: str, x: np.ndarray) -> dict[str, float]:
         """Derivatives of the value that these values imply for ``key``, by each of them."""
