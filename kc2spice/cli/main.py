@@ -219,7 +219,7 @@ EXAMPLES = {
         "kc2spice explain impact --set contact.shape=pressure",
     ),
     "scenes": ("kc2spice scenes", "kc2spice scenes --parts"),
-    "parts": ("kc2spice parts murata", "kc2spice export 7BB-20-6 --out lib"),
+    "parts": ("kc2spice parts murata", "kc2spice parts relay --json"),
     "doctor": ("kc2spice doctor", "kc2spice doctor --json"),
     "reduce": (
         "kc2spice reduce NAME.K --tolerance 1e-4 --band 0 5e5",
@@ -530,7 +530,7 @@ def _text(value: object, before: str = "") -> str:
 
 @_command
 def _parts(caller: Caller, search: str | None = None) -> None:
-    """List the parts that can be bought, with the sources of their values.
+    """List parts that can be bought, with the sources of values.
 
     A part number is accepted in place of SCENE by run, export, verify and explain.
     """

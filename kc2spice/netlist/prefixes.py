@@ -72,7 +72,7 @@ def abbreviate(value: float, digits: int = 4) -> str:
 
     Examples
     --------
-    >>> [rounded(x) for x in (8.4153e-8, 41.2e6, 0.0, 12.0, 3e-20)]
+    >>> [abbreviate(x) for x in (8.4153e-8, 41.2e6, 0.0, 12.0, 3e-20)]
     ['84.15n', '41.2meg', '0', '12', '3e-20']
     """
     number = Decimal(f"{value:.{digits - 1}e}")

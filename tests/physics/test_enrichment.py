@@ -179,7 +179,7 @@ def direct(device, answers):
     )  # fmt: skip
     k, volts = answers.modes.shape[1], answers.static.shape[1]
     z = np.hstack([answers.static, answers.pushed])
-    _, (r_u, r_p) = model.start(z, np.eye(volts, z.shape[1]))
+    _, (r_u, r_p) = model.extend_responses(z, np.eye(volts, z.shape[1]))
     S = np.block([[K + device.shift * M, C], [C.T, -P]])
     e = np.linalg.solve(S, np.vstack([r_u, r_p]))
     products = np.vstack([r_u, r_p]).T @ e

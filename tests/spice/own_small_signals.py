@@ -205,7 +205,7 @@ def explicit(rate, read, states, level, pushed):
     return System(np.eye(states), residual, looked, np.full(states, 1e-6), injected)
 
 
-def solve_algebraic(system, level, y, time):
+def settled(system, level, y, time):
     """Equilibrium of ``y' = residual``: by Newton's method if it is stable and near, otherwise by
     integration; and whether the state snapped to another branch."""
     found = system.rest(level, y)

@@ -43,7 +43,7 @@ import numpy as np
 import scipy
 
 import kc2spice as kc
-from kc2spice.netlist.printers.symbol_layout import layout
+from kc2spice.netlist.printers.symbol_layout import arrange_pins
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.physics import Declaration, DeclaredPart, branch
 from kc2spice.workflow.export import export_scene
@@ -111,7 +111,7 @@ for dialect in dialect_names():
     assert "tank unit=kPa flow=dm3/s" in text
     assert "a unit=kPa flow=dm3/s" in text
 part = next(part for part in result.deck.parts if "surge" in part.name)
-sides = {place.name: place.side for place in layout(part).places}
+sides = {place.name: place.side for place in arrange_pins(part).places}
 assert sides["tank"] == "bottom" and sides["mouth"] == "left"
 
 found = verify_scenes([scene], Path("verified"))["scenes"]["network"]

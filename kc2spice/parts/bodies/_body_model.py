@@ -52,8 +52,8 @@ _NO_MODEL = {"rom", "fields", "rated_voltage", "number"}
 # Packages and modules that every full and reduced model depends on.
 SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
-    "kc2spice.core.domains", "kc2spice.core.quantities", "kc2spice.core.gmsh_session",
-    "kc2spice.core.untrusted_files", "kc2spice.parts.bodies._box",
+    "kc2spice.core.domains", "kc2spice.core.gmsh_session", "kc2spice.core.naming",
+    "kc2spice.core.quantities", "kc2spice.core.untrusted_files", "kc2spice.parts.bodies._box",
 )  # fmt: skip
 
 

@@ -31,7 +31,7 @@ LARGEST = 150.0  # logarithm of the largest unknown, far inside the range of a f
 Relation = Callable[[np.ndarray], float]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StatedValues:
     """Values of a data sheet by their keys, and what each of them is in terms of the unknowns.
 
