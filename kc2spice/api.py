@@ -560,7 +560,13 @@ class Result:
         probes = {name: Probe(of=name) for name in names or known}
         for figure in plot_probes(probes, Waveforms(dict(self.waves), {}), self.units):
             return make_notebook_figure(figure)
-        raise UsageError("a single point is no curve", where=self.scene, got=self.scale)
+        raise UsageError(
+            "a single point is no curve",
+            where=self.scene,
+            got=self.scale,
+            expected="a result over time, frequency or a sweep",
+            hint="print result.metrics or result.waves",
+        )
 
     def to_xarray(self) -> Any:
         """Return the waves as an ``xarray.Dataset`` over time, frequency or sweep.

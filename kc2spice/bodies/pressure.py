@@ -338,7 +338,7 @@ def contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -
 
 @dataclass(frozen=True)
 class IsotropicSphere:
-    """Elastic sphere of a ``radius`` [m] whose material is isotropic about the axis."""
+    """Elastic sphere of a ``radius`` [m] of transversely isotropic material."""
 
     radius: float
     material: Material

@@ -132,8 +132,8 @@ PARAMETERS = {
     "all_": typer.Option("--all", help="Verify every built-in scene."),
     "full": typer.Option(
         "--full",
-        help="Follow full models for up to 400 000 steps, not 4 000, and solve large ones at all "
-        "frequencies.",
+        help="Integrate full models over up to 400 000 steps, not 4 000, and solve large full "
+        "models at all frequencies.",
     ),
     "search": typer.Argument(
         metavar="SEARCH", help="Words in number, maker or device of a part. Default: all parts."

@@ -35,7 +35,7 @@ def gmsh_session() -> Iterator[ModuleType]:
     gmsh.initialize([], readConfigFiles=False, interruptible=False)
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-            signal.signal(number, signal.getsignal(number))  # gmsh takes them for itself
+            signal.signal(number, signal.getsignal(number))  # gmsh replaces these handlers
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.NumThreads", 1)

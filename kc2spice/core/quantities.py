@@ -395,7 +395,7 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
 
 
 def _correct_spelling(value: object, si: str) -> str | None:
-    """Return the spelling that replaces a decimal comma or a missing unit."""
+    """Return a corrected spelling of a quantity with a decimal comma or without its unit."""
     if not isinstance(value, str) or len(value) > _LONGEST:
         return None
     for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):

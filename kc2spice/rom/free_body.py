@@ -82,7 +82,7 @@ class FreeBody:
         return tuple(magnitudes(P) @ np.abs(self.vectors) for P in self.pencil.coefficients)
 
     def _bound_rounding(self, forces: np.ndarray, V: np.ndarray) -> np.ndarray:
-        """Bound the rounding errors (k, k) of a projected matrix beside the rigid-body modes."""
+        """Bound rounding errors (k, k) in the rows and columns of rigid-body modes."""
         bounds = np.zeros((V.shape[1],) * 2)
         side, count = FREE * np.finfo(float).eps * (np.abs(V).T @ forces), forces.shape[1]
         bounds[:, :count], bounds[:count] = side, side.T

@@ -45,7 +45,8 @@ class Reduction:
         Full-order model of n unknowns, in SI units, without structural damping.
     band : tuple of two floats or texts, optional
         Lowest and highest frequency in Hz or as texts such as ``"20 kHz"``. By default it is the
-        band of the model, otherwise it ends a little above the fifth natural frequency.
+        band of the model; for a model without a band it ends just above the fifth natural
+        frequency.
     norm : "pointwise" or "peak", optional
         Reference of the relative error, as for :func:`kc2spice.reduce`.
     tolerance : float, default 1e-6

@@ -307,7 +307,9 @@ def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tup
         problem = (
             "structural damping beside a damping matrix needs potentials that are not eliminated"
         )
-        raise UsageError(problem, where=model.name, hint="rayleigh instead of E")
+        raise UsageError(
+            problem, where=model.name, hint="state the key rayleigh instead of the damping matrix E"
+        )
     return replace(plain, E=model.E + added * model.K), (alpha, beta_share)
 
 

@@ -98,7 +98,8 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> Iterator[Check]:
         """Whether the voltage at each electrode stays within its rating.
 
-        Of a response to small signals the amplitude counts, at the voltages that the scene states.
+        In an ac analysis, the amplitude at the source voltages of the scene is compared with the
+        rating.
         """
         volts, ports = self.rated_voltage(part, build), self.used_ports(part, build.scene)
         if volts is None:

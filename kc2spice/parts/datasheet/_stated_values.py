@@ -180,7 +180,7 @@ class StatedValues:
         for key in self.stated if len(self.stated) > x.size else ():
             others = self._without(key)
             if others._rank(x) == x.size:
-                redundant[key] = others._influence(key, x)
+                redundant[key] = others._sensitivities(key, x)
         if not any(self._differs(key, shares, x) for key, shares in redundant.items()):
             return
         key = max(redundant, key=self._correction)
@@ -223,7 +223,7 @@ class StatedValues:
     def _difference(self, key: str, x: np.ndarray, y: np.ndarray) -> float:
         return self._logarithm(key, x) - self._logarithm(key, y)
 
-    def _influence(self, key: str, x: np.ndarray) -> dict[str, float]:
+    def _sensitivities(self, key: str, x: np.ndarray) -> dict[str, float]:
         """Derivatives of the value that these values imply for ``key``, by each of them."""
         weights = np.array([1 / self.tolerance_of(name) for name in self.stated])
         slopes = np.array([self._gradient(name, x) for name in self.stated])

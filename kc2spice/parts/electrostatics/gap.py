@@ -127,7 +127,7 @@ class GapKeys(_stop.Stopped):
     )
     stop: Stiffness = Field(1e6, gt=0, description="Stiffness of the stop, all patches together")
     shares: tuple[float, ...] | None = Field(
-        None, description="Share of the area of each patch; by default equal shares"
+        None, description="Fraction of the total area that each patch covers; equal by default"
     )
     fringing: Fringing | None = Field(
         None, description="Fringing field of a strip; by default none"

@@ -302,7 +302,7 @@ class Pair:
         return replace(result, compliance=total, patch=result.patch + other.patch), pace
 
     def basis_forces(self, force: float) -> np.ndarray:
-        """(n,) [N] on each basis function where they carry ``force`` together."""
+        """Return the contact forces (n,) [N] on the basis functions, whose sum is ``force``."""
         from kc2spice.bodies.pressure import contact_forces
 
         assert self.b.radius is not None
@@ -405,12 +405,13 @@ def find_separation(
 ) -> tuple[float, float] | None:
     """Return time [s] and velocity [m/s] at the end of the contact before the flight, or None.
 
-    The force is in proportion to the overlap to the ``power`` there.
+    In contact, the force is proportional to ``overlap**power``.
 
-    A gap is a flight if it lasts 20 us or until the data end. A body that draws back and strikes
-    later leaves such a gap too. Of the flights that begin until 20 us after ``busy`` [s], when the
-    drive stops moving, the launch is the first with at least half of the largest speed. Without
-    one it is the first of all. By default the drive is not known and all flights count.
+    A gap is a flight if it lasts 20 us or until the data end. A body that rebounds and strikes
+    again later also leaves such an interval without contact. Of the flights that begin until 20
+    us after ``busy`` [s], when the drive stops moving, the launch is the first with at least
+    half of the largest speed. Without one it is the first of all. By default the drive is not
+    known and all flights count.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
     force = np.maximum(force, 0.0) ** (1 / power)
