@@ -46,12 +46,17 @@ DIRECT = 150  # unknowns up to which one linear system per frequency may be solv
 
 
 def intermediate_model(
-    pencil: Pencil, band: tuple[float, float], target: float, limit: float
+    pencil: Pencil,
+    band: tuple[float, float],
+    target: float,
+    limit: float,
+    *,
+    deflated: bool = True,
 ) -> IntermediateModel:
     """Return a model whose relative error over ``band`` [Hz] is at most ``target``.
 
     If rounding errors of the full model's solutions exceed ``target``, the error is at most
-    ``limit``.
+    ``limit``. The model of a free body has few states if its rigid-body modes are ``deflated``.
 
     Raises
     ------
@@ -75,7 +80,7 @@ def intermediate_model(
             raise inaccurate
         if complete is not None:
             return _restore_units(pencil, band, complete)
-    if (result := _build_definite_model(pencil, band, target, limit)) is not None:
+    if (result := _build_definite_model(pencil, band, target, limit, deflated)) is not None:
         return result
     if expects_cholesky(pencil):  # its memory was checked for a Cholesky factor only
         require_factors(pencil.bordered(1.0, 1.0, 1.0))
@@ -96,17 +101,18 @@ def intermediate_model(
 
 
 def _build_definite_model(
-    pencil: Pencil, band: tuple[float, float], target: float, limit: float
+    pencil: Pencil, band: tuple[float, float], target: float, limit: float, deflated: bool
 ) -> IntermediateModel | None:
     """Build the model of a definite pencil or of a free body; return None for all others.
 
     With potentials, the search for rigid-body modes costs less than a factor of the stiffness, and
     comes first.
     """
-    omega = 2 * np.pi * band[1]
-    body = find_free_body(pencil, omega) if isinstance(pencil.coefficients[0], Schur) else None
-    if body is None and not is_definite(pencil, undamped_too=True):
+    omega, body = 2 * np.pi * band[1], None
+    if deflated and isinstance(pencil.coefficients[0], Schur):
         body = find_free_body(pencil, omega)
+    if body is None and not is_definite(pencil, undamped_too=True):
+        body = find_free_body(pencil, omega) if deflated else None
         if body is None:
             return None
     return definite_krylov_model(pencil, band, target, limit, body)

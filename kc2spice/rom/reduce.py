@@ -219,7 +219,8 @@ def verified_first_step(
         if target.order is not None and by_krylov and is_definite(pencil):
             result = nested_model(pencil, target.order, target.space)
         else:
-            result = intermediate_model(pencil, band, goal, limit)
+            deflated = target.order is None  # any order can be prescribed
+            result = intermediate_model(pencil, band, goal, limit, deflated=deflated)
     finally:
         proof = prove_stability(pencil, band, result.poles if result else None)
         if proof.stable is False:

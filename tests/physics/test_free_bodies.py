@@ -162,3 +162,15 @@ def test_a_soft_support_is_not_taken_for_a_rigid_body_mode():
         support = sparse.csc_array(([stiffness], ([0], [0])), shape=(n, n))
         model = LinearModel(M=M, K=K + support, B=B, rayleigh=(0.0, 0.1))
         assert find_free_body(model.pencil, omega) is None
+
+
+def test_a_free_body_can_have_any_prescribed_order():
+    """Its error against a direct solution is within the estimate."""
+    M, K, B = chains(1, 1500)
+    model = LinearModel(M=M, K=K, B=B, rayleigh=(0.0, 0.1))
+    rom = reduce_model(model, order=24, band=(0.0, 0.03))
+    assert rom.order == 24
+    f = np.array([0.004, 0.011, 0.025])
+    exact = model.transfer(f)
+    error = (np.abs(rom.transfer(f) - exact) / np.abs(exact)).max()
+    assert error <= rom.certificate.error_estimate
