@@ -54,6 +54,8 @@ STEP_CONTROL = frozenset(("tripdv", "tripdt"))  # of a behavioural source: steps
 Syntax = Literal["ngspice", "ltspice", "pspice"]
 _ORDERED = ("<", ">", "<=", ">=", "==", "!=")
 _LOGICAL = ("&&", "||")
+_ACROSS = frozenset(("rpar", "cpar"))  # carry a part of the current of their element
+_METERED = frozenset("bcdefghilrv")  # kinds whose current enters at the first node
 _LARGEST_POWER = 9  # whole exponents up to here become products
 _SETTING = re.compile(r"\s(\w+)\s*=(?!=)")
 _INFIX = re.compile(r"(\d+)(meg|[a-z])(\d+)", re.IGNORECASE)
@@ -116,11 +118,13 @@ class _Scope:
 
     def translated(self) -> Circuit:
         """The circuit with its items for ngspice."""
+        groups = [(item, tuple(self._item(item))) for item in self.circuit.items]
         items: list[Item] = []
-        for item in self.circuit.items:
-            items += self._item(item)
-        for key, meter in self.metered.items():
-            items = _with_meter(items, key, meter)
+        for item, group in groups:  # laws name the meters first
+            if isinstance(item, Element) and item.key in self.metered:
+                items += _with_meter(item, group, self.metered[item.key])
+            else:
+                items += group
         defaults = self._values(self.circuit.defaults, self.circuit)
         return replace(self.circuit, items=tuple(items), defaults=defaults)
 
@@ -232,21 +236,20 @@ class _Scope:
         return _expanded(element, settings, ())
 
 
-def _with_meter(items: Iterable[Item], key: str, meter: str) -> list[Item]:
-    """The items with a source of 0 V in series with the element of this name."""
-    result: list[Item] = []
-    for item in items:
-        if isinstance(item, Element) and item.key == key:
-            inner = f"{item.name}_metered"
-            result.append(_beside(item, meter, item.nodes[0], inner, "0"))
-            item = replace(item, nodes=(inner, *item.nodes[1:]))
-        result.append(item)
-    return result
+def _with_meter(element: Element, group: Iterable[Item], meter: str) -> Iterator[Item]:
+    """Put a source of 0 V in series with all items that an element becomes."""
+    plus, inner = element.nodes[0], f"{element.name}_metered"
+    yield _beside(element, meter, plus, inner, "0")
+    for item in group:
+        assert isinstance(item, Element)  # an element becomes elements
+        yield replace(item, nodes=tuple(inner if node == plus else node for node in item.nodes))
 
 
 def _beside(element: Element, name: str, *words: str) -> Element:
-    """An element that stands for a part of another one."""
-    return replace(Element.of(name, *words), where=element.where, written=element.written)
+    """An element that stands for a part of another one, and is in parallel as often."""
+    count = {key: text for key, text in element.parameters.items() if key.lower() == "m"}
+    made = Element.of(name, *words, **({} if name[0] in "Vv" else count))
+    return replace(made, where=element.where, written=element.written)
 
 
 def _capacitor(element: Element) -> Iterable[Item]:
@@ -438,12 +441,13 @@ class _Translator:
     def _meter(self, name: str) -> str:
         """The source whose current is that of an element."""
         element = self.scope.elements.get(name.lower())
-        if element is None or element.kind in "vleh" or (element.kind == "b" and element.quantity):
+        if element is None or element.kind not in _METERED:
             return name
-        if element.kind not in "rcdi" or self.scope.metered.get(element.key):
-            return self.scope.metered.get(element.key, name)
-        self.scope.metered[element.key] = f"V{element.name}_meter"
-        return self.scope.metered[element.key]
+        settings = _split_settings(element.expression)[1] | element.settings
+        is_branch = element.kind in "vleh" or element.quantity == "V"
+        if is_branch and not settings.keys() & _ACROSS:  # ngspice has its current
+            return name
+        return self.scope.metered.setdefault(element.key, f"V{element.name}_meter")
 
     def _call(self, function: str, arguments: tuple[Tree, ...]) -> Tree:
         if reason := _NO_EQUAL.get(function):

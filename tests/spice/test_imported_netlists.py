@@ -400,3 +400,24 @@ resistance = 1000
 type = "op"
 """)  # fmt: skip
     assert result.waves["load.v"][0] == pytest.approx(1.0, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("cards", "exact"),
+    [
+        ("C1 a 0 10n Rpar=1k Cpar=5n", lambda s: 15e-9 * s + 1e-3),
+        ("L1 a 0 1m Rser=5 Rpar=200", lambda s: 1 / (5 + 1e-3 * s) + 5e-3),
+        ("D1 a 0 X\n.model X D(Ron=10 Roff=1k Vfwd=5)", lambda s: 1e-3 + 0 * s),
+        ("R1 a 0 R=100+0*V(a)", lambda s: 1e-2 + 0 * s),
+        ("B1 a 0 I=V(a)/50 Rpar=100", lambda s: 0.03 + 0 * s),
+        ("C1 a 0 10n Rser=50 Rpar=1k m=2", lambda s: 2 / (50 + 1 / (1e-8 * s)) + 2e-3),
+    ],
+)
+def test_the_current_of_an_element_includes_its_parasitic_elements(cards, exact, tmp_path):
+    """LTspice's ``I(C1)`` is the current at the terminals; ``m`` counts whole elements."""
+    name = cards.split()[0]
+    library = f".subckt own a o\nB9 o 0 V=1000*I({name})\n{cards}\n.ends\n"
+    scene = SWEEP.replace('pins = { a = "drive.out" }', 'pins = { a = "drive.out", o = "load.a" }')
+    result = run(tmp_path, library, scene + '[load]\npart = "resistor"\nresistance = 1000\n')
+    admittance = exact(2j * np.pi * result.waves["frequency"].real)
+    assert np.abs(result.waves["load.v"] / 1000 / admittance - 1).max() < 1e-6
