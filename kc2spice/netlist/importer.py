@@ -39,6 +39,7 @@ from kc2spice.netlist.expression import (
     literal,
     parse,
 )
+from kc2spice.netlist.spelling import split_infix_unit
 
 # Series resistance [Ohm] of an inductor that states none and is not coupled (LTspice help, L).
 INDUCTOR_RESISTANCE = "1m"
@@ -46,10 +47,10 @@ GMIN = "1e-12"  # S, conductance that an ideal diode without Roff has
 IDEAL_DIODE = frozenset((
     "ron", "roff", "vfwd", "vrev", "rrev", "ilimit", "revilimit", "epsilon", "revepsilon",
 ))  # fmt: skip
-# Ratings, makers and the like, which LTspice displays and no equation contains.
-DISPLAYED = frozenset((
-    "iave", "icrating", "irms", "mfg", "qg", "ron", "type", "vceo", "vds", "vpk",
-))  # fmt: skip
+# Ratings and makers in models, which LTspice displays and no equation contains; of a VDMOS also the
+# next ones.
+DISPLAYED = frozenset(("iave", "icrating", "mfg", "type", "vceo", "vpk"))
+VDMOS_DISPLAYED = DISPLAYED | {"qg", "ron", "vds"}
 STEP_CONTROL = frozenset(("tripdv", "tripdt"))  # of a behavioural source: steps, not equations
 Syntax = Literal["ngspice", "ltspice", "pspice"]
 _ORDERED = ("<", ">", "<=", ">=", "==", "!=")
@@ -58,7 +59,6 @@ _ACROSS = frozenset(("rpar", "cpar"))  # carry a part of the current of their el
 _METERED = frozenset("bcdefghilrv")  # kinds whose current enters at the first node
 _LARGEST_POWER = 9  # whole exponents up to here become products
 _SETTING = re.compile(r"\s(\w+)\s*=(?!=)")
-_INFIX = re.compile(r"(\d+)(meg|[a-z])(\d+)", re.IGNORECASE)
 _MICRO = str.maketrans({"\u00b5": "u", "\u03bc": "u"})
 _NO_EQUAL = {
     "absdelay": "a delay of a voltage", "delay": "a delay of a voltage",
@@ -133,7 +133,9 @@ class _Scope:
 
     def _value(self, text: str, card: Card) -> str:
         """A value of a card; one in braces or quotes is an expression of parameters."""
-        text = _plain_number(text)
+        text = text.translate(_MICRO)
+        if self.syntax == "ltspice" and (number := split_infix_unit(text)):
+            return "{0}.{2}{1}".format(*number)
         if text[:1] + text[-1:] not in ("{}", "''"):
             return text
         return f"{{{self._law(text[1:-1], card)}}}"
@@ -152,7 +154,7 @@ class _Scope:
             case Function():
                 return (replace(item, expression=self._law(item.expression, item)),)
             case Element():
-                return self._element(_plain_numbers(item))
+                return self._element(item)
         return (item,)
 
     # --- models -----------------------------------------------------------------------------
@@ -176,41 +178,42 @@ class _Scope:
             return ()  # its diodes become sources
         if kind in ("sw", "csw"):
             _require_switch(model)
-        parameters = self._values(model.parameters, model)
-        if kind not in ("sw", "csw"):
-            for key in model.parameters:
-                if key.lower() in DISPLAYED:
-                    del parameters[key]
-        return (replace(model, parameters=parameters),)
+        displayed = VDMOS_DISPLAYED if kind == "vdmos" else DISPLAYED
+        computed = {k: v for k, v in model.parameters.items() if k.lower() not in displayed}
+        return (replace(model, parameters=self._values(computed, model)),)
 
     # --- elements ---------------------------------------------------------------------------
 
     def _is_ideal(self, model: Model) -> bool:
-        """Whether it is that of LTspice's diode of straight lines."""
+        """Whether it is the model of LTspice's piecewise linear diode."""
         ideal = model.type.lower() == "d" and bool(_settings(model).keys() & IDEAL_DIODE)
         return ideal and self.syntax == "ltspice"
 
     def _element(self, element: Element) -> Iterable[Item]:
         if element.quantity:
             return self._source(element)
+        if element.kind == "r" and "r" in element.settings:
+            return (self._resistor(element),)
+        element = replace(
+            element,
+            values=tuple(self._value(text, element) for text in element.values),
+            parameters=self._values(element.parameters, element),
+        )
         model = self.models.get(element.model.lower()) if element.kind == "d" else None
         if model is not None and self._is_ideal(resolved := self._resolved(model)):
             return (_ideal_diode(element, self._values(_settings(resolved), resolved)),)
         words = (*element.values, *element.parameters)
         if element.kind in "eg" and any(word.lower().startswith("laplace") for word in words):
             raise element.error("a Laplace transform has no equal in ngspice's time domain")
-        if element.kind == "r" and "r" in element.settings:
-            law = self._law(element.settings["r"].strip("{}'"), element)
-            plus, minus = element.nodes
-            current = f"V({plus},{minus})/({law})"
-            return (Element.behaviour(f"B{element.name}", plus, minus, "I", current),)
         parasitic = {"c": _capacitor, "l": self._inductor, "v": _voltage}.get(element.kind)
-        element = replace(
-            element,
-            values=tuple(self._value(text, element) for text in element.values),
-            parameters=self._values(element.parameters, element),
-        )
         return parasitic(element) if parasitic else (element,)
+
+    def _resistor(self, element: Element) -> Element:
+        """A resistance by an expression, as the current through it."""
+        law = self._law(element.settings["r"].strip("{}'"), element)
+        plus, minus = element.nodes
+        current = f"V({plus},{minus})/({law})"
+        return Element.behaviour(f"B{element.name}", plus, minus, "I", current)
 
     def _source(self, element: Element) -> Iterable[Item]:
         """A behavioural source: its law, and the settings that LTspice writes behind the law."""
@@ -381,23 +384,6 @@ def _split_settings(law: str) -> tuple[str, dict[str, str]]:
         for match, end in zip(starts, ends, strict=True)
     }
     return law[: starts[0].start()], settings
-
-
-def _plain_numbers(element: Element) -> Element:
-    """The element whose numbers have no micro sign and no unit in place of the decimal point."""
-    values = tuple(map(_plain_number, element.values))
-    parameters = {key: _plain_number(text) for key, text in element.parameters.items()}
-    law = element.expression.translate(_MICRO)
-    return replace(element, values=values, parameters=parameters, expression=law)
-
-
-def _plain_number(text: str) -> str:
-    text = text.translate(_MICRO)
-    infix = _INFIX.fullmatch(text)
-    if infix is None or infix[2].lower() == "e":
-        return text
-    unit = "" if infix[2].lower() == "r" else infix[2]
-    return f"{infix[1]}.{infix[3]}{unit}"
 
 
 class _Translator:

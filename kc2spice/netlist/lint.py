@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import chain
@@ -25,14 +24,12 @@ from kc2spice.netlist.expression import (
 )
 from kc2spice.netlist.library import declared_pins
 from kc2spice.netlist.scope import GROUND, Scope, circuit, find_instance
+from kc2spice.netlist.spelling import split_infix_unit
 
 _ODD = tuple(map(Number, ("1", "3", "5", "7", "9")))
 # Parasitic settings of elements in LTspice, and the equivalent separate elements.
 _PARASITIC = {"rser": "R in series", "lser": "L in series", "rpar": "R across it",
               "rlshunt": "R across it", "cpar": "C across it"}  # fmt: skip
-# A unit in place of the decimal point, such as 4k7, but no exponent such as 1e5: ngspice ends the
-# number at the unit.
-_INFIX = re.compile(r"(\d+)([a-df-z][a-z]*)(\d+)", re.IGNORECASE)
 
 
 def lint(deck: Deck) -> None:
@@ -150,12 +147,10 @@ def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
                 'syntax = "ltspice" of the netlist part',
             )
     for value in part.values:
-        if number := _INFIX.fullmatch(value):
-            integer, unit, decimals = number.groups()
-            suffix = "" if unit.lower() == "r" else unit
-            read = f"{integer}{suffix}"
-            message = f"ngspice reads {value} as {read}"
-            yield part.error(message, f"{value} of {part.name}", f"{integer}.{decimals}{suffix}")
+        if number := split_infix_unit(value):  # ngspice ends the number at the unit
+            integer, unit, decimals = number
+            message = f"ngspice reads {value} as {integer}{unit}"
+            yield part.error(message, f"{value} of {part.name}", f"{integer}.{decimals}{unit}")
     present = scope.elements_of("l" if part.kind == "k" else "v")
     for source in map(str.lower, part.sources):
         if source not in present:

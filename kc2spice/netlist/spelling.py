@@ -15,6 +15,8 @@ from kc2spice.core.errors import MissingToolError, UsageError
 #: its charge, so that the currents sum to zero at an operating point where the charges do, and of
 #: the current in it a share of 1.6e-10 Hz / f, whatever the capacitance.
 LEAK_RATE = 1e-9
+# A unit in place of the decimal point, such as 4k7, but no exponent such as 1e5.
+_INFIX = re.compile(r"(\d+)([a-df-z][a-z]*)(\d+)", re.IGNORECASE)
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 # Simulators read these as ground, clock, temperature, a constant, a multiplier, a function.
 _RESERVED = frozenset({"gnd", "time", "temper", "hertz", "temp", "dtemp", "pi", "m", "limit"})
@@ -34,6 +36,24 @@ def number(value: float) -> str:
     if not math.isfinite(plain):
         raise UsageError("a netlist cannot hold this number", got=plain, expected="a finite number")
     return repr(plain)
+
+
+def split_infix_unit(text: str) -> tuple[str, str, str] | None:
+    """Split a number whose unit stands in place of its decimal point; None of any other text.
+
+    The parts are the digits before the unit, the unit without ``R`` for ohms, and the digits
+    behind it.
+
+    Examples
+    --------
+    >>> split_infix_unit("4k7"), split_infix_unit("2R2"), split_infix_unit("1e5")
+    (('4', 'k', '7'), ('2', '', '2'), None)
+    """
+    match = _INFIX.fullmatch(text)
+    if match is None:
+        return None
+    integer, unit, decimals = match.groups()
+    return integer, "" if unit.lower() == "r" else unit, decimals
 
 
 def write_rounded(value: float) -> str:

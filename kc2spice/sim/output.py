@@ -21,6 +21,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import electrical_pins
 from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.importer import DISPLAYED
 from kc2spice.netlist.scope import Scope, find_instance
 
 # "coarse": ngspice finished, but the energy balances of the result do not close.
@@ -61,9 +62,8 @@ _UNALTERED = re.compile(
     re.IGNORECASE,
 )
 _MODEL = re.compile(r"model issue on line \d+", re.IGNORECASE)
-# Ratings and makers that LTspice keeps in its models for display: no equation contains them.
 _DISPLAYED = re.compile(
-    r"unrecognized parameter \((?:mfg|type|iave|vpk|icrating|vceo)\)", re.IGNORECASE
+    rf"unrecognized parameter \((?:{'|'.join(sorted(DISPLAYED))})\)", re.IGNORECASE
 )
 MOST_ALTERATIONS = 5  # alterations that an error quotes
 _NO_START = re.compile(r"DC solution failed|transient op failed|initial timepoint", re.IGNORECASE)

@@ -379,6 +379,12 @@ def test_what_has_no_equal_is_refused_with_its_line(card, message):
     assert caught.value.where.startswith("own.lib:")
 
 
+def test_pspice_has_no_unit_in_place_of_the_decimal_point():
+    """The card stays as it is, and the check of the whole deck names what ngspice would read."""
+    resistor = imported(read("R1 a 0 4k7\n", "r.lib"), "pspice").items[0]
+    assert resistor.values == ("4k7",)
+
+
 def test_a_model_begins_with_another_one():
     text = ".model base NPN(Bf=100 Is=1f)\n.model own ako:base NPN(Bf=200 mfg=X)\nQ1 c b e own\n"
     models = imported(read(text, "m.lib"), "ltspice").items[:2]
