@@ -36,7 +36,7 @@ def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
         "amplifier",
         "high-voltage amplifier",
         Section,
-        (*_declare_nodes("out", "drive"), measured(voltage("command", "command", "ref"))),
+        _declare_nodes("out", "drive"),
         content=f"0.5*(drive - out)^2/{SERIES} + 0.5*drive^2/20000 - drive*delivered",
         signals={"delivered": _write_output_current("drive")},
         states={
@@ -57,10 +57,7 @@ def declare_charge_drive(parameters: Iterable[Param]) -> Declaration:
         "charge_drive",
         "charge drive",
         Section,
-        (
-            *_declare_nodes("anode", "cathode", "drive"),
-            measured(voltage("command", "command", "ref")),
-        ),
+        _declare_nodes("anode", "cathode", "drive"),
         coenergy="0.5*sense*cathode^2",
         content=f"0.5*(drive - anode)^2/{SERIES} - drive*delivered"
         " + 0.5*sense*cathode^2 + 0.5*capacitance*(anode - cathode)^2",
@@ -84,10 +81,7 @@ def declare_linear_drive(parameters: Iterable[Param], sense: float) -> Declarati
         "linear_drive",
         "current source",
         Section,
-        (
-            *_declare_nodes("drive", "ret", "power", "inverting", "middle"),
-            measured(voltage("command", "command", "ref")),
-        ),
+        _declare_nodes("drive", "ret", "power", "inverting", "middle"),
         coenergy="0.5*constant/(1000*ratio)*(middle - drive)^2",
         content=f"0.5*(power - drive)^2/{SERIES} - power*delivered + 0.5*ret^2/{sense!r}"
         " + 0.5*(ret - inverting)^2/1000 + 0.5*(inverting - middle)^2/(1000*ratio)",
@@ -117,10 +111,7 @@ def declare_half_bridge(parameters: Iterable[Param]) -> Declaration:
         "half_bridge",
         "half-bridge",
         Section,
-        (
-            *_declare_nodes("out", "bridge", "tank", "high", "low"),
-            measured(voltage("command", "command", "ref")),
-        ),
+        _declare_nodes("out", "bridge", "tank", "high", "low"),
         coenergy="0.5*reservoir*tank^2 + 0.5*1e-10*bridge^2"
         " + 0.5*5e-10*(high - bridge)^2 + 0.5*2e-11*(tank - high)^2"
         " + 0.5*5e-10*low^2 + 0.5*2e-11*(bridge - low)^2",
@@ -145,9 +136,13 @@ def _write_transistor_current(gate: str, drain: str, source: str) -> str:
 
 
 def _declare_nodes(*names: str) -> tuple[Branch, ...]:
-    """Return the voltage of each node to ``ref``, and as ``v_NAME`` without a current."""
+    """Return the voltages of nodes and of ``command`` to ``ref``.
+
+    That of a node is a branch with a current, and ``v_NAME`` without one.
+    """
     acting = (voltage(name, name, "ref", f"i_{name}") for name in names)
-    return (*acting, *(measured(voltage(f"v_{name}", name, "ref")) for name in names))
+    seen = (measured(voltage(f"v_{name}", name, "ref")) for name in names)
+    return (*acting, *seen, measured(voltage("command", "command", "ref")))
 
 
 def _write_output_current(node: str) -> str:
