@@ -110,7 +110,8 @@ def products(i1: Any, i2: Any) -> np.ndarray:
 class Coenergy:
     """Coenergy ``W(y, i) = p(y) . products(i)`` [J] at the height ``y`` [m].
 
-    Its derivatives by the height and by the currents are the force [N] and the flux linkages [Wb].
+    The derivative of W with respect to the height is the force [N], those with respect to the
+    currents are the flux linkages [Wb].
     """
 
     terms: Piecewise  # p (..., 6)

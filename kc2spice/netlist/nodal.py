@@ -168,9 +168,9 @@ def _parse_value(item: Element) -> Tree | float:
 
 
 def _stamps(item: Element, size: float) -> Iterable[tuple[int, str, str, float]]:
-    """Yield the entries of an element in G (0) and C (1).
+    """Yield the entries of an element in the matrices G and C of ``G x + C dx/dt``.
 
-    Each consists of matrix, equation, unknown and value.
+    Each consists of the matrix (0 is G, 1 is C), equation, unknown and value.
 
     The equation of a node is the sum of the currents that leave it. The equation of a current is
     the law of its element.

@@ -81,7 +81,7 @@ def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _list_metrics(metrics: Sequence[str]) -> str:
-    """Return the names of metrics in one line, and groups of curves by one name."""
+    """Return the names of metrics on one line; curves of one group share a name."""
     groups = Counter(name.partition(".")[0] for name in metrics)
     return ", ".join(n if count == 1 else f"{n} ({count} curves)" for n, count in groups.items())
 

@@ -333,7 +333,7 @@ def _format_modes(part: str, table: Mapping[str, Any]) -> PageSection:
 
 
 def _simulator_rows(result: Mapping[str, Any], scene: Scene) -> Rows:
-    """Return rows of the simulator, its time points and its settings."""
+    """Return table rows that describe the simulator, its time points and settings."""
     facts = dict(result.get("simulator", {}))
     facts.pop("attempts", None)
     rows: Rows = list(zip(facts, map(str, facts.values()), strict=True))

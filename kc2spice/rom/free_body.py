@@ -24,11 +24,14 @@ from kc2spice.rom.rounding import FREE
 # The shift, relative to the square of the end of the band. The smaller it is, the more the Krylov
 # subspace resembles that at zero, and the fewer steps of inverse iteration are needed.
 SHIFT = 1e-6
-# The shift is at least so many times the rounding of K, and at most this share of the squared band.
-ABOVE_ROUNDING, LARGEST_SHIFT = 100.0, 1e-2
-# Steps of inverse iteration, each of which reduces the error of a mode by the factor
-# shift / (shift + first squared frequency), and the product of these factors at which it ends.
-STEPS, CONVERGED = 12, 1e-14
+# Least shift, relative to the highest squared frequency times the relative rounding error.
+ABOVE_ROUNDING = 100.0
+# Largest shift, relative to the square of the end of the band.
+LARGEST_SHIFT = 1e-2
+STEPS = 12  # most steps of inverse iteration
+# Error of a mode at which the iteration ends. A step multiplies the error by
+# shift / (shift + first squared frequency).
+CONVERGED = 1e-14
 # Largest energy of a rigid-body mode, in random rounding errors of the entries of K. Free bodies
 # have up to 0.02, a chain of 1 400 masses with a support of 3e-14 of its stiffness has 1.5. Other
 # methods reduce bodies that lie above, and keep such supports.

@@ -45,7 +45,10 @@ class Snapshots(NamedTuple):
         return np.asarray(2j * np.pi * np.r_[self.inside, self.above])
 
     def weights(self, inside: np.ndarray | float = 1.0, above: float = 1.0) -> np.ndarray:
-        """Return all weights from those in the band and a factor above it."""
+        """Return the weights of all snapshots.
+
+        ``inside`` are the weights in the band; those above it are multiplied by ``above``.
+        """
         weight = np.broadcast_to(inside, self.inside.shape)
         return np.asarray(np.r_[weight, above * self.above_weight])
 
