@@ -1,13 +1,11 @@
-"""Deck of a scene from the models of its parts, and decks that a user edited.
+"""Deck of a scene from the models of its parts.
 
 The parts supply their cards, libraries and results by the methods of their types.
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import chain
 from operator import attrgetter
 from pathlib import Path
@@ -17,29 +15,20 @@ from kc2spice.core.domains import ELECTRICAL, SIGNAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import list_earlier_files
 from kc2spice.core.progress import Clock
-from kc2spice.equations.scene_laws import with_laws
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Command, Deck, Option, ac, dc, transient
+from kc2spice.netlist.edited_deck import read_edited_deck
 from kc2spice.netlist.elements import add_title
-from kc2spice.netlist.expression import Trace, literal, parse_vector
-from kc2spice.netlist.include_scan import (
-    ANALYSES,
-    HARMLESS,
-    accuracy_options,
-    check_deck_effects,
-    read_checked_circuit,
-)
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.lint import lint
-from kc2spice.netlist.read import Statement, statements, tree_of
-from kc2spice.netlist.scope import INCLUDES, Scope, circuit, has_vector
+from kc2spice.netlist.read import statements
+from kc2spice.netlist.scope import INCLUDES
 from kc2spice.netlist.spelling import comment, number, write_rounded
 from kc2spice.netlist.transforms import remove_arithmetic_noise
 from kc2spice.scene.axes import MAX_STEP, describe_plan
 from kc2spice.scene.frames import MOTIONS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.plausible import apply_action, check_models
-from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.scene.results import (
     DcSweep,
     collect_powers,
@@ -50,10 +39,9 @@ from kc2spice.scene.results import (
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
 from kc2spice.synthesis.header import plan_lines
 from kc2spice.workflow import noise_analysis
-from kc2spice.workflow.edits import changed, element_text, instance, with_value
+from kc2spice.workflow.edited_parts import with_edited_parameters
 from kc2spice.workflow.measures import measures
 from kc2spice.workflow.models import build_models
-from kc2spice.workflow.time_step import with_linearised_scene
 
 HOLD = 1e30  # H: a constraint at rest, and above 1 uHz less than a millionth of 1 fg
 
@@ -69,14 +57,16 @@ def prepare_deck(
     """Return the models and the deck of ``scene``, or its deck ``edited`` by hand.
 
     Errors of the wiring name file and line before the simulator starts. ``functions`` are those of
-    controllers, by part. Raises as :func:`make_deck` and :func:`edited_deck` do.
+    controllers, by part. Raises as :func:`make_deck` and
+    :func:`kc2spice.netlist.edited_deck.read_edited_deck` do.
     """
     require_probed_results(Build(scene, {}, trust=trust, functions=functions or {}))
     build = build_models(scene, clock, trust=trust, functions=functions)
     with clock.stage("export", "netlists"):
         deck = make_deck(build)
         if edited is not None:
-            deck, build = edited_deck(build, deck, edited)
+            edits = read_edited_deck(deck, edited)
+            deck, build = edits.deck, with_edited_parameters(build, edits, edited)
         lint(deck)
     return build, deck
 
@@ -262,227 +252,6 @@ def _initial_values(build: Build, loose: Sequence[FloatingNets]) -> dict[str, fl
         if group.nets and not group.bodies and with_states.isdisjoint(group.parts):
             result[group.nets[0]] = 0.0
     return result
-
-
-def edited_deck(build: Build, original: Deck, path: Path) -> tuple[Deck, Build]:
-    """Return an edited netlist with the results of its ``original`` deck, and its build.
-
-    The parts of the build have the parameters of the edited netlist. Parts with other cards or
-    connections have no checks. The text of included files replaces their include lines. A netlist
-    that could act on the machine is refused, unless the build is trusted.
-
-    Raises
-    ------
-    UsageError : no such file, a line that could act on the machine, a card that changes what the
-        parts of the deck mean, another analysis than the scene's, vectors that the file does not
-        save or that nothing in it has.
-
-    Warns of accuracy options that differ from those of the scene, and of parts without checks.
-    """
-    result = read_checked_circuit(path, trust=build.trust)
-    cards = list(result.cards(title=True))
-    check_deck_effects(cards, part=False)
-    analysis = _require_analysis(original, cards, path)
-    _require_saved(original, cards, path)
-    tree = tree_of(cards)
-    _require_results(original, circuit(tree), path)
-    _warn_of_options(original, cards, path)
-    words = tuple(analysis.words[1:])
-    stop = original.stop
-    if stop is not None:  # the end of the transient whose card has these words
-        stop = literal(words[1], where=analysis.where) if len(words) > 1 else None
-        if stop is None:
-            message, got = "the end of the transient is no number", " ".join(words)
-            raise UsageError(message, where=analysis.where, got=got)
-    deck = replace(
-        original,
-        text=result.text,
-        tree=tree,
-        parts=(),
-        items=(),
-        options=(),
-        initial={},
-        stop=stop,
-        command=Command(original.command.kind, words),
-    )
-    return deck, _with_edited_parameters(build, original, deck, path)
-
-
-def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) -> Statement:
-    """Return the card of the analysis in an edited deck.
-
-    Raises
-    ------
-    UsageError : the deck has another analysis than its ``original``, or several.
-    """
-    analyses = [card for card in cards if card.keyword in ANALYSES]
-    if list(map(attrgetter("keyword"), analyses)) != [f".{original.command.kind}"]:
-        raise UsageError(
-            "not the scene's analysis",
-            where=str(path),
-            got=" and ".join(map(attrgetter("written"), analyses)) or "none",
-            expected=original.command.card,
-            hint=f"write this line into the deck: {original.command.card}",
-        )
-    return analyses[0]
-
-
-def _require_saved(original: Deck, cards: Iterable[Statement], path: Path) -> None:
-    """Refuse a deck that saves vectors, but not all that the results need.
-
-    Raises
-    ------
-    UsageError : names the missing vectors.
-    """
-    saved: set[Trace | None] = set()
-    for card in cards:
-        if card.keyword == ".save":
-            saved.update(map(parse_vector, map(str.lower, card.words[1:])))
-    missing = [name for name in original.saved if parse_vector(name.lower()) not in saved]
-    if saved and parse_vector("all") not in saved and missing:
-        raise UsageError(
-            "the scene's metrics need vectors that this deck does not save",
-            where=str(path),
-            got=", ".join(missing),
-            expected="these vectors on a line that begins with .save",
-            hint="add this line to the deck: .save " + " ".join(missing),
-        )
-
-
-def _with_edited_parameters(build: Build, original: Deck, edited: Deck, path: Path) -> Build:
-    """Return ``build`` with the parameter values of the ``edited`` deck.
-
-    A part is not checked if its keys cannot express its cards in the edited deck. Prints a warning
-    that lists these parts.
-    """
-    edits, parts = _edited_cards(original, edited), dict(build.scene.parts)
-    reasons = {name: why for name, why in edits.items() if name in parts}
-    for name, part in build.scene.parts.items():
-        card = f"x{name}"
-        before, now = instance(original.scope, card), instance(edited.scope, card)
-        if before is None or now is None or name in reasons:
-            continue
-        if before.cards != now.cards:
-            reasons[name] = f"its subcircuit {now.library.name} has other cards"
-        for key, old, new in changed(before, now):
-            other = with_value(parts[name], key, old, new)
-            if other is None:
-                reasons[name] = f"none of its keys is the parameter {key} of {now.library.name}"
-            parts[name] = other or part
-    if reasons:
-        lines = "; ".join(map(": ".join, reasons.items()))
-        warnings.warn(f"{path}: parts without checks and energy balance: {lines}", stacklevel=2)
-    unjudged = build.unjudged | edits.keys() | reasons.keys()
-    scene = resolve_again(replace(build.scene, parts=parts))
-    result = resolve_build(replace(build, scene=scene, unjudged=frozenset(unjudged)))
-    return with_linearised_scene(with_laws(result))
-
-
-def _elements_by_key(scope: Scope) -> dict[str, Element]:
-    """Return the elements of a circuit by their names in lower case."""
-    return {card.key: card for card in scope.elements}
-
-
-def _element_content(card: Element) -> str:
-    """Return a card without its nodes, and without the parameters of an instance."""
-    plain = replace(card, nodes=())
-    return element_text(replace(plain, parameters={}) if card.kind == "x" else plain)
-
-
-def _edited_cards(original: Deck, edited: Deck) -> dict[str, str]:
-    """Return the parts whose cards differ in the ``edited`` deck, with the reason.
-
-    The keys of these parts no longer describe the deck. Further names are those of new cards and of
-    instances with other nodes. Other parameters or subcircuits of an instance do not count.
-    """
-    before, now = _elements_by_key(original.scope), _elements_by_key(edited.scope)
-    result = {}
-    for key in before.keys() | now.keys():
-        a, b = before.get(key), now.get(key)
-        owner = key if a is None else a.owner or key
-        if b is None and a is not None:
-            result[owner] = f"the deck has no card {a.name}"
-        elif a is None or b is None or _element_content(a) != _element_content(b):
-            result[owner] = f"its card {(a or b).name} is another one"  # type: ignore[union-attr]
-        elif a.ends != b.ends:  # the keys still describe an instance with other nodes
-            name = key if key.startswith("x") else owner
-            result[name] = f"its card {a.name} is joined otherwise"
-    return result
-
-
-def _require_instances(now: Scope, before: Scope, path: Path) -> None:
-    """Refuse a deck that lost the subcircuit of a part and has no new card in its place.
-
-    Raises
-    ------
-    UsageError : names the card.
-    """
-    old, new = _elements_by_key(before), _elements_by_key(now)
-    if new.keys() - old.keys():
-        return  # the reader of the deck must judge the replacement
-    for key in old.keys() - new.keys():
-        if old[key].kind == "x":
-            name = old[key].name
-            raise UsageError(
-                f"the deck has no card {name}",
-                where=str(path),
-                expected=f"{name} of the exported deck, or cards that take its place",
-                hint=f"copy the line that begins with {name} from a new export",
-            )
-
-
-def _require_results(original: Deck, now: Scope, path: Path) -> None:
-    """Refuse a deck without the nodes and devices that results are read from.
-
-    Raises
-    ------
-    UsageError : names the vectors, and the card that brings back a current.
-    """
-    before = original.scope
-    _require_instances(now, before, path)
-    missing = [v for v in original.saved if not has_vector(now, v) and has_vector(before, v)]
-    if not missing:
-        return
-    hints = []
-    sources = {f"i({e.key})": e for e in before.elements if e.kind == "v"}
-    for name in map(str.lower, missing):
-        if name not in sources:
-            continue
-        source = sources[name]
-        node = source.nodes[0]
-        hints.append(
-            f"a 0 V source of its name reads the current of whatever drives {node}: "
-            f"{source.name} {node} NODE 0, with your driver's output at NODE"
-        )
-    if len(hints) < len(missing):
-        hints.append("give renamed nodes and devices their old names")
-    raise UsageError(
-        "the scene's results need nodes or devices that this deck does not have",
-        where=str(path),
-        got=", ".join(missing),
-        expected="nodes and devices of these names",
-        hint="; ".join(hints),
-    )
-
-
-def _warn_of_options(original: Deck, cards: Iterable[Statement], path: Path) -> None:
-    """Warn of accuracy options that differ from those of the exported deck."""
-    before = {item.key: item.value for item in original.options if item.key not in HARMLESS}
-    now = accuracy_options(cards)
-
-    def value(text: str | None) -> float | str | None:
-        number = literal(text) if text else None
-        return text if number is None else number
-
-    different = []
-    for key in dict.fromkeys([*before, *now]):
-        a, b = before.get(key), now.get(key)
-        if value(a) != value(b):
-            different.append(f"{key} = {b or 'default'} ({a or 'default'})")
-    if different:
-        options = ", ".join(different)
-        problem = "options differ from those of the scene, which are in brackets"
-        warnings.warn(f"{path}: {problem}: {options}", stacklevel=2)
 
 
 def _card_texts(text: str, name: str) -> list[str]:

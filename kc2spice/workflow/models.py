@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import partial
@@ -16,7 +16,7 @@ from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import mode_table
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
-from kc2spice.scene.resolve import resolve_build
+from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.workflow.time_step import largest_step, with_linearised_scene
 
 
@@ -34,11 +34,24 @@ def build_models(
     """
     models = {name: part.type.build(part, scene, clock) for name, part in scene.parts.items()}
     build = Build(scene, models, name_subcircuits(scene), trust=trust, functions=functions or {})
-    build = with_laws(resolve_build(share_subcircuits(build)))
+    build = _resolve_equations(share_subcircuits(build))
     if scene.analysis.type != "transient":
         return build
-    build = with_linearised_scene(build)
     return replace(build, largest=largest_step(build))
+
+
+def _resolve_equations(build: Build) -> Build:
+    """Return the build with results, laws and linearised networks of its parts."""
+    return with_linearised_scene(with_laws(resolve_build(build)))
+
+
+def replace_parts(build: Build, parts: Mapping[str, Part], unjudged: Iterable[str]) -> Build:
+    """Return the build with other keys of its parts, and with the same models.
+
+    The parts ``unjudged`` have neither checks nor an energy balance.
+    """
+    scene = resolve_again(replace(build.scene, parts=parts))
+    return _resolve_equations(replace(build, scene=scene, unjudged=build.unjudged.union(unjudged)))
 
 
 def name_subcircuits(scene: Scene) -> dict[str, str]:

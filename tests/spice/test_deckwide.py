@@ -4,10 +4,11 @@ import pytest
 from device import built
 
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.edited_deck import read_edited_deck
 from kc2spice.netlist.lint import lint
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.workflow.decks import edited_deck, make_deck
+from kc2spice.workflow.decks import make_deck
 
 FOLLOWER = ".subckt half in out ref\nRa in out 1k\nRb out ref 1k\n.ends half\n"
 
@@ -114,4 +115,4 @@ def test_an_edited_deck_that_changes_what_others_mean_is_refused(tmp_path, monke
             lambda text, line=line: text.replace(".tran", f"{line}\n.tran"),
         )
         with pytest.raises(UsageError, match=said):
-            edited_deck(build, make_deck(build), tmp_path / "edited" / deck.main)
+            read_edited_deck(make_deck(build), tmp_path / "edited" / deck.main)

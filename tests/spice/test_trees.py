@@ -6,10 +6,10 @@ import kc2spice as kc
 from kc2spice.core.progress import Clock
 from kc2spice.netlist import deck as decks
 from kc2spice.netlist.circuit import Circuit, Element
+from kc2spice.netlist.edited_deck import element_text, read_edited_deck
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.read import read
-from kc2spice.workflow.decks import edited_deck, prepare_deck
-from kc2spice.workflow.edits import element_text
+from kc2spice.workflow.decks import prepare_deck
 
 
 def elements(circuit):
@@ -55,19 +55,20 @@ def test_the_head_states_the_fields_of_a_library(loop):
 
 @pytest.fixture
 def duffing(tmp_path):
-    """The build, the deck and the path of a deck that somebody may edit."""
-    build, deck = prepare_deck(kc.load_scene("duffing"), Clock())
+    """The deck and the path of a deck that somebody may edit."""
+    _, deck = prepare_deck(kc.load_scene("duffing"), Clock())
     for name, text in deck.files.items():
         (tmp_path / name).write_text(text)
-    return build, deck, tmp_path / deck.main
+    return deck, tmp_path / deck.main
 
 
 def test_an_edited_deck_is_read_once(duffing, monkeypatch):
     """Further changes are made in its tree."""
-    build, deck, path = duffing
+    deck, path = duffing
     path.write_text(path.read_text().replace("reltol=", "gmin=1e-13 reltol="))
-    with pytest.warns(UserWarning, match="gmin"):
-        edited, _ = edited_deck(build, deck, path)
+    edits = read_edited_deck(deck, path)
+    assert edits.options == {"gmin": (None, "1e-13")}
+    edited = edits.deck
 
     def unread(*_, **__):
         raise AssertionError("read again")
@@ -85,8 +86,8 @@ def test_an_edited_deck_is_read_once(duffing, monkeypatch):
 
 
 def test_places_in_an_edited_deck_are_those_of_its_file(duffing):
-    build, deck, path = duffing
-    edited, _ = edited_deck(build, deck, path)
+    deck, path = duffing
+    edited = read_edited_deck(deck, path).deck
     lines = path.read_text().splitlines()
     line = next(k for k, text in enumerate(lines, 1) if text.startswith("Xspring "))
     (spring,) = (item for item in edited.scope.elements if item.name == "Xspring")

@@ -35,11 +35,10 @@ from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.overrides import format_toml
-from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.workflow.decks import prepare_deck
-from kc2spice.workflow.edits import with_value
-from kc2spice.workflow.models import fact_units
+from kc2spice.workflow.edited_parts import with_value
+from kc2spice.workflow.models import fact_units, replace_parts
 from kc2spice.workflow.simulate import Run, simulate_deck
 from kc2spice.workflow.sweep.grid import PARAMETER
 
@@ -207,12 +206,12 @@ def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
 
 
 def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str, float]]) -> Build:
-    """``build`` for metrics and checks of a ``deck`` whose parameters are changed.
+    """Return ``build`` for metrics and checks of a ``deck`` with other parameter values.
 
-    A part with a key of that name and value has the changed one; of a part without, whose keys no
-    longer tell what the deck has, neither checks nor energy balance are asked for.
+    A part whose key has the name and the value of a parameter receives the new value. A part
+    without such a key no longer describes the deck. It has neither checks nor an energy balance.
     """
-    known, parts, unjudged = parameter_defaults(deck), dict(build.scene.parts), set(build.unjudged)
+    known, parts, unjudged = parameter_defaults(deck), dict(build.scene.parts), set[str]()
     for key, value in values:
         library, _, name = key.partition(".")
         users = {library_of(p) for p in deck.parts if library in dict(cards(p))}
@@ -222,8 +221,7 @@ def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str
                 parts[owner] = other
             elif value != known.get(key):
                 unjudged.add(owner)
-    scene = resolve_again(replace(build.scene, parts=parts))
-    return resolve_build(replace(build, scene=scene, unjudged=frozenset(unjudged)))
+    return replace_parts(build, parts, unjudged)
 
 
 def _disk_is_full() -> bool:

@@ -1,0 +1,325 @@
+"""Decks that a user edited, and their differences to the deck of a scene.
+
+The deck of a scene and an edited file go in. A record of the differences comes out: parameters,
+cards and options. :mod:`kc2spice.workflow.edited_parts` applies these differences to the parts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from kc2spice.core.errors import UsageError
+from kc2spice.netlist.circuit import Element
+from kc2spice.netlist.deck import Command, Deck
+from kc2spice.netlist.expression import Trace, literal, parse_vector
+from kc2spice.netlist.include_scan import (
+    ANALYSES,
+    HARMLESS,
+    accuracy_options,
+    check_deck_effects,
+    read_checked_circuit,
+)
+from kc2spice.netlist.printers.ngspice import Printer
+from kc2spice.netlist.read import Statement, tree_of
+from kc2spice.netlist.scope import Scope, has_vector
+
+
+class ParameterEdit(NamedTuple):
+    """Parameter of an instance with its old and its new value; nan is that of an expression."""
+
+    name: str
+    old: float
+    new: float
+
+
+@dataclass(frozen=True)
+class InstanceEdit:
+    """Differences of an instance of a subcircuit.
+
+    Attributes
+    ----------
+    subcircuit : str
+        Name of the subcircuit in the edited deck.
+    has_other_cards : bool
+        Whether the cards of that subcircuit differ, inner subcircuits included.
+    parameters : tuple of ParameterEdit
+        Parameters with another value.
+    """
+
+    subcircuit: str
+    has_other_cards: bool
+    parameters: tuple[ParameterEdit, ...]
+
+
+@dataclass(frozen=True)
+class DeckEdits:
+    """Edited deck with its differences to the deck of a scene.
+
+    Attributes
+    ----------
+    deck : Deck
+        The edited deck with the results of the scene.
+    options : mapping of str to tuple of two texts or None
+        Old and new value of each accuracy option that differs; None is the default.
+    cards : mapping of str to str
+        Parts whose cards differ, with the reason. The keys of these parts no longer describe the
+        deck. Further names are those of new cards and of instances with other nodes.
+    instances : mapping of str to InstanceEdit
+        Differences of each instance that both decks have, by its name in lower case.
+    """
+
+    deck: Deck
+    options: Mapping[str, tuple[str | None, str | None]]
+    cards: Mapping[str, str]
+    instances: Mapping[str, InstanceEdit]
+
+
+def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
+    """Read a netlist that was edited after the export of its ``original`` deck.
+
+    The text of included files replaces their include lines. A netlist that could act on the machine
+    is refused, unless the original is trusted.
+
+    Raises
+    ------
+    UsageError : no such file, a line that could act on the machine, a card that changes what the
+        parts of the deck mean, another analysis than the scene's, vectors that the file does not
+        save or that nothing in it has.
+    """
+    result = read_checked_circuit(path, trust=original.trusted)
+    cards = list(result.cards(title=True))
+    check_deck_effects(cards, part=False)
+    analysis = _require_analysis(original, cards, path)
+    _require_saved(original, cards, path)
+    deck = replace(
+        original,
+        text=result.text,
+        tree=tree_of(cards),
+        parts=(),
+        items=(),
+        options=(),
+        initial={},
+        stop=_read_stop(original, analysis),
+        command=Command(original.command.kind, tuple(analysis.words[1:])),
+    )
+    _require_results(original.scope, deck, path)
+    return DeckEdits(
+        deck,
+        _compare_options(original, cards),
+        _compare_cards(original.scope, deck.scope),
+        _compare_instances(original.scope, deck.scope),
+    )
+
+
+def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) -> Statement:
+    """Return the card of the analysis in an edited deck.
+
+    Raises
+    ------
+    UsageError : the deck has another analysis than its ``original``, or several.
+    """
+    analyses = [card for card in cards if card.keyword in ANALYSES]
+    if list(map(attrgetter("keyword"), analyses)) != [f".{original.command.kind}"]:
+        raise UsageError(
+            "not the scene's analysis",
+            where=str(path),
+            got=" and ".join(map(attrgetter("written"), analyses)) or "none",
+            expected=original.command.card,
+            hint=f"write this line into the deck: {original.command.card}",
+        )
+    return analyses[0]
+
+
+def _require_saved(original: Deck, cards: Iterable[Statement], path: Path) -> None:
+    """Refuse a deck that saves vectors, but not all that the results need.
+
+    Raises
+    ------
+    UsageError : names the missing vectors.
+    """
+    saved: set[Trace | None] = set()
+    for card in cards:
+        if card.keyword == ".save":
+            saved.update(map(parse_vector, map(str.lower, card.words[1:])))
+    missing = [name for name in original.saved if parse_vector(name.lower()) not in saved]
+    if saved and parse_vector("all") not in saved and missing:
+        raise UsageError(
+            "the scene's metrics need vectors that this deck does not save",
+            where=str(path),
+            got=", ".join(missing),
+            expected="these vectors on a line that begins with .save",
+            hint="add this line to the deck: .save " + " ".join(missing),
+        )
+
+
+def _read_stop(original: Deck, analysis: Statement) -> float | None:
+    """Return the end of a transient [s] from its card, None for any other analysis.
+
+    Raises
+    ------
+    UsageError : the end is no number.
+    """
+    if original.stop is None:
+        return None
+    words = analysis.words[1:]
+    stop = literal(words[1], where=analysis.where) if len(words) > 1 else None
+    if stop is None:
+        message, got = "the end of the transient is no number", " ".join(words)
+        raise UsageError(message, where=analysis.where, got=got)
+    return stop
+
+
+def _require_results(before: Scope, edited: Deck, path: Path) -> None:
+    """Refuse a deck without the nodes and devices that results are read from.
+
+    Raises
+    ------
+    UsageError : names the vectors, and the card that brings back a current.
+    """
+    now = edited.scope
+    _require_instances(before, now, path)
+    missing = [v for v in edited.saved if not has_vector(now, v) and has_vector(before, v)]
+    if not missing:
+        return
+    hints = []
+    sources = {f"i({e.key})": e for e in before.elements if e.kind == "v"}
+    for name in map(str.lower, missing):
+        if name not in sources:
+            continue
+        source = sources[name]
+        node = source.nodes[0]
+        hints.append(
+            f"a 0 V source of its name reads the current of whatever drives {node}: "
+            f"{source.name} {node} NODE 0, with your driver's output at NODE"
+        )
+    if len(hints) < len(missing):
+        hints.append("give renamed nodes and devices their old names")
+    raise UsageError(
+        "the scene's results need nodes or devices that this deck does not have",
+        where=str(path),
+        got=", ".join(missing),
+        expected="nodes and devices of these names",
+        hint="; ".join(hints),
+    )
+
+
+def _require_instances(before: Scope, now: Scope, path: Path) -> None:
+    """Refuse a deck that lost the subcircuit of a part and has no new card in its place.
+
+    Raises
+    ------
+    UsageError : names the card.
+    """
+    old, new = before.elements_by_key, now.elements_by_key
+    if new.keys() - old.keys():
+        return  # the reader of the deck must judge the replacement
+    for key in old.keys() - new.keys():
+        if old[key].kind == "x":
+            name = old[key].name
+            raise UsageError(
+                f"the deck has no card {name}",
+                where=str(path),
+                expected=f"{name} of the exported deck, or cards that take its place",
+                hint=f"copy the line that begins with {name} from a new export",
+            )
+
+
+def _compare_options(
+    original: Deck, cards: Iterable[Statement]
+) -> dict[str, tuple[str | None, str | None]]:
+    """Return the old and new values of accuracy options that differ."""
+    before = {item.key: item.value for item in original.options if item.key not in HARMLESS}
+    now = accuracy_options(cards)
+
+    def value(text: str | None) -> float | str | None:
+        number = literal(text) if text else None
+        return text if number is None else number
+
+    different = {}
+    for key in dict.fromkeys([*before, *now]):
+        old, new = before.get(key), now.get(key)
+        if value(old) != value(new):
+            different[key] = old, new
+    return different
+
+
+def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
+    """Return the parts whose cards differ, with the reason.
+
+    Other parameters or subcircuits of an instance do not count.
+    """
+    old, new = before.elements_by_key, now.elements_by_key
+    result = {}
+    for key in old.keys() | new.keys():
+        a, b = old.get(key), new.get(key)
+        owner = key if a is None else a.owner or key
+        if b is None and a is not None:
+            result[owner] = f"the deck has no card {a.name}"
+        elif a is None or b is None or _element_content(a) != _element_content(b):
+            result[owner] = f"its card {(a or b).name} is another one"  # type: ignore[union-attr]
+        elif a.ends != b.ends:  # the keys still describe an instance with other nodes
+            name = key if key.startswith("x") else owner
+            result[name] = f"its card {a.name} is joined otherwise"
+    return result
+
+
+def _element_content(card: Element) -> str:
+    """Return a card without its nodes, and without the parameters of an instance."""
+    plain = replace(card, nodes=())
+    return element_text(replace(plain, parameters={}) if card.kind == "x" else plain)
+
+
+def element_text(card: Element) -> str:
+    """Return the content of a card; blanks and brackets of expressions make no difference."""
+    plain = replace(card, name=card.key, nodes=card.ends, parameters=card.settings)
+    return Printer().element(plain)
+
+
+def _compare_instances(before: Scope, now: Scope) -> dict[str, InstanceEdit]:
+    """Return the differences of all instances whose subcircuits both circuits define."""
+    result = {}
+    edited = now.elements_of("x")
+    for key, card in before.elements_of("x").items():
+        old = before.find(card.model)
+        new = now.find(edited[key].model) if key in edited else None
+        if old is not None and new is not None:
+            parameters = _compare_parameters(
+                old.defaults | card.settings, new.defaults | edited[key].settings
+            )
+            result[key] = InstanceEdit(new.name, _cards(old) != _cards(new), tuple(parameters))
+    return result
+
+
+def _compare_parameters(
+    before: Mapping[str, str], now: Mapping[str, str]
+) -> Iterator[ParameterEdit]:
+    """Yield the parameters of an instance whose values differ."""
+
+    def number(text: str | None) -> float:
+        value = None if text is None else literal(text)
+        return math.nan if value is None else value
+
+    for name in before.keys() | now.keys():
+        if before.get(name) != now.get(name):
+            old, new = number(before.get(name)), number(now.get(name))
+            if old != new:
+                yield ParameterEdit(name, old, new)
+
+
+def _cards(scope: Scope, above: frozenset[str] = frozenset()) -> Any:
+    """Return the content of the cards of a subcircuit, inner subcircuits included."""
+    inside = []
+    for item in scope.elements:
+        called = scope.find(item.model) if item.kind == "x" else None
+        if called is not None and called.name.lower() not in above:
+            within = _cards(called, above | {called.name.lower()})
+            inside.append((item.model.lower(), sorted(called.defaults.items()), within))
+    printer = Printer()
+    plain = list(map(printer.card, scope.commands))
+    models = {name: printer.card(item) for name, item in scope.models.maps[0].items()}
+    return scope.pins, list(map(element_text, scope.elements)), plain, models, inside

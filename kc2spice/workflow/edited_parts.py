@@ -1,0 +1,65 @@
+"""Parts of a scene with the values that an edited netlist has.
+
+A part whose cards differ cannot be described by its keys. It has no checks.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+from kc2spice.netlist.edited_deck import DeckEdits
+from kc2spice.scene.model import Build, Part
+from kc2spice.workflow.models import replace_parts
+
+
+def with_edited_parameters(build: Build, edits: DeckEdits, path: Path) -> Build:
+    """Return ``build`` with the parameter values of an edited deck.
+
+    A part is not checked if its keys cannot express its cards in that deck. Prints a warning that
+    lists these parts, and a warning of accuracy options that differ from those of the scene.
+    """
+    _warn_of_options(edits, path)
+    parts = dict(build.scene.parts)
+    reasons = {name: why for name, why in edits.cards.items() if name in parts}
+    for name, part in build.scene.parts.items():
+        instance = edits.instances.get(f"x{name}".lower())
+        if instance is None or name in reasons:
+            continue
+        if instance.has_other_cards:
+            reasons[name] = f"its subcircuit {instance.subcircuit} has other cards"
+        for key, old, new in instance.parameters:
+            other = with_value(parts[name], key, old, new)
+            if other is None:
+                reasons[name] = f"none of its keys is the parameter {key} of {instance.subcircuit}"
+            parts[name] = other or part
+    if reasons:
+        lines = "; ".join(map(": ".join, reasons.items()))
+        warnings.warn(f"{path}: parts without checks and energy balance: {lines}", stacklevel=2)
+    return replace_parts(build, parts, {*edits.cards, *reasons})
+
+
+def _warn_of_options(edits: DeckEdits, path: Path) -> None:
+    """Warn of accuracy options that differ from those of the exported deck."""
+    different = []
+    for key, (old, new) in edits.options.items():
+        different.append(f"{key} = {new or 'default'} ({old or 'default'})")
+    if different:
+        options = ", ".join(different)
+        problem = "options differ from those of the scene, which are in brackets"
+        warnings.warn(f"{path}: {problem}: {options}", stacklevel=2)
+
+
+def with_value(part: Part, name: str, old: float, new: float) -> Part | None:
+    """Return the part with the ``new`` value of the key ``name``, in any case of letters.
+
+    The result is None if no key of the part has the ``old`` value.
+    """
+    fields = type(part.keys).model_fields
+    key = next((field for field in fields if field.lower() == name.lower()), None)
+    known = getattr(part.keys, key) if key is not None else None
+    if key is None or not isinstance(known, float) or not math.isclose(known, old):
+        return None
+    return replace(part, keys=part.keys.model_copy(update={key: new}))
