@@ -227,3 +227,14 @@ def test_ranges_in_which_a_simulator_would_step_on_the_spot():
         kc.deck(tables | {"analysis": dc})
     with pytest.raises(UsageError, match="steps too small"):
         kc.deck(tables | {"analysis": dc | {"from": 0, "to": 1e-13}})
+
+
+def test_the_waveform_of_a_file_is_read_with_the_scene(tmp_path):
+    table, toml = tmp_path / "drive.csv", tmp_path / "ramp.toml"
+    table.write_text("0, 0\n1e-3, 2\n")
+    toml.write_text('[drive]\npart = "source"\nfile = "drive.csv"\n\n'
+                    '[load]\npart = "resistor"\nresistance = 1.0\npins = { a = "drive.out" }\n\n'
+                    '[analysis]\nstop = 1e-3\n')  # fmt: skip
+    scene = load_scene(toml)
+    table.unlink()
+    assert "Vdrive drive_out 0 PWL(0 0 1m 2)" in kc.deck(scene).files["ramp.cir"]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
 
 from kc2spice.core import laws
 from kc2spice.core import waveforms as waves_
@@ -101,6 +101,8 @@ class SourceKeys(Section):
         None, description="CSV file beside the scene with the columns time and value"
     )
     ac: float | str = Field(0.0, description="Amplitude in ac analyses, in the unit of the source")
+    _waveform: Waveform = PrivateAttr()
+    _amplitude: float = PrivateAttr()
 
     @model_validator(mode="after")
     def _one_shape(self, info: ValidationInfo) -> SourceKeys:
@@ -109,8 +111,8 @@ class SourceKeys(Section):
             hint = f"delete the key {shapes[0]} or the key {shapes[1]}"
             raise refused("two shapes: " + " and ".join(shapes), "one of them", hint=hint)
         try:
-            self.waveform((info.context or {}).get("home", Path()))
-            quantity(self.ac, self.unit, where="ac")
+            self._waveform = self._read_waveform((info.context or {}).get("home", Path()))
+            self._amplitude = quantity(self.ac, self.unit, where="ac")
         except UsageError as error:
             expected = error.expected or "numbers with units"
             raise refused(error.message, expected, error.where, error.hint) from None
@@ -130,8 +132,18 @@ class SourceKeys(Section):
         """SI unit of its values."""
         return KINDS[self.kind].unit
 
-    def waveform(self, home: Path) -> Waveform:
-        """Values over time in SI; ``file`` is looked for in ``home``.
+    @property
+    def waveform(self) -> Waveform:
+        """Values over time in SI units."""
+        return self._waveform
+
+    @property
+    def amplitude(self) -> float:
+        """Amplitude in ac analyses in SI units."""
+        return self._amplitude
+
+    def _read_waveform(self, home: Path) -> Waveform:
+        """Return the values over time in SI units; ``home`` is the folder of ``file``.
 
         Raises
         ------
@@ -184,29 +196,29 @@ class Source(PartType[SourceKeys]):
         return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
 
     def numerics(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[Numerics]:
-        yield from drive_numerics(part.name, part.keys.waveform(scene.home))
+        yield from drive_numerics(part.name, part.keys.waveform)
         pulse = part.keys.pulse
         if pulse is not None and pulse.count is None and pulse.period:
             yield Numerics(part.name, period=pulse.period)
 
     def voltage(self, part: Part[SourceKeys], scene: DeclaredScene) -> Waveform | None:
-        return part.keys.waveform(scene.home) if part.keys.kind == "voltage" else None
+        return part.keys.waveform if part.keys.kind == "voltage" else None
 
     def drives(self, part: Part[SourceKeys], scene: DeclaredScene) -> bool:
-        return quantity(part.keys.ac, part.keys.unit) != 0
+        return part.keys.amplitude != 0
 
     def highest_frequency(self, part: Part[SourceKeys], scene: DeclaredScene) -> HighestFrequency:
         share = 1.0 if part.keys.kind in SMOOTHED else 0.0
-        return partial(_filtered_frequency, part.keys.waveform(scene.home), scene.stop, share)
+        return partial(_filtered_frequency, part.keys.waveform, scene.stop, share)
 
     def at_rest(self, part: Part[SourceKeys], scene: WiredScene) -> Rest:
         pair = (("out", "ret"),)
         if KINDS[part.keys.kind].letter == "V":
-            wave = part.keys.waveform(scene.home)
+            wave = part.keys.waveform
             moves = wave.amplitude or np.ptp(np.array(wave.points)[:, 1])
             kinked = part.keys.kind == "displacement" and moves  # a sine too, where it starts
             return Rest(pair, pair, kinked=part.keys.shape if kinked else "")
-        constant = part.keys.waveform(scene.home)(np.zeros(1))[0]
+        constant = part.keys.waveform(np.zeros(1))[0]
         return Rest(pushed=("out", "ret") if constant else ())
 
     def cards(self, part: Part[SourceKeys], build: Build) -> tuple[Item, ...]:
@@ -217,8 +229,8 @@ class Source(PartType[SourceKeys]):
         if _sweeps_back(part, build.scene):
             swept = _sweep_cards(part, build, kind, ends)
             return tuple(card.with_unit(kind.value_unit) for card in swept)
-        wave = part.keys.waveform(build.scene.home).spice(kind.scale)
-        size = kind.scale * quantity(part.keys.ac, kind.unit)
+        wave = part.keys.waveform.spice(kind.scale)
+        size = kind.scale * part.keys.amplitude
         ac = ("AC", number(size)) if size else ()
         card = Element.of(f"{kind.letter}{part.name}", *ends, *words(wave), *ac)
         return (card.with_unit(kind.value_unit),)
@@ -255,7 +267,7 @@ class Source(PartType[SourceKeys]):
         result = waves.data.get(f"{part.name}.{KINDS[part.keys.kind].sets}")
         if result is None or "time" not in waves:
             return
-        wave = part.keys.waveform(build.scene.home)
+        wave = part.keys.waveform
         expected = wave(waves["time"])
         swing = float(np.ptp(expected)) or float(np.abs(expected).max()) or 1.0
         off, name = float(np.abs(result - expected).max()) / swing, f"{part.name} drives as defined"
@@ -264,10 +276,9 @@ class Source(PartType[SourceKeys]):
 
     def law(self, part: Part[SourceKeys], build: Build) -> laws.Equations:
         n, keys = part.name, part.keys
-        wave = part.keys.waveform(build.scene.home)
+        wave, size = keys.waveform, complex(keys.amplitude)
         unloaded = keys.kind == "voltage" and _drives_signals_alone(part, build)
-        ac = quantity(keys.ac, keys.unit)
-        law = laws.IdealSource(n, "signal" if unloaded else keys.kind, wave, complex(ac))
+        law = laws.IdealSource(n, "signal" if unloaded else keys.kind, wave, size)
         signal = law.signal
         pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))
         domain = KINDS[keys.kind].domain

@@ -451,7 +451,7 @@ def last_source_change(scene: WiredScene) -> float:
     """
     ends = []
     for source in scene.of_schema("source", SourceKeys):
-        wave = source.keys.waveform(scene.home)
+        wave = source.keys.waveform
         if scene.joined_types(source.name, "out") <= {"pid"}:
             continue
         corners = wave.corners(scene.stop)
