@@ -488,8 +488,9 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
     """List the built-in scenes, or all keys or part types."""
     from dataclasses import asdict
 
-    from kc2spice.scene.keys import describe_part_types, list_all_keys
+    from kc2spice.scene.keys import list_all_keys
     from kc2spice.scene.load import load_scene
+    from kc2spice.scene.part_reference import describe_part_types
     from kc2spice.scene.scene_file import list_gallery
 
     if keys and parts:

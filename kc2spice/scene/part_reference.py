@@ -1,0 +1,66 @@
+"""Reference of part types: pins, keys and examples."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from kc2spice.core.untrusted_files import parse_toml
+from kc2spice.scene.keys import Key, list_schema_keys
+from kc2spice.scene.load import load_scene
+from kc2spice.scene.model import DEFAULT_TABLES, Part, Scene, Terminal
+from kc2spice.scene.parttype import part_types
+from kc2spice.scene.scene_file import list_gallery
+
+
+@dataclass(frozen=True)
+class PartTypeReference:
+    """Description of a part type with an example from a built-in ``scene``, if any."""
+
+    name: str
+    title: str
+    doc: str
+    pins: tuple[Terminal, ...]
+    keys: tuple[Key, ...]
+    example: str
+    scene: str | None
+    short_for: tuple[str, ...]
+
+
+def describe_part_types() -> Iterator[PartTypeReference]:
+    """Yield descriptions of all part types in the order of their names."""
+    examples = _find_examples()
+    for name, kind in part_types().items():
+        scene_name: str | None = None
+        pins: tuple[Terminal, ...] = ()
+        example = kind.example
+        if example:
+            scene = load_scene({"name": "example", **parse_toml(example)})
+            pins = kind.pins(scene.of(name)[0], replace(scene, ports="all"))
+        elif name in examples:
+            scene_name, part, scene = examples[name]
+            pins = kind.pins(part, replace(scene, ports="all"))
+            tables = list_gallery()[scene_name].read_text().split("\n\n")
+            heading = rf"(#.*\n)*\[{part.name}[].]"
+            example = "\n\n".join(table for table in tables if re.match(heading, table))
+        yield PartTypeReference(
+            name,
+            kind.title,
+            " ".join((kind.schema.__doc__ or "").split()),
+            pins,
+            tuple(list_schema_keys(kind.schema)),
+            example.strip(),
+            scene_name,
+            (DEFAULT_TABLES[name],) if name in DEFAULT_TABLES else (),
+        )
+
+
+def _find_examples() -> dict[str, tuple[str, Part, Scene]]:
+    """Return the first built-in scene with a part of each type."""
+    result: dict[str, tuple[str, Part, Scene]] = {}
+    for name in list_gallery():
+        scene = load_scene(name)
+        for part in scene.parts.values():
+            result.setdefault(part.type.name, (name, part, scene))
+    return result
