@@ -25,12 +25,12 @@ from bench.page import bench_figures, bench_tables
 from bench.points import pareto
 from bench.setup import Setup
 from kc2spice.core.errors import Kc2spiceError, UsageError
-from kc2spice.core.files import staged
+from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import write_record
 from kc2spice.report.figures import draw_pngs
 from kc2spice.sim.ngspice import find_ngspice
-from kc2spice.workflow.sweep.engine import cores
+from kc2spice.workflow.sweep.engine import available_cores
 
 # Each part is the function of its own name in the module of that name. What a user waits for comes
 # first: many a machine slows down under the minutes of load that the others are.
@@ -51,7 +51,10 @@ def bench(out, parts, *, quick, repeats):
         "quick": quick, "repeats": repeats,
         "planes": {}, "titles": {}, "ratios": {}, "seconds": {},
     }  # fmt: skip
-    with staged(out) as directory, tempfile.TemporaryDirectory(prefix="kc2spice-bench-") as work:
+    with (
+        stage_directory(out) as directory,
+        tempfile.TemporaryDirectory(prefix="kc2spice-bench-") as work,
+    ):
         setup = Setup(quick, repeats, Path(work), Clock())
         for part in PARTS:
             if parts and part not in parts:
@@ -102,7 +105,7 @@ def machine():
     models = [line.partition(":")[2].strip() for line in names if line.startswith("model name")]
     return {
         "cpu": next(iter(models), platform.processor() or platform.machine()),
-        "cores": cores(),
+        "cores": available_cores(),
         "os": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
         "numpy": numpy.__version__,

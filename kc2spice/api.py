@@ -22,7 +22,7 @@ from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.core.figure import Figure
-from kc2spice.core.files import staged
+from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import quantity
 from kc2spice.core.waveforms import SCALES, Waveforms, write_record, write_waveforms
@@ -35,7 +35,7 @@ from kc2spice.scene.parttype import register as register_part
 from kc2spice.scene.settings import Probe
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_files
 from kc2spice.workflow.decks import prepare_deck, spare_other_decks
-from kc2spice.workflow.run import Completed, complete, write_run_files
+from kc2spice.workflow.run import CompletedRun, complete, write_run_files
 
 if TYPE_CHECKING:
     from kc2spice.linalg.solver import DirectSolver
@@ -90,14 +90,14 @@ def build(scene: AnyScene) -> dict[str, LinearModel]:
     >>> print(f"{1e3 * models['plate'].facts['mass_kg']:.3f} g")
     1.178 g
     """
-    from kc2spice.parts.bodies._body_model import full_alone
+    from kc2spice.parts.bodies._body_model import full_model_alone
     from kc2spice.parts.bodies._linear_body import LinearBody
 
     loaded = load_scene(scene)
     models = {}
     for name, part in loaded.parts.items():
         if isinstance(part.type, LinearBody):
-            models[name] = replace(full_alone(part, loaded, Clock()), name=name)
+            models[name] = replace(full_model_alone(part, loaded, Clock()), name=name)
     return models
 
 
@@ -327,7 +327,9 @@ def run(
     edited = None if deck is None else Path(deck)
     directory = None if out is None else Path(out)
     place = (
-        tempfile.TemporaryDirectory(prefix="kc2spice-") if directory is None else staged(directory)
+        tempfile.TemporaryDirectory(prefix="kc2spice-")
+        if directory is None
+        else stage_directory(directory)
     )
     with place as name:
         work = Path(name)
@@ -504,7 +506,7 @@ class Result:
     record: Mapping[str, Any]
     deck: Deck
     figures: Mapping[str, Figure] = field(default_factory=dict)
-    _done: Completed | None = None
+    _done: CompletedRun | None = None
 
     @property
     def scale(self) -> str:
@@ -607,7 +609,7 @@ class Result:
         UsageError : ``out`` cannot be written, or another deck there includes another library of
             the same name.
         """
-        with staged(out) as work:
+        with stage_directory(out) as work:
             spare_other_decks(Path(out), self.deck.files)
             if self._done is not None:
                 write_run_files(self._done, work, png=png)
@@ -799,7 +801,7 @@ def sweep(
               3 Ohm          4      ok
               6 Ohm          2      ok
     """
-    from kc2spice.workflow.sweep.engine import columns, cores, outcomes, sweep_of_plan
+    from kc2spice.workflow.sweep.engine import available_cores, columns, outcomes, sweep_of_plan
     from kc2spice.workflow.sweep.grid import make_plan
     from kc2spice.workflow.sweep.point import Job, scene_text
 
@@ -813,7 +815,7 @@ def sweep(
     result: dict[int, Any] = {}
     with ExitStack() as opened, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        count = workers or cores()
+        count = workers or available_cores()
         pool = executor or opened.enter_context(ThreadPoolExecutor(count))
         for index, outcome in outcomes(
             definition, range(plan.size), lambda: nullcontext((pool, count))

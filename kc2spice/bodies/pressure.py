@@ -21,7 +21,7 @@ are above the sound's frequency over the patch, ten megahertz. Therefore only th
 sphere's indentation beyond the patch's motion determines the forces. Their sum is one law of one
 depth (:func:`indentation_law`), and a circuit evaluates this law like one spring.
 
-The other side may be a free elastic :class:`IsotropicSphere` under the same basis, on
+The other side may be a free elastic :class:`TransverselyIsotropicSphere` under the same basis, on
 quadrilaterals that grow away from its lowest point. The conformal map ``zeta = w / (1 - i w / 2R)``
 of ``zeta = r + i h`` takes the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc, h
 the height above the pole. A grid of the angles x, along the surface, and y, along the axis, has
@@ -337,7 +337,7 @@ def contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -
 
 
 @dataclass(frozen=True)
-class IsotropicSphere:
+class TransverselyIsotropicSphere:
     """Elastic sphere of a ``radius`` [m] of transversely isotropic material."""
 
     radius: float
@@ -360,7 +360,7 @@ class IsotropicSphere:
 
 
 def sphere(
-    body: IsotropicSphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1
+    body: TransverselyIsotropicSphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1
 ) -> LinearModel:
     """Model a free sphere with the port ``patch``, upwards; see the module.
 
@@ -380,7 +380,7 @@ def sphere(
 
 
 def sphere_compliance(
-    body: IsotropicSphere, shape: PressureBasis, refine: int = 1
+    body: TransverselyIsotropicSphere, shape: PressureBasis, refine: int = 1
 ) -> LocalCompliance:
     """Compute the compliance of the basis functions on a sphere, and of their patch."""
     S = _compliance(_model_free_sphere(body, shape, refine).model)
@@ -389,7 +389,7 @@ def sphere_compliance(
 
 
 def _model_free_sphere(
-    body: IsotropicSphere, shape: PressureBasis, refine: int
+    body: TransverselyIsotropicSphere, shape: PressureBasis, refine: int
 ) -> FiniteElementModel:
     """Model the undamped sphere with a port for every function, on a mapped grid."""
     radius = body.radius

@@ -766,8 +766,8 @@ def _sweep(
         scene, expand_overrides(set_ or ()), metrics=metric or (), **options
     )
     out = out or Path(f"{answer.scene.name}_sweep")
-    count = workers or engine.cores()
-    pool = engine.processes(count) if dask is None else engine.dask(dask, count)
+    count = workers or engine.available_cores()
+    pool = engine.local_workers(count) if dask is None else engine.dask_workers(dask, count)
     if not caller.quiet:
         print(answer.describe(), file=sys.stderr)
     result: dict[str, Any] = {

@@ -28,7 +28,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from kc2spice.core.files import locked
+from kc2spice.core.files import lock_path
 from kc2spice.core.untrusted_files import read_archive
 
 T = TypeVar("T")
@@ -106,7 +106,7 @@ def _lock_entry(path: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
             lock.touch(0o600)
-            stack.enter_context(locked(lock))
+            stack.enter_context(lock_path(lock))
             stack.callback(lock.unlink, missing_ok=True)
         yield
 

@@ -124,10 +124,10 @@ def candidates(word: object, choices: Iterable[str], command: str | None = None)
         return ", ".join(names)
     import difflib  # late: most errors need none of it
 
-    def distance(name: str) -> float:
+    def edit_distance(name: str) -> float:
         return -difflib.SequenceMatcher(None, str(word)[:LONGEST], name).ratio()
 
-    nearest = sorted(names, key=distance)[:MOST_CHOICES]
+    nearest = sorted(names, key=edit_distance)[:MOST_CHOICES]
     where = "" if command is None else f": {command}"
     return f"{', '.join(nearest)}, … ({len(names)} in all{where})"
 

@@ -137,7 +137,7 @@ def scale_axis(name: str, x: np.ndarray) -> tuple[str, float]:
 
 
 @dataclass(frozen=True)
-class Written:
+class FileWriter:
     """A further file of a run: ``write`` puts it where its argument says."""
 
     name: str

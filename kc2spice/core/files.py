@@ -30,7 +30,7 @@ _ABANDONED = 60.0  # s after which a work directory without a living owner is cl
 
 
 @contextmanager
-def staged(out: Path | str) -> Iterator[Path]:
+def stage_directory(out: Path | str) -> Iterator[Path]:
     """Provide a directory whose files move to ``out`` when the block succeeds.
 
     If the block raises, nothing was written and earlier results in ``out`` are as they were.
@@ -59,7 +59,7 @@ def staged(out: Path | str) -> Iterator[Path]:
     except OSError as error:
         raise _unwritable(nearest, error) from None
     try:
-        with locked(work):
+        with lock_path(work):
             _clear_abandoned(work, prefix)
             try:
                 yield work
@@ -82,7 +82,7 @@ def _unwritable(path: Path, error: OSError) -> UsageError:
 
 def _publish(work: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
-    with locked(out):
+    with lock_path(out):
         files = [path.relative_to(work) for path in sorted(work.rglob("*")) if path.is_file()]
         if Path(RESULT) in files:
             _record_hashes(work, files)
@@ -159,12 +159,12 @@ def _clear_abandoned(directory: Path, prefix: str) -> None:
             continue
         with contextlib.suppress(OSError):
             if time.time() - other.stat().st_mtime > _ABANDONED:
-                with locked(other, wait=False):
+                with lock_path(other, wait=False):
                     shutil.rmtree(other, ignore_errors=True)
 
 
 @contextmanager
-def locked(path: Path, *, wait: bool = True) -> Iterator[None]:
+def lock_path(path: Path, *, wait: bool = True) -> Iterator[None]:
     """Lock a file or directory exclusively, without a lock file.
 
     Raises

@@ -90,12 +90,15 @@ def _explain(
         case "extra_forbidden":
             table_schema = _schema_at(schema, path)
             fields = [*table_schema.model_fields, *(also if len(path) == 1 else ())]
-            word, every = str(path[-1]), (dotted(item) for item, _ in entries(schema))
+            word, every = str(path[-1]), (join_path(item) for item, _ in entries(schema))
             near = did_you_mean(word, fields) or did_you_mean(word, every)
             near = _hints_of(table_schema).get(word) or _suggest_other_word(word, fields) or near
             return "unknown key", "one of " + candidates(word, fields, _key_list(schema)), near
         case "missing":
-            return (f"{dotted(full_path)} is missing", *_explain_missing(schema, path, full_path))
+            return (
+                f"{join_path(full_path)} is missing",
+                *_explain_missing(schema, path, full_path),
+            )
         case "string_pattern_mismatch":
             expected = "a letter, then letters, digits and _, at most 64 in all"
             if full_path[0] in (
@@ -116,12 +119,12 @@ def _explain(
         case "dict_type" if isinstance(details["input"], (list, tuple)):
             return (
                 "a list, not tables by name",
-                f"[{dotted(full_path)}.NAME] for each of them",
+                f"[{join_path(full_path)}.NAME] for each of them",
                 None,
             )
         case "model_type" | "dict_type":
             entry = not full_path or isinstance(full_path[-1], int)  # an entry of a list
-            table = "{ KEY = VALUE, … }" if entry else f"[{dotted(full_path)}]"
+            table = "{ KEY = VALUE, … }" if entry else f"[{join_path(full_path)}]"
             return "not a table", f"a table, {table}", None
         case "tuple_type" | "list_type":
             entered = details["input"]
@@ -178,7 +181,7 @@ def _explain_missing(
 ) -> tuple[str | None, str | None]:
     """Return the values that a missing key accepts, and the line to add."""
     unit = _unit_at(schema, path)
-    table = dotted(full_path[:-1])
+    table = join_path(full_path[:-1])
     value = f'"1 {unit}"' if unit else "VALUE"
     place = f"  to {table}" if table else ""
     expected = f'a number in {unit}, or a string with a unit such as "1 {unit}"' if unit else None
@@ -253,7 +256,7 @@ def role_of(field: FieldInfo) -> Plausible | None:
     return next((meta for meta in _metadata(field) if isinstance(meta, Plausible)), None)
 
 
-def dotted(path: KeyPath) -> str:
+def join_path(path: KeyPath) -> str:
     """Join the words and numbers of a path, such as ``layers[0].thickness``."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
     return text.removeprefix(".")
@@ -262,7 +265,7 @@ def dotted(path: KeyPath) -> str:
 def display_text(value: Any) -> str:
     """Format a value as TOML, or describe a number of too many digits."""
     try:
-        return clipped(_format_toml(value))
+        return clip_text(_format_toml(value))
     except ValueError:
         return f"a {type(value).__name__} that is too long to print"
 
@@ -278,7 +281,7 @@ def _format_toml(value: Any) -> str:
     return repr(value)
 
 
-def clipped(text: str) -> str:
+def clip_text(text: str) -> str:
     """Cut a text after 120 characters."""
     return text if len(text) <= 120 else text[:120] + " …"
 
@@ -406,7 +409,7 @@ def _correct_spelling(value: object, si: str) -> str | None:
     return None
 
 
-def refused(
+def invalid_value_error(
     reason: str, expected: str | None, key: str | None = None, hint: str | None = None
 ) -> PydanticCustomError:
     """Error of a validator for an invalid value, or for the ``key`` of a table."""
@@ -418,19 +421,19 @@ def _parse_number(si: str, value: object) -> float:
     try:
         return quantity(value, si)
     except UsageError as error:
-        raise refused(error.message, error.expected, hint=error.hint) from None
+        raise invalid_value_error(error.message, error.expected, hint=error.hint) from None
 
 
 def _parse_number_with_unit(si: str, value: object) -> float:
     if not isinstance(value, str):
-        raise refused("needs its unit", f'a string such as "1 {si}"')
+        raise invalid_value_error("needs its unit", f'a string such as "1 {si}"')
     return _parse_number(si, value)
 
 
 def _require_rings(value: object) -> object:
     if value in ("needed", "all") or (type(value) is int and value >= 1):
         return value
-    raise refused("no such choice", "needed, all, or a whole number from 1 on")
+    raise invalid_value_error("no such choice", "needed, all, or a whole number from 1 on")
 
 
 class ScalePlace(float):
@@ -453,7 +456,7 @@ def _parse_place(value: object) -> ScalePlace:
             continue
         result.unit = unit if isinstance(value, str) else ""
         return result
-    raise refused("no place on the scale", 'such as "46 Hz" or "2 ms"')
+    raise invalid_value_error("no place on the scale", 'such as "46 Hz" or "2 ms"')
 
 
 def _parse_mounting(value: object) -> object:
@@ -464,7 +467,7 @@ def _parse_mounting(value: object) -> object:
     except UsageError:
         pass
     above_zero = 'or a stiffness per area above zero such as "1e14 N/m3"'
-    raise refused("no such mounting", f"{', '.join(known)}, {above_zero}")
+    raise invalid_value_error("no such mounting", f"{', '.join(known)}, {above_zero}")
 
 
 def si(unit: str) -> BeforeValidator:
@@ -585,5 +588,5 @@ def validated(
     except ValidationError as error:
         path, words = describe_invalid(error, schema, table=plain)
         inside = f"{where} " if where.endswith(":") else f"{where}."
-        place = inside + dotted(path) if path else where.removesuffix(":")
+        place = inside + join_path(path) if path else where.removesuffix(":")
         raise UsageError(where=place, **words) from None

@@ -257,7 +257,7 @@ MAX_ANSWER = 4_000_000_000  # bytes of the answer
 MAX_ENTRIES = 200_000_000  # entries of one array in the answer
 
 
-def in_child(
+def call_in_child(
     function: str,
     request: Mapping[str, Any],
     prepare: Callable[[Path], None] = lambda folder: None,

@@ -330,7 +330,7 @@ def pulse(
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded(EqualByContent):
+class RecordedWave(EqualByContent):
     """Smooth curve through ``values`` at ``times`` (n,), constant outside.
 
     It consists of cubics (Akima, J. ACM 17, 589, 1970).
@@ -361,7 +361,7 @@ class Recorded(EqualByContent):
         return times[(times > 0.0) & (times < stop)]
 
 
-Function = Waveform | Recorded
+Function = Waveform | RecordedWave
 
 
 def _shortest_difference(first: float, last: float) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 
 from kc2spice.core.domains import TABLE
 from kc2spice.core.laws import Device, IdealSource, SecondOrderBody
-from kc2spice.core.waveforms import Recorded, Waveforms
+from kc2spice.core.waveforms import RecordedWave, Waveforms
 from kc2spice.equations.networks import NODE_UNITS, Network, prescribes
 from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.scene.model import Build
@@ -115,4 +115,4 @@ def _recorded_source(net: str, kind: str, waves: Waveforms) -> IdealSource:
     for k in range(1, times.size):
         if times[k] - times[places[-1]] >= shortest:
             places.append(k)
-    return IdealSource(f"net {net}", SOURCES[kind], Recorded(times[places], values[places]))
+    return IdealSource(f"net {net}", SOURCES[kind], RecordedWave(times[places], values[places]))

@@ -210,7 +210,7 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
 
     mesh = stator_mesh(catch, bore)
     centres = mesh.p[:, mesh.t].mean(axis=1)
-    (r, y), boxes = centres, list(map(rectangle, parts(catch)))
+    (r, y), boxes = centres, list(map(rectangle, actuator_sections(catch)))
     ring, *coils = ((r > a) & (r < c) & (y > b) & (y < d) for a, b, c, d in boxes)
     sources = {RING: (_remanence, coercivity, ring)}
     for column, coil, inside in zip((LOWER, UPPER), (catch.lower, catch.upper), coils, strict=True):
@@ -218,7 +218,7 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
         sources[column] = (_current, density, inside)
     stator = _assemble_mesh(catch, mesh, ring, sources)
     movable = (r < bore.wall) & (y > bore.bottom) & (y < bore.bottom + bore.rows * bore.pitch)
-    _, low, right, high = air(catch)
+    _, low, right, high = air_section(catch)
     r, y = stator.points
     edge = 1e-9 * (high - low)
     free = (r < right - edge) & (y > low + edge) & (y < high - edge)
@@ -334,7 +334,7 @@ class Bore:
     size: float
 
 
-def parts(catch: Catch) -> tuple[Ring, Ring, Ring]:
+def actuator_sections(catch: Catch) -> tuple[Ring, Ring, Ring]:
     """Ring magnet, lower coil, upper coil."""
     return catch.ring, catch.lower, catch.upper
 
@@ -344,9 +344,9 @@ def rectangle(part: Ring) -> tuple[float, float, float, float]:
     return part.inner, part.y - part.height / 2, part.outer, part.y + part.height / 2
 
 
-def air(catch: Catch) -> tuple[float, float, float, float]:
+def air_section(catch: Catch) -> tuple[float, float, float, float]:
     """Section of the air cylinder, centred on the actuator's parts (paper 2.2.1)."""
-    boxes = list(map(rectangle, parts(catch)))
+    boxes = list(map(rectangle, actuator_sections(catch)))
     _, bottoms, _, tops = zip(*boxes, strict=True)
     low, high = min(bottoms), max(tops)
     if high - low >= catch.air_height:
@@ -375,7 +375,7 @@ def bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: floa
     wall = radius + gap / 2
     half = pitch * ceil(wall / pitch)
     bottom, top = lowest - half, highest + half
-    _, floor, _, ceiling = air(catch)
+    _, floor, _, ceiling = air_section(catch)
     if bottom <= floor + pitch or top >= ceiling - pitch:
         expected = f"within {floor + half + pitch:g} m to {ceiling - half - pitch:g} m"
         hint = "shorten the travel or raise catch.air_height"
@@ -390,8 +390,8 @@ def bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: floa
 def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
     """Mesh the half plane without a sphere by triangles around the lattice."""
     top = bore.bottom + bore.rows * bore.pitch
-    boxes = list(map(rectangle, parts(catch)))
-    shapes = [air(catch), (0.0, bore.bottom, bore.wall, top), *boxes]
+    boxes = list(map(rectangle, actuator_sections(catch)))
+    shapes = [air_section(catch), (0.0, bore.bottom, bore.wall, top), *boxes]
     corners = [*chain.from_iterable(product(box[::2], box[1::2]) for box in boxes)]
 
     def size(r: float, y: float) -> float:
@@ -456,7 +456,7 @@ def mover_mesh(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
 
 def _narrowest_gap(catch: Catch, radius: float) -> float:
     """Gap [m] between the sphere and the narrowest part."""
-    return min(map(attrgetter("inner"), parts(catch))) - radius
+    return min(map(attrgetter("inner"), actuator_sections(catch))) - radius
 
 
 def _generate_mesh(

@@ -323,7 +323,7 @@ class CurrentEffect(EqualByContent):
         return max(float((np.abs(a - b).max(-1) / np.abs(b).max(-1)).max()) for a, b in pairs)
 
 
-def roughness(
+def compare_rings(
     body: Cells,
     ladder: Ladder,
     coils: Sequence[Winding],

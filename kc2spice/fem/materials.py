@@ -175,7 +175,7 @@ class Material(EqualByContent):
         if self.cylinder is None:
             return self.C[None], self.e[None], self.eps_S[None]
         R = self.cylinder.frames(places)
-        M, back = bond(R), R.transpose(0, 2, 1)
+        M, back = bond_matrix(R), R.transpose(0, 2, 1)
         turned = M.transpose(0, 2, 1)
         return M @ self.C @ turned, R @ self.e @ turned, R @ self.eps_S @ back
 
@@ -209,7 +209,7 @@ class Material(EqualByContent):
         Bond's matrix M(R) for stress gives ``C' = M C M'``, ``e' = R e M'``, ``eps' = R eps R'``
         (B. A. Auld, Acoustic Fields and Waves in Solids, 1973, section 3.D).
         """
-        M = bond(R)
+        M = bond_matrix(R)
         return replace(
             self,
             C=M @ self.C @ M.T,
@@ -233,7 +233,7 @@ class Material(EqualByContent):
 _PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
-def bond(R: np.ndarray) -> np.ndarray:
+def bond_matrix(R: np.ndarray) -> np.ndarray:
     """Bond matrix (…, 6, 6) of rotations (…, 3, 3): ``T' = M T`` for Voigt stresses.
 
     Column J is the Voigt vector of ``R T_J R'``, with T_J the symmetric tensor of unit vector J.

@@ -30,7 +30,7 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, candidates, unknown, wrong
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.quantities import quantity
-from kc2spice.core.untrusted_files import in_child, read_bounded
+from kc2spice.core.untrusted_files import call_in_child, read_bounded
 
 STEP = (".step", ".stp")
 # How each file must begin, and the name under which gmsh gets it.
@@ -171,7 +171,7 @@ def length_unit(path: Path, unit: str | None) -> float:
     """
     if path.suffix.lower() in STEP or unit is not None:
         return quantity(f"1 {unit or 'mm'}", "m", where="unit")
-    sides = extent(path)
+    sides = measure_extent(path)
 
     def millimetres(scale: float) -> str:
         return " x ".join(f"{scale * side:.4g}" for side in sides)
@@ -184,7 +184,7 @@ def length_unit(path: Path, unit: str | None) -> float:
     raise wrong("unit", problem, f"{millimetres(1.0)} in that unit", ", ".join(sizes), hint)
 
 
-def extent(path: Path) -> np.ndarray:
+def measure_extent(path: Path) -> np.ndarray:
     """Measure the sides (3,) of the bounding box of a file, in its unit.
 
     The unit of STEP files is mm.
@@ -206,7 +206,7 @@ def _ask_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[st
 
     request = {**request, "file": file}
     try:
-        return in_child(f"kc2spice.fem.mesh_file:{function}", request, write_copy)
+        return call_in_child(f"kc2spice.fem.mesh_file:{function}", request, write_copy)
     except ValueError as error:
         raise UsageError("gmsh cannot read or mesh this", where=str(path), got=str(error)) from None
 

@@ -226,7 +226,7 @@ def _propose_simpler(
     if any(e.in_parallel for e in others):
         yield others
     for form in SIMPLER[element.form]:
-        if samples.conducting or form not in CONDUCTING:
+        if samples.conducts_direct_current or form not in CONDUCTING:
             replaced = samples.fit_amplitudes((*others, _convert_form(element, form)))[0]
             if len(replaced) == len(elements):
                 yield replaced
@@ -307,7 +307,7 @@ def _fit_peak(samples: Samples, elements: Elements) -> Elements:
 def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[FitElement]]:
     """Yield candidates for the next branch, or for the leads, each with start values."""
     present = {element.form for element in elements}
-    forms = [form for form in PARALLEL if samples.conducting or form not in CONDUCTING]
+    forms = [form for form in PARALLEL if samples.conducts_direct_current or form not in CONDUCTING]
     low, high = 2 * np.pi * samples.f[0], 2 * np.pi * samples.f[-1]
     decades = int(np.ceil(PER_DECADE * np.log10(100 * high / low))) + 1
     times = -np.log(np.geomspace(low / 10, high * 10, decades))

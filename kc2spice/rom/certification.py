@@ -38,7 +38,7 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
             got="entries of the matrices that rounding errors exceed",
             hint="reduce to a tolerance instead of an order: --tolerance 1e-4",
         )
-    sharpest = max(estimator.exact.visible(task.band)[1].min(initial=1.0), SHARPEST)
+    sharpest = max(estimator.exact.select_visible(task.band)[1].min(initial=1.0), SHARPEST)
     rounding = ROUNDING_AT_RESONANCE * float(np.finfo(float).eps) / sharpest
     certificate = Certificate(
         task.band,
@@ -83,7 +83,7 @@ def _evidence_text(basis: ReducedBasis, proof: StabilityProof) -> str:
         method += "; free to move at zero frequency"
         if hidden := exact.hidden:
             method += f", supports that resonate below {hidden:.1e} Hz being hidden by rounding"
-    if estimator.exact.visible(task.band)[1].min(initial=1.0) < SHARPEST:
+    if estimator.exact.select_visible(task.band)[1].min(initial=1.0) < SHARPEST:
         method += f"; beside resonances, by {FLANK:g}, of a damping ratio below {SHARPEST:g}"
     return method
 

@@ -35,33 +35,33 @@ Logs = tuple[float, ...]
 Response = tuple[np.ndarray, list[np.ndarray]]  # Y (n,), dY / dlog p (n,) of every parameter
 
 
-def _conductance(p: np.ndarray, s: np.ndarray) -> Response:
+def _resistor_response(p: np.ndarray, s: np.ndarray) -> Response:
     """``Y = g``."""
     Y = np.full(len(s), np.exp(p[0]), complex)
     return Y, [Y]
 
 
-def _capacitance(p: np.ndarray, s: np.ndarray) -> Response:
+def _capacitor_response(p: np.ndarray, s: np.ndarray) -> Response:
     """``Y = s c``."""
     Y = s * np.exp(p[0])
     return Y, [Y]
 
 
-def _inductive(p: np.ndarray, s: np.ndarray) -> Response:
+def _inductor_response(p: np.ndarray, s: np.ndarray) -> Response:
     """``Y = g / (1 + s t)``: R and L in series."""
     g, t = np.exp(p)
     Y = g / (1 + s * t)
     return Y, [Y, -Y * s * t / (1 + s * t)]
 
 
-def _relaxing(p: np.ndarray, s: np.ndarray) -> Response:
+def _relaxation_response(p: np.ndarray, s: np.ndarray) -> Response:
     """``Y = s a / (1 + s t)``: R and C in series."""
     a, t = np.exp(p)
     Y = s * a / (1 + s * t)
     return Y, [Y, -Y * s * t / (1 + s * t)]
 
 
-def _resonant(p: np.ndarray, s: np.ndarray) -> Response:
+def _resonance_response(p: np.ndarray, s: np.ndarray) -> Response:
     """``Y = s c w^2 / (s^2 + d s + w^2)``: R, L and C in series."""
     c, w, d = np.exp(p)
     P = s**2 + d * s + w**2
@@ -70,14 +70,14 @@ def _resonant(p: np.ndarray, s: np.ndarray) -> Response:
 
 
 PARALLEL: dict[str, Callable[[np.ndarray, np.ndarray], Response]] = {
-    "conductance": _conductance,
-    "capacitance": _capacitance,
-    "inductive": _inductive,
-    "relaxing": _relaxing,
-    "resonant": _resonant,
+    "conductance": _resistor_response,
+    "capacitance": _capacitor_response,
+    "inductive": _inductor_response,
+    "relaxing": _relaxation_response,
+    "resonant": _resonance_response,
 }
 # A constant and one in proportion to s: impedances here.
-LEADS = {"lead resistance": _conductance, "lead inductance": _capacitance}
+LEADS = {"lead resistance": _resistor_response, "lead inductance": _capacitor_response}
 FORMS = PARALLEL | LEADS
 CONDUCTING = ("conductance", "inductive")
 # Forms that an element has where its time constants lie outside of the band.
@@ -163,7 +163,7 @@ class Samples:
         return 2j * np.pi * self.f
 
     @property
-    def conducting(self) -> bool:
+    def conducts_direct_current(self) -> bool:
         """Whether direct current flows: stated, or by the phase at low frequencies.
 
         The mean phase at the lowest frequencies is then not that of a capacitor.

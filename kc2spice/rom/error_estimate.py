@@ -139,13 +139,13 @@ class ErrorEstimator:
         return share_of(self.norm)
 
     @cached_property
-    def _counted(self) -> np.ndarray:
+    def _significant_entries(self) -> np.ndarray:
         """Mask of entries that are more than the cancellation of their terms.
 
         Entries that are zero by symmetry count relative to their row and column.
         """
         return np.asarray(
-            ~self.exact.cancelled(2j * np.pi * self.frequency) | self.reference[1].zero
+            ~self.exact.cancelled_entries(2j * np.pi * self.frequency) | self.reference[1].zero
         )
 
     @cached_property
@@ -161,7 +161,9 @@ class ErrorEstimator:
     def sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
         """Largest error (..., frequencies) of any entry for differences to H."""
         base = self.reference[1].base(H, self.share) + np.finfo(float).tiny
-        return np.asarray((np.abs(difference) / base * self._counted).max(axis=(-2, -1)))
+        return np.asarray(
+            (np.abs(difference) / base * self._significant_entries).max(axis=(-2, -1))
+        )
 
     def error(self, reduced: Response, limit: float = np.inf) -> float:
         """Estimate :func:`relative_error` over the band in the ``norm``.

@@ -20,7 +20,7 @@ from kc2spice.rom.definite import expects_cholesky, is_definite
 from kc2spice.rom.error_estimate import inaccuracy_error, relative_size
 from kc2spice.rom.free_body import find_free_body
 from kc2spice.rom.intermediate import IntermediateModel
-from kc2spice.rom.pencil import Pencil, Schur, symmetric
+from kc2spice.rom.pencil import Pencil, Schur, is_symmetric
 from kc2spice.rom.reductors.definite_krylov import definite_krylov_model
 from kc2spice.rom.reductors.exact_samples import sampled_model
 from kc2spice.rom.reductors.rational_krylov import MANY_POINTS, MOST_POINTS, rational_krylov_model
@@ -143,7 +143,7 @@ def _keep_full_order(
     original = full
     full, V, static, projected = split_rigid_body(original, 2 * np.pi * band[1])
     hidden = hidden_support(original, V[:, : full.free], band[0]) if static else 0.0
-    T = _undamped_modes(full.restrained) if static else None
+    T = _undamped_modes(full.without_free_motion) if static else None
     if T is not None:
         V = V @ scipy.linalg.block_diag(np.eye(full.free), T)
         full, projected = project_with_rigid_body(original, V, full.free)
@@ -154,7 +154,7 @@ def _keep_full_order(
     ):
         return None
     error, floor, rounded = _solution_error(response, band), 0.0, 0.0
-    at, ratio = response.visible(band)
+    at, ratio = response.select_visible(band)
     note = ""
     if at.size:
         looked = np.union1d(np.argsort(at)[:RESONANCES], np.argsort(ratio)[:RESONANCES])
@@ -202,7 +202,7 @@ def _undamped_modes(full: Pencil) -> np.ndarray | None:
     if full.degree == 1 or full.size > EXTENDED:
         return None
     K, _, M = full.coefficients
-    if not (symmetric(K) and symmetric(M)):
+    if not (is_symmetric(K) and is_symmetric(M)):
         return None
     try:
         values, T = scipy.linalg.eigh(M, K)
@@ -214,7 +214,7 @@ def _undamped_modes(full: Pencil) -> np.ndarray | None:
 def _solution_error(response: Response, band: tuple[float, float]) -> float:
     """Compare direct solutions in two orders of elimination, and those of modes."""
     full = response.pencil
-    at, ratio = response.visible(band)
+    at, ratio = response.select_visible(band)
     sharpest = at[np.argsort(ratio)[:1]] * (1 + FLANK * (ratio.min(initial=1.0) < FLANK))
     points = np.r_[band[1], 0.31 * band[0] + 0.69 * band[1], sharpest]
     s = 2j * np.pi * points
@@ -226,5 +226,5 @@ def _solution_error(response: Response, band: tuple[float, float]) -> float:
     )
     result = [full.transfer(s), flipped.transfer(s), response.transfer(s)]
     apart = [relative_size(one - result[0], result[0], entries) for one in result[1:]]
-    counted = ~response.cancelled(everywhere) | entries.zero
+    counted = ~response.cancelled_entries(everywhere) | entries.zero
     return float(np.array(apart)[..., counted].max(initial=0.0))

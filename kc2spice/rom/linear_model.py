@@ -19,7 +19,7 @@ import scipy
 from kc2spice.core.domains import ELECTRICAL, PORTS, THERMAL, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, largest, symmetric
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, is_symmetric, largest
 from kc2spice.rom.stability import is_semidefinite
 from kc2spice.rom.state_space import ABCD, state_space
 
@@ -579,7 +579,7 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
     eta = product / square
     if eta >= 0 and largest(loss - eta * K) <= LOSS_FACTOR * scale:
         return None, eta
-    if not symmetric(loss) or not is_semidefinite(loss):
+    if not is_symmetric(loss) or not is_semidefinite(loss):
         raise _structural_loss_error(
             where, "an imaginary part that is not symmetric and positive semi-definite"
         )
@@ -617,7 +617,7 @@ def _require_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) ->
 
 def half_stored(matrix: Matrix) -> bool:
     """Whether only one triangle of a matrix has entries beside the diagonal."""
-    if isinstance(matrix, Schur) or matrix.shape[0] < 2 or symmetric(matrix):
+    if isinstance(matrix, Schur) or matrix.shape[0] < 2 or is_symmetric(matrix):
         return False
     entries = scipy.sparse.coo_array(matrix)
     upper, lower = (entries.row < entries.col).any(), (entries.row > entries.col).any()

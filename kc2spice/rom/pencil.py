@@ -26,7 +26,7 @@ SAME = 1e-12
 T = TypeVar("T")
 
 
-class Shared(Generic[T]):
+class SharedValue(Generic[T]):
     """A value that is computed at its first use, for all objects that it is shared by."""
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class Shared(Generic[T]):
             self._values.append(compute())
         return self._values[0]
 
-    def join(self, other: Shared[T]) -> None:
+    def join(self, other: SharedValue[T]) -> None:
         """Share the value of ``other`` from now on."""
         self._values = other._values
 
@@ -63,7 +63,7 @@ class Schur:
     up: scipy.sparse.csc_array
     pu: scipy.sparse.csc_array
     pp: scipy.sparse.csc_array
-    factor: Shared[Factor] = field(default_factory=Shared, repr=False)
+    factor: SharedValue[Factor] = field(default_factory=SharedValue, repr=False)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -75,12 +75,14 @@ class Schur:
     def symmetric(self) -> bool:
         """Both diagonal blocks are, and the others are transposes."""
         pairs = ((self.uu, self.uu.T), (self.pp, self.pp.T), (self.up, self.pu.T))
-        return all(same(a, b) for a, b in pairs)
+        return all(is_equal(a, b) for a, b in pairs)
 
     @property
     def inner(self) -> Factor:
         """Factor of ``pp``."""
-        return self.factor.get(lambda: two_sided(self.pp, symmetric=same(self.pp, self.pp.T))[0])
+        return self.factor.get(
+            lambda: two_sided(self.pp, symmetric=is_equal(self.pp, self.pp.T))[0]
+        )
 
     @cached_property
     def T(self) -> Schur:
@@ -151,14 +153,14 @@ def has_entries(matrices: Sequence[Matrix]) -> np.ndarray:
     return total > 0
 
 
-def same(one: Matrix, other: Matrix) -> bool:
+def is_equal(one: Matrix, other: Matrix) -> bool:
     """Equal but for rounding of the largest entry."""
     return one.shape == other.shape and largest(one - other) <= SAME * largest(one)
 
 
-def symmetric(matrix: Matrix) -> bool:
+def is_symmetric(matrix: Matrix) -> bool:
     """Equal to its transpose but for rounding."""
-    return matrix.symmetric if isinstance(matrix, Schur) else same(matrix, matrix.T)
+    return matrix.symmetric if isinstance(matrix, Schur) else is_equal(matrix, matrix.T)
 
 
 def congruence(
@@ -203,8 +205,8 @@ class Pencil:
     D: np.ndarray
     rayleigh: tuple[float, float] | None = None
     free: int = 0
-    factors: Shared[Factor] = field(default_factory=Shared, init=False, repr=False)
-    symmetry: Shared[bool] = field(default_factory=Shared, init=False, repr=False)
+    factors: SharedValue[Factor] = field(default_factory=SharedValue, init=False, repr=False)
+    symmetry: SharedValue[bool] = field(default_factory=SharedValue, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.rayleigh is not None:
@@ -228,7 +230,7 @@ class Pencil:
     def symmetric(self) -> bool:
         """Every coefficient equals its transpose."""
         stated = self.coefficients[:: 1 if self.rayleigh is None else 2]
-        return self.symmetry.get(lambda: all(map(symmetric, stated)))
+        return self.symmetry.get(lambda: all(map(is_symmetric, stated)))
 
     @cached_property
     def collocated(self) -> bool:
@@ -383,7 +385,7 @@ class Pencil:
         return self._part(slice(order), min(self.free, order))
 
     @property
-    def restrained(self) -> Pencil:
+    def without_free_motion(self) -> Pencil:
         """The pencil without its free motion."""
         return self._part(slice(self.free, None), 0)
 
@@ -392,7 +394,7 @@ class Pencil:
         return Pencil(parts, self.B[q], self.C[:, q], self.D, free=free)
 
     @property
-    def detached(self) -> bool:
+    def has_uncoupled_motion(self) -> bool:
         """Whether there is free motion, and nothing couples it to the other unknowns."""
         r = self.free
         return bool(r) and not any(P[:r, r:].any() or P[r:, :r].any() for P in self.coefficients)
@@ -549,7 +551,7 @@ def eliminate_massless(pencil: Pencil) -> Pencil:
         return pencil
     try:
         lift = schur.inner.solve(pencil.B[p])
-        turned = two_sided(blocks[3], symmetric=same(blocks[3], blocks[3].T))[1]
+        turned = two_sided(blocks[3], symmetric=is_equal(blocks[3], blocks[3].T))[1]
         back = turned.solve(pencil.C[:, p].T)
     except SimulationError:
         return pencil

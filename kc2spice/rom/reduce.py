@@ -256,7 +256,7 @@ def find_basis_of_order(
     key = reductor_named(target.method).name if target.method is not None else ""
     if key not in bases:
         if target.method is not None:
-            bases[key] = [_prescribed(task, reductors[0])]
+            bases[key] = [_prescribed_basis(task, reductors[0])]
         else:
             candidates = (item.basis(task) for item in reductors if item.congruence)
             bases[key] = [basis for basis in candidates if basis is not None]
@@ -272,14 +272,14 @@ def find_basis_within(
     enough = without_rounding > LARGEST_SHARE * target.tolerance
     tolerance = without_rounding if enough else target.tolerance
     if target.method is not None:
-        return require_order([_prescribed(task, reductors[0])], tolerance)
+        return require_order([_prescribed_basis(task, reductors[0])], tolerance)
     basis, order = select_fewest_states(
         task, reductors, tolerance, tighten=not target.contact, keep_form=target.keep_form
     )
     return (basis, order) if target.contact else lower_order(basis, order, tolerance)
 
 
-def _prescribed(task: Task, reductor: Reductor) -> ReducedBasis:
+def _prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
     """The basis of a prescribed method."""
     basis, reason = None, reductor.obstacle(task) or "its applies_to() returns False"
     if reductor.applies_to(task):

@@ -288,7 +288,7 @@ class ReducedBasis:
         """Whether reduced models must be stable because the intermediate model is."""
         return not self.congruence or self.proof(self.size).stable is not False
 
-    def acceptable(self, order: int, tolerance: float) -> bool:
+    def is_acceptable(self, order: int, tolerance: float) -> bool:
         """Whether the model of this order meets the tolerance, and is stable enough.
 
         It must be as stable as the intermediate model.

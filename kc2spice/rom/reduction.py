@@ -198,9 +198,9 @@ class Reduction:
         target = replace(target, method=self._target.method if method is None else method)
         require_valid(target)
         if tolerance is None:
-            basis, order = self._of_order(target)
+            basis, order = self._basis_of_order(target)
         else:
-            basis, order = self._within(tolerance, target)
+            basis, order = self._basis_within(tolerance, target)
         rom = certify(basis, order)
         warn_of_rounding(rom, self._intermediate.floor, tolerance)
         return with_full_order(rom, self._proof)
@@ -209,25 +209,25 @@ class Reduction:
         """Return the error estimate of the model of an order; see :meth:`reduce`."""
         target = replace(self._target, tolerance=None, order=order)
         require_valid(target)
-        basis, order = self._of_order(target)
+        basis, order = self._basis_of_order(target)
         return basis.error(order) + self._intermediate.floor
 
-    def _of_order(self, target: Target) -> tuple[ReducedBasis, int]:
+    def _basis_of_order(self, target: Target) -> tuple[ReducedBasis, int]:
         """The best basis of a prescribed order, and the order."""
         with solving_with(self._solver):
             return find_basis_of_order(
                 self._task, list_methods(self._task, target), target, self._bases
             )
 
-    def _within(self, tolerance: float, target: Target) -> tuple[ReducedBasis, int]:
+    def _basis_within(self, tolerance: float, target: Target) -> tuple[ReducedBasis, int]:
         """The basis of the fewest states within a tolerance, and the order."""
-        if not self._serves(tolerance):
+        if not self._is_within(tolerance):
             self._prepare(target)
         task = replace(self._task, tolerance=tolerance)
         with solving_with(self._solver):
             return find_basis_within(task, list_methods(task, target), target)
 
-    def _serves(self, tolerance: float) -> bool:
+    def _is_within(self, tolerance: float) -> bool:
         """Whether the basis is accurate enough for a tolerance."""
         limit = max(LARGEST_SHARE * tolerance, self._intermediate.floor)
         return tolerance >= self._tolerance and self._intermediate.error <= limit

@@ -68,7 +68,7 @@ def fit_outputs(basis: ReducedBasis, order: int, tolerance: float) -> tuple[Redu
         if error.max() <= sufficient:
             trial = replace(basis, pencil=replace(pencil, C=C))
             trial.responses[trial_order] = Response(trial.pencil, response.modes)
-            if trial.acceptable(trial_order, tolerance):
+            if trial.is_acceptable(trial_order, tolerance):
                 best = trial, trial_order
     return best
 
@@ -96,7 +96,7 @@ def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[
         parts = np.diag(rates), np.eye(fewer)
         pencil = Pencil(parts, gains, gains.T.copy(), basis.pencil.D)
         trial = replace(basis, pencil=pencil, origin=origin, vectors=None)
-        if error > sufficient or not trial.acceptable(fewer, tolerance):
+        if error > sufficient or not trial.is_acceptable(fewer, tolerance):
             break
         best = trial, fewer
     return best

@@ -50,8 +50,8 @@ class Response:
         self, pencil: Pencil, modes: Modes | None = None, zero: np.ndarray | bool = False
     ) -> None:
         self.pencil, self.zero = pencil, zero
-        self.core = pencil.restrained if pencil.detached else pencil
-        self._free = pencil.leading(pencil.free) if pencil.detached else None
+        self.core = pencil.without_free_motion if pencil.has_uncoupled_motion else pencil
+        self._free = pencil.leading(pencil.free) if pencil.has_uncoupled_motion else None
         self._prescribed_modes = modes
 
     @cached_property
@@ -104,7 +104,7 @@ class Response:
             H = result.reshape(-1, *self.core.D.shape) + self.core.D
         return H + self._free.C @ self._free.states(s) if self._free else H
 
-    def cancelled(self, s: np.ndarray) -> np.ndarray:
+    def cancelled_entries(self, s: np.ndarray) -> np.ndarray:
         """Mask (outputs, inputs) of entries that are only the rounding of their terms.
 
         It holds at all ``s``.
@@ -148,7 +148,7 @@ class Response:
         return self.core.poles() if self.modes is None else _finite_poles(*self.modes[2])
 
     @cached_property
-    def _resonant(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _oscillating_poles(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Frequency [Hz], damping ratio and mode of the oscillating poles.
 
         The modes are -1 if the poles do not belong to modes.
@@ -171,7 +171,7 @@ class Response:
     @property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
         """Frequency [Hz] and damping ratio of the oscillating poles."""
-        return self._resonant[:2]
+        return self._oscillating_poles[:2]
 
     def within(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """The resonances inside the band."""
@@ -179,13 +179,13 @@ class Response:
         inside = _is_inside(frequency, band)
         return frequency[inside], ratio[inside]
 
-    def visible(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    def select_visible(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """Select the resonances in the band that are visible in the response.
 
         In every entry zeros cancel the others: modes that no input excites or no output measures,
         and rigid-body modes with a stiffness from rounding.
         """
-        frequency, ratio, mode = self._resonant
+        frequency, ratio, mode = self._oscillating_poles
         inside = _is_inside(frequency, band)
         frequency, ratio, mode = frequency[inside], ratio[inside], mode[inside]
         if not mode.size or mode.min() < 0:

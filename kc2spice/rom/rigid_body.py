@@ -15,7 +15,15 @@ import numpy as np
 import scipy
 
 from kc2spice.linalg.exact import ExactMatrix
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, first_order, largest, magnitudes, symmetric
+from kc2spice.rom.pencil import (
+    Matrix,
+    Pencil,
+    Schur,
+    first_order,
+    is_symmetric,
+    largest,
+    magnitudes,
+)
 
 ROUNDING = 8.0  # times n eps of the largest: a stiffness, a damping or a coupling that is zero
 # Poles of a first-order model below these shares of the band's end: zero but for rounding, which
@@ -62,7 +70,7 @@ def split_rigid_body(
     free = X.shape[1]
     if not free:
         return RigidBodySplit(pencil, np.eye(pencil.size), True)
-    if symmetric(inertia) and _is_force_free(rest.T, X, rounding[0].T):
+    if is_symmetric(inertia) and _is_force_free(rest.T, X, rounding[0].T):
         others = scipy.linalg.null_space((inertia @ X).T)
         if others.shape[1] + free == pencil.size:
             return _split_congruently(pencil, X, others, rounding)
@@ -97,7 +105,7 @@ def _split_congruently(
 
 def free_part(pencil: Pencil, omega: float) -> Pencil | None:
     """Select the rigid-body motion, whose response has no bound; None without one."""
-    if pencil.free and not pencil.detached:
+    if pencil.free and not pencil.has_uncoupled_motion:
         pencil = _project_obliquely(first_order(pencil, omega), omega)[0]
     return pencil.leading(pencil.free) if pencil.free else None
 
@@ -133,7 +141,7 @@ def _select_energy_free(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | Non
     A known ``rounding`` is used instead, because a known support may be softer than the bound
     of all rounding errors together.
     """
-    if not X.size or not symmetric(K):
+    if not X.size or not is_symmetric(K):
         return X
     energy = np.asarray(ExactMatrix(X.T) @ (ExactMatrix(K) @ X), dtype=float)
     turn, size, _ = np.linalg.svd(energy)

@@ -78,7 +78,7 @@ def zero_entries(
     sharp resonances of equal modes they may be larger, up to the effect of rounding of the model's
     entries.
     """
-    at, ratio = response.visible(band)
+    at, ratio = response.select_visible(band)
     chosen = np.union1d(np.argsort(at)[:RESONANCES], np.argsort(ratio)[:RESONANCES])
     peaks = at[chosen] * (1 + FLANK * (ratio[chosen] < SHARPEST))
     f = np.r_[
@@ -143,7 +143,7 @@ def with_rounding(
     forces are small differences of large forces.
     """
     exact = model.response
-    at, ratio = exact.visible(band)
+    at, ratio = exact.select_visible(band)
     points = drop_points_near_poles(
         sample_resonances(at, ratio, np.array([0.0, 1.0])), *exact.within(band)
     )
@@ -156,7 +156,7 @@ def with_rounding(
     for t in rng.uniform(1.0, 2.0, (TRIALS, pencil.size)):
         again = Response(pencil.in_units(t).project(V / t[:, None]))
         size = relative_size(again.transfer(2j * np.pi * points) - H, H, entries)
-        size[:, exact.cancelled(2j * np.pi * points) & ~entries.zero] = 0.0
+        size[:, exact.cancelled_entries(2j * np.pi * points) & ~entries.zero] = 0.0
         apart = max(apart, SPREAD * float(size.max()))
     proof = f"{model.proof}, which rounding moves by {apart:.0e}"
     return replace(model, floor=max(model.floor, apart), proof=proof)

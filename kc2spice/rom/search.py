@@ -29,7 +29,7 @@ def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.i
     """
     most = int(min(basis.size, (states - 1) // basis.pencil.degree))
     orders = range(max(basis.fixed, 1), most + 1)
-    return next((order for order in orders if basis.acceptable(order, tolerance)), None)
+    return next((order for order in orders if basis.is_acceptable(order, tolerance)), None)
 
 
 def select_basis(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:

@@ -14,7 +14,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import factorise
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, largest, symmetric
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, is_symmetric, largest
 from kc2spice.rom.rigid_body import split_rigid_body
 
 # Rounding of a congruence: a semi-definite matrix may show eigenvalues this far below zero.
@@ -91,10 +91,10 @@ def _poles(pencil: Pencil, omega: float) -> np.ndarray:
     Rounding changes the pair of poles of a rigid body by half of the digits.
     """
     result = pencil if pencil.free else split_rigid_body(pencil.scaled(omega).dense(), omega).pencil
-    if not result.detached:
+    if not result.has_uncoupled_motion:
         return pencil.poles(omega)
     return np.asarray(
-        np.r_[result.leading(result.free).poles(omega), result.restrained.poles(omega)]
+        np.r_[result.leading(result.free).poles(omega), result.without_free_motion.poles(omega)]
     )
 
 
@@ -183,7 +183,7 @@ def _is_factorisable(matrix: Matrix, order: np.ndarray | None = None) -> bool:
         return True
     diagonal = matrix.diagonal()
     empty = np.asarray(abs(matrix).max(axis=0).toarray()).ravel() == 0
-    if not symmetric(matrix) or (diagonal[~empty] <= 0).any():
+    if not is_symmetric(matrix) or (diagonal[~empty] <= 0).any():
         return False
     T = scipy.sparse.diags_array(1 / np.sqrt(np.where(empty, 1.0, diagonal)))
     scaled = T @ (0.5 * (matrix + matrix.T)) @ T

@@ -76,7 +76,7 @@ def approximate_causally(
     """
     search = _Search(model, reduced, band, norm)
     error = search.reduce(BASE_SHARE * tolerance)
-    modes = search.viscous
+    modes = search.viscous_modes
     for rates in RELAXATIONS:
         if error <= tolerance:
             break
@@ -133,7 +133,7 @@ class _Search:
         self._reduce(within)
         if self.raised > 1:
             self._reduce(max(within / self.raised, LOWEST))
-        return self.error(self.viscous)
+        return self.error(self.viscous_modes)
 
     def _reduce(self, within: float) -> None:
         beta = 1 / (2 * np.pi * self.band[1])  # nowhere in the band more damping than structural
@@ -171,7 +171,7 @@ class _Search:
         return Pencil(parts, self.B, self.C, self.small.D)
 
     @cached_property
-    def viscous(self) -> list[Oscillator]:
+    def viscous_modes(self) -> list[Oscillator]:
         """Modes with a dashpot each; motions without stiffness have none."""
         share = self._decoupled
         return [
@@ -207,14 +207,14 @@ class _Search:
 
     def relaxing(self, relative_rates: Sequence[float], tolerance: float) -> list[Oscillator]:
         """Modes with relaxations, where these come much nearer and it matters."""
-        frequency, exact = self._comparison_response(self.viscous)
+        frequency, exact = self._comparison_response(self.viscous_modes)
         s = 2j * np.pi * frequency
         base = Entries.of(exact).base(exact, share_of(self.norm)) + np.finfo(float).tiny
         losses = np.diag(self.H)
         trials: list[Oscillator] = []
         before: list[float] = []
         after: list[float] = []
-        for j, (k, mode) in enumerate(zip(self.squares, self.viscous, strict=True)):
+        for j, (k, mode) in enumerate(zip(self.squares, self.viscous_modes, strict=True)):
             target = k + 1j * self._decoupled * losses[j] + s**2
             dynamic_stiffness = k + 1j * losses[j] + s**2 + s * self.other_damping[j, j]
             product = np.abs(np.outer(self.C[:, j], self.B[j]))
@@ -229,7 +229,7 @@ class _Search:
                 errors.append(float((weight * np.abs(item(s) - target)).max()))
         limit = SMALL_PART * max(tolerance, np.minimum(before, after).max(initial=0.0))
         better = (np.array(before) > limit) & (np.array(after) < WORTH * np.array(before))
-        both = zip(trials, self.viscous, better, strict=True)
+        both = zip(trials, self.viscous_modes, better, strict=True)
         return [trial if use else mode for trial, mode, use in both]
 
     def deviation(self, modes: Sequence[Oscillator]) -> float:
@@ -250,7 +250,7 @@ class _Search:
         sharp = np.sort(Response(result.pencil.dense()).within(self.band)[0])[:DIRECT]
         frequencies = np.r_[low + (high - low) * (np.arange(DIRECT) + 0.4) / DIRECT, sharp]
         full = self.full.transfer(frequencies)
-        entries = Entries.of(self._comparison_response(self.viscous)[1])
+        entries = Entries.of(self._comparison_response(self.viscous_modes)[1])
         off = entries.relative(result.transfer(frequencies) - full, full, share_of(self.norm))
         return float(off.max())
 
@@ -270,7 +270,7 @@ class _Search:
         """
         if self.norm == "pointwise":
             return 1.0
-        frequency, exact = self._comparison_response(self.viscous)
+        frequency, exact = self._comparison_response(self.viscous_modes)
         small = Response(self.small.pencil.dense())
         sharper = np.r_[frequency, small.within(self.band)[0]]
         peaks = np.abs(self.small.transfer(sharper)).max(axis=0)

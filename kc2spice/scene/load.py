@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 from kc2spice.core.quantities import (
-    clipped,
+    clip_text,
     describe_invalid,
     display_text,
     entries,
@@ -94,9 +94,9 @@ def load_scene(
         raise UsageError(
             "overrides is a text, not a list of texts",
             where="overrides",
-            got=repr(clipped(overrides)),
+            got=repr(clip_text(overrides)),
             expected='a list such as ["KEY=VALUE"], or a mapping such as {"KEY": VALUE}',
-            hint=f"write overrides=[{clipped(overrides)!r}]",
+            hint=f"write overrides=[{clip_text(overrides)!r}]",
         )
     tables = [name for name, table in data.items() if isinstance(table, Mapping)]
     for name, value, text in list(read_overrides(overrides)):
@@ -229,7 +229,7 @@ def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[st
             raise UsageError(
                 "not a name for a part",
                 where=name,
-                got=repr(clipped(name)),
+                got=repr(clip_text(name)),
                 expected="a letter, then letters, digits and _, at most 48 in all; not gnd",
                 hint=f"rename it, such as [{identifier(name, 'part')}]",
             )
@@ -304,7 +304,7 @@ def _make_part(
         raise UsageError(
             "pins is not a table",
             where=f"{name}.pins",
-            got=clipped(repr(pins)),
+            got=clip_text(repr(pins)),
             expected="a table of pins, each with the pin that it joins, or gnd",
             hint='write  pins = { PIN = "PART.PIN" }',
         )

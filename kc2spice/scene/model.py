@@ -41,10 +41,10 @@ from kc2spice.scene.rows import (
     Swept,
     Vector,
 )
-from kc2spice.scene.settings import Analysis, Bench, Checks, Frame, Gates, Probe, Rom, Solver
+from kc2spice.scene.settings import Analysis, Bench, Checks, ErrorLimits, Frame, Probe, Rom, Solver
 
 if TYPE_CHECKING:
-    from kc2spice.core.figure import Figure, Shape, Written
+    from kc2spice.core.figure import Figure, FileWriter, Shape
     from kc2spice.core.laws import Equations
     from kc2spice.core.progress import Clock
     from kc2spice.core.waveforms import Waveform, Waveforms
@@ -316,7 +316,7 @@ class DeclaredScene:
         return self.frame.checks
 
     @property
-    def gates(self) -> Gates:
+    def gates(self) -> ErrorLimits:
         """Limits of differences between solution paths."""
         return self.frame.gates
 
@@ -866,7 +866,7 @@ class PartType(Generic[KeysT]):
 
     def figures(
         self, part: Part[KeysT], build: Build, waves: Waveforms
-    ) -> Iterable[Figure | Written]:
+    ) -> Iterable[Figure | FileWriter]:
         """Return plots for the report, and further files of a run with arrays or fields."""
         return ()
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import clipped
+from kc2spice.core.quantities import clip_text
 from kc2spice.core.untrusted_files import DEEPEST, LONGEST_KEY, parse_toml
 from kc2spice.scene.scene_file import open_scene
 
@@ -85,11 +85,11 @@ def _parse_override(text: str) -> tuple[str, Any]:
 def _syntax_error(text: str) -> UsageError:
     """Return the error of a text that is no override."""
     name, equals, _ = text.partition("=")
-    hint = None if equals else f"write {clipped(name)}=VALUE"
+    hint = None if equals else f"write {clip_text(name)}=VALUE"
     return UsageError(
         "not an override",
         where="--set",
-        got=repr(clipped(text)),
+        got=repr(clip_text(text)),
         expected=_EXAMPLES,
         hint=hint,
     )
@@ -105,7 +105,7 @@ def set_key(data: dict[str, Any], name: str, value: Any, text: str) -> tuple[str
     if long or not _KEY.fullmatch(name):
         raise _syntax_error(text)
     path: list[str] = []
-    where, so_far = f"--set {clipped(text)!r}", ""
+    where, so_far = f"--set {clip_text(text)!r}", ""
     holder: Any = data
     key: str | int = ""
     for step in steps:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError, candidates, did_you_mean
-from kc2spice.core.quantities import clipped, dotted
+from kc2spice.core.quantities import clip_text, join_path
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import MAX_BYTES, lines_of, read_bounded, text_of
 from kc2spice.scene.catalogue import find_part, read_catalogue
@@ -45,11 +45,11 @@ class SceneFile:
         names = tuple(key.split("."))
         for path, text in self.overrides.items():
             if path[: len(names)] == names or names[: len(path)] == path:
-                return f"--set {clipped(text)!r}"
+                return f"--set {clip_text(text)!r}"
         line = _find_line(self.text, names)
         place = self.label if line is None else f"{self.label}, line {line}"
         steps = tuple(int(name) if name.isdigit() else name for name in names)
-        return f"{place}, key {dotted(steps)}"
+        return f"{place}, key {join_path(steps)}"
 
 
 def open_scene(name_or_path: str | Path) -> SceneFile:

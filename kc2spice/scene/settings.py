@@ -24,8 +24,8 @@ from kc2spice.core.quantities import (
     Ratio,
     Section,
     Time,
+    invalid_value_error,
     quantity,
-    refused,
 )
 
 Action = Literal["fail", "warn", "off"]
@@ -74,7 +74,9 @@ class Rom(Section):
     def _require_one_target(cls, data: Any) -> Any:
         if isinstance(data, dict) and "order" in data and "tolerance" in data:
             hint = "delete the key order"
-            raise refused("order and tolerance are both set", "one of the two", hint=hint)
+            raise invalid_value_error(
+                "order and tolerance are both set", "one of the two", hint=hint
+            )
         return data
 
     @field_validator("tolerance")
@@ -88,7 +90,7 @@ class Rom(Section):
     @classmethod
     def _require_band(cls, band: tuple[float, float]) -> tuple[float, float]:
         if not 0 <= band[0] < band[1]:
-            raise refused("empty band", "0 <= low < high")
+            raise invalid_value_error("empty band", "0 <= low < high")
         return band
 
     @property
@@ -182,7 +184,7 @@ class Bench(Section):
     )
 
 
-class Gates(Section):
+class ErrorLimits(Section):
     """Largest errors that a result may have; values with a dimension need a unit."""
 
     launch_velocity: Ratio | None = Field(
@@ -339,7 +341,7 @@ class Analysis(Section):
         try:
             return quantity(stop, unit)
         except UsageError as error:
-            raise refused(error.message, error.expected) from None
+            raise invalid_value_error(error.message, error.expected) from None
 
     @property
     def small(self) -> bool:
@@ -418,20 +420,24 @@ class Probe(Section):
             present = getattr(self, key) is not None
             if self.take == take and not present:
                 hint = f"add  {key} = VALUE  to this probe"
-                raise refused(f'{key} is missing with take = "{take}"', f"a {key}", hint=hint)
+                raise invalid_value_error(
+                    f'{key} is missing with take = "{take}"', f"a {key}", hint=hint
+                )
             if self.take != take and present:
                 hint = f"delete take = {self.take!r}" if key == "at" else f"delete the key {key}"
                 problem = f'{key} has no effect with take = "{self.take}"'
-                raise refused(problem, f'{key} with take = "{take}"', hint=hint)
+                raise invalid_value_error(problem, f'{key} with take = "{take}"', hint=hint)
         window = (self.from_, self.to, self.periods)
         if self.at is not None and any(item is not None for item in window):
             expected = "at, or from and to, or periods"
-            raise refused("at beside a window", expected, hint="delete the key at")
+            raise invalid_value_error("at beside a window", expected, hint="delete the key at")
         if self.periods is not None and (self.from_ is not None or self.to is not None):
             expected = "periods, or from and to"
-            raise refused("periods beside from or to", expected, hint="delete the key periods")
+            raise invalid_value_error(
+                "periods beside from or to", expected, hint="delete the key periods"
+            )
         if self.from_ is not None and self.to is not None and self.from_ >= self.to:
-            raise refused("empty window", "from < to")
+            raise invalid_value_error("empty window", "from < to")
         return self
 
 
@@ -460,7 +466,7 @@ class Frame(Section):
     rom: Rom = Rom()
     solver: Solver = Solver()
     checks: Checks = Checks()
-    gates: Gates = Gates()
+    gates: ErrorLimits = ErrorLimits()
     bench: Bench = Bench()
     include: tuple[FileName, ...] = Field(
         (), max_length=16, description="Netlist files beside the scene that its deck includes"

@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError, unknown
-from kc2spice.core.files import staged
+from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import write_record
 from kc2spice.report.bench_page import write_bench
@@ -261,7 +261,7 @@ def bench(
     MissingToolError : no ngspice.
     """
     simulator = find_ngspice()
-    with staged(out) as work:
+    with stage_directory(out) as work:
         progress("models", None, "the scene as it is")
         run = refine.evaluate(scene, Clock(), trust=trust, retries=0)
         plane, requested = _Plane(run), metric or scene.bench.metric

@@ -114,7 +114,7 @@ def make_deck(build: Build) -> Deck:
         trusted=build.trust,
         sweep_scale=sweep_scale,
     )
-    return noise_analysis.sources(deck, build) if noise else deck
+    return noise_analysis.add_noise_sources(deck, build) if noise else deck
 
 
 def _is_controller(part: Part, scene: Scene) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kc2spice.core.errors import unknown
-from kc2spice.core.files import staged
+from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.printers.dialect_registry import deck_dialects, dialect_names
@@ -49,7 +49,7 @@ def export_scene(
         message = "unknown dialect" if count is None else "no array of copies in this dialect"
         raise unknown(message, dialect, known, "--dialect")
     clock = Clock(progress)
-    with staged(out) as work:
+    with stage_directory(out) as work:
         build, deck = prepare_deck(resolve(replace(scene, ports="declared")), clock, trust=trust)
         _require_circuits(build, deck)
         with clock.stage("export", "netlists and symbols"):

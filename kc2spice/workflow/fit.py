@@ -23,11 +23,11 @@ from scipy.stats import qmc
 from kc2spice.bodies.device import add_rayleigh_damping
 from kc2spice.bodies.readers.measured import Measured, read_measured, shunt_resistance
 from kc2spice.core.errors import UsageError
-from kc2spice.core.files import staged
+from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.fem.body_keys import Damping
 from kc2spice.parts.bodies._body_model import damping_of, loss_tangent
-from kc2spice.parts.bodies._box import Varied, make_varied, number_of, values_of_part
+from kc2spice.parts.bodies._box import VariedKey, make_varied, number_of, values_of_part
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.report.fit_page import write_fit
 from kc2spice.rom.complex_constants import ComplexConstants
@@ -172,7 +172,7 @@ def fit(
     _require_linear(loaded.part(part))
     keys = _varied_keys(loaded, part, vary)
     body = _Body(loaded, part, measured, keys, progress, loaded)
-    with nullcontext(Path()) if out is None else staged(out) as work:
+    with nullcontext(Path()) if out is None else stage_directory(out) as work:
         descent = body.descent({item.key: item.axis for item in keys})
         ends = _descents(descent)
         end = _refine_end(descent, ends[0])
@@ -182,7 +182,7 @@ def fit(
             return record
         lines = [f'"{key}" = {value!r}' for key, value in record["values"].items()]
         (work / VALUES).write_text("\n".join(lines) + "\n", encoding="utf-8")
-        (work / BOX).write_text(_box(part, record["parameters"]), encoding="utf-8")
+        (work / BOX).write_text(_calibrated_ranges(part, record["parameters"]), encoding="utf-8")
         write_fit(work / PAGE, record, measured.f, body.Y, start, end.exact)
     return {
         **record,
@@ -211,7 +211,7 @@ def _require_linear(part: Part) -> None:
 
 def _varied_keys(
     scene: Scene, part: str, vary: Sequence[str] | Mapping[str, tuple[float, float] | None]
-) -> list[Varied]:
+) -> list[VariedKey]:
     ends = dict(vary) if isinstance(vary, Mapping) else dict.fromkeys(vary)
     for key, span in ends.items():
         if span is not None and not (isinstance(span, (tuple, list)) and len(span) == 2):
@@ -261,7 +261,7 @@ class _Body:
     scene: Scene
     part: str
     data: Measured
-    keys: Sequence[Varied]
+    keys: Sequence[VariedKey]
     progress: Progress
     like: Scene
     counted: list[int] = field(default_factory=lambda: [0])
@@ -335,7 +335,7 @@ class _Body:
         model = self.full(values, moved=False)
         pencil = modal_projection(model, float(self.data.f[-1]))
         if self.damping.model == "ieee176":
-            return self.by_complex_constants(pencil, values)
+            return self.complex_constants_response(pencil, values)
         charge = pencil.transfer(2j * np.pi * self.frequencies)[:, 0, 0]
         return self.lossy(charge, float(model.D[0, 0]), values)
 
@@ -344,7 +344,7 @@ class _Body:
         """Losses of the scene's part."""
         return damping_of(self.scene.part(self.part))
 
-    def by_complex_constants(self, pencil: Pencil, values: Mapping[str, float]) -> np.ndarray:
+    def complex_constants_response(self, pencil: Pencil, values: Mapping[str, float]) -> np.ndarray:
         """Return the admittance (n,) [S] of a small model with complex constants of IEEE 176.
 
         The real part of the stiffness is that of the scene at the frequency of the damping, or at
@@ -372,7 +372,7 @@ class _Body:
         share = np.divide(gain[:, 0], omega, out=np.zeros_like(omega), where=~rigid) ** 2
         return omega, gain, float(omega[share > EXCITED * share.max()].min() / (2 * np.pi))
 
-    def by_viscous_damping(
+    def viscous_response(
         self, model: LinearModel, pencil: Pencil, values: Mapping[str, float]
     ) -> np.ndarray:
         """Return the admittance (n,) [S] with damping in proportion to the stiffness.
@@ -410,7 +410,9 @@ class _Body:
             charge = charge + clamped * loss
         return np.asarray(2j * np.pi * f * charge)
 
-    def causes(self, values: Mapping[str, float], Y: np.ndarray) -> dict[str, np.ndarray]:
+    def log_admittance_changes(
+        self, values: Mapping[str, float], Y: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """Return changes (n,) of the logarithm of the fitted admittance ``Y`` (n,) [S] by cause.
 
         The causes are effects that the scene may lack: losses that are not varied, and the leads
@@ -432,9 +434,9 @@ class _Body:
         if not self.damping.per_material:
             pencil = modal_projection(model, float(self.data.f[-1]))
             if self.damping.model == "rayleigh":
-                result[CONSTANT_Q] = np.log(self.by_complex_constants(pencil, values) / Y)
+                result[CONSTANT_Q] = np.log(self.complex_constants_response(pencil, values) / Y)
             else:
-                result[VISCOUS] = np.log(self.by_viscous_damping(model, pencil, values) / Y)
+                result[VISCOUS] = np.log(self.viscous_response(model, pencil, values) / Y)
         result |= {
             "resistance in series, of leads or electrodes: compensate the fixture": -Y,
             "inductance of leads: compensate the fixture": -1j * w * Y,
@@ -448,7 +450,7 @@ class _Body:
         """Return the admittance (n,) [S] of a reduced model."""
         model = reduced.at(values)
         if self.damping.model == "ieee176":
-            return self.by_complex_constants(model.pencil, values)
+            return self.complex_constants_response(model.pencil, values)
         H = Response(model.pencil).transfer(2j * np.pi * self.frequencies)
         return self.lossy(H[:, 0, 0], float(model.D[0, 0]), values)
 
@@ -461,7 +463,7 @@ class _Body:
 
 
 @dataclass(frozen=True, eq=False)
-class _End:
+class _DescentResult:
     """Result of a descent: values, the linearised problem there, and the parameter range."""
 
     values: dict[str, float]
@@ -519,16 +521,16 @@ class _Descent:
         """Return the logarithms (keys,) of values, clipped to the range."""
         return np.clip(np.log(np.abs(list(map(values.__getitem__, self.box)))), *self.bounds)
 
-    def solve(self, values: Mapping[str, float]) -> _End:
+    def solve(self, values: Mapping[str, float]) -> _DescentResult:
         """Return the result of a descent that starts at ``values``."""
         solved = least_squares(
             self.deviation, self.start(values), jac=self.jacobian, bounds=self.bounds,
             x_scale="jac", xtol=1e-10, ftol=1e-10, max_nfev=60,
         )  # fmt: skip
-        return _End(self.values(solved.x), solved, self.box)
+        return _DescentResult(self.values(solved.x), solved, self.box)
 
 
-def _descents(descent: _Descent) -> list[_End]:
+def _descents(descent: _Descent) -> list[_DescentResult]:
     """Return the results of all descents in the full ranges, the best first."""
     low, high = descent.bounds
     draws = qmc.scale(qmc.Sobol(len(low), seed=1).random(DRAWS), low, high)
@@ -538,7 +540,7 @@ def _descents(descent: _Descent) -> list[_End]:
     return sorted(map(descent.solve, starts), key=attrgetter("cost"))
 
 
-def _correct_end(descent: _Descent, end: _End) -> _End | None:
+def _correct_end(descent: _Descent, end: _DescentResult) -> _DescentResult | None:
     """Correct the result of a descent by the residual of the full model.
 
     Each step uses the derivatives of the reduced model. The steps end when the residual moves no
@@ -552,19 +554,19 @@ def _correct_end(descent: _Descent, end: _End) -> _End | None:
         exact = body.exact(values)
         left, J = descent.log_ratio(exact), descent.jacobian(x)
         result = OptimizeResult(fun=left, jac=J, cost=0.5 * float(left @ left))
-        free = np.array([not _at_bound(item, values[item.key]) for item in body.keys])
+        free = np.array([not _is_at_bound(item, values[item.key]) for item in body.keys])
         U, s, Vt = np.linalg.svd(J[:, free], full_matrices=False)
         excess = _noise_ratio(result)
         pull = np.where(s * max(_log_widths(body.keys)) > 4 * excess, U.T @ left, 0.0)
         if np.abs(pull).max(initial=0.0) < SETTLED * excess:
-            return _End(values, result, end.box, exact)
+            return _DescentResult(values, result, end.box, exact)
         x[free] -= Vt.T @ (pull / np.maximum(s, 1e-12))
         if (x < low).any() or (x > high).any():
             break
     return None
 
 
-def _refine_end(descent: _Descent, end: _End) -> _End:
+def _refine_end(descent: _Descent, end: _DescentResult) -> _DescentResult:
     """Return the values that fit the full model.
 
     If the derivatives of the reduced model do not lead there, models of narrower ranges follow.
@@ -586,7 +588,9 @@ def _refine_end(descent: _Descent, end: _End) -> _End:
             box[item.key] = _narrow_range(item, end.values[item.key], half)
         descent = body.descent(box, DEGREE)
         end = descent.solve(end.values)
-        if not any(_at_inner_end(item, box[item.key], end.values[item.key]) for item in body.keys):
+        if not any(
+            _is_at_inner_end(item, box[item.key], end.values[item.key]) for item in body.keys
+        ):
             widths = np.maximum(NARROWER * widths, NARROW)
     raise UsageError(
         "the fit does not converge",
@@ -597,20 +601,22 @@ def _refine_end(descent: _Descent, end: _End) -> _End:
     )
 
 
-def _narrow_range(item: Varied, value: float, half: float) -> ParameterAxis:
+def _narrow_range(item: VariedKey, value: float, half: float) -> ParameterAxis:
     """Return the part of a key's range within a factor ``exp(half)`` of a value."""
     ends = sorted((value * np.exp(-half), value * np.exp(half)))
     return ParameterAxis(item.key, max(item.low, ends[0]), min(item.high, ends[1]))
 
 
-def _at_inner_end(item: Varied, axis: ParameterAxis, value: float) -> bool:
+def _is_at_inner_end(item: VariedKey, axis: ParameterAxis, value: float) -> bool:
     """Return whether a value is at an end of a narrow range, inside the key's full range."""
     x = axis.coordinate(value)
     end = axis.high if x > 0 else axis.low
     return abs(x) > 1 - 1e-3 and not np.isclose([item.low, item.high], end).any()
 
 
-def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> dict[str, Any]:
+def _record(
+    body: _Body, start: np.ndarray, end: _DescentResult, ends: Sequence[_DescentResult]
+) -> dict[str, Any]:
     """Return the content of ``fit --json``.
 
     ``start`` is the admittance (n,) [S] at the values of the scene.
@@ -650,7 +656,7 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
             "sigma": abs(value) * deviation,
             "low": item.low,
             "high": item.high,
-            "at_bound": _at_bound(item, value),
+            "at_bound": _is_at_bound(item, value),
         }
     best = min(ends, key=attrgetter("cost"))
     resonances = _match_resonances(body, start, end)
@@ -678,14 +684,16 @@ def _record(body: _Body, start: np.ndarray, end: _End, ends: Sequence[_End]) -> 
 
 
 def _explain_misfit(
-    body: _Body, end: _End, resonances: Sequence[Mapping[str, float | None]]
+    body: _Body, end: _DescentResult, resonances: Sequence[Mapping[str, float | None]]
 ) -> str | None:
     """Return the likely cause of a misfit in words; None if noise explains the misfit."""
     ratio = misfit(end.solved.fun, len(body.keys))
     if ratio <= WARNED:
         return None
     text = f"the model does not describe the data: a misfit of {ratio:.1f} times the noise"
-    cause = likely_cause(end.solved.jac, end.solved.fun, body.causes(end.values, end.exact))
+    cause = likely_cause(
+        end.solved.jac, end.solved.fun, body.log_admittance_changes(end.values, end.exact)
+    )
     if cause is None and any(None in (row["measured_hz"], row["fitted_hz"]) for row in resonances):
         cause = "resonances of one that the other lacks: vary sizes, or check mounting and mesh"
     return f"{text}; likely cause: {cause or UNEXPLAINED}"
@@ -696,12 +704,12 @@ def _noise_ratio(solved: OptimizeResult) -> float:
     return max(1.0, misfit(solved.fun, solved.jac.shape[1]))
 
 
-def _log_widths(keys: Sequence[Varied]) -> list[float]:
+def _log_widths(keys: Sequence[VariedKey]) -> list[float]:
     """Return the width of each key's range as the logarithm of the ratio of its ends."""
     return [abs(float(np.log(item.high / item.low))) for item in keys]
 
 
-def _box(part: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
+def _calibrated_ranges(part: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
     """Return ``rom.parameters`` of the part, so that random samples are calibrated parts.
 
     Every key is within :data:`LIKELY` standard errors of its value, and within its range.
@@ -715,13 +723,15 @@ def _box(part: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
     return f'"{part}.rom.parameters" = {{ {", ".join(result)} }}\n'
 
 
-def _at_bound(item: Varied, value: float) -> bool:
+def _is_at_bound(item: VariedKey, value: float) -> bool:
     """Return whether a value is at an end of its key's range."""
     nearest = min(abs(np.log(value / item.low)), abs(np.log(value / item.high)))
     return bool(nearest < 1e-4 * abs(np.log(item.high / item.low)))
 
 
-def _match_resonances(body: _Body, start: np.ndarray, end: _End) -> list[dict[str, float | None]]:
+def _match_resonances(
+    body: _Body, start: np.ndarray, end: _DescentResult
+) -> list[dict[str, float | None]]:
     """Return the resonances of the measurement, of the start and of the end in rising order.
 
     A resonance is a peak of the conductance.

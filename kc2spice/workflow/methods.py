@@ -14,7 +14,7 @@ from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduction import SMALLEST_TOLERANCE, Reduction
 from kc2spice.rom.reductors.registry import reductor_names
-from kc2spice.workflow.reduce_files import TOLERANCE, given_model
+from kc2spice.workflow.reduce_files import TOLERANCE, load_full_model
 
 
 def compare(
@@ -76,7 +76,7 @@ def compare(
         warnings.simplefilter("ignore")  # a table of trials: each model has its error estimate
         for method in reductor_names():
             progress("reduce", None, method)
-            rows.append(_row(reduction, method, tolerance, order))
+            rows.append(_method_result(reduction, method, tolerance, order))
     rows.sort(key=lambda row: (row["states"] is None, row["states"] or 0))
     return {
         "model": model.name,
@@ -94,10 +94,10 @@ def _model_of(path: Path | str) -> LinearModel:
     if is_measured(Path(path)):
         expected = "matrices; a measured response is fitted by one method"
         raise UsageError("is a measurement", where="--method", got=path, expected=expected)
-    return given_model(path)
+    return load_full_model(path)
 
 
-def _row(
+def _method_result(
     reduction: Reduction, method: str, tolerance: float | None, order: int | None
 ) -> dict[str, Any]:
     """States, error estimate and CPU time [s] of one method, or the reason why it has no model."""

@@ -104,15 +104,15 @@ def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> Metrics
     """
     rows = _metrics(waves, build, partial=partial)
     units = {name: item.unit for name, item in flatten_mapping(rows) if isinstance(item, Metric)}
-    return Metrics(_plain(rows), {name: unit for name, unit in units.items() if unit})
+    return Metrics(_metric_values(rows), {name: unit for name, unit in units.items() if unit})
 
 
-def _plain(rows: Mapping[str, Any]) -> dict[str, Any]:
+def _metric_values(rows: Mapping[str, Any]) -> dict[str, Any]:
     """The values of metrics, in the same tables."""
     result: dict[str, Any] = {}
     for name, item in rows.items():
         value = item.value if isinstance(item, Metric) else item
-        result[name] = _plain(value) if isinstance(value, Mapping) else value
+        result[name] = _metric_values(value) if isinstance(value, Mapping) else value
     return result
 
 
@@ -133,7 +133,7 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
     for name, probe in scene.probes.items():
         window = window_of(probe, scene)
         if not partial or _covers_probe(probe, waves, window):
-            value = take(probe, waves, name, window)
+            value = evaluate_probe(probe, waves, name, window)
             probed[name] = Metric(value, _probe_unit(probe, build, waves, units))
     return {**probed, **{name: value for name, value in records.items() if name not in probed}}
 
@@ -177,7 +177,7 @@ def _clip_to_window(
     scale, values = scale[::direction], values[::direction]
     for key, end in zip(("from", "to"), window, strict=True):
         if math.isfinite(end) and not _is_on_scale(scale, end):
-            raise _outside(name, key, end, scale)
+            raise _is_outside(name, key, end, scale)
     low, high = max(window[0], scale[0]), min(window[1], scale[-1])
     inside = (scale > low) & (scale < high)
     at = np.concatenate([[low], scale[inside], [high]])
@@ -186,7 +186,7 @@ def _clip_to_window(
     return at[::direction], read[::direction]
 
 
-def take(
+def evaluate_probe(
     probe: Probe, waves: Waveforms, name: str, window: tuple[float, float] | None = None
 ) -> float | None:
     """Value of a probe; None for crossings or cycles that do not happen.
@@ -307,7 +307,7 @@ def _is_on_scale(scale: np.ndarray, place: float) -> bool:
     return bool(scale.min() - slack <= place <= scale.max() + slack)
 
 
-def _outside(name: str, key: str, place: float, scale: np.ndarray) -> UsageError:
+def _is_outside(name: str, key: str, place: float, scale: np.ndarray) -> UsageError:
     expected = f"{scale.min():g} … {scale.max():g}"
     return UsageError("outside the analysis", where=f"probes.{name}.{key}", got=f"{place:g}",
                       expected=expected)  # fmt: skip
@@ -316,6 +316,6 @@ def _outside(name: str, key: str, place: float, scale: np.ndarray) -> UsageError
 def _value(scale: np.ndarray, values: np.ndarray, place: float, name: str) -> float:
     """Interpolated value at ``place``; of complex values the magnitude."""
     if not _is_on_scale(scale, place):
-        raise _outside(name, "at", place, scale)
+        raise _is_outside(name, "at", place, scale)
     result = interpolate(place, scale, values)
     return float(np.abs(result)) if np.iscomplexobj(result) else float(result)

@@ -61,7 +61,7 @@ def covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray) -> np.n
     if more < MODEL_ERROR:
         return np.asarray(noise)
     bands = np.array_split(np.arange(len(residuals) // 2), BANDS)
-    moves = np.array([_move_without(J, residuals, band) for band in bands])
+    moves = np.array([_change_without_band(J, residuals, band) for band in bands])
     moves -= moves.mean(axis=0)
     scatter = (BANDS - 1) / BANDS * moves.T @ moves
     size = np.sqrt(np.diag(scatter))
@@ -69,7 +69,7 @@ def covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray) -> np.n
     return np.asarray(noise + scatter * np.outer(limit, limit))
 
 
-def _move_without(J: np.ndarray, residuals: np.ndarray, band: np.ndarray) -> np.ndarray:
+def _change_without_band(J: np.ndarray, residuals: np.ndarray, band: np.ndarray) -> np.ndarray:
     """Change (k,) of the values when a fit leaves out the frequencies of ``band``."""
     used = np.ones(len(residuals), dtype=bool)
     used[band] = used[band + len(residuals) // 2] = False
@@ -98,14 +98,14 @@ def likely_cause(
         None if no cause removes more than half of the squares.
     """
     total = float(residuals @ residuals)
-    left = {name: _left_with(J, residuals, column) for name, column in causes.items()}
+    left = {name: _residual_with_cause(J, residuals, column) for name, column in causes.items()}
     least = min(left.values(), default=total)
     if least >= (1 - EXPLAINED) * total:
         return None
     return next(name for name, squares in left.items() if squares <= AS_LIKELY * least)
 
 
-def _left_with(J: np.ndarray, residuals: np.ndarray, cause: np.ndarray) -> float:
+def _residual_with_cause(J: np.ndarray, residuals: np.ndarray, cause: np.ndarray) -> float:
     """Sum of squares that is left after a fit with one more column, of positive amount."""
     column = np.concatenate([cause.real, cause.imag])
     Q, _ = np.linalg.qr(J)

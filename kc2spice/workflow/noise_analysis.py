@@ -21,9 +21,9 @@ from kc2spice.scene.results import DENSITY_UNIT, NOISE_WAVE, find_noise_output, 
 RESOLVED = 0.02  # largest relative change of the rms value with every second frequency
 
 
-def sources(deck: Deck, build: Build) -> Deck:
+def add_noise_sources(deck: Deck, build: Build) -> Deck:
     """``deck`` with what each resistor that has noise adds, as ``noise.PART.NAME``."""
-    result = dict(_noisy(deck.scope, ""))
+    result = dict(_noisy_resistors(deck.scope, ""))
     parts = sorted(build.scene.parts, key=len, reverse=True)
     _, factor = deck.vectors[NOISE_WAVE]
     vectors = {}
@@ -36,16 +36,16 @@ def sources(deck: Deck, build: Build) -> Deck:
     return replace(deck, vectors={**deck.vectors, **vectors}, units={**deck.units, **units})
 
 
-def _noisy(scope: Scope, path: str) -> Iterator[tuple[str, str]]:
+def _noisy_resistors(scope: Scope, path: str) -> Iterator[tuple[str, str]]:
     """Simulator names of noisy resistors, and their instance paths."""
     for item in scope.elements:
         if item.kind == "x" and (inner := scope.find(item.model)) is not None:
-            yield from _noisy(inner, f"{path}{item.key}.")
+            yield from _noisy_resistors(inner, f"{path}{item.key}.")
         elif item.kind == "r" and item.settings.get("noisy") != "0":
             yield f"r.{path}{item.key}" if path else item.key, f"{path}{item.key}"
 
 
-def by_part(waves: Waveforms) -> dict[str, np.ndarray]:
+def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
     """Density (nf,) of what each part adds, where the run tells it."""
     power: dict[str, np.ndarray] = {}
     for name, density in waves.data.items():
@@ -58,7 +58,7 @@ def by_part(waves: Waveforms) -> dict[str, np.ndarray]:
 
 def noise_metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
     """rms values over the band: of the output, and what each part adds to it."""
-    f, parts, unit = waves["frequency"].real, by_part(waves), find_noise_output(build).unit
+    f, parts, unit = waves["frequency"].real, noise_by_part(waves), find_noise_output(build).unit
     added = {part: Metric(_rms(f, result), unit) for part, result in parts.items()}
     rms: dict[str, Any] = {NOISE_WAVE: Metric(_rms(f, waves[NOISE_WAVE]), unit)}
     return rms | ({"noise_by_part": added} if len(added) > 1 else {})
@@ -112,7 +112,7 @@ def noise_figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
         (f"density in {unit}", density),
         (f"rms from the lowest on in {unit.removesuffix(DENSITY_UNIT)}", rising),
     )
-    parts = by_part(waves)
+    parts = noise_by_part(waves)
     added = [Curve(f"of {part}", factor * f, result, "--") for part, result in parts.items()]
     panels = [
         Panel(

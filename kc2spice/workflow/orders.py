@@ -45,7 +45,7 @@ SMALLER = 0.7  # largest ratio of errors, new to present, that is worth another 
 
 
 @dataclass(frozen=True)
-class Larger:
+class LargerOrder:
     """A larger order of a body, which ``keys`` of the scene set.
 
     ``states`` and ``error``, under the loads of the run, are pairs for the present and the larger
@@ -87,7 +87,7 @@ def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
         if better is None:
             return run
         run = better
-    for name in (check.name for check in _violated(run).values()):
+    for name in (check.name for check in _violated_checks(run).values()):
         warnings.warn(f"{name}: {MOST_RISES} further runs do not suffice", stacklevel=3)
     return run
 
@@ -107,7 +107,7 @@ def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> M
     return orders if max(orders.values(), default=0) <= MOST_VECTORS else {}
 
 
-def _run_again(run: Run, chosen: Sequence[Larger], work: Path, clock: Clock) -> Run | None:
+def _run_again(run: Run, chosen: Sequence[LargerOrder], work: Path, clock: Clock) -> Run | None:
     """Run the scene with the ``chosen`` orders; None if it fails or has no smaller error."""
     build = run.build
     for item in chosen:
@@ -139,11 +139,11 @@ class _Search:
     """The best larger order of a body, None where none is worth a run, and what ended the search in
     words."""
 
-    best: Larger | None
+    best: LargerOrder | None
     end: str
 
 
-def _violated(run: Run) -> dict[str, Check]:
+def _violated_checks(run: Run) -> dict[str, Check]:
     """Violated checks of errors under the recorded loads, by the body."""
     checks = {check.name: check for check in run.verdict.checks if check.loaded}
     bodies = {part.name: checks.get(f"reduction of {part.name}") for part in _orders_of(run)}
@@ -157,7 +157,7 @@ def _orders_of(run: Run) -> Iterator[Part]:
 
 def _larger_orders(run: Run, clock: Clock) -> Iterator[_Search]:
     """Search an order for each body whose error under the recorded loads is too large."""
-    for name, check in _violated(run).items():
+    for name, check in _violated_checks(run).items():
         yield _larger_order(run, run.build.scene.parts[name], check, clock)
 
 
@@ -202,7 +202,7 @@ def _larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _Search:
         if estimate[0] < least:
             least, states = estimate[0], (model.order, larger.order)
             errors = check.value, least
-            result = Larger(part.name, keys, states, errors, check.limit, seconds)
+            result = LargerOrder(part.name, keys, states, errors, check.limit, seconds)
         if least <= check.limit and result is not None:
             break
     return _Search(result, f"{check.name}: {end}")
@@ -214,12 +214,12 @@ def _expected_time(seconds: float, model: LinearModel, larger: LinearModel) -> f
     It is in proportion to the time of a point, and to the highest frequency of a mode with inertia,
     whose periods the time steps follow.
     """
-    points = list(map(_highest, (model, larger)))
+    points = list(map(_highest_natural_frequency, (model, larger)))
     more = points[1] / points[0] if all(points) else 1.0
     return seconds * more * point_time(larger.order) / point_time(model.order)
 
 
-def _highest(model: LinearModel) -> float:
+def _highest_natural_frequency(model: LinearModel) -> float:
     """Highest natural frequency [rad/s] of a mode with inertia; 0 where no modes are known."""
     modal = resonators(model)
     return 0.0 if modal is None else float(modal.omega[modal.inertia > 0].max(initial=0.0))

@@ -20,7 +20,7 @@ from kc2spice.bodies.readers.measured import (
     shunt_resistance,
 )
 from kc2spice.core.errors import GateMissedError, UsageError, candidates, unknown
-from kc2spice.core.files import staged
+from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.quantities import quantity
 from kc2spice.core.untrusted_files import identifier
@@ -30,7 +30,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.netlist.translate import dialect_files, symbol_files
-from kc2spice.parts.bodies._body_model import full_alone, scene_band
+from kc2spice.parts.bodies._body_model import full_model_alone, scene_band
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.band import SMALL, natural_band
 from kc2spice.rom.branch_fit import fit_one_port
@@ -142,7 +142,7 @@ def reduce_file(
                 hint=f"leave out {option}",
             )
     progress("reduce", None, "reading matrices")
-    model = given_model(path)
+    model = load_full_model(path)
     if tolerance is None and order is None:
         tolerance = TOLERANCE
     _require_names(model, identifier(f"{model.name}_rom", "rom"))
@@ -157,7 +157,7 @@ def reduce_file(
         norm=norm or default_norm(model),  # type: ignore[arg-type]
         method=method,
     )
-    result = _written(model.name, model.order, reduced, out, tolerance)
+    result = _write_reduced_model(model.name, model.order, reduced, out, tolerance)
     return result | {"full_form": form_of(model)}
 
 
@@ -166,7 +166,7 @@ def form_of(model: LinearModel) -> str:
     return "first order" if model.first_order else "second order"
 
 
-def given_model(path: Path | str) -> LinearModel:
+def load_full_model(path: Path | str) -> LinearModel:
     """Return the model of matrices in files, or of a scene's body ``SCENE:PART``."""
     return _scene_body(str(path)) or read_model(path)
 
@@ -251,11 +251,11 @@ def _reduce_measured(
     notes = list(data.notes)
 
     def fitted() -> LinearModel:
-        model = _fitted(data, conductance, notes)
+        model = _fit_passive_model(data, conductance, notes)
         _require_near(model, data)
         return model
 
-    result = _written(data.name, len(data.f), fitted, out)
+    result = _write_reduced_model(data.name, len(data.f), fitted, out)
     error, warnings = result["error_estimate"], []
     if error > WARNED_MISFIT:
         text = f"the error of {error:.2g} exceeds {WARNED_MISFIT:g}: the circuit is not the part "
@@ -264,7 +264,7 @@ def _reduce_measured(
     return result | record | {"quantity": data.quantity, "data": data.description}
 
 
-def _fitted(data: Measured, conductance: float | None, notes: list[str]) -> LinearModel:
+def _fit_passive_model(data: Measured, conductance: float | None, notes: list[str]) -> LinearModel:
     """The passive model of the samples; ``notes`` gets what its form is if it is not the first."""
     if data.Y.shape[1] == 1:
         nearest, left = fit_one_port(data.f, data.Y[:, 0, 0], data.noise, conductance)
@@ -315,7 +315,7 @@ def _conductance(dc: str | float) -> float:
     return 1 / resistance
 
 
-def _written(
+def _write_reduced_model(
     model_name: str,
     unknowns: int,
     make: Callable[[], LinearModel],
@@ -331,7 +331,7 @@ def _written(
     """
     name = f"{model_name}_rom"
     directory = Path(name) if out is None else Path(out)
-    with staged(directory) as work:
+    with stage_directory(directory) as work:
         reduced = make()
         part = subcircuit(reduced, identifier(name, "rom"))  # without a circuit, no error estimate
         if tolerance is not None:
@@ -368,7 +368,7 @@ def _scene_body(text: str) -> LinearModel | None:
             got=f"a part of type {part.type.name}",
             expected=candidates(part_name, bodies) or "a body; this scene has none",
         )
-    full = full_alone(part, scene, Clock())
+    full = full_model_alone(part, scene, Clock())
     restricted = full.select(part.type.used_port_names(part, scene))
     return replace(
         restricted, name=f"{scene.name}_{part.name}", band=scene_band(part, scene, restricted)
@@ -415,7 +415,7 @@ def export_rom(
     directory = Path(name) if out is None else Path(out)
     files = dialect_files(deck, dialect) | symbol_files(deck, dialect)
     files |= plot_script(deck) if dialect == "ngspice" else {}
-    with staged(directory) as work:
+    with stage_directory(directory) as work:
         spare_other_decks(directory, files)
         write_files(files, work)
     return [directory / file for file in sorted(files)]

@@ -31,7 +31,13 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.settings import Action
 from kc2spice.workflow.decks import prepare_deck
-from kc2spice.workflow.simulate import Run, ran, sampled, simulate_deck, simulator_cpu
+from kc2spice.workflow.simulate import (
+    Run,
+    run_simulation,
+    sampled_functions,
+    simulate_deck,
+    simulator_cpu,
+)
 
 MOST_UNKNOWNS = 200_000  # unknowns of a refined mesh: minutes of one processor
 FREE_SHARE = 0.5  # share of free memory for one factor; matrices and modes need the rest
@@ -188,9 +194,9 @@ def evaluate(
 def time_again(run: Run) -> float:
     """Simulate the deck of ``run`` again and return the CPU time [s] of the simulator."""
     with tempfile.TemporaryDirectory() as folder:
-        shared = bool(sampled(run.build))
+        shared = bool(sampled_functions(run.build))
         begin = simulator_cpu(shared=shared)
-        ran(run.build, run.deck, Path(folder))
+        run_simulation(run.build, run.deck, Path(folder))
         return simulator_cpu(shared=shared) - begin
 
 
@@ -262,7 +268,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Converged:
+class ConvergedRun:
     """Final run of an error budget, its check, and all estimates.
 
     ``shares`` are the errors of single axes. ``limits`` are the number of unknowns and the memory
@@ -288,7 +294,7 @@ class Converged:
         }
 
 
-def converge(start: Run, clock: Clock) -> Converged | None:
+def converge(start: Run, clock: Clock) -> ConvergedRun | None:
     """Refine the scene until the estimated error of every metric is within ``error_budget``.
 
     Without a budget, ``checks.reduction`` requests a single estimate. Returns None without either.
@@ -335,7 +341,7 @@ def converge(start: Run, clock: Clock) -> Converged | None:
     advice = f"raise error_budget, or {other} ({why})" if why else "raise it"
     worst = max(final.errors, key=final.errors.__getitem__, default="its metrics")
     check = Check(f"error of {worst}", final.error, limit, "relative, estimated", advice, action)
-    return Converged(final, check, tried, shares, runs.limits)
+    return ConvergedRun(final, check, tried, shares, runs.limits)
 
 
 def _finest_mesh_reason(runs: Runs, now: Estimate) -> str:

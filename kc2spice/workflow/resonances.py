@@ -54,7 +54,7 @@ def with_resonances(deck: Deck, build: Build) -> Deck:
     analysis = build.scene.analysis
     if not analysis.small or analysis.stop is None:
         return deck
-    resonances = [(f, width) for f, width in _narrow(build) if width > 0.0]
+    resonances = [(f, width) for f, width in _narrow_resonances(build) if width > 0.0]
     step = 2 * HALF_WIDTHS / (POINTS - 1)
     narrow = [(f, width) for f, width in resonances if step * width < _spacing(build, f)]
     if len(narrow) > MOST_RESONANCES:
@@ -63,13 +63,15 @@ def with_resonances(deck: Deck, build: Build) -> Deck:
             f"first {MOST_RESONANCES} are resolved: raise analysis.points or narrow the range",
             stacklevel=2,
         )
-    commands = [with_frequencies(deck.command, place, place, 1) for place in _places(build)]
+    commands = [
+        with_frequencies(deck.command, place, place, 1) for place in _probe_frequencies(build)
+    ]
     for f, width in narrow[:MOST_RESONANCES]:
-        commands += _about(deck.command, f, width, build)
+        commands += _refined_ranges(deck.command, f, width, build)
     return replace(deck, refinements=tuple(commands))
 
 
-def _places(build: Build) -> list[float]:
+def _probe_frequencies(build: Build) -> list[float]:
     """Frequencies [Hz] inside the scene's range that probes read, in rising order."""
     analysis = build.scene.analysis
     first, last = analysis.start, float(analysis.stop or 0.0)
@@ -77,7 +79,7 @@ def _places(build: Build) -> list[float]:
     return sorted(f for f in result if first < f < last)
 
 
-def _about(command: Command, f: float, width: float, build: Build) -> Iterator[Command]:
+def _refined_ranges(command: Command, f: float, width: float, build: Build) -> Iterator[Command]:
     """Analyses about ``f`` [Hz] inside the scene's range, each wider than the one before."""
     analysis, reach = build.scene.analysis, HALF_WIDTHS * width
     while True:
@@ -97,7 +99,7 @@ def _spacing(build: Build, f: float) -> float:
     return f * math.expm1(math.log(stop / analysis.start) / max(analysis.points - 1, 1))
 
 
-def _narrow(build: Build) -> list[tuple[float, float]]:
+def _narrow_resonances(build: Build) -> list[tuple[float, float]]:
     """Frequency and half-width [Hz] of each resonance and of each notch that a probe takes the
     least value of, in the scene's range, in rising order."""
     analysis, laws = build.scene.analysis, scene_laws(build)

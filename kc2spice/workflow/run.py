@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core import __version__
-from kc2spice.core.figure import Figure, Written
-from kc2spice.core.files import staged
+from kc2spice.core.figure import Figure, FileWriter
+from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import write_record, write_waveforms
 from kc2spice.netlist.printers.plot_script import plot_script
@@ -27,25 +27,25 @@ from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.decks import prepare_deck, spare_other_decks
 from kc2spice.workflow.models import fact_units, mode_tables, model_facts
 from kc2spice.workflow.orders import suggested_keys, with_larger_orders
-from kc2spice.workflow.refine import Converged, converge
+from kc2spice.workflow.refine import ConvergedRun, converge
 from kc2spice.workflow.ringing import announce_long_run
-from kc2spice.workflow.simulate import Run, kept_on_failure, sampled, simulate_deck
+from kc2spice.workflow.simulate import Run, keep_failed_run, sampled_functions, simulate_deck
 
 
 @dataclass(frozen=True)
-class Completed:
+class CompletedRun:
     """A finished simulation of a scene, the simulator and the times that it took."""
 
     run: Run
     simulator: Simulator
     clock: Clock
-    converged: Converged | None = None
+    converged: ConvergedRun | None = None
 
     @cached_property
-    def page_items(self) -> tuple[Figure | Written, ...]:
+    def page_items(self) -> tuple[Figure | FileWriter, ...]:
         """Figures of probes and parts, and further files."""
         build, waves, units = self.run.build, self.run.waves, self.run.deck.units
-        result: list[Figure | Written] = []
+        result: list[Figure | FileWriter] = []
         if build.noisy:
             result += noise_analysis.noise_figures(waves, units[NOISE_WAVE])
         result += plot_probes(build.scene.probes, waves, units)
@@ -70,7 +70,7 @@ class Completed:
             "simulator": {
                 "name": self.simulator.name,
                 "version": self.simulator.version,
-                "engine": "shared" if sampled(build) else "batch",
+                "engine": "shared" if sampled_functions(build) else "batch",
                 "setting": attempts[-1].setting,
                 "attempts": list(map(asdict, attempts)),
             },
@@ -145,7 +145,7 @@ def run_scene(
     >>> Path("lamp/result.json").is_file()
     True
     """
-    with staged(out) as work:
+    with stage_directory(out) as work:
         done = complete(scene, work, progress, out=out, trust=trust, deck=deck)
         return write_run_files(done, work, keep=keep, png=png)
 
@@ -159,7 +159,7 @@ def complete(
     trust: bool = False,
     deck: Path | None = None,
     functions: Mapping[str, Any] | None = None,
-) -> Completed:
+) -> CompletedRun:
     """Build, reduce, export and simulate ``scene`` in the directory ``work``.
 
     ``functions`` are the functions of controllers, by part. ``out`` is the directory of the result;
@@ -173,7 +173,7 @@ def complete(
     Raises the errors of :func:`run_scene`. Warns of violated checks that do not fail the run.
     """
     simulator, clock, automatic = find_ngspice(), Clock(progress), dict[str, Any]()
-    with kept_on_failure(work, out, scene.name):
+    with keep_failed_run(work, out, scene.name):
         while True:
             build, prepared_deck = prepare_deck(
                 scene, clock, trust=trust, functions=functions, edited=deck
@@ -197,16 +197,16 @@ def complete(
             result = with_larger_orders(result, work, clock)
         converged = converge(result, clock) if deck is None else None
         if converged is not None:
-            result = _judged(converged)
+            result = _check_error_estimate(converged)
     for check in result.verdict.checks:
         if not check.passed:
             limit = f"limit {check.limit:.3g}: {check.advice}"
             message = f"check {check.name}: {check.value:.3g} {check.unit}, {limit}"
             warnings.warn(message, stacklevel=2)
-    return Completed(result, simulator, clock, converged)
+    return CompletedRun(result, simulator, clock, converged)
 
 
-def _judged(converged: Converged) -> Run:
+def _check_error_estimate(converged: ConvergedRun) -> Run:
     """The run that holds the error budget, with the check of its estimate."""
     final, check = converged.final, converged.check
     if final.settings:
@@ -222,7 +222,7 @@ def _judged(converged: Converged) -> Run:
 
 
 def write_run_files(
-    done: Completed, work: Path, *, keep: bool = False, png: bool = False
+    done: CompletedRun, work: Path, *, keep: bool = False, png: bool = False
 ) -> dict[str, Any]:
     """Write all files of a run into ``work``; return ``result.json``."""
     scene, deck, waves = done.run.build.scene, done.run.deck, done.run.waves
@@ -232,7 +232,7 @@ def write_run_files(
         write_files(texts, work)
         files, figures = [*sorted(texts), *write_waveforms(waves, deck.units, work)], done.figures
         for item in done.page_items:
-            if isinstance(item, Written):
+            if isinstance(item, FileWriter):
                 item.write(work / item.name)
                 files.append(item.name)
         files += draw_pngs(work, figures) if png else []

@@ -154,12 +154,12 @@ def simulate_deck(
 
     point = operating_point(build, deck)
     write_files(deck.files, directory)  # whatever comes of it
-    shared = bool(sampled(build))
+    shared = bool(sampled_functions(build))
     begin = simulator_cpu(shared=shared)
     result = run_with_retries(
         deck,
         directory,
-        lambda tried: ran(build, tried, directory, progress, timeout),
+        lambda tried: run_simulation(build, tried, directory, progress, timeout),
         retries=build.scene.solver.retries if retries is None else retries,
         judge=judge,
     )
@@ -208,7 +208,7 @@ def _power(term: PowerTerm, waves: Waveforms) -> np.ndarray:
     return (across * through.conj()).real / 2 if np.iscomplexobj(through) else across * through
 
 
-def ran(
+def run_simulation(
     build: Build, deck: Deck, directory: Path, progress: Share = None, timeout: float | None = None
 ) -> Waveforms:
     """Run ``deck`` in ngspice, in a separate process in ``directory``.
@@ -217,14 +217,14 @@ def ran(
 
     Raises as :func:`run_deck` and :func:`kc2spice.sim.shared.run_shared` do.
     """
-    functions = [item.at_start for item in sampled(build)]
+    functions = [item.at_start for item in sampled_functions(build)]
     if build.scene.analysis.small:
         from kc2spice.workflow.resonances import with_resonances  # which loads scipy
 
         refined_deck = with_resonances(deck, build)
         if deck.text is None and is_linear(build):
             return run_deck(refined_deck, directory, progress, timeout)
-        return _each_from_rest(refined_deck, directory, progress, timeout)
+        return _run_each_from_rest(refined_deck, directory, progress, timeout)
     if not functions:
         return run_deck(deck, directory, progress, timeout)
     from kc2spice.sim.shared import run_shared
@@ -232,7 +232,7 @@ def ran(
     return run_shared(deck, functions, progress)
 
 
-def _each_from_rest(
+def _run_each_from_rest(
     deck: Deck, directory: Path, progress: Share, timeout: float | None
 ) -> Waveforms:
     """The points of all analyses of ``deck``, each by a run of its own.
@@ -248,7 +248,7 @@ def _each_from_rest(
     return replace(first, data=join_analyses(parts))
 
 
-def sampled(build: Build) -> list[Sampled]:
+def sampled_functions(build: Build) -> list[Sampled]:
     """The functions that set sources of the scene while it runs.
 
     Raises
@@ -280,7 +280,7 @@ def simulator_cpu(*, shared: bool) -> float:
 
 
 @contextmanager
-def kept_on_failure(work: Path, out: Path | None, scene: str) -> Iterator[None]:
+def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
     """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``, until a later one
     succeeds. No result is looked for there; ``failure.json`` says what the files are."""
     folder = None if out is None else _failure_folder(Path(out).absolute())

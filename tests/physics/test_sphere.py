@@ -9,8 +9,8 @@ from scipy.optimize import brentq
 from scipy.special import spherical_jn
 
 from kc2spice.bodies.pressure import (
-    IsotropicSphere,
     PressureBasis,
+    TransverselyIsotropicSphere,
     indentation_law,
     pressure_basis,
     sphere,
@@ -25,7 +25,7 @@ R = 1e-3
 E, NU, DENSITY = 211.9e9, 0.291, 7860.0
 MU, LAME = E / 2 / (1 + NU), E * NU / (1 + NU) / (1 - 2 * NU)
 
-BODY = IsotropicSphere(R, material("steel"), Damping(ratio=1e-3))
+BODY = TransverselyIsotropicSphere(R, material("steel"), Damping(ratio=1e-3))
 
 
 def tractions(n, U, dU, V, dV, div, r):

@@ -15,7 +15,7 @@ from kc2spice.scene.checks import Balance
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.export import export_scene
 from kc2spice.workflow.run import run_scene
-from kc2spice.workflow.simulate import ran
+from kc2spice.workflow.simulate import run_simulation
 
 SCENES = {"duffing": ("spring", "cubic_spring"), "loudspeaker": ("coil", "voice_coil")}
 
@@ -70,7 +70,7 @@ def test_the_balance_sees_what_is_not_declared(scene, old, new, tmp_path):
     loaded = kc.load_scene(scene)
     _, deck = prepare_deck(loaded, Clock(), edited=edited(scene, tmp_path, old, new))
     build, _ = prepare_deck(loaded, Clock())
-    waves = ran(build, deck, tmp_path)
+    waves = run_simulation(build, deck, tmp_path)
     part = loaded.parts[name]
     (balance,) = [row for row in part.type.checks(part, build, waves) if isinstance(row, Balance)]
     assert balance.share > 1.5 * balance.limit

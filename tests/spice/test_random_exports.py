@@ -17,7 +17,7 @@ import kc2spice as kc
 from kc2spice.core.errors import GateMissedError, Kc2spiceError
 from kc2spice.core.progress import Clock
 from kc2spice.netlist import read_lib
-from kc2spice.parts.bodies._box import number_of, varied, with_values
+from kc2spice.parts.bodies._box import number_of, varied_keys, with_values
 from kc2spice.workflow.export import export_scene
 from kc2spice.workflow.reduce_files import export_rom, reduce_file
 
@@ -325,11 +325,11 @@ def test_parametric_bodies(family, tmp_path):
     refused(export_scene, scene, tmp_path / "out")
     (library,) = read_lib(tmp_path / "out" / "scene_body.lib")
     body = scene.parts["body"]
-    names = {item.key: item.param.name for item in varied(body)}
+    names = {item.key: item.param.name for item in varied_keys(body)}
     # ports by their names: that of an accelerated base is not the reference pin of other bodies
     ports = [port.name for port in body.type.used_ports(body, scene)]
     assert ports == (["anode", moved] if moved else ["anode"])
-    middle = with_values(body, {item.key: item.axis.middle for item in varied(body)})
+    middle = with_values(body, {item.key: item.axis.middle for item in varied_keys(body)})
     for k in range(7):
         x = rng.choice([0.0, 1.0], len(ranges)) if k < 2 else rng.uniform(0, 1, len(ranges))
         values = {

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from kc2spice.workflow.sweep import engine
-from kc2spice.workflow.sweep.engine import dask, processes
+from kc2spice.workflow.sweep.engine import dask_workers, local_workers
 from kc2spice.workflow.sweep.point import SceneText
 
 pytest.importorskip("distributed")
@@ -49,7 +49,7 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
             daemons["c"] = start(*worker)
 
     try:
-        workers = dask(address, 1, patience=60.0)
+        workers = dask_workers(address, 1, patience=60.0)
         distributed = engine.run_sweep(study, tmp_path / "dask", workers, interfere)
     finally:
         for process in daemons.values():
@@ -57,7 +57,7 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
             process.wait()
     assert (distributed["points"], distributed["failed"]) == (16, 0)
     assert done == sorted(set(done))  # each row is recorded once
-    local = engine.run_sweep(study, tmp_path / "local", processes(2))
+    local = engine.run_sweep(study, tmp_path / "local", local_workers(2))
     tables = [(tmp_path / name / "sweep.csv").read_bytes() for name in ("dask", "local")]
     assert tables[0] == tables[1]
     assert local["failed"] == 0

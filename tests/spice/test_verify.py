@@ -17,7 +17,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import Gate
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.simulate import ran
+from kc2spice.workflow.simulate import run_simulation
 from kc2spice.workflow.verify import bodies
 from kc2spice.workflow.verify.full_models import full_solution
 from kc2spice.workflow.verify.full_transient import Difference
@@ -95,7 +95,7 @@ def test_each_solution_is_compared_with_both_others(wrong, tmp_path, monkeypatch
             ),
         )  # fmt: skip
     if wrong == "ngspice":
-        monkeypatch.setattr(module, "ran", lambda *asked: scaled(ran(*asked)))
+        monkeypatch.setattr(module, "run_simulation", lambda *asked: scaled(run_simulation(*asked)))
     record = verify_scenes([scene], tmp_path / "out")["scenes"]["imprint"]
     pairs = {c["name"]: c["passed"] for c in record["checks"] if c["name"].startswith("static")}
     assert pairs == {

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import MissingToolError, UsageError
-from kc2spice.core.untrusted_files import in_child
+from kc2spice.core.untrusted_files import call_in_child
 
 WORK = """
 import ctypes, os, subprocess, time
@@ -33,7 +33,7 @@ def wait(file):
 
 
 def ask(name, memory=2_000_000_000, **request):
-    return in_child(
+    return call_in_child(
         f"work:{name}", request, lambda folder: (folder / "work.py").write_text(WORK), memory
     )
 
@@ -68,8 +68,9 @@ def test_errors_keep_what_they_say():
 def test_nothing_outlives_who_asked(tmp_path):
     """Even one that is killed on the spot."""
     script = (
-        "import sys; from pathlib import Path; from kc2spice.core.untrusted_files import in_child\n"
-        f"in_child('work:wait', {{'file': {str(tmp_path / 'pid')!r}}}, "
+        "import sys; from pathlib import Path\n"
+        "from kc2spice.core.untrusted_files import call_in_child\n"
+        f"call_in_child('work:wait', {{'file': {str(tmp_path / 'pid')!r}}}, "
         f"lambda home: (home / 'work.py').write_text({WORK!r}))"
     )
     parent = subprocess.Popen([sys.executable, "-c", script])

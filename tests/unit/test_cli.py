@@ -12,7 +12,7 @@ from kc2spice import __version__
 from kc2spice.cli.main import EXAMPLES
 from kc2spice.cli.tables import show_result
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError
-from kc2spice.core.files import staged
+from kc2spice.core.files import stage_directory
 
 
 def test_help_and_version(cli):
@@ -124,7 +124,7 @@ def test_a_result_leads_with_its_answer(capsys):
 )
 def test_failures_have_a_code_one_message_and_no_files(cli, monkeypatch, tmp_path, error, code):
     def run(scene, out, progress, **_):
-        with staged(out) as work:
+        with stage_directory(out) as work:
             (work / "result.json").write_text("{}")
             raise error
 

@@ -10,7 +10,7 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.core.equality import same_content
-from kc2spice.core.waveforms import Recorded, Waveforms
+from kc2spice.core.waveforms import RecordedWave, Waveforms
 from kc2spice.fem.materials import material
 
 PACKAGE = Path(kc.__file__).parent
@@ -71,7 +71,7 @@ def test_arrays_within_containers_are_compared_element_by_element():
     assert Waveforms({"time": t}, {"cpu_s": 1.0}) == Waveforms({"time": t.copy()}, {"cpu_s": 1.0})
     assert Waveforms({"time": t}, {}) != Waveforms({"time": t[:4]}, {})
     assert Waveforms({"time": t}, {}) != Waveforms({"frequency": t}, {})
-    assert Recorded(t, t) != Recorded(t, 2 * t)
+    assert RecordedWave(t, t) != RecordedWave(t, 2 * t)
     gap = np.array([1.0, np.nan])
     assert same_content([gap, "a"], [gap.copy(), "a"])
     assert not same_content([gap, "a"], [gap.copy(), "b"])

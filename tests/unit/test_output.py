@@ -11,7 +11,7 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
-from kc2spice.core.files import staged
+from kc2spice.core.files import stage_directory
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.export import export_scene
 from kc2spice.workflow.reduce_files import export_rom, reduce_file
@@ -30,7 +30,7 @@ def fail(error, out, **files):
     """Write some files, then break off."""
 
     def attempt():
-        with staged(out) as work:
+        with stage_directory(out) as work:
             write(work, **files)
             raise error
 
@@ -40,7 +40,7 @@ def fail(error, out, **files):
 
 def test_files_appear_at_the_end(tmp_path):
     out = tmp_path / "deep" / "out"
-    with staged(out) as work:
+    with stage_directory(out) as work:
         write(work, result="1", other="2")
         (work / "plots").mkdir()
         (work / "plots" / "a.png").write_text("png")
@@ -57,7 +57,7 @@ def test_a_failure_leaves_nothing(tmp_path):
 
 def test_a_failure_spares_earlier_results(tmp_path):
     out = tmp_path / "out"
-    with staged(out) as work:
+    with stage_directory(out) as work:
         write(work, result="old")
     fail(KeyboardInterrupt, out, result="new", more="x")
     assert names(out) == ["result.json"]
@@ -70,7 +70,7 @@ def test_a_second_run_replaces_and_keeps_foreign_files(tmp_path):
     out.mkdir()
     (out / "notes.txt").write_text("mine")
     for text in ("1", "2"):
-        with staged(out) as work:
+        with stage_directory(out) as work:
             write(work, result=text)
     assert (out / "result.json").read_text() == "2"
     assert (out / "notes.txt").read_text() == "mine"
@@ -84,7 +84,7 @@ def test_concurrent_runs_do_not_mix(tmp_path):
     def run(label):
         try:
             for _ in range(10):
-                with staged(out) as work:
+                with stage_directory(out) as work:
                     write(work, **dict.fromkeys([*files, "result"], label))
         except Exception as error:
             failures.append(error)
@@ -113,7 +113,7 @@ def in_a_child(work):
 
 
 def publish(out, label):
-    with staged(out) as work:
+    with stage_directory(out) as work:
         for name in FILES:
             (work / name).write_text(label)
 
@@ -149,13 +149,13 @@ def test_what_a_killed_run_left_is_cleared_and_what_a_living_one_has_is_not(tmp_
     out = tmp_path / "out"
 
     def die():
-        with staged(out):
+        with stage_directory(out):
             os.kill(os.getpid(), signal.SIGKILL)
 
     assert in_a_child(die) == -signal.SIGKILL
     (dead,) = tmp_path.rglob(".kc2spice.out.*.part")
     os.utime(dead, (0, 0))
-    with staged(out) as living:
+    with stage_directory(out) as living:
         os.utime(living, (0, 0))
         assert not dead.exists()
         publish(out, "x")
@@ -167,7 +167,7 @@ def test_what_is_not_ours_stays_where_it_is(tmp_path):
     theirs = tmp_path / ".mine.part"
     theirs.mkdir()
     os.utime(theirs, (0, 0))
-    with staged(tmp_path / "*") as work:
+    with stage_directory(tmp_path / "*") as work:
         write(work, result="1")
     assert names(tmp_path) == ["*", ".mine.part"]
 
@@ -186,7 +186,7 @@ def test_a_crafted_record_deletes_nothing_else(tmp_path):
     (out / "link").symlink_to(precious)
     files = ["../precious", str(precious), ".hidden", "link", 7, None]
     (out / "result.json").write_text(json.dumps({"scene": "s", "files": files}))
-    with staged(out) as work:
+    with stage_directory(out) as work:
         record(work, "a.cir")
     assert precious.exists()
     assert names(out) == [".hidden", "a.cir", "link", "result.json"]
@@ -194,10 +194,10 @@ def test_a_crafted_record_deletes_nothing_else(tmp_path):
 
 def test_a_later_run_deletes_only_unchanged_files_of_the_earlier_one(tmp_path):
     """Neither files that somebody else's record lists nor files that the user edited."""
-    with staged(tmp_path) as work:
+    with stage_directory(tmp_path) as work:
         record(work, "old.lib", "edited.lib")
     (tmp_path / "edited.lib").write_text("* my own values\n")
-    with staged(tmp_path) as work:
+    with stage_directory(tmp_path) as work:
         record(work, "new.lib")
     assert names(tmp_path) == ["edited.lib", "new.lib", "result.json"]
 
@@ -205,7 +205,7 @@ def test_a_later_run_deletes_only_unchanged_files_of_the_earlier_one(tmp_path):
 def test_files_that_a_foreign_record_lists_stay(tmp_path):
     (tmp_path / "thesis.txt").write_text("four years of work")
     (tmp_path / "result.json").write_text(json.dumps({"scene": "s", "files": ["thesis.txt"]}))
-    with staged(tmp_path) as work:
+    with stage_directory(tmp_path) as work:
         record(work, "a.cir")
     assert (tmp_path / "thesis.txt").read_text() == "four years of work"
 

@@ -163,7 +163,7 @@ def locate_model(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path
     base, files = _find_files(path)
     default = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
     selected, required = sidecar or default, sidecar is not None or path.suffix == ".toml"
-    settings = read_sidecar(selected) if required or raw.present(default) else Sidecar()
+    settings = read_sidecar(selected) if required or raw.is_file(default) else Sidecar()
     return base, files, selected, settings
 
 
@@ -177,9 +177,9 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
     if path.suffix == ".toml":
         return path.with_suffix(""), {}
     match = _MEMBER.fullmatch(path.name)  # NAME.K may stand for NAME.K.mtx
-    if match is not None and not raw.present(path):
+    if match is not None and not raw.is_file(path):
         tails = () if match[4] else _TAILS[1:]
-        if not any(raw.present(path.with_name(path.name + tail)) for tail in tails):
+        if not any(raw.is_file(path.with_name(path.name + tail)) for tail in tails):
             match = None
     base = path.with_name(match[1]) if match else path
     separators = (match[2],) if match else (".", "_")
@@ -188,7 +188,7 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
         candidates = list(map("".join, product((base.name,), separators, letter, _TAILS)))
         if "_" in separators:  # a matrix file NAME_K has a suffix
             candidates.remove(f"{base.name}_{letter}")
-        fits = list(filter(raw.present, map(base.with_name, candidates)))
+        fits = list(filter(raw.is_file, map(base.with_name, candidates)))
         if len(fits) > 1:
             problem = f"two files for matrix {letter}"
             names = ", ".join(map(attrgetter("name"), fits))
@@ -199,21 +199,21 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
     if result:
         return base, result
     archives = [path.with_name(f"{path.name}{suffix}") for suffix in READERS]
-    archives = [] if raw.present(path) else list(filter(raw.present, archives))
+    archives = [] if raw.is_file(path) else list(filter(raw.is_file, archives))
     if len(archives) > 1:
         got = ", ".join(map(attrgetter("name"), archives))
         hint = f"give the full name, such as {archives[0].name}"
         raise wrong(str(path), "several files have this name", got, "one file", hint)
     archive = dict.fromkeys([_WHOLE], archives[0]) if archives else {}
-    return (path.with_suffix("") if raw.present(path) else path), archive
+    return (path.with_suffix("") if raw.is_file(path) else path), archive
 
 
 def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]) -> raw.Raw:
     suffix = path.suffix.lower()
     if files:
         return _read_matrices(files)
-    if not raw.present(path) or suffix == ".toml":
-        if not raw.present(path) and suffix:
+    if not raw.is_file(path) or suffix == ".toml":
+        if not raw.is_file(path) and suffix:
             raise raw.missing_file(path, "a model: kc2spice reduce --help lists the kinds of files")
         expected = f"{path.name}.M and {path.name}.K, or {path.name}.npz or .mat"
         hint = "kc2spice reduce --help lists the kinds of files"
@@ -256,7 +256,7 @@ def _read_matrices(files: dict[str, Path]) -> raw.Raw:
         expected = "stiffness, mass and damping of one job"
         abaqus = raw.call_reader(one, expected, lambda: codes.read_abaqus(tables))
     result |= abaqus.matrices
-    dofs, names = abaqus.dofs, list(filter(raw.present, mapped))
+    dofs, names = abaqus.dofs, list(filter(raw.is_file, mapped))
     if names and dofs is None:
         size = next(m.shape[0] for k, m in result.items() if k in "MEKA")
         expected = f"lines of equation, node and degree of freedom for {size} equations"

@@ -58,7 +58,7 @@ def find_siblings(path: Path) -> dict[str, Path]:
     for word, letter in _LETTER.items():
         for spelled in (word, word.lower()):
             other = path.with_name(f"{match[1]}_{spelled}{match[3]}{path.suffix}")
-            if raw.present(other):
+            if raw.is_file(other):
                 result[letter] = other
     return result
 
@@ -139,7 +139,7 @@ def read_calculix(path: Path, _: object) -> raw.Raw:
     """
     stiffness, mass, rows = map(path.with_suffix, SUFFIXES)
     for file in (stiffness, mass, rows):
-        if not raw.present(file):
+        if not raw.is_file(file):
             hint = f"{file.suffix} is written by *FREQUENCY, SOLVER=MATRIXSTORAGE"
             raise raw.unusable_file(
                 path, f"no {file.name}", f"{', '.join(SUFFIXES)} side by side", hint

@@ -30,10 +30,10 @@ from kc2spice.bodies.readers.complex_response import (
 )
 from kc2spice.bodies.readers.meanings import COMPLEX_NAMES, Quantity
 from kc2spice.bodies.readers.raw import (
+    call_in_process,
     call_reader,
-    in_own_process,
+    is_file,
     missing_file,
-    present,
     read_vectors,
     unusable_file,
 )
@@ -138,12 +138,12 @@ def is_measured(path: Path) -> bool:
     by_suffix = _TOUCHSTONE.fullmatch(path.suffix) or (
         path.suffix.lower() in _TABLES and not _MATRIX.fullmatch(path.stem)
     )
-    if path.suffix.lower() == ".mat" and present(path):
+    if path.suffix.lower() == ".mat" and is_file(path):
         try:
             return any(map(is_frequency, _load_variables(path, path.stat().st_mtime)))
         except (ValueError, NotImplementedError):  # which the reader of matrices tells
             return False
-    return bool(by_suffix) and present(path)
+    return bool(by_suffix) and is_file(path)
 
 
 def read_measured(path: Path, shunt: float | None = None) -> Measured:
@@ -163,7 +163,7 @@ def read_measured(path: Path, shunt: float | None = None) -> Measured:
         expected = "a Touchstone file with S, Y or Z parameters in RI, MA or DB"
         advice = "export the file again as Touchstone"
 
-    if not present(path):
+    if not is_file(path):
         raise missing_file(path, expected)
 
     def read() -> MeasuredResponse:
@@ -284,7 +284,7 @@ def _require_passive(data: Measured) -> None:
 @lru_cache(maxsize=1)
 def _load_variables(path: Path, changed: float) -> dict[str, np.ndarray]:
     """Load the numeric arrays of a MATLAB file without matrices of a model."""
-    return in_own_process(read_vectors, path)
+    return call_in_process(read_vectors, path)
 
 
 def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> MeasuredResponse:

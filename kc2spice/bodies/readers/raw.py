@@ -29,7 +29,7 @@ from scipy import io, sparse
 
 from kc2spice.core import untrusted_files
 from kc2spice.core.errors import Kc2spiceError, UsageError
-from kc2spice.core.untrusted_files import in_child
+from kc2spice.core.untrusted_files import call_in_child
 from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.pencil import Matrix
 
@@ -69,7 +69,7 @@ def unusable_file(path: Path, got: object, expected: str, hint: str = NEXT) -> U
     return UsageError("cannot be used", where=str(path), got=got, expected=expected, hint=hint)
 
 
-def present(path: Path) -> bool:
+def is_file(path: Path) -> bool:
     """Whether ``path`` is a file; impossible names (NUL, too long) are no files."""
     try:
         return path.is_file()
@@ -92,7 +92,7 @@ def require_file(path: Path, what: str = "a model in this file") -> Path:
     ------
     UsageError : no such file, or one above ``MAX_BYTES``.
     """
-    if not present(path):
+    if not is_file(path):
         raise missing_file(path, what)
     size = path.stat().st_size
     if size > MAX_BYTES:
@@ -294,7 +294,7 @@ def read_matrix_archive(path: Path, _: object) -> Raw:
     )
 
 
-def in_own_process(
+def call_in_process(
     function: Callable[..., object], path: Path, **options: object
 ) -> dict[str, np.ndarray]:
     """Call ``function(path, **options)`` in a separate process.
@@ -312,13 +312,13 @@ def in_own_process(
     seconds = _SECONDS[0] + path.stat().st_size // _SECONDS[1]
     request = {"path": str(path.absolute()), **options}
     name = f"{function.__module__}:{function.__name__}"
-    return in_child(name, request, memory=memory, seconds=seconds)
+    return call_in_child(name, request, memory=memory, seconds=seconds)
 
 
 def make_unpacker(function: Callable[..., object]) -> Callable[[Path, Mapping[str, str]], Raw]:
     """Make a reader that calls ``function(path, requested)`` in a process of its own."""
     return lambda path, requested: _unpack_raw(
-        in_own_process(function, path, requested=dict(requested)), path
+        call_in_process(function, path, requested=dict(requested)), path
     )
 
 

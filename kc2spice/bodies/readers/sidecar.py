@@ -83,7 +83,7 @@ from kc2spice.core.domains import (
     TRANSLATION,
 )
 from kc2spice.core.errors import candidates, did_you_mean
-from kc2spice.core.quantities import Count, Section, refused, validated
+from kc2spice.core.quantities import Count, Section, invalid_value_error, validated
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import MAX_BYTES, read_bounded, text_of
 from kc2spice.rom.linear_model import PORT_KINDS, Port
@@ -99,14 +99,14 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 def _require_printable(value: str) -> str:
     """Names end up in netlists, where a line is a command."""
     if not value.isprintable():
-        raise refused("is no name", "printable characters in one line")
+        raise invalid_value_error("is no name", "printable characters in one line")
     return value
 
 
 def _require_word(value: str) -> str:
     """A unit goes into the header of a netlist."""
     if value and len(value.split()) != 1:
-        raise refused("is no unit", "one word")
+        raise invalid_value_error("is no unit", "one word")
     return value
 
 
@@ -115,7 +115,9 @@ def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
     _require_printable(str(value))
     if value.is_absolute() or ".." in value.parts:
         hint = "copy the file beside the TOML file and write its name alone"
-        raise refused("this file is not beside the TOML file", "a relative path", hint=hint)
+        raise invalid_value_error(
+            "this file is not beside the TOML file", "a relative path", hint=hint
+        )
     folder: Path = (info.context or {}).get("folder", Path())
     return folder / value
 
@@ -125,7 +127,7 @@ def _parse_dof(value: object) -> int:
     if type(code) is not int or code not in DOFS:
         expected = f"one of {candidates(value, CODES, 'docs/reference/matrices.md')}"
         hint = did_you_mean(str(value), CODES)
-        raise refused("no such degree of freedom", expected, hint=hint)
+        raise invalid_value_error("no such degree of freedom", expected, hint=hint)
     return code
 
 
@@ -136,7 +138,7 @@ def _parse_axis(value: object) -> object:
 def _normalise_axis(value: tuple[float, float, float]) -> tuple[float, float, float]:
     length = math.hypot(*value)
     if length == 0.0:
-        raise refused("is no axis", "'x', 'y', 'z' or a direction [x, y, z]")
+        raise invalid_value_error("is no axis", "'x', 'y', 'z' or a direction [x, y, z]")
     x, y, z = (item / length for item in value)
     return x, y, z
 
@@ -175,11 +177,11 @@ class NodeSelection(Section):
         selectors = [k for k in ("node", "nodes", "nodeset", "at") if getattr(self, k) is not None]
         if len(selectors) > 1:
             hint = f"delete {selectors[0]} or {selectors[1]}"
-            raise refused(
+            raise invalid_value_error(
                 f"nodes are stated twice: {', '.join(selectors)}", "one of them", hint=hint
             )
         if self.within is not None and self.at is None:
-            raise refused(
+            raise invalid_value_error(
                 "within has no effect without at", "at and within", hint="add at = [x, y, z]"
             )
         return self
@@ -204,7 +206,9 @@ class Fixed(NodeSelection):
     def _require_nodes(self) -> Fixed:
         if not self.placed:
             expected = "one of node, nodes, nodeset and at"
-            raise refused("this entry names no nodes", expected, hint="add for example  node = 1")
+            raise invalid_value_error(
+                "this entry names no nodes", expected, hint="add for example  node = 1"
+            )
         return self
 
 
@@ -225,42 +229,56 @@ class PortEntry(NodeSelection):
     def _require_one_place(self) -> PortEntry:
         if self.scale != 1 and self.kind in PORTS:
             problem = f"a port of kind {self.kind} has no scale"
-            raise refused(problem, "scale of inputs and outputs only", hint="delete the key scale")
+            raise invalid_value_error(
+                problem, "scale of inputs and outputs only", hint="delete the key scale"
+            )
         if self.row is not None and self.kind != "output":
             problem = f"a port of kind {self.kind} has a column, not a row"
-            raise refused(problem, "column", hint=f"write  column = {self.row}  instead of row")
+            raise invalid_value_error(
+                problem, "column", hint=f"write  column = {self.row}  instead of row"
+            )
         if self.column is not None and self.kind == "output":
             hint = f"write  row = {self.column}  instead of column"
-            raise refused("a port of kind output has a row, not a column", "row", hint=hint)
+            raise invalid_value_error(
+                "a port of kind output has a row, not a column", "row", hint=hint
+            )
         directed = self.dof is not None or self.axis is not None
         if self.column is not None or self.row is not None:
             if self.placed or directed:
                 expected = "column or row alone, or nodes with dof or axis"
-                raise refused("a column or row beside nodes", expected, hint="delete one of them")
+                raise invalid_value_error(
+                    "a column or row beside nodes", expected, hint="delete one of them"
+                )
         elif self.kind in LISTED:
             problem = f"a port of kind {self.kind} has a column of B and nothing else"
-            raise refused(problem, "column", hint="write  column = 1  and neither node nor axis")
+            raise invalid_value_error(
+                problem, "column", hint="write  column = 1  and neither node nor axis"
+            )
         elif self.kind == ACCELERATION.port:
             if self.axis is None or self.placed or self.dof is not None:
                 problem = "a port of kind acceleration has an axis and nothing else"
-                raise refused(problem, "axis", hint='write  axis = "z"  and neither node nor dof')
+                raise invalid_value_error(
+                    problem, "axis", hint='write  axis = "z"  and neither node nor dof'
+                )
         elif not self.placed:
             expected = "one of node, nodes, nodeset, at, column and row"
-            raise refused("this port has no place", expected, hint="add for example  column = 1")
+            raise invalid_value_error(
+                "this port has no place", expected, hint="add for example  column = 1"
+            )
         elif self.kind in SCALARS:
             if self.axis is not None or self.dof not in (None, CODES[SCALARS[self.kind]]):
                 hint = "delete axis and dof of this port"
                 article = "an" if self.kind[0] in "aeiou" else "a"
                 problem = f"{article} {self.kind} port has no direction"
-                raise refused(problem, "nodes alone", hint=hint)
+                raise invalid_value_error(problem, "nodes alone", hint=hint)
         elif (self.dof is None) == (self.axis is None):
             both = self.axis is not None
             problem = "this port has both dof and axis" if both else "this port has no direction"
             hint = "delete dof or axis" if both else 'add  axis = "z"'
-            raise refused(problem, "either dof or axis", hint=hint)
+            raise invalid_value_error(problem, "either dof or axis", hint=hint)
         elif self.kind in DIRECTED and not self.weights.keys() <= {*self._directions}:
             expected = ", ".join(DOFS[k] for k in self._directions)
-            raise refused(
+            raise invalid_value_error(
                 f"{DOFS[self.dof or 0]} is no degree of freedom of a {self.kind} port", expected
             )
         return self
@@ -302,7 +320,9 @@ class MatrixDamping(Section):
         keys = self.model_fields_set - {"loss_factor"}
         if keys & {"ratio", "at"} and keys != {"ratio", "at"}:
             expected = "alpha and beta, or ratio and at [Hz]"
-            raise refused("ratio and at need each other, without alpha and beta", expected)
+            raise invalid_value_error(
+                "ratio and at need each other, without alpha and beta", expected
+            )
         return self
 
     @property
@@ -351,16 +371,20 @@ class Sidecar(Section):
     def _require_consistent(self) -> Sidecar:
         if self.band is not None and not self.band[0] < self.band[1]:
             hint = "write the lower frequency first, such as band = [0, 20000]"
-            raise refused("not a frequency band", "[f0, f1] with 0 <= f0 < f1, Hz", "band", hint)
+            raise invalid_value_error(
+                "not a frequency band", "[f0, f1] with 0 <= f0 < f1, Hz", "band", hint
+            )
         if self.outputs == self.damping_matrix == "C":
             expected = 'outputs = "C" or damping_matrix = "C"'
             hint = "delete one of these two keys"
-            raise refused("outputs and damping_matrix are both C", expected, hint=hint)
+            raise invalid_value_error("outputs and damping_matrix are both C", expected, hint=hint)
         names = [port.name.lower() for port in self.ports]
         twice = [name for name, times in Counter(names).items() if times > 1]
         if twice:
             problem = f"two ports have one name: {', '.join(twice[:5])}"
-            raise refused(problem, "a name for each port", hint="rename one of these ports")
+            raise invalid_value_error(
+                problem, "a name for each port", hint="rename one of these ports"
+            )
         return self
 
 

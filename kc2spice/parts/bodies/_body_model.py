@@ -18,13 +18,13 @@ from kc2spice.core.cache import cached
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.progress import Clock
 from kc2spice.fem.body_keys import Damping
-from kc2spice.parts.bodies._body_ports import BodyPorts, massless
+from kc2spice.parts.bodies._body_ports import BodyPorts, requires_massless_ports
 from kc2spice.parts.bodies._box import (
     PARAMETERS,
     check_corners,
     middle_values,
     values_of_part,
-    varied,
+    varied_keys,
     with_values,
 )
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
@@ -131,18 +131,18 @@ class BodyModel(BodyPorts[LinearKeysT]):
         }
         least_end = self.least_band_end(part, scene)
         reached = {} if least_end is None else {"sure": least_end, "motions": MOTIONS}
-        return result | reached | {"massless": massless(part, scene)}
+        return result | reached | {"massless": requires_massless_ports(part, scene)}
 
     def varying(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> Varying:
         """Return the resonators over the ranges of ``rom.parameters``."""
-        keys = varied(part)
+        keys = varied_keys(part)
         middle = with_values(part, middle_values(keys))
         target, key = reduction_target(part, scene), self.model_key(middle, scene)
         specified = part.keys.rom
         if loss_tangent(part):
             problem = "a netlist with parameters has no loss of its dielectric"
             raise wrong(f"{part.name}.damping.loss_tangent", problem, loss_tangent(part), "0")
-        if by_complex_constants(part):
+        if has_complex_constants(part):
             problem = "a netlist with parameters has viscous damping"
             raise wrong(f"{part.name}.damping.model", problem, "ieee176", "rayleigh")
         if scene.analysis.type == "noise":
@@ -183,11 +183,11 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     def _has_constant_losses(self, part: Part[LinearKeysT]) -> bool:
         """Whether it has losses that the matrices of a full model cannot have."""
-        return bool(loss_tangent(part)) or by_complex_constants(part)
+        return bool(loss_tangent(part)) or has_complex_constants(part)
 
     def _full_model(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> LinearModel:
         """Return the full model with the ports of the scene, on the mesh of the middle values."""
-        keys, names = varied(part), self.used_port_names(part, scene)
+        keys, names = varied_keys(part), self.used_port_names(part, scene)
         if not keys:
             return self.full(part, scene, clock).select(names)
         middle = with_values(part, middle_values(keys))
@@ -199,11 +199,11 @@ class BodyModel(BodyPorts[LinearKeysT]):
         if full:
             # the matrices of a full model cannot have some losses
             return None if self._has_constant_losses(part) else self._full_model(part, scene, clock)
-        if keys := varied(part):
+        if keys := varied_keys(part):
             return self.varying(part, scene, clock).at(values_of_part(keys))
         # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
         target, model_key = reduction_target(part, scene), self.model_key(part, scene)
-        tangent, constants = loss_tangent(part), by_complex_constants(part)
+        tangent, constants = loss_tangent(part), has_complex_constants(part)
 
         def build() -> LinearModel:
             from kc2spice.rom.complex_constants import complex_constants
@@ -276,7 +276,7 @@ def loss_tangent(part: Part) -> float:
     return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", None) or 0.0)
 
 
-def by_complex_constants(part: Part) -> bool:
+def has_complex_constants(part: Part) -> bool:
     """Whether a body's losses are complex constants of IEEE 176."""
     return getattr(getattr(part.keys, "damping", None), "model", None) == "ieee176"
 
@@ -320,7 +320,7 @@ def full_model(part: Part, scene: Scene, clock: Clock) -> LinearModel | None:
     return kind.build(part, scene, clock, full=True)
 
 
-def full_alone(part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
+def full_model_alone(part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
     """Build the full model of a body outside its scene, with a warning of neglected losses."""
     if tangent := loss_tangent(part):
         warnings.warn(
@@ -328,7 +328,7 @@ def full_alone(part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
             "dielectric: this model is without it; run and export the scene to have it",
             stacklevel=3,
         )
-    if by_complex_constants(part):
+    if has_complex_constants(part):
         warnings.warn(
             f"{part.name}.damping.model: ieee176: matrices have no loss that is constant over "
             "frequency: this model has viscous damping; run and export the scene to have it",

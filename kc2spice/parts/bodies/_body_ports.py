@@ -13,7 +13,7 @@ from kc2spice.core.errors import unknown
 from kc2spice.core.naming import names_of
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import Surface, Touching
+from kc2spice.parts.mechanics._touching import Surface, TouchablePart
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.model import (
@@ -37,7 +37,7 @@ WORDS = (*(domain.word for domain in ANSWERS.values()), *FLOWS.values())
 NO_ENERGY = 1e-13  # rounding error of an energy, relative to that of the stiffest motion
 
 
-class BodyPorts(Touching[LinearKeysT]):
+class BodyPorts(TouchablePart[LinearKeysT]):
     """A part with typed ports, of which a scene uses those that something names.
 
     The :meth:`ports` of a subclass follow from its keys.
@@ -125,7 +125,7 @@ class BodyPorts(Touching[LinearKeysT]):
         if not isinstance(model, LinearModel):
             return rest
         ports, inert = self.used_ports(part, build.scene), inert_ports(model)
-        if not free_to_move(model):
+        if not has_free_motion(model):
             charged = {port.terminals[0] for port in ports if port.charged}
             paths = tuple(pair for pair in rest.paths if pair[0] not in charged)
             return Rest(paths, inert=inert)
@@ -208,7 +208,7 @@ def contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part[ContactKeys]]:
             yield contact
 
 
-def massless(part: Part, scene: JoinedScene) -> bool:
+def requires_massless_ports(part: Part, scene: JoinedScene) -> bool:
     """Whether a contact presses on ``part`` and requires ports without inertia."""
     return any(contact.keys.inertia == "massless" for contact in contacts_on(part, scene))
 
@@ -227,7 +227,7 @@ def inert_ports(model: LinearModel) -> tuple[str, ...]:
     return tuple(port.terminals[0] for port in ports if inputs[port.name] <= 0)
 
 
-def free_to_move(model: LinearModel) -> bool:
+def has_free_motion(model: LinearModel) -> bool:
     """Whether a motion stores no energy, such as that of a body without support."""
     if resonators(model) is not None:
         return False

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from kc2spice.core.errors import UsageError, did_you_mean, wrong
-from kc2spice.core.quantities import dotted, entries, unit_of, validated
+from kc2spice.core.quantities import entries, join_path, unit_of, validated
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
@@ -25,7 +25,7 @@ LEAST = 1e-3  # relative width of a range
 
 
 @dataclass(frozen=True)
-class Varied:
+class VariedKey:
     """A key below the part (``layers[1].thickness``), its SI unit, the part's value, its range."""
 
     key: str
@@ -46,7 +46,7 @@ class Varied:
         return Param(name, self.value, self.unit or "-", self.key, self.low, self.high)
 
 
-def varied(part: Part[LinearKeysT]) -> tuple[Varied, ...]:
+def varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
     """Return the keys that ``rom.parameters`` names.
 
     Raises
@@ -66,19 +66,19 @@ def varied(part: Part[LinearKeysT]) -> tuple[Varied, ...]:
     return tuple(result)
 
 
-def values_of_part(keys: Iterable[Varied]) -> dict[str, float]:
+def values_of_part(keys: Iterable[VariedKey]) -> dict[str, float]:
     """Return the part's values of the keys."""
     return {item.key: item.value for item in keys}
 
 
-def middle_values(keys: Iterable[Varied]) -> dict[str, float]:
+def middle_values(keys: Iterable[VariedKey]) -> dict[str, float]:
     """Return the values of the keys in the middle of their ranges."""
     return {item.key: item.axis.middle for item in keys}
 
 
 def make_varied(
     key: str, unit: str, value: float, ends: tuple[float, float], where: str | None = None
-) -> Varied:
+) -> VariedKey:
     """Make a key with its range, whose ends may come in either order.
 
     Raises
@@ -89,13 +89,13 @@ def make_varied(
     if not low * high > 0 or high - low < LEAST * abs(high) or not low <= value <= high:
         expected = f"two different numbers of one sign, the part's value {value:g} between"
         raise wrong(where or key, "not the range of a parameter", f"{low:g} to {high:g}", expected)
-    return Varied(key, unit, value, low, high)
+    return VariedKey(key, unit, value, low, high)
 
 
 def check_corners(part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
     """Yield errors of the parameter ranges before a full model is made."""
     try:
-        keys = varied(part)
+        keys = varied_keys(part)
         ranges = {item.key: (item.low, item.high) for item in keys}
         for ends in product(*ranges.values()) if ranges else ():
             corner = with_values(part, dict(zip(ranges, ends, strict=True)))
@@ -141,7 +141,7 @@ def _split_key(key: str) -> list[str | int]:
 
 def _unknown_key(part: Part, key: str, where: str) -> UsageError:
     """Make the error of a key that is no number of the part."""
-    known = [dotted(path) for path, _ in entries(type(part.keys))]
+    known = [join_path(path) for path, _ in entries(type(part.keys))]
     plain = re.sub(r"\[-?\d+\]", "", key)
     expected = "a number below the part, such as layers[1].thickness or damping.ratio"
     if "material" in plain.split("."):

@@ -14,7 +14,7 @@ import numpy as np
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Figure, Written
+from kc2spice.core.figure import Figure, FileWriter
 from kc2spice.core.mesh_error import IN_PLANE, NOT_ESTIMATED
 from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
@@ -23,13 +23,13 @@ from kc2spice.parts.bodies import _pictures
 from kc2spice.parts.bodies._body_checks import TWICE, BodyChecks
 from kc2spice.parts.bodies._body_model import (
     MOTIONS,
-    by_complex_constants,
     describe_target,
+    has_complex_constants,
     loss_tangent,
     reduction_target,
 )
 from kc2spice.parts.bodies._body_ports import paired_ports
-from kc2spice.parts.bodies._box import values_of_part, varied, with_values
+from kc2spice.parts.bodies._box import values_of_part, varied_keys, with_values
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
@@ -71,7 +71,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         from kc2spice.bodies.impedance import analyse
 
         frequency = waves["frequency"].real
-        result, keys = impedance_metrics(frequency, z), varied(part)
+        result, keys = impedance_metrics(frequency, z), varied_keys(part)
         if not keys or "bvd" not in result:
             return result
         # d ln(metric) / d ln(key), by key and metric: central differences within the ranges
@@ -148,7 +148,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
 
     def figures(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
-    ) -> Iterator[Figure | Written]:
+    ) -> Iterator[Figure | FileWriter]:
         yield from _pictures.plot_port_waves(part.name, waves)
         z = measured_impedance(part, waves)
         if z is not None:
@@ -177,7 +177,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
             if part.declares:
                 why = "nothing joins them: a run leaves them out, an export keeps them"
             yield Neglected(what, why, "none")
-        if by_complex_constants(part):
+        if has_complex_constants(part):
             what = f"{part.name}: losses of shear and of piezoelectric constants of their own"
             yield Neglected(what, "one Q for all compliances, real d of IEEE 176", "not estimated")
         elif tangent := loss_tangent(part):

@@ -21,7 +21,7 @@ import numpy as np
 
 from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.errors import UsageError, wrong
-from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
+from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
 from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
@@ -70,7 +70,7 @@ _QUANTITIES = {
 
 
 @dataclass(frozen=True)
-class Recovered:
+class RecoveredFields:
     """Motion of a body in a run and the extremes of its fields."""
 
     motion: NodalMotion
@@ -81,7 +81,7 @@ class Recovered:
         return [item for item in self.extremes if item.quantity == quantity]
 
     @property
-    def worst(self) -> Extreme:
+    def worst_stress(self) -> Extreme:
         """The stress with the largest ratio to its limit; without limits the largest stress."""
         stresses = self.extremes_of("principal_stress")
         limited = [item for item in stresses if item.limit]
@@ -148,7 +148,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
             result[f"{quantity}_{of}"] = Metric(item.value, item.unit)
             if item.limit is not None:
                 result[f"{quantity}_limit_{of}"] = Metric(item.limit, item.unit)
-        return result | {"worst_stress_time_s": Metric(recovered.worst.instant, "s")}
+        return result | {"worst_stress_time_s": Metric(recovered.worst_stress.instant, "s")}
 
     def checks(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
@@ -170,7 +170,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
 
     def figures(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
-    ) -> Iterator[Figure | Written]:
+    ) -> Iterator[Figure | FileWriter]:
         yield from super().figures(part, build, waves)
         if part.keys.fields:
             from kc2spice.bodies.fields import lowest_modes
@@ -189,7 +189,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
             from kc2spice.bodies.fields import write_vtu
 
             yield _plot_extremes(part.name, recovered)
-            worst = recovered.worst
+            worst = recovered.worst_stress
             summary = f"the instant of the worst stress: {1e-6 * worst.value:.3g} MPa in "
             instants = {"": (worst.instant, summary + worst.material)}
             for k, t in enumerate(chosen_instants(part), 1):
@@ -201,9 +201,11 @@ class MeshedBody(LinearBody[FieldKeysT]):
                 name = f"{part.name}_deformed{stem}"
                 yield Figure(name, f"Deformed {part.name}", caption, (panel,))
                 fields = partial(write_vtu, device=device, z=state[0], voltages=state[1])
-                yield Written(f"{part.name}_fields{stem}.vtu", fields)
+                yield FileWriter(f"{part.name}_fields{stem}.vtu", fields)
 
-    def recovered(self, part: Part[FieldKeysT], build: Build, waves: Waveforms) -> Recovered | None:
+    def recovered(
+        self, part: Part[FieldKeysT], build: Build, waves: Waveforms
+    ) -> RecoveredFields | None:
         """Return the motion inside the body during a transient.
 
         The result is None without the key ``fields``.
@@ -215,7 +217,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
         if not part.keys.fields or "time" not in waves:
             return None
 
-        def recover_fields() -> tuple[Waveforms, Recovered]:
+        def recover_fields() -> tuple[Waveforms, RecoveredFields]:
             from kc2spice.bodies.fields import find_extremes, recover_motion
 
             loads = self.loads(part, build, waves)
@@ -226,7 +228,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
                 problem = "fields need every load of the body"
                 raise wrong(f"{part.name}.fields", problem, got, expected)
             motion = recover_motion(self.device(part, build.scene), waves["time"], loads)
-            return waves, Recovered(motion, tuple(find_extremes(motion)))
+            return waves, RecoveredFields(motion, tuple(find_extremes(motion)))
 
         # The identity of the waves is a key for as long as the result contains them.
         kind = f"fields of {part.name}"
@@ -334,7 +336,7 @@ def _metric_word(material: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", material.lower()).strip("_")
 
 
-def _plot_extremes(name: str, recovered: Recovered) -> Figure:
+def _plot_extremes(name: str, recovered: RecoveredFields) -> Figure:
     """Plot the extremes of stress and field over time."""
     panels = []
     for quantity, (_, _, label, _) in _QUANTITIES.items():

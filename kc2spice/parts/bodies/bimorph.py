@@ -92,7 +92,7 @@ class BimorphKeys(FieldKeys):
     mesh: Mesh = Mesh()
 
     @model_validator(mode="after")
-    def _consistent(self) -> BimorphKeys:
+    def _check_consistency(self) -> BimorphKeys:
         if self.rows and self.patches is None:
             raise ValueError("rows: there are no patches")
         for name, x in self.points.items():

@@ -37,7 +37,7 @@ from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.cache import cached
 from kc2spice.core.domains import ACCELERATION, ELECTRICAL, ROTATION, TRANSLATION
 from kc2spice.core.errors import UsageError, candidates, part_named, wrong
-from kc2spice.core.figure import Curve, Figure, Panel, Written
+from kc2spice.core.figure import Curve, Figure, FileWriter, Panel
 from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Count, Length, Notch, Section, validated
 from kc2spice.core.untrusted_files import file_in_folder
@@ -92,7 +92,7 @@ class GroupKeys(Section):
     )
 
     @model_validator(mode="after")
-    def _one(self) -> GroupKeys:
+    def _require_one_selector(self) -> GroupKeys:
         if len({key.removesuffix("_in") for key in self.model_fields_set}) != 1:
             raise ValueError("pick solids, faces, curves or points: one of them")
         return self
@@ -139,7 +139,7 @@ class PortKeys(Section):
     )
 
     @model_validator(mode="after")
-    def _complete(self) -> PortKeys:
+    def _require_complete(self) -> PortKeys:
         places = (self.group is not None) + (self.at is not None)
         if places != (0 if self.kind == "base" else 1) or (self.kind == "rigid" and self.at):
             needs = {"mean": "needs group or at", "rigid": "needs group", "base": "accepts neither"}
@@ -187,7 +187,7 @@ class CylindricalKeys(Section):
     through: Point = Field((0.0, 0.0, 0.0), description="Point on the cylinder's axis")
 
     @model_validator(mode="after")
-    def _directed(self) -> CylindricalKeys:
+    def _require_direction(self) -> CylindricalKeys:
         if not any(self.direction) or not any(self.axis):
             raise ValueError("direction and axis need a length")
         return self
@@ -268,7 +268,7 @@ class BodyKeys(FieldKeys):
         return tuple(result)
 
     @model_validator(mode="after")
-    def _consistent(self) -> BodyKeys:
+    def _check_consistency(self) -> BodyKeys:
         stray = set(self.poling) - set(self.materials)
         if stray:
             raise ValueError(f"poling of groups without material: {', '.join(sorted(stray))}")
@@ -527,7 +527,7 @@ class Body(MeshedBody[BodyKeys]):
         def size() -> list[float]:
             with part_named(part.name):
                 path = _mesh_path(part, scene)
-                sides = mesh_file.length_unit(path, part.keys.unit) * mesh_file.extent(path)
+                sides = mesh_file.length_unit(path, part.keys.unit) * mesh_file.measure_extent(path)
             return list(map(float, sides))
 
         key = {"file": file_stamp(_mesh_path(part, scene)), "unit": part.keys.unit}
@@ -551,7 +551,7 @@ class Body(MeshedBody[BodyKeys]):
 
     def figures(
         self, part: Part[BodyKeys], build: Build, waves: Waveforms
-    ) -> Iterator[Figure | Written]:
+    ) -> Iterator[Figure | FileWriter]:
         """Yield its mesh, then the figures of all bodies."""
         curve = cached(
             "outline",

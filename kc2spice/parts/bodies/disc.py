@@ -72,7 +72,7 @@ class DiscLayer(Section):
         return self.electrodes or self.diameter
 
     @model_validator(mode="after")
-    def _possible(self) -> DiscLayer:
+    def _require_possible(self) -> DiscLayer:
         largest, ring = self.electrode_diameter, self.feedback
         if largest > self.diameter * (1 + 1e-9):
             raise ValueError(f"electrodes larger than the layer of {self.diameter:g} m")
@@ -120,7 +120,7 @@ class DiscKeys(FieldKeys):
         return max(layer.diameter for layer in self.layers)
 
     @model_validator(mode="after")
-    def _possible(self) -> DiscKeys:
+    def _require_possible(self) -> DiscKeys:
         widest, top = self.largest_diameter, self.layers[-1].diameter
         if isinstance(self.support, Node) and self.support.node > widest:
             raise ValueError(f"support: the node lies outside the body of {widest:g} m")

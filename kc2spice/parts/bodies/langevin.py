@@ -68,7 +68,7 @@ class Rings(Piece):
     count: Count = Field(2, ge=2, le=20, description="Number of ceramic rings, even")
 
     @model_validator(mode="after")
-    def _possible(self) -> Rings:
+    def _require_possible(self) -> Rings:
         if self.count % 2:
             raise ValueError("an odd number of rings puts the anode on a mass that the bolt shorts")
         if self.inner >= self.outer:
@@ -96,7 +96,7 @@ class Bolt(Piece):
     )
 
     @model_validator(mode="after")
-    def _head(self) -> Bolt:
+    def _require_possible_head(self) -> Bolt:
         if (self.head_diameter is None) != (self.head_length is None):
             raise ValueError("a head needs head_diameter and head_length")
         return self
@@ -116,7 +116,7 @@ class LangevinKeys(FieldKeys):
     mesh: Mesh = Mesh()
 
     @model_validator(mode="after")
-    def _fits(self) -> LangevinKeys:
+    def _require_fit(self) -> LangevinKeys:
         bolt, inner, masses = self.bolt, self.rings.inner, (*self.front, *self.back)
         depth, head = bolt.depth or self.front[0].length, bolt.head_diameter or math.inf
         wrong = {

@@ -92,7 +92,7 @@ class Drive(Section):
     )
 
     @model_validator(mode="after")
-    def _visible_edges(self) -> Drive:
+    def _require_visible_edges(self) -> Drive:
         if self.edge > self.width:
             raise ValueError("the edges of the pulse are longer than the pulse: edge above width")
         return self
@@ -119,7 +119,7 @@ class Stack(Chip, FieldKeys):
 
     @model_validator(mode="before")
     @classmethod
-    def _kicks(cls, data: Any, info: ValidationInfo) -> Any:
+    def _set_drive(cls, data: Any, info: ValidationInfo) -> Any:
         """In a scene of the paper's tables the chip is driven, unless unit loads are its drive."""
         short = (info.context or {}).get("short", ())
         if not short or "harmonic" in short or data.get("electrical", "driven") != "driven":
@@ -127,7 +127,7 @@ class Stack(Chip, FieldKeys):
         return {"drive": {}, **data}
 
     @model_validator(mode="after")
-    def _possible(self) -> Stack:
+    def _require_possible(self) -> Stack:
         if self.fields and (self.mesh.order != 1 or self.mesh.layers_per_element != 1):
             raise ValueError(
                 "fields need linear elements of one layer each: mesh.order = 1, "
@@ -243,7 +243,7 @@ class PiezoStack(MeshedBody[Stack]):
             # amplifier of 5 A, which is 1.5e-3 off at the settings of 1 m/s.
             driven = not scene.joined_types(part.name, "anode") <= {"source"}
             close *= min(1.0, LOW_KICK if driven else max(speed**8, LOW_KICK))
-        if _downwards(part):
+        if _retracts_first(part):
             close = min(close, DOWNWARDS)
         what = f"contacts of {part.name}, within which error control decides"
         chgtol = min(1.0, speed or 1.0)
@@ -251,7 +251,7 @@ class PiezoStack(MeshedBody[Stack]):
 
     def weights(self, part: Part[Stack], scene: DeclaredScene) -> StepWeights:
         """Weights of the modes; the ringing strikes the sphere if the kick begins downwards."""
-        return THROWING if _downwards(part) else super().weights(part, scene)
+        return THROWING if _retracts_first(part) else super().weights(part, scene)
 
     def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[Penetration]:
         voltage = highest_voltage(part, scene)
@@ -389,10 +389,10 @@ def _kick_speed(part: Part[Stack], scene: GovernedScene) -> float | None:
     stroke = free_stroke(part.keys, voltage)
     edge = 0.0 if part.keys.drive is None else part.keys.drive.edge
     speed = stroke / max(4 * part.keys.height / sound, edge)
-    return max(1e-3, SLOWER * speed if _downwards(part) else speed)
+    return max(1e-3, SLOWER * speed if _retracts_first(part) else speed)
 
 
-def _downwards(part: Part[Stack]) -> bool:
+def _retracts_first(part: Part[Stack]) -> bool:
     """Whether its pulse draws the top face back before it rises."""
     drive = part.keys.drive
     return drive is not None and part.keys.electrical == "driven" and drive.voltage < 0

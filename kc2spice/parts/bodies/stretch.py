@@ -24,7 +24,7 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section, Stiffness, si
-from kc2spice.parts.electrostatics.gap import Patched, patch_ports
+from kc2spice.parts.electrostatics.gap import PatchedPart, patch_ports
 from kc2spice.physics import Declaration, displacement
 from kc2spice.scene.model import (
     GovernedScene,
@@ -55,7 +55,7 @@ class StretchKeys(Section):
     width: Length = Field(0.0, ge=0, description="Width of a plate, all its rows together")
 
 
-class Stretch(Patched[StretchKeys]):
+class Stretch(PatchedPart[StretchKeys]):
     """The part type, whose keys determine the number of branches."""
 
     def declared(self, part: Part[StretchKeys], scene: GovernedScene) -> Declaration:

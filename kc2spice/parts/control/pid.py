@@ -199,12 +199,12 @@ class Pid(PartType[Control]):
         return {f"{part.name}_enable": {"part": "source", "pwl": tuple(points), "pins": pins}}
 
     def pins(self, part: Part[Control], scene: JoinedScene) -> tuple[Terminal, ...]:
-        return _terminals(not _remote(part, scene))
+        return _terminals(not _drives_external_circuit(part, scene))
 
     def default_joins(self, part: Part[Control], scene: GovernedScene) -> Mapping[str, str]:
         ball = sphere.controlled_sphere(part, scene)
         joins = {} if ball is None else {"y": f"{ball.name}.y"}
-        if not _remote(part, scene):
+        if not _drives_external_circuit(part, scene):
             coils = _coils(part, scene).name
             joins |= {"drive": f"{coils}.drive", "sense": f"{coils}.ret"}
         return joins
@@ -232,7 +232,7 @@ class Pid(PartType[Control]):
     def subcircuits(
         self, part: Part[Control], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        local = not _remote(part, build.scene)
+        local = not _drives_external_circuit(part, build.scene)
         load = float(build.model(_coils(part, build.scene), EMTable).resistance.sum())
         name = build.libraries[part.name]
         return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
@@ -241,7 +241,7 @@ class Pid(PartType[Control]):
         node = "error" if part.keys.form == "ideal" else "e"
         error = Vector(f"v(x{part.name.lower()}.{node})", 1.0 / SENSOR, "m")
         result = {f"{part.name}.error": error}
-        if _remote(part, build.scene):
+        if _drives_external_circuit(part, build.scene):
             command = f"v({build.net(part, 'command')})"
             result["coil.wanted"] = Vector(command, 1.0 / SENSE, "A")
         return result
@@ -249,9 +249,9 @@ class Pid(PartType[Control]):
     def law(self, part: Part[Control], build: Build) -> laws.Equations | None:
         """Law of both forms; deviations of the amplifiers count as an error of the netlist."""
         keys, n, scene = part.keys, part.name, build.scene
-        if _remote(part, scene) or build.net(part, "ref") != "0":
+        if _drives_external_circuit(part, scene) or build.net(part, "ref") != "0":
             return None
-        declared, height = declare_control(keys), sphere.offset(part, "y", scene)
+        declared, height = declare_control(keys), sphere.height_offset(part, "y", scene)
         values = declared.values(keys) | {"setpoint": keys.setpoint - height}
         controller = DeclaredLaw(n, declared, tuple(values.values()))
         error = laws.reading(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
@@ -284,7 +284,7 @@ class Pid(PartType[Control]):
         yield Check("saturation", share, SATURATED, "of the time", advice, action)
 
     def notes(self, part: Part[Control], scene: Scene) -> Iterator[str]:
-        coils = "real coils" if _remote(part, scene) else "current-driven coils"
+        coils = "real coils" if _drives_external_circuit(part, scene) else "current-driven coils"
         form = "ideal" if part.keys.form == "ideal" else "op-amp"
         yield f"{form} PID, output clamped at {part.keys.current_limit:g} A, {coils}"
 
@@ -294,7 +294,7 @@ def _coils(part: Part[Control], scene: DeclaredScene) -> Part[Coils]:
     return scene.partner(part, "ring_magnet_coils", key="coils").with_schema(Coils)
 
 
-def _remote(part: Part[Control], scene: DeclaredScene) -> bool:
+def _drives_external_circuit(part: Part[Control], scene: DeclaredScene) -> bool:
     """Whether the output is the pin ``command`` for another circuit with the coils."""
     joined = scene.is_target(part.name, "command") or "command" in part.pins
     return joined or bool(_coils(part, scene).keys.driver)

@@ -138,7 +138,7 @@ dc = "1 um"
         if part.keys.noise:
             return None
         n, d = part.name, sensor_declaration(part.keys)
-        height = sphere.offset(part, "of", build.scene)
+        height = sphere.height_offset(part, "of", build.scene)
         values = d.values(Section()) | {"offset": part.keys.offset + height}
         declared_law = DeclaredLaw(n, d, tuple(values.values()))
         pins = tuple((pin, f"{n}.{pin}") for pin in ("of", "out", "ref"))

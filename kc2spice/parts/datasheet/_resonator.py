@@ -290,6 +290,6 @@ def to_twelve_digits(value: float) -> float:
     return float(f"{value:.12g}")
 
 
-def numbered(modes: int) -> Sequence[str]:
+def mode_suffixes(modes: int) -> Sequence[str]:
     """Endings of the names of each mode's elements: none of a single mode."""
     return ("",) if modes == 1 else [str(n + 1) for n in range(modes)]

@@ -147,7 +147,7 @@ class StatedValues:
             where=self.part,
             got=", ".join(self.stated) or "no value",
             expected=f"{missing} more value{'s' * (missing > 1)} of {listed}",
-            hint=f"add {_enumerated(chosen[:missing])}",
+            hint=f"add {_join_words(chosen[:missing])}",
         )
 
     def _require_solution(self, x: np.ndarray) -> None:
@@ -247,6 +247,6 @@ class StatedValues:
         )
 
 
-def _enumerated(words: list[str]) -> str:
+def _join_words(words: list[str]) -> str:
     """Words with commas, and ``and`` before the last one."""
     return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))

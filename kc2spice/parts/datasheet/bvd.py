@@ -16,7 +16,7 @@ from kc2spice.core.quantities import (
     Inductance,
     Ratio,
     Resistance,
-    refused,
+    invalid_value_error,
 )
 from kc2spice.netlist.circuit import Param, positive
 from kc2spice.parts.datasheet._resonator import (
@@ -25,7 +25,7 @@ from kc2spice.parts.datasheet._resonator import (
     Resonator,
     ResonatorNetlist,
     ResonatorPart,
-    numbered,
+    mode_suffixes,
     of_unknowns,
     to_twelve_digits,
     tolerance_note,
@@ -44,16 +44,18 @@ SMALLEST_RATIO = 1e-9  # of a motional to the clamped capacitance, below that of
 FREQUENCY, CLAMPED = 1e4, 1e-9  # Hz and F, where it begins without a stated value
 
 
-def _listed(value: object) -> object:
+def _wrap_in_list(value: object) -> object:
     """One value as a list of one."""
     if isinstance(value, (list, tuple)):
         if value == []:  # the default is an empty tuple
-            raise refused("an empty list", "a value, or a list with one value for each mode")
+            raise invalid_value_error(
+                "an empty list", "a value, or a list with one value for each mode"
+            )
         return value
     return (value,)
 
 
-Modes = BeforeValidator(_listed)
+Modes = BeforeValidator(_wrap_in_list)
 
 
 class BvdKeys(RatedKeys):
@@ -168,8 +170,8 @@ stop = "10 kHz"
             stated |= dict(zip(labels, getattr(keys, name), strict=False))
         stated |= {name: v for name in ("c0", "c_low") if (v := getattr(keys, name)) is not None}
         self._check_tolerances(part)
-        start = _start(keys, modes)
-        for problem in _impossible(part, start):
+        start = _initial_unknowns(keys, modes)
+        for problem in _impossible_pairs(part, start):
             raise problem
         tolerance = {label: keys.tolerance.get(label.partition("[")[0]) for label in stated}
         values = StatedValues(
@@ -213,7 +215,7 @@ stop = "10 kHz"
 
     def netlist(self, part: Part[BvdKeys], circuit: Resonator) -> ResonatorNetlist:
         keys, modes = part.keys, len(circuit.fs)
-        ends, params, constants = numbered(modes), list[Param](), dict[str, str]()
+        ends, params, constants = mode_suffixes(modes), list[Param](), dict[str, str]()
         level = "c0" if keys.c_low is None else "c_low"
         total, fixed = ["1"], []
         for n, end in enumerate(ends):
@@ -238,7 +240,7 @@ stop = "10 kHz"
         return ResonatorNetlist(tuple(params), constants, tuple(ends))
 
 
-def _impossible(part: Part[BvdKeys], start: np.ndarray) -> Iterator[UsageError]:
+def _impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[UsageError]:
     """Pairs of values that no circuit has."""
     keys = part.keys
     for fs, fp in zip(keys.fs, keys.fp, strict=False):
@@ -285,7 +287,7 @@ def _relations(modes: int, low: float) -> dict[str, Relation]:
     return result
 
 
-def _start(keys: BvdKeys, modes: int) -> np.ndarray:
+def _initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
     """Unknowns where the iteration begins: stated values, otherwise those of a usual ceramic."""
     ratio = np.full(modes, START_RATIO)
     if keys.keff:

@@ -172,7 +172,7 @@ class Load(NamedTuple):
     current: float = 1.0  # A, the largest that its controller asks for
 
 
-def potentials(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vector]:
+def pin_voltages(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vector]:
     """Voltages ``PART.PIN`` of pins over ``ref``, or over node 0 where it has no such pin."""
     base = build.net(part, "ref") if (part.name, "ref") in build.scene.nets else "0"
     result = {}
@@ -221,7 +221,7 @@ class Driver(TemplatePart[KeysT]):
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
         if build.scene.analysis.type != "transient":
             return {}
-        result = potentials(part, build, ("command", *self.terminals))
+        result = pin_voltages(part, build, ("command", *self.terminals))
         read = f"@r.x{part.name.lower()}.rout[i]"
         return result | {f"{part.name}.i": Vector(read, 1.0, "A", self.terminals[:1])}
 
@@ -260,7 +260,7 @@ class CoilDriver(Driver[KeysT]):
 
     def load(self, part: Part[KeysT], build: Build) -> Load:
         """Coils at its terminals, with the sphere at the set point."""
-        coils = _neighbour(part, "drive", build.scene, "ring_magnet_coils")
+        coils = _joined_part(part, "drive", build.scene, "ring_magnet_coils")
         if coils is None:
             raise UsageError(
                 "drives no coils, whose inductance its current loop is made for",
@@ -268,7 +268,7 @@ class CoilDriver(Driver[KeysT]):
                 expected="joined to a part of type ring_magnet_coils",
                 hint="for a load of your own, put your driver's circuit into a netlist part",
             )
-        control, height, current = _neighbour(part, "command", build.scene, "pid"), 0.0, 1.0
+        control, height, current = _joined_part(part, "command", build.scene, "pid"), 0.0, 1.0
         if control is not None:
             keys = control.with_schema(Control).keys
             height, current = keys.setpoint, keys.current_limit
@@ -278,7 +278,7 @@ class CoilDriver(Driver[KeysT]):
         return Load(inductance, float(table.resistance.sum()), float(current))
 
 
-def _neighbour(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | None:
+def _joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | None:
     """The part of this kind that a pin is joined to."""
     joined = (scene.parts[name] for name, _ in scene.joined(part.name, pin))
     return next((other for other in joined if other.type.name == kind), None)

@@ -24,7 +24,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.read import read
 from kc2spice.netlist.scope import Scope, circuit, has_vector
 from kc2spice.netlist.spelling import name as checked
-from kc2spice.parts.electronics._template import SLACK, potentials, rails_check
+from kc2spice.parts.electronics._template import SLACK, pin_voltages, rails_check
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import (
     Build,
@@ -166,7 +166,7 @@ class Netlist(PartType[NetlistKeys]):
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()
         probed = dict.fromkeys(node for _, node in _probed(part, scene))
         volts = [p for p in probed if p in pins and pins[p].unit == "V"]
-        result = potentials(part, build, dict.fromkeys((*rated, *volts)))
+        result = pin_voltages(part, build, dict.fromkeys((*rated, *volts)))
         base = build.net(part, "ref") if "ref" in pins else "0"
         for node in probed:
             name = f"{part.name}.{node}"

@@ -15,7 +15,7 @@ from kc2spice.core import laws
 from kc2spice.core import waveforms as waves_
 from kc2spice.core.domains import QUANTITIES, Domain, Quantity, Side
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Section, quantity, refused
+from kc2spice.core.quantities import Section, invalid_value_error, quantity
 from kc2spice.core.spectrum import waveform_frequency
 from kc2spice.core.untrusted_files import file_in_folder, read_bounded
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
@@ -105,17 +105,19 @@ class SourceKeys(Section):
     _amplitude: float = PrivateAttr()
 
     @model_validator(mode="after")
-    def _one_shape(self, info: ValidationInfo) -> SourceKeys:
+    def _require_one_shape(self, info: ValidationInfo) -> SourceKeys:
         shapes = self._stated_shapes
         if len(shapes) > 1:
             hint = f"delete the key {shapes[0]} or the key {shapes[1]}"
-            raise refused("two shapes: " + " and ".join(shapes), "one of them", hint=hint)
+            raise invalid_value_error(
+                "two shapes: " + " and ".join(shapes), "one of them", hint=hint
+            )
         try:
             self._waveform = self._read_waveform((info.context or {}).get("home", Path()))
             self._amplitude = quantity(self.ac, self.unit, where="ac")
         except UsageError as error:
             expected = error.expected or "numbers with units"
-            raise refused(error.message, expected, error.where, error.hint) from None
+            raise invalid_value_error(error.message, expected, error.where, error.hint) from None
         return self
 
     @property

@@ -8,7 +8,7 @@ from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.scene.parttype import register
 
 
-class CombDriveKeys(_stop.Stopped):
+class CombDriveKeys(_stop.StoppedCoordinate):
     """``C = 2 fingers eps0 thickness (overlap + x) / gap``: a force without x, ``fingers eps0
     thickness v^2 / gap``."""
 

@@ -106,7 +106,7 @@ class Film(Section):
     )
 
 
-class GapKeys(_stop.Stopped):
+class GapKeys(_stop.StoppedCoordinate):
     """``a`` is a body with a row of patches, a port such as ``beam.tip``, or a list of ports."""
 
     a: str | tuple[str, ...] = Field(
@@ -135,7 +135,7 @@ class GapKeys(_stop.Stopped):
     film: Film | None = Field(None, description="Squeezed gas film in the gap; by default none")
 
 
-class Patched(DeclaredPart[KeysT]):
+class PatchedPart(DeclaredPart[KeysT]):
     """Part that acts on a row of patches ``p1`` …, whose number follows from its key ``a``."""
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
@@ -150,7 +150,7 @@ class Patched(DeclaredPart[KeysT]):
         return {f"p{k}": port for k, port in enumerate(patch_ports(part, scene), 1)}
 
 
-class Gap(Patched[GapKeys]):
+class Gap(PatchedPart[GapKeys]):
     """The part type, whose keys determine the number of branches."""
 
     discretisations = ("film.branches",)

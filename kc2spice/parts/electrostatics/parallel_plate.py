@@ -10,7 +10,7 @@ from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.scene.parttype import register
 
 
-class ParallelPlateKeys(_stop.Stopped):
+class ParallelPlateKeys(_stop.StoppedCoordinate):
     """``C = permittivity eps0 area / (gap - x)``; the coenergy ``C v^2 / 2`` pulls x up.
 
     With a spring of stiffness ``k`` between them the plates pull in at the voltage

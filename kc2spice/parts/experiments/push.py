@@ -13,7 +13,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.parts.mechanics._touching import Pair, Penetration, Touching, pair_of
+from kc2spice.parts.mechanics._touching import Pair, Penetration, TouchablePart, pair_of
 from kc2spice.parts.mechanics.sphere import sphere_of
 from kc2spice.scene.checks import Gate, Measure, Metric
 from kc2spice.scene.model import (
@@ -39,7 +39,7 @@ class PushKeys(Section):
     of: str | None = Field(None, description="Sphere that is pushed; by default the only one")
 
 
-class Push(Touching[PushKeys]):
+class Push(TouchablePart[PushKeys]):
     name = "push"
     title = "sphere pushed down in equal steps, each an operating point"
     schema = PushKeys

@@ -38,7 +38,7 @@ class ThrowKeys(Section):
     of: str | None = Field(None, description="Sphere that is thrown; by default the only one")
 
 
-class Throw(_touching.Touching[ThrowKeys]):
+class Throw(_touching.TouchablePart[ThrowKeys]):
     name = "throw"
     title = "velocity and height of a sphere at t = 0"
     schema = ThrowKeys
@@ -58,13 +58,13 @@ class Throw(_touching.Touching[ThrowKeys]):
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[Numerics]:
         """Numerical requirements: the allowed charge error falls with the speed of the impact."""
-        speed = max(1e-3, _arriving(part, scene))
+        speed = max(1e-3, _impact_speed(part, scene))
         yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
     def penetrations(
         self, part: Part[ThrowKeys], scene: GovernedScene
     ) -> Iterator[_touching.Penetration]:
-        ball, speed = sphere_of(part, scene), _arriving(part, scene)
+        ball, speed = sphere_of(part, scene), _impact_speed(part, scene)
         why, mass = f"impact at {speed:.3g} m/s", ball.keys.mass
         yield from _touching.impact_penetration(ball, mass, scene, speed, why)
 
@@ -72,7 +72,7 @@ class Throw(_touching.Touching[ThrowKeys]):
         self, part: Part[ThrowKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
         """Positions from the touching height, the force of one symmetry sector."""
-        pair = _touching.only_pair(build.scene)
+        pair = _touching.single_pair(build.scene)
         if pair is None or "time" not in waves:
             return {}
         ball = sphere_of(part, build.scene)
@@ -92,7 +92,7 @@ class Throw(_touching.Touching[ThrowKeys]):
 
     def checks(self, part: Part[ThrowKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
         gates, ball = build.scene.gates, sphere_of(part, build.scene).name
-        pair = _touching.only_pair(build.scene)
+        pair = _touching.single_pair(build.scene)
         law = pair.basis_error() if pair else 0.0
         place = dict.fromkeys(PAIRS, max(gates.position, law)) | {"ngspice_vs_rom": gates.position}
         yield Gate("position over travel", f"{ball}.y", place, "travel", leads=True)
@@ -110,7 +110,7 @@ class Throw(_touching.Touching[ThrowKeys]):
         yield f"{keys.velocity:g} m/s from {keys.gap:g} m"
 
 
-def _arriving(part: Part[ThrowKeys], scene: DeclaredScene) -> float:
+def _impact_speed(part: Part[ThrowKeys], scene: DeclaredScene) -> float:
     """Speed [m/s] of the impact."""
     return math.sqrt(part.keys.velocity**2 + 2 * max(scene.gravity, 0.0) * part.keys.gap)
 

@@ -34,7 +34,7 @@ from kc2spice.core.quantities import (
 from kc2spice.core.spectrum import energy_frequency
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Ring
-from kc2spice.fem.magnet_rings import Cells, Ladder, Winding, divide_section, ladder, roughness
+from kc2spice.fem.magnet_rings import Cells, Ladder, Winding, compare_rings, divide_section, ladder
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
 from kc2spice.physics.declaration import Branch
 from kc2spice.physics.part import sweep_numerics
@@ -327,7 +327,7 @@ class MovingBody(DeclaredPart[MovingT]):
             more = f"raise {part.name}.rings"
             unit = "of flux, force and loss"
             yield Check(finer, result.rough, ROUGH, unit, more, "warn", discretisation=True)
-            highest = _seen_frequency(part, build, waves)
+            highest = _highest_run_frequency(part, build, waves)
             what = f"highest frequency of the currents of {part.name}"
             advice = f"raise {part.name}.frequency to it"
             limit = BEYOND * result.frequency
@@ -420,7 +420,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         number. So is the change by finer rings.
         """
         finer = _divide_body(keys, FINER * rings, ladder.frequency)
-        changed = roughness(finer, ladder, windings(keys), fixed, keys.conductivity)
+        changed = compare_rings(finer, ladder, windings(keys), fixed, keys.conductivity)
         return replace(ladder, rough=changed / max(1 - ladder.rings / finer.r.size, LEAST_CHANGE))
 
     def notes(self, part: Part[MovingConductorKeys], scene: Scene) -> Iterator[str | Neglected]:
@@ -487,12 +487,12 @@ def _shortest_lag(part: Part[Moving], scene: WiredScene) -> float:
     for name, coil, winding in zip(
         part.keys.coils, part.keys.coils.values(), windings(part.keys), strict=True
     ):
-        ohms = coil.resistance + _in_series(part, scene, {f"{name}_p", f"{name}_n"})
+        ohms = coil.resistance + _series_resistance(part, scene, {f"{name}_p", f"{name}_n"})
         result.append(SCREENED * winding.with_other(winding) / ohms)
     return min(result, default=0.0)
 
 
-def _in_series(part: Part[Moving], scene: WiredScene, pins: set[str]) -> float:
+def _series_resistance(part: Part[Moving], scene: WiredScene, pins: set[str]) -> float:
     """Sum of the resistors [Ohm] in series with a coil, at one of its ``pins``."""
     coil_nets = {scene.net(part.name, pin) for pin in pins} - {"0"}
     result = 0.0
@@ -502,7 +502,7 @@ def _in_series(part: Part[Moving], scene: WiredScene, pins: set[str]) -> float:
     return result
 
 
-def _seen_frequency(part: Part[Moving], build: Build, waves: Waveforms) -> float:
+def _highest_run_frequency(part: Part[Moving], build: Build, waves: Waveforms) -> float:
     """Highest frequency [Hz] of a run: of its response, or of the currents in the coils."""
     if "frequency" in waves:
         return float(waves["frequency"].real[-1])

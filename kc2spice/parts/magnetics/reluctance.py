@@ -18,7 +18,7 @@ from kc2spice.physics import Declaration, DeclaredPart, current, displacement
 from kc2spice.scene.parttype import register
 
 
-class ReluctanceKeys(_stop.Stopped):
+class ReluctanceKeys(_stop.StoppedCoordinate):
     """A flux of ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` pulls x up with
     ``gaps flux^2 / (2 MU_0 area)``. Of a permanent magnet of length l and area A, ``magnet`` is
     ``remanence l / (MU_0 mu_r)`` and its part of ``core`` is ``l / (MU_0 mu_r A)``.

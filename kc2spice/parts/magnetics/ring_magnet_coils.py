@@ -20,7 +20,7 @@ from kc2spice.core import laws
 from kc2spice.core.cache import cached
 from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel, Shape, Written
+from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
 from kc2spice.core.magnets import FORCE, POWERS, EMTable, cubic_spline
 from kc2spice.core.mesh_error import IN_PLANE, mesh_errors, mesh_words
 from kc2spice.core.progress import Clock
@@ -33,8 +33,8 @@ from kc2spice.netlist.spelling import number
 from kc2spice.parts.bodies._pictures import plot_impedances
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics.netlist import driver
-from kc2spice.parts.mechanics._touching import Penetration, Touching, impact_penetration
-from kc2spice.parts.mechanics.sphere import offset, sphere_of
+from kc2spice.parts.mechanics._touching import Penetration, TouchablePart, impact_penetration
+from kc2spice.parts.mechanics.sphere import height_offset, sphere_of
 from kc2spice.physics import coils
 from kc2spice.scene.checks import Check, Gate, Metric
 from kc2spice.scene.model import (
@@ -244,7 +244,7 @@ def _table_lines(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
     return [", ".join(points[k : k + 5]) for k in range(0, len(points), 5)]
 
 
-class RingMagnetCoils(Touching[Coils]):
+class RingMagnetCoils(TouchablePart[Coils]):
     name = "ring_magnet_coils"
     title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
     schema = Coils
@@ -421,7 +421,7 @@ class RingMagnetCoils(Touching[Coils]):
         )
         if apart:
             stated, ends = coils.declare_coils(), (("i1", 1.0), ("i2", 1.0))
-        law = coils.make_law(n, stated, table, offset(part, "y", scene))
+        law = coils.make_law(n, stated, table, height_offset(part, "y", scene))
         results = {}
         for coil, (wave, sign) in zip(COILS, ends, strict=True):
             results[f"{prefix}.{coil}.current"] = laws.reading(f"{n}.{wave}", sign)
@@ -506,7 +506,7 @@ class RingMagnetCoils(Touching[Coils]):
 
     def figures(
         self, part: Part[Coils], build: Build, waves: Waveforms
-    ) -> Iterator[Figure | Written]:
+    ) -> Iterator[Figure | FileWriter]:
         prefix = result_prefix(part)
         currents = _coil_currents(part, waves)
         if "time" in waves and len(currents) == len(COILS):
@@ -527,7 +527,7 @@ class RingMagnetCoils(Touching[Coils]):
         table, alone = build.model(part, EMTable), len(build.scene.of(self.name)) == 1
         arrays = {"y": table.y} | dict(zip(FORCE, table.coefficients.T, strict=True))
         file = "em_table.npz" if alone else f"{part.name}_table.npz"
-        yield Written(file, lambda path: np.savez_compressed(path, **arrays))
+        yield FileWriter(file, lambda path: np.savez_compressed(path, **arrays))
 
     def notes(self, part: Part[Coils], scene: Scene) -> Iterator[str | Neglected]:
         """Yield the assumptions; eddy currents decay within ``mu sigma R^2 / pi^2`` of a sphere."""

@@ -20,7 +20,7 @@ from kc2spice.core.quantities import Ratio, Section, si
 SLOW = 1e-4  # m/s; a strike as slow rises by a nanometre under 5 m/s2
 
 
-class Stopped(Section):
+class StoppedCoordinate(Section):
     """Keys of a stop: restitution and damping."""
 
     restitution: Ratio = Field(

@@ -97,7 +97,7 @@ class Penetration:
     why: str
 
 
-class Touching(PartType[KeysT]):
+class TouchablePart(PartType[KeysT]):
     """Base of types with a surface for contacts, or that press surfaces together."""
 
     def surface(
@@ -113,7 +113,7 @@ class Touching(PartType[KeysT]):
 
 def surface_of(part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface | None:
     """Surface of a part for a contact at these ports, or at ports that the part selects."""
-    return part.type.surface(part, scene, ports) if isinstance(part.type, Touching) else None
+    return part.type.surface(part, scene, ports) if isinstance(part.type, TouchablePart) else None
 
 
 def ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
@@ -193,17 +193,19 @@ class Pair:
         if rings == "all" or len(ports) == 1 or list(self.a.distance) != sorted(self.a.distance):
             return ports
         if rings == "needed":
-            return ports[: max(1, int(np.count_nonzero(self.gaps < self.deepest.depth)))]
+            return ports[
+                : max(1, int(np.count_nonzero(self.gaps < self.deepest_penetration.depth)))
+            ]
         return ports[:rings]
 
     @cached_property
-    def deepest(self) -> Penetration:
+    def deepest_penetration(self) -> Penetration:
         """The largest of what the parts of the scene can do, or the one that moves side ``b``."""
         parts, by = self.scene.parts, self.scene.movers.get(self.b.part)
         able = parts.values() if by is None else [parts[by]]
         result = [Penetration(0.0, "its weight")]
         for part in able:
-            if isinstance(part.type, Touching):
+            if isinstance(part.type, TouchablePart):
                 result += part.type.penetrations(part, self.scene)
         return max(result, key=lambda item: item.depth)
 
@@ -328,7 +330,7 @@ class Pair:
             shape = pressure_basis(wider * self.keys.spacing, self.a.patch)
             result, _ = self._compliance_of(shape)
             law = _indentation_law(shape, result.compliance + result.patch, self.b.radius)
-            deepest = min(self.deepest.depth or math.inf, law.depth)
+            deepest = min(self.deepest_penetration.depth or math.inf, law.depth)
             forces.append(law.force(np.linspace(0.5, 1.0, 50) * deepest))
         return REFINED * float(np.abs(forces[1] / forces[0] - 1).max())
 
@@ -356,7 +358,7 @@ def pair_of(contact: Part, scene: GovernedScene) -> Pair:
     return record.detail
 
 
-def only_pair(scene: GovernedScene) -> Pair | None:
+def single_pair(scene: GovernedScene) -> Pair | None:
     """The scene's contact, where it has one."""
     contact = scene.only("contact")
     return None if contact is None else pair_of(contact, scene)

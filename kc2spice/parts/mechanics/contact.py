@@ -259,8 +259,8 @@ class Contact(DeclaredPart[ContactKeys]):
         if count < len(a.ports):
             why = f"{part.name}.rings = {part.keys.rings}"
             if part.keys.rings == "needed":
-                why = f"open up to {pair.gaps[count]:.3g} m; {pair.deepest.why}: "
-                why += f"{pair.deepest.depth:.3g} m"
+                why = f"open up to {pair.gaps[count]:.3g} m; {pair.deepest_penetration.why}: "
+                why += f"{pair.deepest_penetration.depth:.3g} m"
             last = f" to {a.ports[-1]}" if count + 1 < len(a.ports) else ""
             error = "none while they stay open, checked after the run"
             yield Neglected(f"contact at {a.ports[count]}{last}", why, error)

@@ -17,7 +17,7 @@ from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_keys import LinearKeys
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import PATCH, Surface, pair_of
-from kc2spice.parts.mechanics.sphere import SphereKeys, made_of
+from kc2spice.parts.mechanics.sphere import SphereKeys, sphere_material
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.model import (
     DeclaredScene,
@@ -31,7 +31,7 @@ from kc2spice.scene.settings import Rom
 from kc2spice.synthesis.realize import COARSE, StepWeights
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.pressure import IsotropicSphere, LocalCompliance, PressureBasis
+    from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, TransverselyIsotropicSphere
 
 BAND = 2.0  # times the lowest mode's frequency: the sphere breathes below
 
@@ -73,7 +73,7 @@ elastic = true
         yield from super().problems(part, scene)
         _contact(part, scene)  # says what it cannot be
         owner = scene.parts[part.keys.of].with_schema(SphereKeys)
-        stuff = made_of(owner)
+        stuff = sphere_material(owner)
         if stuff.piezoelectric:
             expected = "a material that is not piezoelectric"
             yield owner.wrong("material", "a sphere has no electrodes", stuff.name, expected)
@@ -161,11 +161,11 @@ elastic = true
         )
 
 
-def _body(part: Part[ElasticSphereKeys], scene: DeclaredScene) -> IsotropicSphere:
-    from kc2spice.bodies.pressure import IsotropicSphere
+def _body(part: Part[ElasticSphereKeys], scene: DeclaredScene) -> TransverselyIsotropicSphere:
+    from kc2spice.bodies.pressure import TransverselyIsotropicSphere
 
     owner = scene.parts[part.keys.of].with_schema(SphereKeys)
-    return IsotropicSphere(owner.keys.radius, made_of(owner), part.keys.damping)
+    return TransverselyIsotropicSphere(owner.keys.radius, sphere_material(owner), part.keys.damping)
 
 
 def _contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[ContactKeys]:

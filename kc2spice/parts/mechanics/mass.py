@@ -14,7 +14,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Mass, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive
-from kc2spice.parts.mechanics._touching import Surface, Touching
+from kc2spice.parts.mechanics._touching import Surface, TouchablePart
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.declaration import frame_acceleration
 from kc2spice.scene.checks import Metric
@@ -99,19 +99,19 @@ def point_mass(
     )
 
 
-class PointMass(Touching[MassKeys], DeclaredPart[MassKeys]):
+class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
 
     def declared(self, part: Part[MassKeys], scene: GovernedScene) -> Declaration:
         keys, gravity = part.keys, scene.gravity if part.keys.weight else 0.0
-        shares = tuple(float(shake.along or 0.0) for shake in _shakes(part, scene))
+        shares = tuple(float(shake.along or 0.0) for shake in _frame_accelerations(part, scene))
         return point_mass(keys.mass, gravity, keys.position, keys.velocity, shares)
 
     follows_frames = True
 
     def default_joins(self, part: Part[MassKeys], scene: GovernedScene) -> Mapping[str, str]:
         """Join its pins of a frame's accelerations to those of the body."""
-        shakes = _shakes(part, scene)
+        shakes = _frame_accelerations(part, scene)
         pins = zip(_frames(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
 
@@ -191,7 +191,7 @@ class PointMass(Touching[MassKeys], DeclaredPart[MassKeys]):
         yield f"mass {part.keys.mass:g}"
 
 
-def _shakes(part: Part[MassKeys], scene: GovernedScene) -> tuple[Shake, ...]:
+def _frame_accelerations(part: Part[MassKeys], scene: GovernedScene) -> tuple[Shake, ...]:
     """Accelerations that shake its frame."""
     frame = scene.frames.get((part.name, "a"))
     return () if frame is None else frame.shakes

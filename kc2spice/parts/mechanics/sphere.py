@@ -19,7 +19,7 @@ from kc2spice.fem.materials import Material, material
 from kc2spice.netlist.circuit import positive
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import Surface, Touching, pair_of
+from kc2spice.parts.mechanics._touching import Surface, TouchablePart, pair_of
 from kc2spice.parts.mechanics.mass import point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import make_pins
@@ -92,7 +92,9 @@ class SphereKeys(Section):
 
     @field_validator("material")
     @classmethod
-    def _known(cls, material: str | dict[str, Any] | None) -> str | dict[str, Any] | None:
+    def _require_known_material(
+        cls, material: str | dict[str, Any] | None
+    ) -> str | dict[str, Any] | None:
         """Refuse a material that is not in the table."""
         if material is not None:
             _stuff(material)
@@ -100,7 +102,9 @@ class SphereKeys(Section):
 
     @field_validator("elastic")
     @classmethod
-    def _rigid(cls, elastic: bool | dict[str, Any] | None) -> bool | dict[str, Any] | None:
+    def _require_elastic_key(
+        cls, elastic: bool | dict[str, Any] | None
+    ) -> bool | dict[str, Any] | None:
         """A sphere that is not elastic has no such key."""
         return None if elastic is False else elastic
 
@@ -136,7 +140,7 @@ def rigid_sphere(
     )
 
 
-class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
+class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     name = "sphere"
     title = "rigid sphere, vertical motion"
     schema = SphereKeys
@@ -155,7 +159,9 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
         return {_elastic_part(part): {**keys, **table}}
 
     def pins(self, part: Part[SphereKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        declared = () if _moved(part, scene) else make_pins(self.declared(part, scene))
+        declared = (
+            () if _has_prescribed_motion(part, scene) else make_pins(self.declared(part, scene))
+        )
         return tuple(
             Terminal(p.name, p.unit, p.flow, {"base": "gnd"}.get(p.name), signal_out=p.flow == "-")
             for p in declared
@@ -182,7 +188,7 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
     ) -> Surface:
         keys, carried = part.keys, _elastic_part(part)
         known = keys.material is not None or carried
-        modulus = made_of(part).indentation_modulus if known else None
+        modulus = sphere_material(part).indentation_modulus if known else None
         place = part.name, ("bottom",), (0.0,), "v"
         return Surface(*place, radius=keys.radius, elastic=carried, modulus=modulus)
 
@@ -196,7 +202,7 @@ class Sphere(Touching[SphereKeys], DeclaredPart[SphereKeys]):
         return {part.name: State(keys.velocity, keys.height)} if moving else {}
 
     def at_rest(self, part: Part[SphereKeys], scene: WiredScene) -> Rest:
-        if _moved(part, scene):
+        if _has_prescribed_motion(part, scene):
             return Rest()
         return Rest((("base", GROUND),), pushed=("v",) if scene.gravity else (), inert=("v",))
 
@@ -324,7 +330,7 @@ def sphere_of(part: Part, scene: DeclaredScene) -> Part[SphereKeys]:
     return scene.partner(part, "sphere", "of").with_schema(SphereKeys)
 
 
-def made_of(part: Part[SphereKeys]) -> Material:
+def sphere_material(part: Part[SphereKeys]) -> Material:
     """Material of the sphere, by default steel, with the density of the sphere."""
     return replace(_stuff(part.keys.material or "steel"), density=part.keys.density)
 
@@ -345,12 +351,12 @@ def settling_band(pid: Part[Control], ball: Part[SphereKeys]) -> float:
     return SETTLING_BAND * abs(float(pid.keys.setpoint - ball.keys.radius))
 
 
-def _moved(part: Part[SphereKeys], scene: GovernedScene) -> bool:
+def _has_prescribed_motion(part: Part[SphereKeys], scene: GovernedScene) -> bool:
     """Whether another part prescribes its motion."""
     return scene.movers.get(part.name) is not None
 
 
-def offset(part: Part, pin: str, scene: WiredScene) -> float:
+def height_offset(part: Part, pin: str, scene: WiredScene) -> float:
     """Offset of a pin for the height of a centre from its law's coordinate [m]."""
     ball = _sphere_at(part, pin, scene)
     return 0.0 if ball is None else float(ball.keys.radius)
@@ -374,7 +380,7 @@ def _sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | No
 
 def _elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
     """Size of the softer contact with an elastic sphere, by default of steel."""
-    sphere_modulus = made_of(part).indentation_modulus
+    sphere_modulus = sphere_material(part).indentation_modulus
     moduli = [pair_of(contact, scene).a.modulus for contact in scene.of("contact")]
     stiffest = max(filter(None, moduli), default=0.0)
     if not stiffest:

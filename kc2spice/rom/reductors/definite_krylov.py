@@ -16,7 +16,7 @@ import numpy as np
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.error_estimate import relative_size
 from kc2spice.rom.free_body import FreeBody
-from kc2spice.rom.intermediate import IntermediateModel, not_converged
+from kc2spice.rom.intermediate import IntermediateModel, no_convergence_error
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reductors.block_krylov import Operator, extend
 from kc2spice.rom.reductors.rational_krylov import CONFIRMATIONS, MOST_VECTORS
@@ -111,4 +111,4 @@ def definite_krylov_model(
         require_factors(pencil.bordered(1.0, 1.0, 1.0))
         solve = pencil.pencil_solver((2 * np.pi * worst) ** 2).solve
         candidates = solve(pencil.B)
-    raise not_converged(response, band, change, limit)
+    raise no_convergence_error(response, band, change, limit)

@@ -65,7 +65,7 @@ class GreedyBasis:
         grid_s = 2j * np.pi * points
         entries = self.response.entries(points)
         error = relative_size(self.response.transfer(np.array([s]))[0] - true, true, entries)
-        error[self.response.cancelled(np.r_[grid_s, s]) & ~entries.zero] = 0.0
+        error[self.response.cancelled_entries(np.r_[grid_s, s]) & ~entries.zero] = 0.0
         before = self.basis.shape[1]
         self.extend(s, x, *others)
         return float(error.max()), self.basis.shape[1] > before
@@ -82,7 +82,7 @@ class GreedyBasis:
         result = self.response.transfer(s)
         entries = self.response.entries(points, result)
         size = relative_size(self._previous.transfer(s) - result, result, entries)
-        size[:, self.response.cancelled(s) & ~entries.zero] = 0.0
+        size[:, self.response.cancelled_entries(s) & ~entries.zero] = 0.0
         self.change = float(size.max()) if self.points > 2 else np.inf
         fresh = np.array([not np.isclose(item, self._used, rtol=1e-7).any() for item in s])
         if not fresh.any():
@@ -129,7 +129,7 @@ class GreedyBasis:
         """Add ``answers`` at ``s`` to the basis."""
         self._used.append(s)
         new = np.column_stack([*chain.from_iterable(map(real_parts, answers))])
-        fresh = _independent(self.basis, new)
+        fresh = _independent_directions(self.basis, new)
         if not fresh.shape[1]:
             self._previous = self.response
             return
@@ -215,7 +215,7 @@ def _modes(pencil: Pencil) -> np.ndarray:
     return np.eye(pencil.size)
 
 
-def _independent(basis: np.ndarray, new: np.ndarray) -> np.ndarray:
+def _independent_directions(basis: np.ndarray, new: np.ndarray) -> np.ndarray:
     """Compute orthonormal directions of ``new`` outside ``basis``.
 
     Dependent directions are deflated.

@@ -82,18 +82,18 @@ class OptimalModels(ReducedBasis):
             self.responses[order] = Response(self._optimal(order))
         return self.responses[order]
 
-    def acceptable(self, order: int, tolerance: float) -> bool:
+    def is_acceptable(self, order: int, tolerance: float) -> bool:
         """Whether the model of this order is stable and within the tolerance.
 
         The iteration is skipped if the balanced model of the same order is far from it.
         """
         limit = HOPELESS * tolerance
-        if not self.balanced.error(order, limit) <= limit:
+        if not self.balanced_models.error(order, limit) <= limit:
             return False
-        return super().acceptable(order, tolerance)
+        return super().is_acceptable(order, tolerance)
 
     @cached_property
-    def balanced(self) -> ReducedBasis:
+    def balanced_models(self) -> ReducedBasis:
         """The balanced models."""
         return ReducedBasis(self.task, self.pencil, self.fixed, congruence=False)
 
@@ -107,7 +107,7 @@ class OptimalModels(ReducedBasis):
         if count <= 0:
             return self.pencil.leading(order)
         full, omega = self.task.first_order, 2 * np.pi * self.task.band[1]
-        balanced = self.pencil.restrained.leading(count)
+        balanced = self.pencil.without_free_motion.leading(count)
         rest, inertia = balanced.coefficients
         reduced = Pencil((rest / omega, inertia), balanced.B / omega, balanced.C, balanced.D)
         former, change = np.full(count, np.inf, dtype=complex), np.inf

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.intermediate import IntermediateModel, not_converged
+from kc2spice.rom.intermediate import IntermediateModel, no_convergence_error
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
@@ -150,5 +150,5 @@ def rational_krylov_model(
     )  # fmt: skip
     result = with_rounding(pencil, search.modal, band, result)
     if worst > max(limit, result.floor) or not np.isfinite(worst):
-        raise not_converged(search.response, band, worst, limit)
+        raise no_convergence_error(search.response, band, worst, limit)
     return replace(result, error=min(worst, limit))

@@ -56,7 +56,9 @@ class ResponsePod(Reductor):
     def basis(self, task: Task) -> ReducedBasis:
         """Return the static responses and the principal directions of all others."""
         core, free = task.core, task.core.free
-        energy = _energy_basis(core.restrained, 2 * np.pi * task.band[1], task.intermediate.static)
+        energy = _energy_basis(
+            core.without_free_motion, 2 * np.pi * task.band[1], task.intermediate.static
+        )
         response = Response(core.project(scipy.linalg.block_diag(np.eye(free), energy)))
         static = _static_responses(task, response)
         points = snapshots(task.estimator, response, tail_weight(task.fom, task.tolerance))
@@ -99,7 +101,7 @@ class ResponsePod(Reductor):
             while order > least:
                 fewer = Response(trial.pencil.leading(order - 1)).transfer(s[inside])
                 error = np.abs(fewer - H) / base
-                if error.max() > tolerance or not trial.acceptable(order - 1, tolerance):
+                if error.max() > tolerance or not trial.is_acceptable(order - 1, tolerance):
                     break
                 best, order = trial, order - 1
             largest = error.max(axis=(1, 2))

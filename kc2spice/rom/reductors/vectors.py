@@ -35,17 +35,17 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
         if columns is not None:
             expected += f", and {columns} columns as V"
         raise UsageError(
-            "vectors of another shape", where=where, got=_size(V), expected=expected,
+            "vectors of another shape", where=where, got=_describe_size(V), expected=expected,
             hint="build them from the matrices of task.model, not of task.fom",
         )  # fmt: skip
     if rows and not V.shape[1]:
         expected = "at least one column"
-        raise UsageError("no vectors", where=where, got=_size(V), expected=expected)
+        raise UsageError("no vectors", where=where, got=_describe_size(V), expected=expected)
     if not np.isfinite(V).all():
         count = int((~np.isfinite(V)).sum())
         got = f"{count} entries that are NaN or infinite"
         raise UsageError("vectors are not finite", where=where, got=got, expected="finite numbers")
-    dependent = _dependent(V)
+    dependent = _find_dependent_column(V)
     if dependent is not None:
         raise UsageError(
             "vectors are linearly dependent",
@@ -95,7 +95,7 @@ def _matrix(value: Any, where: str, rows: int) -> np.ndarray:
     return V.astype(float)
 
 
-def _dependent(V: np.ndarray) -> int | None:
+def _find_dependent_column(V: np.ndarray) -> int | None:
     """Find the first column that depends on the columns before it, or None."""
     norms = np.linalg.norm(V, axis=0)
     distance = np.zeros(V.shape[1])
@@ -105,6 +105,6 @@ def _dependent(V: np.ndarray) -> int | None:
     return int(dependent[0]) if dependent.size else None
 
 
-def _size(V: np.ndarray) -> str:
+def _describe_size(V: np.ndarray) -> str:
     """Rows and columns in words."""
     return f"{V.shape[0]} rows and {V.shape[1]} columns"

@@ -43,7 +43,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from kc2spice.core import __version__
 from kc2spice.core.errors import MissingToolError, UsageError, unknown
 from kc2spice.core.extras import import_optional
-from kc2spice.core.files import staged
+from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, silent
 from kc2spice.core.untrusted_files import MAX_BYTES, parse_toml, read_bounded, text_of
 from kc2spice.core.waveforms import plain_cell
@@ -54,11 +54,11 @@ from kc2spice.scene.overrides import format_toml
 from kc2spice.workflow.sweep.grid import (
     PARAMETER,
     Plan,
-    form,
     key_of,
     make_plan,
     parse_range,
     parse_value,
+    split_range,
 )
 from kc2spice.workflow.sweep.point import (
     Job,
@@ -87,7 +87,7 @@ _LOST = {
 _GROUP = ".group"  # ending of the file that is named after a worker's process group
 
 
-def cores() -> int:
+def available_cores() -> int:
     """Processors that this process may use."""
     try:
         return len(os.sched_getaffinity(0))
@@ -101,7 +101,7 @@ def is_lost(error: BaseException) -> bool:
     return isinstance(error, (BrokenExecutor, CancelledError, OSError)) or bool(_LOST & kinds)
 
 
-def processes(count: int) -> Workers:
+def local_workers(count: int) -> Workers:
     """So many processes of this machine."""
     from multiprocessing import get_context
 
@@ -152,7 +152,7 @@ def _worker_starts(scratch: str) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def dask(address: str, count: int, patience: float = 10.0) -> Workers:
+def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
     """The workers of a Dask scheduler, or ``count`` on this machine for the address ``local``.
 
     A scheduler gets ``patience`` seconds for its first answer, and a minute to come back.
@@ -408,7 +408,7 @@ def make_sweep(
     fixed, firsts, constants, ranges = [], [], [], dict[str, str]()
     for text in sets:
         name, _, value = (part.strip() for part in text.partition("="))
-        parameter, (kind, words) = PARAMETER.fullmatch(name), form(value)
+        parameter, (kind, words) = PARAMETER.fullmatch(name), split_range(value)
         if kind != "value":
             if name in ranges:
                 raise UsageError("swept twice", where="--set", got=name)
@@ -610,7 +610,8 @@ def run_sweep(
         Directory for the files of the sweep.
     workers : callable
         Function without arguments that returns a context manager. The manager yields an executor
-        and the number of points to run at a time; see :func:`processes` and :func:`dask`.
+        and the number of points to run at a time. See :func:`local_workers` and
+        :func:`dask_workers`.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` after each point.
     table_format : "csv" or "parquet", default "csv"
@@ -700,7 +701,7 @@ def _publish(definition: Sweep, rows: RowStore, out: Path, table_format: str) ->
     name = table_name(table_format)
     shares = compute_yields(table, definition.plan.keys) if definition.plan.random else {}
     plan = definition.describe()
-    with staged(out) as work:
+    with stage_directory(out) as work:
         WRITERS[table_format](table, work / name)
         units: dict[str, str] = {}
         for item in rows.outcomes.values():

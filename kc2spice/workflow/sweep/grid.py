@@ -31,7 +31,7 @@ Values = tuple[Any, ...]
 
 
 @dataclass(frozen=True)
-class Draws:
+class RandomSample:
     """Random sample of ``n`` values of a key: ``normal(a, b)`` or ``uniform(a, b)``."""
 
     kind: str
@@ -63,7 +63,7 @@ def _crosses_zero(text: str) -> UsageError:
     )
 
 
-def form(text: str) -> tuple[str, list[str]]:
+def split_range(text: str) -> tuple[str, list[str]]:
     """Return the kind of a range and its words.
 
     The kinds are ``value``, ``list``, ``linear``, ``log``, ``normal`` and ``uniform``. The first
@@ -128,14 +128,14 @@ def key_of(name: str, keys: Mapping[str, Key]) -> Key:
     return keys.get(re.sub(r"\[-?\d+\]", "", name), plain)
 
 
-def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Draws:
+def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | RandomSample:
     """Return the values of the range ``text`` of the key ``name``.
 
     Raises
     ------
     UsageError : an impossible range, or values that the key cannot have.
     """
-    key, (kind, words) = key_of(name, keys), form(text)
+    key, (kind, words) = key_of(name, keys), split_range(text)
     where = f"--set '{name}={text}'"
     drawn = kind in ("normal", "uniform")
 
@@ -163,7 +163,7 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Draws
         if kind == "uniform" and b < a:
             raise range_error("empty range", f"{a:g} … {b:g}")
         if drawn:
-            return Draws(kind, a, b, int(count))
+            return RandomSample(kind, a, b, int(count))
         if kind == "log" and not a * b > 0:
             raise _crosses_zero(text)
         values = (np.geomspace if kind == "log" else np.linspace)(a, b, int(count)).tolist()
@@ -255,7 +255,7 @@ class Plan:
 
 
 def make_plan(
-    ranges: Mapping[str, Values | Draws],
+    ranges: Mapping[str, Values | RandomSample],
     *,
     zipped: bool = False,
     latin: bool = False,
@@ -278,8 +278,8 @@ def make_plan(
             expected="--set KEY=RANGE",
             hint="add for example  --set KEY=FIRST:LAST:POINTS",
         )
-    random = {key: item for key, item in ranges.items() if isinstance(item, Draws)}
-    blocks = [{key: item} for key, item in ranges.items() if not isinstance(item, Draws)]
+    random = {key: item for key, item in ranges.items() if isinstance(item, RandomSample)}
+    blocks = [{key: item} for key, item in ranges.items() if not isinstance(item, RandomSample)]
     if random:
         count = _common_length({key: item.n for key, item in random.items()}, "draws")
         generator = np.random.default_rng(seed)
@@ -288,7 +288,9 @@ def make_plan(
             from scipy.stats.qmc import LatinHypercube
 
             shares = LatinHypercube(len(random), seed=generator).random(count).T
-        blocks.append(dict(zip(random, map(Draws.quantiles, random.values(), shares), strict=True)))
+        blocks.append(
+            dict(zip(random, map(RandomSample.quantiles, random.values(), shares), strict=True))
+        )
     if zipped:
         together: dict[str, Values] = {}
         for block in blocks:

@@ -56,15 +56,15 @@ def verify_body(
     reduced model's limit is what its certificate says, thus the tolerance that was asked for.
     """
     rom = build.model(part, LinearModel)
-    band = held_band(rom, build)
+    band = verified_band(rom, build)
     errors, curves = {}, {}
-    at = _sampled(rom, band)
+    at = _error_frequencies(rom, band)
     full = full_model(part, build.scene, clock)
     if full is not None:
         count = at.size if thorough or full.order <= SMALL else FEW
-        at = _first(rom, at, min(count, MANY))
+        at = _select_frequencies(rom, at, min(count, MANY))
         with clock.stage("full model", f"{part.name} at {at.size} frequencies"):
-            exact = _solved(part, build, full, at)
+            exact = _full_response(part, build, full, at)
         errors["rom_vs_fom"] = relative_error(rom.transfer(at), exact)
         certificate = rom.certificate
         limit = ROUNDING if certificate is None else max(certificate.error_estimate, ROUNDING)
@@ -75,7 +75,7 @@ def verify_body(
         findings.notes.append(
             f"{part.name}: no full model here; its reduced model is taken as it is"
         )
-    findings.checks += own_structure(part.name, rom, band)
+    findings.checks += rom_structure(part.name, rom, band)
     frequency, answer = netlist_response(part, build, libraries, clock, work, band)
     checks = netlist_checks(part.name, rom, frequency, answer, build.scene.gates.harmonic_ngspice)
     findings.checks += checks
@@ -127,7 +127,7 @@ def leakage(frequency: np.ndarray) -> float:
     return float(LEAK_RATE / (2 * np.pi * frequency.min()))
 
 
-def own_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Check]:
+def rom_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Check]:
     """Poles not in the right half plane; passivity and reciprocity of the reduced model.
 
     Growth ``Re p`` of a general model is a share of ``max(|p|, w)``, ``w`` the end of the band.
@@ -241,7 +241,7 @@ def _deck(
     )
 
 
-def _solved(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.ndarray:
+def _full_response(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.ndarray:
     """The full model's response, kept for scenes that share the body."""
     assert isinstance(part.type, LinearBody)
     key = part.type.model_key(part, build.scene)
@@ -255,7 +255,7 @@ def _solved(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.n
     return np.asarray(result)
 
 
-def held_band(rom: LinearModel, build: Build) -> tuple[float, float]:
+def verified_band(rom: LinearModel, build: Build) -> tuple[float, float]:
     """Frequencies [Hz] between which the reduced model is meant to hold."""
     if rom.certificate is not None:
         return rom.certificate.band_hz
@@ -263,14 +263,14 @@ def held_band(rom: LinearModel, build: Build) -> tuple[float, float]:
     return (0.0, float(selected.stop or 0.0)) if selected.small else build.scene.rom.band
 
 
-def _sampled(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
+def _error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
     """Frequencies [Hz] where an error shows, such as resonances, ascending."""
     result = adaptive_frequencies(Response(rom.pencil.dense()), band, static=False)
     # four digits: models that differ by their ports alone share their samples
     return np.unique([float(f"{f:.4g}") for f in result if f > 0])
 
 
-def _first(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:
+def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:
     """``count`` of the frequencies: half where the response is largest, half spread over all."""
     if at.size <= count:
         return at

@@ -24,7 +24,7 @@ from kc2spice.reference.integrate import Trajectory
 from kc2spice.reference.system import System, assemble_system
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import Build
-from kc2spice.workflow.verify.bodies import held_band
+from kc2spice.workflow.verify.bodies import verified_band
 from kc2spice.workflow.verify.law_solution import Reference
 
 PER_PERIOD = 80  # steps of a period of the highest frequency that a reduced model holds to
@@ -120,8 +120,8 @@ def full_differences(
     reduced, names = replace(network, laws=tuple(laws)), ", ".join(models)
     stop = build.scene.stop
     run = next(run for other, run in exact.runs if other.names == network.names)
-    begin, state = _still_until(bodies, run)
-    top = max(held_band(model, build)[1] for model in models.values())
+    begin, state = _last_rest(bodies, run)
+    top = max(verified_band(model, build)[1] for model in models.values())
     size = sum(law.model.order for law in bodies)
     most = max(2 * round(min(MOST, WORK / size) / 2), 100) * (WHOLE if thorough else 1.0)
     step = min(max((stop - begin) / most, 1 / (FINEST * top)), 1 / (PER_PERIOD * top))
@@ -153,7 +153,7 @@ def full_differences(
     return fine, coarse, note
 
 
-def _still_until(
+def _last_rest(
     bodies: list[PortBody], run: Trajectory
 ) -> tuple[float, Callable[[System, np.ndarray], np.ndarray] | None]:
     """Return the last time [s] before the load of a body changes, and the state.

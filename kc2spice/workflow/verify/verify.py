@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.files import staged
+from kc2spice.core.files import stage_directory
 from kc2spice.core.memory import available_bytes
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.waveforms import Waveforms, write_record
@@ -39,7 +39,7 @@ from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.metrics import metrics, verdict
 from kc2spice.workflow.refine import FREE_SHARE, MOST_UNKNOWNS, factor_bytes
-from kc2spice.workflow.simulate import ran, with_powers
+from kc2spice.workflow.simulate import run_simulation, with_powers
 from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.full_models import finer_build, full_build, full_solution
 from kc2spice.workflow.verify.law_solution import solve
@@ -315,7 +315,7 @@ def verify_scenes(
         libraries = _included_subcircuits(read_checked_circuit(deck, trust=trust))
     find_ngspice()
     answer: dict[str, Findings] = {}
-    with staged(out) as work:
+    with stage_directory(out) as work:
         for scene in scenes:
             progress("verify", None, scene.name)
             clock = Clock(progress)
@@ -426,7 +426,7 @@ class _Verification:
 
     def _simulate(self, deck: Deck) -> Waveforms:
         with self.clock.stage("simulate", f"ngspice, {self.build.scene.name}") as share:
-            waves = ran(self.build, deck, self.work / "scene", share)
+            waves = run_simulation(self.build, deck, self.work / "scene", share)
         self.verdict = verdict(waves, self.build)
         return waves
 
