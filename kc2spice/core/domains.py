@@ -170,11 +170,15 @@ class Domain:
         if self.through is not None:
             yield self.through, "through"
 
+    @property
+    def through_variable(self) -> Quantity:
+        """The quantity through a pin of a conservative domain."""
+        assert self.through is not None, f"{self.name} has nothing through its pins"
+        return self.through
+
     def quantity(self, side: Side) -> Quantity:
         """The quantity across or through a pin."""
-        result = self.across if side == "across" else self.through
-        assert result is not None, f"{self.name} has nothing {side} its pins"
-        return result
+        return self.across if side == "across" else self.through_variable
 
 
 VELOCITY = Quantity("velocity", "v", "m/s", "m/s")
@@ -360,7 +364,7 @@ def units_stated(units: Collection[str]) -> str:
     words: dict[str, None] = {}
     for domain in CONSERVATIVE:
         across = [domain.across, *([domain.rate] if domain.rate else [])]
-        through = domain.quantity("through")
+        through = domain.through_variable
         letters = "VIRCL" if QUANTITIES[through.name][0] is domain else "VRCL"  # a shared force
         of_pins = set(map(domain.value_unit, letters)) | {q.pin_unit for q in across}
         if domain.units != SPICE_UNITS and of_pins & {*units}:

@@ -359,7 +359,7 @@ def _write_force(
     force = declaration.delayed_flow(b)
     metered = declaration.metered or b.less
     ends = (base, node) if metered else (high, low)
-    across, through = b.domain.across, b.domain.quantity("through")
+    across, through = b.domain.across, b.domain.through_variable
     factor = "" if across.factor == 1 else f"{text(_decimal(across.factor))} "
     words = {"flow": through.name, "unit": through.pin_unit, "word": across.symbol}
     yield _comment("force" if metered else "direct", b, node=node, factor=factor, **words)
@@ -395,13 +395,13 @@ def _write_charge(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
     charge, direct, inner = declaration.stored_quantity(b), declaration.direct_flow(b), b.plus
-    unit = _decimal(b.domain.quantity("through").per_unit)
+    unit = _decimal(b.domain.through_variable.per_unit)
     times_unit = "" if unit == ONE else f"*{text(unit)}"
     if declaration.metered or charge != ZERO:
         inner = f"in_{b.name}"
         yield Element.of(meter_name(b), b.plus, inner, "0")
     if charge != ZERO:
-        integral, si_unit = _time_integral(b.domain.quantity("through"))
+        integral, si_unit = _time_integral(b.domain.through_variable)
         words = {"integral": integral, "unit": si_unit, "scale": f"scale_{b.name}"}
         yield _comment("charge", b, node=f"q_{b.name}", **words)
         yield f"*   {integral} = {text(declaration.name_power_series(charge))}"

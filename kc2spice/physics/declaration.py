@@ -115,7 +115,7 @@ class Branch:
         """Name of the result across it: the coordinate, or the voltage of a current."""
         if not self.flows:
             return self.name
-        through, word = self.domain.quantity("through").symbol, self.domain.across.symbol
+        through, word = self.domain.through_variable.symbol, self.domain.across.symbol
         return word if self.name == through else f"{self.name}_{word}"
 
 
@@ -139,7 +139,7 @@ def branch(
     if kind not in COORDINATES:
         raise unknown("no such coordinate of a branch", kind, COORDINATES, "branch")
     domain, side = QUANTITIES[kind]
-    name, flow = name or domain.quantity(side).symbol, domain.quantity("through").symbol
+    name, flow = name or domain.quantity(side).symbol, domain.through_variable.symbol
     return Branch(kind, name, plus, minus, name if side == "through" else through or flow)
 
 

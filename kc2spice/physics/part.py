@@ -135,7 +135,7 @@ class DeclaredPart(PartType[KeysT]):
                 result[f"{part.name}.{b.across}"] = Vector(across, voltage.factor, voltage.unit)
             if not b.through:
                 continue
-            through, of = f"i(v.x{part.name}.{meter_name(b)})", b.domain.quantity("through")
+            through, of = f"i(v.x{part.name}.{meter_name(b)})", b.domain.through_variable
             if b.moves:
                 through = _inner_voltage(build, part, force_node(b), b.minus)
             ends = (b.minus,), (b.plus,)

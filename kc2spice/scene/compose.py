@@ -241,7 +241,7 @@ def _list_metered(scene: Scene) -> Iterator[Pin]:
             continue
         powered = powered_pins(part, scene)
         for pin, domain in metered_pins(part, scene).items():
-            flow = domain.quantity("through").name
+            flow = domain.through_variable.name
             first = domain is ELECTRICAL and pin == next(iter(powered))
             paired = part.reduced and not domain.reference  # a result of the body
             if (

@@ -28,6 +28,7 @@ from kc2spice.core.quantities import Section
 from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.scene.rows import (
+    DcSweep,
     Governed,
     HighestFrequency,
     LargestRealPart,
@@ -35,6 +36,7 @@ from kc2spice.scene.rows import (
     Numerics,
     Rest,
     Sampled,
+    SceneResults,
     ShakenFrame,
     State,
     StepLimit,
@@ -127,6 +129,11 @@ class Terminal:
     def domain(self) -> Domain | None:
         """Physical domain of the pin, None for a signal."""
         return domain_of(self.unit, self.flow)
+
+    @property
+    def across(self) -> Quantity | None:
+        """Quantity across the pin, None for a signal in a unit of no domain."""
+        return across_of(self.unit)
 
 
 @dataclass(frozen=True)
@@ -539,7 +546,8 @@ class Build:
     the subcircuits. ``unjudged`` are parts whose parameters differ in the deck from their keys:
     they have neither checks nor an energy balance. ``largest`` is the largest step of a transient.
     ``records`` contains the answers of the parts by name
-    (:func:`kc2spice.scene.resolve.resolve_build`). ``laws`` are the laws of the parts
+    (:func:`kc2spice.scene.resolve.resolve_build`), ``results`` what netlist and probes read, and
+    ``dc_sweep`` the sweep of a dc analysis. ``laws`` are the laws of the parts
     (:func:`kc2spice.equations.scene_laws.scene_laws`). ``linearised`` contains the motions about
     rest in a transient (:func:`kc2spice.workflow.time_step.linearised_scene`). ``workspace``
     contains large results of the latest run.
@@ -553,6 +561,8 @@ class Build:
     functions: Mapping[str, ControllerFunction] = field(default_factory=dict)
     largest: StepLimit | None = None
     records: Mapping[str, BuildRecord] = field(default_factory=dict)
+    results: SceneResults = field(default_factory=SceneResults)
+    dc_sweep: DcSweep | None = None
     laws: object = None
     linearised: object = None
     workspace: Workspace = field(default_factory=Workspace)
@@ -602,9 +612,9 @@ class Build:
 
     def across(self, part: Part, pin: str) -> Vector:
         """Return displacement, voltage or signal of a pin in SI units."""
-        unit = self.scene.terminals[part.name, pin].unit
-        quantity = across_of(unit)
-        factor, si = (quantity.factor, quantity.unit) if quantity else (1.0, unit)
+        terminal = self.scene.terminals[part.name, pin]
+        quantity = terminal.across
+        factor, si = (quantity.factor, quantity.unit) if quantity else (1.0, terminal.unit)
         return Vector(f"v({self.net(part, pin)})", factor, si)
 
     def meter(self, part: Part, pin: str) -> str | None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from kc2spice.scene.compose import join_parts, with_rests
 from kc2spice.scene.model import Build, BuildRecord, Part, Record, Scene
+from kc2spice.scene.results import collect_results, resolve_dc_sweep
 from kc2spice.scene.rows import Governed, Numerics, State
 
 
@@ -32,16 +33,22 @@ def resolve(scene: Scene) -> Scene:
 
 
 def resolve_build(build: Build) -> Build:
-    """Return the build with results of its parts and quantities that can be set.
+    """Return the build with results, a dc sweep, and quantities of its parts that can be set.
 
     The quantities of a part that can be set depend on the parts at rest around it.
+
+    Raises
+    ------
+    UsageError : as :func:`kc2spice.scene.results.collect_results` and
+        :func:`kc2spice.scene.results.resolve_dc_sweep`.
     """
     build = with_vectors(build)
     records = dict(build.records)
     for part in _with_cards(build):
         settable = part.type.settable(part, build)
         records[part.name] = replace(records[part.name], settable=settable)
-    return replace(build, records=records)
+    build = replace(build, records=records)
+    return replace(build, results=collect_results(build), dc_sweep=resolve_dc_sweep(build))
 
 
 def with_vectors(build: Build, without: Collection[str] = ()) -> Build:

@@ -1,33 +1,28 @@
-"""Results of a scene, and its dc sweep.
+"""Results of a scene, and its dc sweep, from the records of its parts.
 
 A build with the records of its parts goes in. Vectors of the netlist come out: results of parts,
-and the flows and powers that probes read. A dc sweep moves one source; a noise
-analysis has one output.
+and the flows and powers that probes read. A dc sweep moves one source; a noise analysis has one
+output. :func:`kc2spice.scene.resolve.resolve_build` adds these records to a build.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from kc2spice.core.domains import FLOW_SYMBOLS, Domain
-from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.quantities import quantity
 from kc2spice.netlist.deck import PowerTerm
-from kc2spice.netlist.expression import parse_vector, terms
 from kc2spice.scene.compose import metered_pins, powered_pins
 from kc2spice.scene.keys import list_schema_keys
-from kc2spice.scene.model import Build, Part, Scene
-from kc2spice.scene.resolve import resolve, with_vectors
-from kc2spice.scene.rows import Swept, Vector
+from kc2spice.scene.model import Build, Part
+from kc2spice.scene.rows import DcSweep, Powers, SceneResults, Swept, Vector
 from kc2spice.scene.settings import Analysis
 
 NOISE_WAVE = "noise"  # spectral density of the output, and the metric of its rms value
-DENSITY_UNIT = "/sqrt(Hz)"  # behind the unit of a spectral density
-WATT = "W"
 GROUND_VOLTAGE = "v(0)"
 
 
@@ -46,7 +41,7 @@ def find_noise_output(build: Build) -> Vector:
                 known.setdefault(f"{part.name}.{pin.name}", build.across(part, pin.name))
     voltages = {}
     for item, result in known.items():
-        if format_voltage(result) is not None:
+        if result.voltage is not None:
             voltages[item] = result
     if name not in voltages:
         message = "noise is that of a voltage or a motion"
@@ -54,115 +49,35 @@ def find_noise_output(build: Build) -> Vector:
     return voltages[name]
 
 
-def format_voltage(result: Vector) -> str | None:
-    """Return a voltage in the syntax of the simulator, None for other results."""
-    plus: list[str] = []
-    minus: list[str] = []
-    for sign, text in terms(result.expression):
-        read = parse_vector(text)
-        if read is None or read.quantity != "v" or len(read.names) > 1:
-            return None
-        (plus if sign > 0 else minus).append(read.names[0])
-    if max(len(plus), len(minus)) > 1:
-        return None
-    return f"v({','.join(plus + minus)})"
+def collect_results(build: Build) -> SceneResults:
+    """Return the results of all parts and the powers that probes read.
+
+    A noise analysis has the density alone.
+
+    Raises
+    ------
+    UsageError : as :func:`find_noise_output`.
+    """
+    if not build.noisy:
+        vectors = _collect_vectors(build)
+        return SceneResults(vectors, collect_powers(build, vectors))
+    output = find_noise_output(build)
+    vectors = {NOISE_WAVE: output.density}
+    return SceneResults(vectors, collect_powers(build, vectors), output)
 
 
-Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part or pin
-
-
-def collect_results(build: Build) -> dict[str, Vector]:
-    """Return the results of all parts; of a noise analysis the density alone.
+def _collect_vectors(build: Build) -> dict[str, Vector]:
+    """Return the vectors of all results but those of noise.
 
     Parameters of devices such as ``@b1[i]`` are no results of an ac analysis: ngspice returns
     their value at the operating point there, not a response.
     """
-    if build.noisy:
-        of = find_noise_output(build)
-        return {NOISE_WAVE: Vector("onoise_spectrum", abs(of.factor), f"{of.unit}{DENSITY_UNIT}")}
     result = build.vectors
     for name, metered in _collect_metered(build, result).items():
         result.setdefault(name, metered)
     if build.scene.analysis.type == "ac":
         return {name: item for name, item in result.items() if "@" not in item.expression}
     return result
-
-
-def collect_units(build: Build) -> dict[str, str]:
-    """Return the SI units of all results, including powers."""
-    results = collect_results(build)
-    units = {name: result.unit for name, result in results.items()}
-    return units | dict.fromkeys(collect_powers(build, results), WATT)
-
-
-def require_probed_results(build: Build) -> None:
-    """Refuse probes of results that the scene does not have.
-
-    A part whose results follow from its model is not checked before that model is built.
-
-    Raises
-    ------
-    UsageError : names the key of the probe, and the results that it may read.
-    """
-    scene = build.scene
-    if not scene.probes or build.noisy:
-        return
-    waiting = set()
-    for name, part in scene.parts.items():
-        if part.type.results_of_model and build.models.get(name) is None:
-            waiting.add(name)
-    build = build if build.records else with_vectors(build, without=waiting)
-    results = collect_results(build)
-    known = {*results, *collect_powers(build, results)}
-    for name, probe in scene.probes.items():
-        owner, dot, _ = probe.of.partition(".")
-        if probe.of in known or owner in waiting or not (dot or owner in scene.parts):
-            continue  # without a dot: time, frequency
-        where = scene.where(f"probes.{name}.of")
-        if owner not in scene.parts:
-            raise unknown(f"this scene has no part {owner!r}", probe.of, scene.parts, where)
-        choices = _select_prefixed(_list_results(build, waiting), f"{owner}.")
-        error = unknown("no such result", probe.of, choices, where)
-        error.hint = error.hint or _suggest_result(probe.of, choices)
-        raise error
-
-
-def _select_prefixed(names: Iterable[str], prefix: str) -> list[str]:
-    return [name for name in names if name.startswith(prefix)]
-
-
-def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
-    """Suggest a result that begins like an unknown one: ``r2.v`` for ``r2.voltage``."""
-    near = list(filter(name.startswith, choices))
-    near = near or _select_prefixed(choices, f"{name}.")[:1]
-    return f"did you mean {max(near, key=len)!r}?" if near else None
-
-
-def _list_results(build: Build, waiting: Collection[str]) -> list[str]:
-    """List all results that a probe may read.
-
-    They include motions at ports that are not joined, and currents and powers that have a meter
-    only if a probe reads them.
-    """
-    scene = resolve(replace(build.scene, ports="all"))
-    result = dict.fromkeys(collect_results(with_vectors(replace(build, scene=scene), waiting)))
-    for part in scene.parts.values():
-        result |= dict.fromkeys(_list_metered(part, scene, result))
-    return list(result)
-
-
-def _list_metered(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
-    """Yield flows and powers of a part that probes may read besides ``known`` results."""
-    n, pins, powered = part.name, metered_pins(part, scene), powered_pins(part, scene)
-    for domain in dict.fromkeys(powered.values()):
-        through = domain.quantity("through")
-        if part.is_subcircuit or f"{n}.{through.symbol}" in known:
-            yield f"{n}.power"
-        if (part.is_subcircuit and not domain.reference) or f"{n}.{through.symbol}" in known:
-            yield f"{n}.{through.name}"
-    if part.is_subcircuit:
-        for pin, domain in pins.items():
-            yield from (f"{n}.{pin}.{domain.quantity('through').name}", f"{n}.{pin}.power")
 
 
 def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:
@@ -175,7 +90,7 @@ def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vec
     for name, pin in build.scene.meters:
         part = build.scene.parts[name]
         domain = metered_pins(part, build.scene)[pin]
-        through = domain.quantity("through")
+        through = domain.through_variable
         read = Vector(f"i({build.meter(part, pin)})", through.factor, through.unit)
         result[f"{name}.{pin}.{through.name}"] = read
         result[f"{name}.{pin}.{domain.across.symbol}"] = build.across(part, pin)
@@ -239,7 +154,7 @@ def _find_part_power(part: Part, build: Build, known: Collection[str]) -> Powers
 
 def _part_power(name: str, domain: Domain) -> PowerTerm:
     """Return the product of the quantities across and through a part."""
-    across, through = domain.across.symbol, domain.quantity("through").symbol
+    across, through = domain.across.symbol, domain.through_variable.symbol
     return PowerTerm(f"{name}.{across}", f"{name}.{through}", domain.power)
 
 
@@ -247,7 +162,7 @@ def _pin_power(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
     """Return the power into a part at a pin; a velocity needs no derivative."""
     unit = build.scene.terminals[part.name, pin].unit
     power = domain.power if unit == domain.across.pin_unit else "across * through"
-    across, through = domain.across.symbol, domain.quantity("through").name
+    across, through = domain.across.symbol, domain.through_variable.name
     return PowerTerm(f"{part.name}.{pin}.{across}", f"{part.name}.{pin}.{through}", power)
 
 
@@ -259,44 +174,16 @@ def _probed_parts(build: Build, quantity_name: str) -> Iterator[Part]:
             yield build.scene.parts[name]
 
 
-@dataclass(frozen=True, eq=False)
-class DcSweep(EqualByContent):
-    """The dc sweep of a scene: the key that it moves, and the source that moves it.
-
-    Attributes
-    ----------
-    source : str
-        Name of the source in the netlist.
-    scale : float
-        Volts or amperes of the source for one SI unit of the key.
-    unit : str
-        SI unit of the key.
-    part, key : str
-        Key of the scene that the sweep moves.
-    ends : tuple of two floats
-        First and last value in SI units.
-    values : ndarray
-        Values in SI units. ngspice sweeps in one direction only. Values of the return sweep are
-        therefore beyond the last one of ``ends``. The source has ``2 last - value`` there.
-    """
-
-    source: str
-    scale: float
-    unit: str
-    part: str
-    key: str
-    ends: tuple[float, float]
-    values: np.ndarray
-
-
-def resolve_dc_sweep(build: Build) -> DcSweep:
-    """Resolve the dc sweep of a scene.
+def resolve_dc_sweep(build: Build) -> DcSweep | None:
+    """Resolve the dc sweep of a scene; other analyses have none.
 
     Raises
     ------
     UsageError : no source has the key that the analysis sweeps, or the range is empty.
     """
     scene, selected = build.scene, build.scene.analysis
+    if selected.type != "dc":
+        return None
     name, _, key = str(selected.sweep).partition(".")
     part = scene.part(name, "analysis.sweep")
     moved = build.records[part.name].settable.get(key)

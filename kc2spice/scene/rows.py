@@ -7,7 +7,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import numpy as np
+
+from kc2spice.core.equality import EqualByContent
+from kc2spice.netlist.deck import PowerTerm
+from kc2spice.netlist.expression import parse_vector, terms
+
 Pin = tuple[str, str]
+Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part or pin
+DENSITY_UNIT = "/sqrt(Hz)"  # behind the unit of a spectral density
 SQUARE = 1e-9  # cosine of two directions at a right angle, but for rounding
 
 
@@ -67,6 +75,55 @@ class Vector:
     leaves: tuple[str, ...] = ()
     enters: tuple[str, ...] = ()
 
+    @property
+    def terms(self) -> list[tuple[float, str]]:
+        """Signs and vectors of the sum."""
+        return terms(self.expression)
+
+    @property
+    def voltage(self) -> str | None:
+        """The voltage in the syntax of the simulator, None for other results."""
+        plus: list[str] = []
+        minus: list[str] = []
+        for sign, text in self.terms:
+            read = parse_vector(text)
+            if read is None or read.quantity != "v" or len(read.names) > 1:
+                return None
+            (plus if sign > 0 else minus).append(read.names[0])
+        if max(len(plus), len(minus)) > 1:
+            return None
+        return f"v({','.join(plus + minus)})"
+
+    @property
+    def density(self) -> Vector:
+        """Spectral density of its noise."""
+        return Vector("onoise_spectrum", abs(self.factor), f"{self.unit}{DENSITY_UNIT}")
+
+
+@dataclass(frozen=True)
+class SceneResults:
+    """Results of a scene.
+
+    Attributes
+    ----------
+    vectors : mapping of str to Vector
+        Vectors of the netlist by the names of the results.
+    powers : mapping of str to tuple of PowerTerm
+        Terms of each power of a part or pin that a probe reads.
+    noise_output : Vector, optional
+        The output of a noise analysis.
+    """
+
+    vectors: Mapping[str, Vector] = field(default_factory=dict)
+    powers: Mapping[str, Powers] = field(default_factory=dict)
+    noise_output: Vector | None = None
+
+    @property
+    def units(self) -> dict[str, str]:
+        """SI units of all results, including powers."""
+        units = {name: result.unit for name, result in self.vectors.items()}
+        return units | dict.fromkeys(self.powers, "W")
+
 
 @dataclass(frozen=True)
 class LargestRealPart:
@@ -85,6 +142,36 @@ class Swept:
     source: str
     scale: float
     range: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class DcSweep(EqualByContent):
+    """The dc sweep of a scene: the key that it moves, and the source that moves it.
+
+    Attributes
+    ----------
+    source : str
+        Name of the source in the netlist.
+    scale : float
+        Volts or amperes of the source for one SI unit of the key.
+    unit : str
+        SI unit of the key.
+    part, key : str
+        Key of the scene that the sweep moves.
+    ends : tuple of two floats
+        First and last value in SI units.
+    values : ndarray
+        Values in SI units. ngspice sweeps in one direction only. Values of the return sweep are
+        therefore beyond the last one of ``ends``. The source has ``2 last - value`` there.
+    """
+
+    source: str
+    scale: float
+    unit: str
+    part: str
+    key: str
+    ends: tuple[float, float]
+    values: np.ndarray
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ def _storage_errors(
         return
     ends = (key for key, terminal in scene.terminals.items() if terminal.domain is domain)
     pin = next(end for end in ends if scene.nets[end] in group)
-    flow = domain.quantity("through").name.replace("_", " ")
+    flow = domain.through_variable.name.replace("_", " ")
     stored = next((name for name in result.parts if name not in pushed), result.parts[0])
     later = "" if kind in ("op", "dc", "ac", "noise") else f"; or a {flow} that is zero at t = 0"
     yield UsageError(

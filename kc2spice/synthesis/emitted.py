@@ -118,7 +118,7 @@ class EmittedResponse:
             if port.domain is not None and port.loaded:
                 H[:, row] *= port.domain.across.factor
             elif port.charged and port.domain is not None:
-                H[:, row] /= -s[:, None] / port.domain.quantity("through").factor
+                H[:, row] /= -s[:, None] / port.domain.through_variable.factor
             elif accelerates_frame(port):
                 H[:, row] *= -1.0
         return H

@@ -240,7 +240,7 @@ class PortTerminal:
             return 1.0
         if self.port.loaded:
             return domain.across.factor
-        return MICRO * domain.quantity("through").factor
+        return MICRO * domain.through_variable.factor
 
     @property
     def input_unit(self) -> float:
@@ -1188,6 +1188,6 @@ def apply_unit_load(
             drive = Element.of(f"V{node}", node, "0", "DC", "0", *size)
             cards.append(drive.with_unit(port.domain.value_unit("V") if port.domain else ""))
             if port.domain is not None:
-                flow = port.domain.quantity("through").factor
+                flow = port.domain.through_variable.factor
                 result[port.name] = (f"i(v{node.lower()})", -flow / one)
     return cards, result

@@ -29,13 +29,7 @@ from kc2spice.scene.axes import MAX_STEP, describe_plan
 from kc2spice.scene.frames import MOTIONS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.plausible import apply_action, check_models
-from kc2spice.scene.results import (
-    DcSweep,
-    collect_powers,
-    collect_results,
-    require_probed_results,
-    resolve_dc_sweep,
-)
+from kc2spice.scene.probed_results import require_probed_results
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
 from kc2spice.synthesis.header import plan_lines
 from kc2spice.workflow import noise_analysis
@@ -88,13 +82,11 @@ def make_deck(build: Build) -> Deck:
     header = Header(scene.name, scene_hash(scene))
     ours = () if scene.solver.max_step else (MAX_STEP,)  # a separate line gives the reason
     notes = (*header.origin(), *plan_lines(describe_plan(build), ours))
-    results = collect_results(build)
-    watts = collect_powers(build, results)
     require_probed_results(build)
+    results = build.results
     parts = tuple(_libraries(build, header))
     noise = noise_analysis.noise_cards(build) if build.noisy else None
-    sweep = resolve_dc_sweep(build) if scene.analysis.type == "dc" else None
-    sweep_scale = 1.0 if sweep is None else sweep.scale
+    sweep_scale = 1.0 if build.dc_sweep is None else build.dc_sweep.scale
     reductions = [f"* {p.name}, rom: {p.reduction.summary}" for p in parts if p.reduction]
     deck = Deck(
         name=scene.name,
@@ -103,11 +95,11 @@ def make_deck(build: Build) -> Deck:
         parts=parts,
         items=tuple(_items(build, loose, noise.items if noise else ())),
         options=tuple(_options(build)),
-        command=noise.command if noise else _command(build, sweep),
-        vectors={name: (v.expression, v.factor) for name, v in results.items()},
-        units={name: v.unit for name, v in results.items()} | dict.fromkeys(watts, "W"),
-        powers=watts,
-        measures=measures(build, results, sweep_scale),
+        command=noise.command if noise else _command(build),
+        vectors={name: (v.expression, v.factor) for name, v in results.vectors.items()},
+        units=results.units,
+        powers=results.powers,
+        measures=measures(build, sweep_scale),
         stop=scene.stop if scene.analysis.type == "transient" else None,
         initial=_initial_values(build, loose),
         controlled=any(_is_controller(part, scene) for part in scene.parts.values()),
@@ -217,9 +209,9 @@ def _step_lines(build: Build) -> Iterator[str]:
         yield f"* {comment(f'largest step {limit.step:g} s: {limit.why}')}"
 
 
-def _command(build: Build, sweep: DcSweep | None) -> Command:
-    """Return the command of the analysis; ``sweep`` is that of a dc analysis."""
-    scene = build.scene
+def _command(build: Build) -> Command:
+    """Return the command of the analysis."""
+    scene, sweep = build.scene, build.dc_sweep
     selected = scene.analysis
     if selected.type == "transient":
         assert build.largest is not None

@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 from kc2spice.netlist.deck import Measure
 from kc2spice.netlist.expression import parse_vector as parsed
-from kc2spice.netlist.expression import terms
 from kc2spice.netlist.spelling import number
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.rows import LargestRealPart, Vector
@@ -43,10 +42,8 @@ class _Wave(NamedTuple):
     last: float
 
 
-def measures(
-    build: Build, results: Mapping[str, Vector], sweep_scale: float
-) -> tuple[Measure, ...]:
-    """Return the measures of a scene whose results are these vectors, probes first.
+def measures(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
+    """Return the measures of a scene, probes first.
 
     ``sweep_scale`` is the volts or amperes of a dc sweep for one SI unit of the swept key.
     """
@@ -54,17 +51,15 @@ def measures(
     rows = [row for part in parts for row in part.type.main_metrics(part, build).items()]
     count = Counter(name for name, _ in rows)  # a name of two parts is none of a card
     single = {name: probe for name, probe in rows if count[name] == 1}
-    return tuple(_measures(build.scene, {**single, **build.scene.probes}, results, sweep_scale))
+    return tuple(_measures(build, {**single, **build.scene.probes}, sweep_scale))
 
 
 def _measures(
-    scene: Scene,
-    probes: Mapping[str, Probe | LargestRealPart],
-    results: Mapping[str, Vector],
-    sweep_scale: float,
+    build: Build, probes: Mapping[str, Probe | LargestRealPart], sweep_scale: float
 ) -> Iterator[Measure]:
+    """Yield the measures of probes that a card computes."""
     for name, probe in probes.items():
-        wave = _wave(scene, results.get(probe.of), sweep_scale)
+        wave = _wave(build.scene, build.results.vectors.get(probe.of), sweep_scale)
         if wave is None or not _NAME.fullmatch(name):
             continue
         if isinstance(probe, LargestRealPart):
@@ -74,14 +69,16 @@ def _measures(
 
 
 def _wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _Wave | None:
-    """The vector of a result that is one of the simulator's; None of a sum, or of a sweep that
-    returns."""
-    kind, read = KINDS.get(scene.analysis.type), terms(result.expression) if result else []
-    if kind is None or result is None or len(read) != 1:
+    """Return a result that is one vector of the simulator.
+
+    The result is None for a sum, and for a sweep that returns.
+    """
+    kind = KINDS.get(scene.analysis.type)
+    if kind is None or result is None or len(result.terms) != 1:
         return None
     if kind == "dc" and scene.analysis.back:
         return None
-    ((sign, text),) = read
+    ((sign, text),) = result.terms
     return _Wave(kind, text, sign * result.factor, sweep_scale, scene.stop)
 
 

@@ -17,7 +17,7 @@ from kc2spice.core.waveforms import SCALES, Waveforms, interpolate
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Balance, Check, Gate, Metric, Verdict
 from kc2spice.scene.model import Build, Scene
-from kc2spice.scene.results import NOISE_WAVE, collect_units, resolve_dc_sweep
+from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.settings import Probe
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.time_step import step_checks
@@ -128,13 +128,12 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
         for name, value in item.items():
             records[name if count[name] == 1 else f"{part_name}.{name}"] = value
     records |= noise_analysis.noise_metrics(waves, build) if NOISE_WAVE in waves else {}
-    units = collect_units(build) if scene.probes else {}
     probed: dict[str, Any] = {}
     for name, probe in scene.probes.items():
         window = window_of(probe, scene)
         if not partial or _covers_probe(probe, waves, window):
             value = evaluate_probe(probe, waves, name, window)
-            probed[name] = Metric(value, _probe_unit(probe, build, waves, units))
+            probed[name] = Metric(value, _probe_unit(probe, build, waves))
     return {**probed, **{name: value for name, value in records.items() if name not in probed}}
 
 
@@ -145,13 +144,13 @@ def _covers_probe(probe: Probe, waves: Waveforms, window: tuple[float, float] | 
     return probe.of in waves and all(low <= place <= high for place in places)
 
 
-def _probe_unit(probe: Probe, build: Build, waves: Waveforms, units: Mapping[str, str]) -> str:
-    """SI unit of what a probe takes of a wave, whose unit is among ``units``."""
+def _probe_unit(probe: Probe, build: Build, waves: Waveforms) -> str:
+    """Return the SI unit of what a probe takes of a wave."""
     scale = SCALES.get(next(iter(waves)), "")
-    if build.scene.analysis.type == "dc":
-        scale = resolve_dc_sweep(build).unit
+    if build.dc_sweep is not None:
+        scale = build.dc_sweep.unit
     along = {"argmax": scale, "crossing": scale, "frequency": "Hz"}
-    return along.get(probe.take, units.get(probe.of, SCALES.get(probe.of, "")))
+    return along.get(probe.take, build.results.units.get(probe.of, SCALES.get(probe.of, "")))
 
 
 def window_of(probe: Probe, scene: Scene) -> tuple[float, float] | None:

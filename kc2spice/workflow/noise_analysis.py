@@ -16,7 +16,8 @@ from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.scope import Scope
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import Build, Names
-from kc2spice.scene.results import DENSITY_UNIT, NOISE_WAVE, find_noise_output, format_voltage
+from kc2spice.scene.results import NOISE_WAVE
+from kc2spice.scene.rows import DENSITY_UNIT, Vector
 
 RESOLVED = 0.02  # largest relative change of the rms value with every second frequency
 
@@ -58,7 +59,7 @@ def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
 
 def noise_metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
     """rms values over the band: of the output, and what each part adds to it."""
-    f, parts, unit = waves["frequency"].real, noise_by_part(waves), find_noise_output(build).unit
+    f, parts, unit = waves["frequency"].real, noise_by_part(waves), _noise_output(build).unit
     added = {part: Metric(_rms(f, result), unit) for part, result in parts.items()}
     rms: dict[str, Any] = {NOISE_WAVE: Metric(_rms(f, waves[NOISE_WAVE]), unit)}
     return rms | ({"noise_by_part": added} if len(added) > 1 else {})
@@ -74,7 +75,7 @@ class NoiseCards:
 
 def noise_cards(build: Build) -> NoiseCards:
     """Write the command of the noise analysis and its input source, which drives nothing."""
-    selected, ends = build.scene.analysis, format_voltage(find_noise_output(build))
+    selected, ends = build.scene.analysis, _noise_output(build).voltage
     node = Names((*build.scene.parts, *build.scene.nets.values())).name(NOISE_WAVE, "noise_input")
     drive = Element.of(f"V{node}", node, "0", "DC", "0", "AC", "1")
     load = Element.of(f"R{node}", node, "0", "1", noisy="0")
@@ -82,6 +83,13 @@ def noise_cards(build: Build) -> NoiseCards:
     command = noise(str(ends), drive.name, first, last, selected.points, selected.scale)
     title = "drives nothing: what the analysis could refer the noise to"
     return NoiseCards(command, add_title(title, (drive, load)))
+
+
+def _noise_output(build: Build) -> Vector:
+    """Return the output of a noise analysis."""
+    result = build.results.noise_output
+    assert result is not None, f"{build.scene.name} has no noise analysis"
+    return result
 
 
 def _rms(f: np.ndarray, density: np.ndarray) -> float:

@@ -29,7 +29,6 @@ from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.report.html import format_quantity
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build
-from kc2spice.scene.results import collect_results
 from kc2spice.scene.rows import StepLimit, Vector
 
 if TYPE_CHECKING:
@@ -291,7 +290,7 @@ def _exact_motion(build: Build, waves: Waveforms) -> tuple[tuple[float, float, s
         if _has_unknown_neighbour(build, network, linearised.missing):
             continue
         if motion is not None and motion.linear.exact and motion.moves:
-            worst = max(worst, _largest_deviation(network, motion, waves, collect_results(build)))
+            worst = max(worst, _largest_deviation(network, motion, waves, build.results.vectors))
             exact |= network.names
     return worst, exact
 

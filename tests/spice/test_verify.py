@@ -342,7 +342,7 @@ def test_probes_of_flows_and_powers_are_compared_by_any_of_their_names(name, tmp
     domain = DOMAINS[name]
     kind, element, keys, peak = ELEMENTS[name]
     sine = {"amplitude": 1.0, "frequency": 50.0}
-    through = domain.quantity("through")
+    through = domain.through_variable
     results = {"symbol": through.symbol, "word": through.name, "watts": "power"}
     probes = {key: {"of": f"e.{of}", "take": "max"} for key, of in results.items()}
     scene = {

@@ -15,6 +15,7 @@ import kc2spice as kc
 from kc2spice.core.progress import Clock
 from kc2spice.core.workspace import Workspace
 from kc2spice.parts.mechanics._touching import Pair
+from kc2spice.scene import resolve
 from kc2spice.scene.model import (
     DeclaredScene,
     GovernedScene,
@@ -210,3 +211,17 @@ def test_a_copied_workspace_is_empty():
     workspace = Workspace()
     workspace.latest("kind", 1, lambda: 2)
     assert pickle.loads(pickle.dumps(workspace)).latest("kind", 1, lambda: 3) == 3
+
+
+def test_a_run_collects_the_results_of_its_scene_once(monkeypatch):
+    """Netlist, metrics and checks read them from the build."""
+    builds = []
+
+    def collect(build, original=resolve.collect_results):
+        builds.append(build)
+        return original(build)
+
+    monkeypatch.setattr(resolve, "collect_results", collect)
+    run = kc.run("duffing")
+    assert len(builds) == 1
+    assert run.metrics.keys() >= builds[0].scene.probes.keys()

@@ -32,7 +32,7 @@ from kc2spice.synthesis.realize import reference_pin
 # Kinds of ports with one pin against the common reference, and the short words of their waves.
 ANSWERS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
 # Symbols of the flows that charge a port, by its kind.
-FLOWS = {row.port: row.quantity("through").symbol for row in ANSWERS.values() if row.charged}
+FLOWS = {row.port: row.through_variable.symbol for row in ANSWERS.values() if row.charged}
 WORDS = (*(domain.word for domain in ANSWERS.values()), *FLOWS.values())
 NO_ENERGY = 1e-13  # rounding error of an energy, relative to that of the stiffest motion
 

@@ -250,7 +250,7 @@ class Source(PartType[SourceKeys]):
 
     def vectors(self, part: Part[SourceKeys], build: Build) -> Mapping[str, Vector]:
         n, kind, result = part.name, KINDS[part.keys.kind], {}
-        flow = kind.domain.quantity("through")
+        flow = kind.domain.through_variable
         name, factor, unit = f"{n}.{flow.symbol}", flow.factor, flow.unit
         if kind.letter == "V":
             result[name] = Vector(f"i(v{n.lower()})", -factor, unit, ("out",), ("ret",))

@@ -201,12 +201,12 @@ class LinearElement(DeclaredPart[KeysT]):
         n, value = part.name, self._evaluate(part, self.admittance_law[1])
         R, G = build.inner_name(part, f"R{n}", "noise"), build.inner_name(part, f"G{n}", "noise")
         node = build.inner_name(part, n.lower(), "noise")
-        gain = f"{self.branch.domain.quantity('through').per_unit:g}"
+        gain = f"{self.branch.domain.through_variable.per_unit:g}"
         return Element.of(R, node, "0", value), Element.of(G, a, b, node, "0", gain)
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
         across, n, b = branch_voltage(build, part, self.branch), part.name, self.branch
-        voltage, flow = b.domain.across, b.domain.quantity("through")
+        voltage, flow = b.domain.across, b.domain.through_variable
         if self._letter == "R":
             admittance = times(Number(f"{voltage.factor:g}"), self.admittance_law[1])
             factor = self._evaluate(part, admittance)

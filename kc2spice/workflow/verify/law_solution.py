@@ -21,7 +21,7 @@ from kc2spice.reference.integrate import Trajectory, solve_transient
 from kc2spice.reference.small_signal import solve_ac, solve_noise
 from kc2spice.reference.system import assemble_system
 from kc2spice.scene.model import Build
-from kc2spice.scene.results import NOISE_WAVE, resolve_dc_sweep
+from kc2spice.scene.results import NOISE_WAVE
 
 RTOL = 1.5e-9  # integrator; at 1e-8 a sphere ringing at megahertz loses 5e-7 of its energy
 
@@ -105,8 +105,8 @@ def _steady_waves(network: Network, build: Build, points: np.ndarray) -> Mapping
     if kind == "ac":
         return solve_ac(system, points)
     source, values = None, np.zeros(1)
-    if kind == "dc":
-        sweep = resolve_dc_sweep(build)
+    sweep = build.dc_sweep
+    if sweep is not None:
         (first, last), values = sweep.ends, sweep.values
         if build.scene.analysis.back:
             values = last - np.sign(last - first) * np.abs(values - last)

@@ -1,0 +1,95 @@
+"""Check of the results that probes of a scene read.
+
+A build goes in, with or without the models of its parts. An error names a probe of an unknown
+result and suggests results that it may read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
+
+from kc2spice.core.errors import UsageError, unknown
+from kc2spice.scene.compose import metered_pins, powered_pins
+from kc2spice.scene.model import Build, Part, Scene
+from kc2spice.scene.resolve import resolve, with_vectors
+from kc2spice.scene.results import collect_results
+
+
+def require_probed_results(build: Build) -> None:
+    """Refuse probes of results that the scene does not have.
+
+    A part whose results follow from its model is not checked before that model is built.
+
+    Raises
+    ------
+    UsageError : names the key of the probe, and the results that it may read.
+    """
+    scene = build.scene
+    if not scene.probes or build.noisy:
+        return
+    waiting = set()
+    for name, part in scene.parts.items():
+        if part.type.results_of_model and build.models.get(name) is None:
+            waiting.add(name)
+    results = build.results
+    if not build.records:
+        results = collect_results(with_vectors(build, without=waiting))
+    known = {*results.vectors, *results.powers}
+    for name, probe in scene.probes.items():
+        owner, dot, _ = probe.of.partition(".")
+        # without a dot: time, frequency
+        if (dot or owner in scene.parts) and probe.of not in known and owner not in waiting:
+            raise _unknown_result(build, probe.of, scene.where(f"probes.{name}.of"), waiting)
+
+
+def _unknown_result(build: Build, name: str, where: str, waiting: Collection[str]) -> UsageError:
+    """Return the error of an unknown result; ``waiting`` are parts that wait for their models."""
+    owner, _, _ = name.partition(".")
+    parts = build.scene.parts
+    if owner not in parts:
+        return unknown(f"this scene has no part {owner!r}", name, parts, where)
+    choices = _select_prefixed(_list_results(build, waiting), f"{owner}.")
+    suggestion = _suggest_result(name, choices)
+    error = unknown("no such result", name, choices, where)
+    error.hint = error.hint or suggestion
+    return error
+
+
+def _select_prefixed(names: Iterable[str], prefix: str) -> list[str]:
+    return [name for name in names if name.startswith(prefix)]
+
+
+def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
+    """Suggest a result that begins like an unknown one: ``r2.v`` for ``r2.voltage``."""
+    near = list(filter(name.startswith, choices))
+    near = near or _select_prefixed(choices, f"{name}.")[:1]
+    return f"did you mean {max(near, key=len)!r}?" if near else None
+
+
+def _list_results(build: Build, waiting: Collection[str]) -> list[str]:
+    """List all results that a probe may read.
+
+    They include motions at ports that are not joined, and currents and powers that have a meter
+    only if a probe reads them.
+    """
+    scene = resolve(replace(build.scene, ports="all"))
+    results = collect_results(with_vectors(replace(build, scene=scene), waiting))
+    result = dict.fromkeys(results.vectors)
+    for part in scene.parts.values():
+        result |= dict.fromkeys(_list_metered(part, scene, result))
+    return list(result)
+
+
+def _list_metered(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
+    """Yield flows and powers of a part that probes may read besides ``known`` results."""
+    n, pins, powered = part.name, metered_pins(part, scene), powered_pins(part, scene)
+    for domain in dict.fromkeys(powered.values()):
+        through = domain.through_variable
+        if part.is_subcircuit or f"{n}.{through.symbol}" in known:
+            yield f"{n}.power"
+        if (part.is_subcircuit and not domain.reference) or f"{n}.{through.symbol}" in known:
+            yield f"{n}.{through.name}"
+    if part.is_subcircuit:
+        for pin, domain in pins.items():
+            yield from (f"{n}.{pin}.{domain.through_variable.name}", f"{n}.{pin}.power")
