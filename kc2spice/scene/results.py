@@ -58,12 +58,11 @@ def collect_results(build: Build) -> SceneResults:
     ------
     UsageError : as :func:`find_noise_output`.
     """
-    if not build.noisy:
-        vectors = _collect_vectors(build)
-        return SceneResults(vectors, collect_powers(build, vectors))
-    output = find_noise_output(build)
-    vectors = {NOISE_WAVE: output.density}
-    return SceneResults(vectors, collect_powers(build, vectors), output)
+    if build.noisy:
+        output = find_noise_output(build)
+        return SceneResults({NOISE_WAVE: output.density}, noise_output=output)
+    vectors = _collect_vectors(build)
+    return SceneResults(vectors, collect_powers(build, vectors))
 
 
 def _collect_vectors(build: Build) -> dict[str, Vector]:

@@ -139,6 +139,22 @@ def test_an_unknown_flow_lists_those_of_the_domain():
     assert "spring.force" in str(caught.value)
 
 
+def test_a_power_at_a_pin_is_no_result_of_a_noise_analysis(tmp_path, monkeypatch):
+    """A probe of it lists what the analysis has."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "half.lib").write_text(".subckt half a b\nR1 a b 1k\n.ends\n")
+    half = {"part": "netlist", "file": "half.lib", "subckt": "half"}
+    scene = {
+        "drive": {"part": "source", "dc": 1.0},
+        "half": {**half, "pins": {"a": "drive.out", "b": "gnd"}},
+        "load": {"part": "resistor", "resistance": 1e3, "pins": {"a": "drive.out"}},
+        "analysis": {"type": "noise", "output": "load.v", "start": 1, "stop": 1e3, "points": 10},
+        "probes": {"p": {"of": "half.a.power"}},
+    }
+    with pytest.raises(kc.errors.UsageError, match=r"noise\.half\.r1"):
+        kc.run(scene)
+
+
 def test_slopes_are_those_of_parabolas_and_skip_equal_points():
     t = np.array([0.0, 0.1, 0.4, 0.4, 0.9, 1.0])
     np.testing.assert_allclose(slope(3 * t**2 - t, t), 6 * t - 1, rtol=1e-12)
