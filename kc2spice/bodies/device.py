@@ -34,7 +34,7 @@ from skfem.mesh import MeshHex, MeshQuad
 from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
 from kc2spice.bodies.undamped import FiniteElementModel, compute_undamped_responses
 from kc2spice.core.domains import ACCELERATION, BASE, ELECTRICAL, TRANSLATION
-from kc2spice.core.errors import UsageError, part_named, wrong
+from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble_solid
@@ -486,7 +486,7 @@ class Bonded:
         """
         grid = self.grid or self._divide_axes()
         near = 1e-3 * float(np.concatenate([*map(np.diff, grid)]).min())
-        with part_named(self.where):
+        with name_part_in_errors(self.where):
             solid = self._mesh_blocks(grid, near)
             return make_device(solid, self._make_setup(solid, near))
 

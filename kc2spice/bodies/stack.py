@@ -23,7 +23,7 @@ from kc2spice.bodies.device import UP, ForceShape, Setup, make_device, spread
 from kc2spice.bodies.stack_keys import PATCH, SECTORS, Cap, Chip
 from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.domains import TRANSLATION
-from kc2spice.core.errors import part_named
+from kc2spice.core.errors import name_part_in_errors
 from kc2spice.fem.materials import Material, material
 from kc2spice.fem.solid import Solid
 from kc2spice.linalg.factor import require_bytes
@@ -91,7 +91,7 @@ def stack_setup(
     mesh, numbers = _make_hexahedra(lattice, heights, kick.mesh.order)
     materials, owner = layer_materials(kick, spans, breakdown)
     level = np.arange(mesh.nelements) * len(spans) // mesh.nelements
-    with part_named("kick"):
+    with name_part_in_errors("kick"):
         solid = Solid(mesh, materials, owner[level], order=kick.mesh.order, numbers=numbers)
     electrodes, graded = _find_electrodes(spans, heights[::steps], solid)
     return solid, Setup(

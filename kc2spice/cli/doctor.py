@@ -82,13 +82,13 @@ def examine() -> Iterator[Finding]:
             fix = f"{sys.executable} -m pip install {library}"
             yield Finding(library, False, "not installed", fix)
     if sys.platform == "linux":
-        missing = [soname for soname in _GMSH if not _loads(soname)]
+        missing = [soname for soname in _GMSH if not _can_import(soname)]
         result = "missing " + ", ".join(missing) if missing else f"{len(_GMSH)} found"
         fix = install_command(*(_GMSH[item] for item in missing)) if missing else ""
         yield Finding("system libraries of gmsh", not missing, result, fix)
     yield from _ngspice()
     name = ctypes.util.find_library("ngspice")
-    ok = name is not None and _loads(name)
+    ok = name is not None and _can_import(name)
     fix = "" if ok else install_command("libngspice0")
     yield Finding("libngspice", ok, name or "not found", fix, needed=ok)
     folder = cache_dir()
@@ -98,7 +98,7 @@ def examine() -> Iterator[Finding]:
     yield Finding("cache", ok, f"{folder}{'' if ok else ' cannot be written'}", fix, needed=False)
 
 
-def _loads(soname: str) -> bool:
+def _can_import(soname: str) -> bool:
     try:
         return bool(ctypes.CDLL(soname))
     except OSError:

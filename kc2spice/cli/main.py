@@ -20,14 +20,21 @@ from typing import Annotated, Any
 
 import typer
 
-from kc2spice.cli.tables import COLUMNS, INTERRUPTED, Caller, print_table, reported_errors, show
+from kc2spice.cli.tables import (
+    COLUMNS,
+    INTERRUPTED,
+    Caller,
+    print_table,
+    print_tables,
+    reported_errors,
+)
 from kc2spice.cli.usage import CheckedCommand, CheckedCommands
 from kc2spice.core import __version__
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError, UsageError
 from kc2spice.core.interrupt import end_on_signals
 
 
-def _names(incomplete: str) -> list[str]:
+def _complete_scene_names(incomplete: str) -> list[str]:
     """Completions of scene names; the shell completes file names."""
     names = (item.name for item in (resources.files("kc2spice") / "scenes").iterdir())
     return sorted(n[:-5] for n in names if n.startswith(incomplete) and n.endswith(".toml"))
@@ -41,7 +48,7 @@ def _dialects() -> str:
     return ", ".join(("ngspice", *names, "verilog-a"))
 
 
-def _directory(text: str) -> Path:
+def _check_directory(text: str) -> Path:
     if not text.strip():  # Path("") would be where one stands
         raise UsageError(
             "the name of the directory is empty",
@@ -53,17 +60,17 @@ def _directory(text: str) -> Path:
     return Path(text)
 
 
-def _out(default: str) -> Any:
+def _out_option(default: str) -> Any:
     """The option ``--out`` of a command that writes into ``default`` otherwise."""
     text = f"Directory to write into. Default: {default}."
-    return typer.Option("--out", "-o", metavar="DIR", parser=_directory, help=text)
+    return typer.Option("--out", "-o", metavar="DIR", parser=_check_directory, help=text)
 
 
 PARAMETERS = {
     "scene": typer.Argument(
         metavar="SCENE",
         help="Name of a built-in scene, part number, or path of a TOML file.",
-        autocompletion=_names,
+        autocompletion=_complete_scene_names,
     ),
     "sweep.scene": typer.Argument(
         metavar="SCENE", help="Name of a built-in scene or study, or path of a TOML file."
@@ -82,13 +89,13 @@ PARAMETERS = {
     "data": typer.Argument(
         metavar="DATA", help="Measured impedance: .s1p, .csv, .txt, .zma or .mat."
     ),
-    "run.out": _out("./SCENE"),
-    "export.out": _out("./SCENE, or beside the reduced model"),
-    "verify.out": _out("./SCENE_verify"),
-    "reduce.out": _out("./NAME_rom"),
-    "fit.out": _out("./PART_fit"),
-    "bench.out": _out("./SCENE_bench"),
-    "sweep.out": _out("./SCENE_sweep"),
+    "run.out": _out_option("./SCENE"),
+    "export.out": _out_option("./SCENE, or beside the reduced model"),
+    "verify.out": _out_option("./SCENE_verify"),
+    "reduce.out": _out_option("./NAME_rom"),
+    "fit.out": _out_option("./PART_fit"),
+    "bench.out": _out_option("./SCENE_bench"),
+    "sweep.out": _out_option("./SCENE_sweep"),
     "set_": typer.Option(
         "--set",
         metavar="KEY=VALUE",
@@ -279,7 +286,7 @@ def _version(requested: bool) -> None:
 
 
 @app.callback()
-def _common(
+def _common_options(
     version: Annotated[
         bool,
         typer.Option(
@@ -347,7 +354,7 @@ def _run(
     out = out or Path(loaded.name)
     with caller.progress() as progress:
         result = study.run_scene(loaded, out, progress, trust=trust, deck=deck, keep=keep, png=png)
-    if caller.reads(result, out):
+    if caller.expects_text(result, out):
         show_result(result, out, verbose=verbose)
 
 
@@ -404,7 +411,7 @@ def _export(
         out, head = out or Path(loaded.name), {"scene": loaded.name}
         with caller.progress() as progress:
             files = export_scene(loaded, out, dialect, progress, trust=trust, count=count)
-    if caller.reads({**head, "files": [path.name for path in files]}, files[0].parent):
+    if caller.expects_text({**head, "files": [path.name for path in files]}, files[0].parent):
         print_table("files", [(str(path),) for path in files])
 
 
@@ -439,11 +446,11 @@ def _verify(
     out = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
     with caller.progress() as progress:
         result = verify_scenes(loaded, out, full=full, deck=deck, trust=trust, progress=progress)
-    if caller.reads(result if all_ else next(iter(result["scenes"].values())), out):
+    if caller.expects_text(result if all_ else next(iter(result["scenes"].values())), out):
         from kc2spice.report.verify_page import format_verification
 
         for name, item in result["scenes"].items():
-            show(format_verification(name, item))
+            print_tables(format_verification(name, item))
             print(*(f"  {note}\n" for note in item["notes"]), sep="", end="")
         print(f"all of it, with errors and plots: {out / 'verify.html'}")
     if not result["passed"]:
@@ -467,7 +474,7 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     step = None if build.largest is None else {"s": build.largest.step, "why": build.largest.why}
     head = {"scene": loaded.name, "hash": scene_hash(loaded), "largest_step": step}
     record = {**head, **describe_plan(build)}
-    if caller.reads(record):
+    if caller.expects_text(record):
         from kc2spice.report.run_page import format_plan
 
         print(textwrap.fill(f"{record['scene']}: {loaded.title}", COLUMNS))
@@ -475,7 +482,7 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
         print_table("joined", [(line,) for line in record["joins"]])
         if record["frames"]:
             print_table("displacements", [(line,) for line in record["frames"]])
-        show(format_plan(record))
+        print_tables(format_plan(record))
         budget = "X" if record["error_budget"] is None else f"{record['error_budget']:g}"
         effect = "refines the settings until every metric's error is below"
         print(f"error_budget = {budget} {effect} {budget}\n")
@@ -503,7 +510,7 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
         )
     if keys:
         every = list(list_all_keys())
-        if caller.reads(list(map(asdict, every))):
+        if caller.expects_text(list(map(asdict, every))):
             texts = (": ".join(filter(None, (" | ".join(k.choices), k.doc))) for k in every)
             rows = [
                 (key.name, key.unit or "", _text(key.default), text)
@@ -512,7 +519,7 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
             print_table("keys of a scene", rows, ("key", "unit", "default", ""), names=0)
     elif parts:
         docs = list(describe_part_types())
-        for doc in docs if caller.reads(list(map(asdict, docs))) else ():
+        for doc in docs if caller.expects_text(list(map(asdict, docs))) else ():
             rows = [("pin", p.name, p.kind, _text(p.default or None, "default ")) for p in doc.pins]
             rows += [
                 ("key", k.name, k.unit or " | ".join(k.choices), _text(k.default, "default "))
@@ -521,7 +528,7 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
             print_table(f"{doc.name}: {doc.title}", rows, names=1)
     else:
         titles = {name: load_scene(name).title for name in list_gallery()}
-        if caller.reads(titles):
+        if caller.expects_text(titles):
             print_table("scenes", list(titles.items()))
 
 
@@ -540,7 +547,7 @@ def _parts(caller: Caller, search: str | None = None) -> None:
     from kc2spice.scene.catalogue import search_parts
 
     parts = search_parts(search or "")
-    if caller.reads(list(map(asdict, parts))):
+    if caller.expects_text(list(map(asdict, parts))):
         rows = [(part.number, part.maker, part.device, part.kind) for part in parts]
         print_table("parts", rows, ("number", "maker", "device", "part type"), names=0)
 
@@ -553,7 +560,7 @@ def _doctor(caller: Caller) -> None:
     from kc2spice.cli.doctor import examine
 
     findings = list(examine())
-    if caller.reads({"findings": list(map(asdict, findings))}):
+    if caller.expects_text({"findings": list(map(asdict, findings))}):
         marks = ("ok" if f.ok else "MISSING" if f.needed else "absent" for f in findings)
         rows = [
             (mark, f.name, f.state, "" if f.ok else f.fix)
@@ -593,7 +600,7 @@ def _reduce(
     options |= {"dc": dc, "shunt": shunt, "method": method}
     with _arguments_as_options(options), caller.progress() as progress:
         result = reduce_study(model, out, **options, progress=progress)
-    if caller.reads(result):
+    if caller.expects_text(result):
         from kc2spice.report.run_page import format_above_band
 
         low, high = result["band_hz"]
@@ -646,7 +653,7 @@ def _compare_methods(
             raise UsageError("is not for a comparison", where=option, got=value, expected=expected)
     with _arguments_as_options(options), caller.progress() as progress:
         result = compare(model, **options, progress=progress)
-    if caller.reads(result):
+    if caller.expects_text(result):
         title = f"{result['unknowns']} equations, error {result['norm']}"
         print_table(title, list(map(_method_row, result["methods"])), METHOD_COLUMNS)
         print(f"CPU time of the basis that all methods use: {result['shared_cpu_s']:.2g} s")
@@ -691,10 +698,10 @@ def _fit(
     with caller.progress() as progress:
         out = out or Path(f"{part}_fit")
         result = fit_study(scene, part, data, vary or (), out, progress, shunt=shunt)
-    if caller.reads(result):
+    if caller.expects_text(result):
         from kc2spice.report.fit_page import format_fit
 
-        show(format_fit(result))
+        print_tables(format_fit(result))
         print(f"values, for --set: {result['overrides']}\nwith plots: {result['page']}")
 
 
@@ -722,11 +729,11 @@ def _bench(
     with caller.progress() as progress:
         record = measure(loaded, out, **options, progress=progress)
     best = record["recommended"]
-    if caller.reads(record, out):
+    if caller.expects_text(record, out):
         from kc2spice.report.bench_page import format_bench
 
         front = [point for point in record["points"] if point["front"] or point["own"]]
-        show(format_bench({**record, "points": front}))
+        print_tables(format_bench({**record, "points": front}))
         if best is not None:
             settings = [word for item in set_ or () for word in ("--set", item)]
             print("kc2spice run", shlex.join([scene, *settings, *best["set"]]))
@@ -760,7 +767,7 @@ def _sweep(
     from kc2spice.scene.overrides import expand_overrides
     from kc2spice.workflow.sweep import engine
 
-    table = engine.table_name(table_format)
+    table = engine.table_file_name(table_format)
     options: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
     answer = engine.named_sweep(
         scene, expand_overrides(set_ or ()), metrics=metric or (), **options
@@ -786,7 +793,7 @@ def _sweep(
             state = f"the points run so far are kept in {out}, the same command runs the rest"
             print(f"kc2spice: interrupted; {state}", file=sys.stderr)
             raise typer.Exit(INTERRUPTED) from None
-    if caller.reads(result):
+    if caller.expects_text(result):
         rows = [(name, str(result[name])) for name in ("points", "failed", "resumed", "table")]
         for name, share in result.get("yield", {}).items():
             low, high = share["low"], share["high"]

@@ -38,10 +38,10 @@ class Caller:
         """One line for each stage with its elapsed time in a terminal; elsewhere the limits of an
         error budget alone."""
         if not self.quiet and sys.stderr.isatty():
-            return _bars()
-        return nullcontext(silent if self.quiet or self.as_json else _limits)
+            return _progress_bars()
+        return nullcontext(silent if self.quiet or self.as_json else _print_limits)
 
-    def reads(self, record: Any, out: Path | None = None) -> bool:
+    def expects_text(self, record: Any, out: Path | None = None) -> bool:
         """Whether it is a person who reads the answer; a program gets ``record`` and its directory
         ``out`` as JSON."""
         if self.as_json:
@@ -50,14 +50,14 @@ class Caller:
         return not (self.as_json or self.quiet)
 
 
-def _limits(stage: str, done: float | None, text: str) -> None:
+def _print_limits(stage: str, done: float | None, text: str) -> None:
     """Print what a run states before it begins to refine."""
     if stage == ERROR_BUDGET:
         print(f"{stage}: {text}", file=sys.stderr)
 
 
 @contextmanager
-def _bars() -> Iterator[Progress]:
+def _progress_bars() -> Iterator[Progress]:
     """One bar for each stage; that of an earlier one is full."""
     from rich import progress as rich
     from rich.console import Console
@@ -147,7 +147,7 @@ def print_table(
     Console(width=width).print(table)
 
 
-def show(sections: Iterable[PageSection]) -> None:
+def print_tables(sections: Iterable[PageSection]) -> None:
     """The tables of a page."""
     for section in sections:
         if section.rows:
@@ -162,10 +162,10 @@ def show_result(result: Mapping[str, Any], directory: Path, *, verbose: bool = F
     answer = format_summary(result, MOST_METRICS)
     count = len(result["files"])
     rows = [*answer.rows[:MOST_ROWS], ("report", f"{directory / 'report.html'} ({count} files)")]
-    show([replace(answer, title=str(result.get("scene", "")), rows=rows)])
+    print_tables([replace(answer, title=str(result.get("scene", "")), rows=rows)])
     if not verbose:
         return
-    show(format_results(result))
+    print_tables(format_results(result))
     print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
     for raw in (name for name in result["files"] if name.endswith(".raw")):
         rows = [

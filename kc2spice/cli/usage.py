@@ -37,7 +37,7 @@ class CheckedCommand(TyperCommand):
             except _ParserError as error:
                 raise _parser_error(self, error, typed) from None
             if context.args and not context.resilient_parsing:
-                raise _one_too_many(self, context.args[0], typed)
+                raise _extra_word_error(self, context.args[0], typed)
         return context
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
@@ -54,17 +54,17 @@ class CheckedCommands(TyperGroup):
             if not hasattr(error, "option_name"):  # no argument at all prints the help
                 raise
             with reported_errors():
-                raise _no_such_option(self, error.option_name, PROGRAM) from None
+                raise _unknown_option_error(self, error.option_name, PROGRAM) from None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         name = str(args[0])
         if self.get_command(ctx, name) is None and not ctx.resilient_parsing:
             with reported_errors():
-                raise _no_such_command(name, self.list_commands(ctx))
+                raise _unknown_command_error(name, self.list_commands(ctx))
         return super().resolve_command(ctx, args)
 
 
-def _no_such_command(name: str, commands: list[str]) -> UsageError:
+def _unknown_command_error(name: str, commands: list[str]) -> UsageError:
     error = unknown("no such command", name, commands, command=f"{PROGRAM} --help")
     scene = resources.files("kc2spice") / "scenes" / f"{name}.toml"
     near = difflib.get_close_matches(name, commands, n=1)
@@ -85,17 +85,17 @@ def _parser_error(command: Any, error: Any, typed: list[str]) -> UsageError:
     if name is not None:
         param = next((item for item in command.params if name in item.opts), None)
         if param is None:
-            return _no_such_option(command, name, f"{PROGRAM} {command.name}")
-        return _without_value(param, name, typed)
+            return _unknown_option_error(command, name, f"{PROGRAM} {command.name}")
+        return _missing_value_error(param, name, typed)
     if param is None:
         return UsageError(
             error.format_message(), where=command.name, got=_typed_line(command, typed)
         )
     if type(error) is not typer.BadParameter:
-        return _missing(command, param, typed)
+        return _missing_argument_error(command, param, typed)
     number = re.search("number|integer|float|range", error.message)
-    if number or _limits(param) != (None, None):
-        return _bad_number(param, typed, "integer" in error.message)
+    if number or _option_limits(param) != (None, None):
+        return _invalid_number_error(param, typed, "integer" in error.message)
     return UsageError(error.message, where=param.opts[0], got=_typed_line(command, typed))
 
 
@@ -104,7 +104,7 @@ def _typed_line(command: Any, typed: list[str]) -> str:
     return " ".join([PROGRAM, command.name, shlex.join(typed)]).strip()
 
 
-def _no_such_option(command: Any, name: str, line: str) -> UsageError:
+def _unknown_option_error(command: Any, name: str, line: str) -> UsageError:
     words = chain.from_iterable(item.opts for item in command.params)
     options = [word for word in words if word.startswith("--")]
     expected = f"one of {candidates(name, options, f'{line} --help')}"
@@ -113,9 +113,9 @@ def _no_such_option(command: Any, name: str, line: str) -> UsageError:
     return UsageError("no such option", where=where, got=name, expected=expected, hint=hint)
 
 
-def _without_value(param: Any, name: str, typed: list[str]) -> UsageError:
+def _missing_value_error(param: Any, name: str, typed: list[str]) -> UsageError:
     """The error of an option without its value, or of a flag with one."""
-    words = _words_of(param, typed)
+    words = _option_words(param, typed)
     if getattr(param, "is_flag", False):
         got = next((word for word in typed if word.startswith(f"{name}=")), name)
         return UsageError(
@@ -132,7 +132,7 @@ def _without_value(param: Any, name: str, typed: list[str]) -> UsageError:
     return UsageError(problem, where=name, got=got, expected=expected, hint=hint)
 
 
-def _missing(command: Any, param: Any, typed: list[str]) -> UsageError:
+def _missing_argument_error(command: Any, param: Any, typed: list[str]) -> UsageError:
     """The error of a command without one of its arguments."""
     arguments = [item.metavar for item in command.params if item.param_type_name == "argument"]
     return UsageError(
@@ -144,7 +144,7 @@ def _missing(command: Any, param: Any, typed: list[str]) -> UsageError:
     )
 
 
-def _one_too_many(command: Any, word: str, typed: list[str]) -> UsageError:
+def _extra_word_error(command: Any, word: str, typed: list[str]) -> UsageError:
     """The error of a word that is neither an option nor an argument of the command."""
     place = typed.index(word) if word in typed else 0
     hint = f"delete {shlex.quote(word)}"
@@ -173,7 +173,7 @@ def _example(command: Any) -> str:
     return next((line for line in lines if line.startswith(PROGRAM)), f"{PROGRAM} --help")
 
 
-def _words_of(param: Any, typed: list[str]) -> list[str]:
+def _option_words(param: Any, typed: list[str]) -> list[str]:
     """Words typed as the last value of an option."""
     words: list[str] = []
     for k, word in enumerate(typed):
@@ -184,14 +184,14 @@ def _words_of(param: Any, typed: list[str]) -> list[str]:
     return words
 
 
-def _bad_number(param: Any, typed: list[str], fractional: bool) -> UsageError:
+def _invalid_number_error(param: Any, typed: list[str], fractional: bool) -> UsageError:
     """The error of an option whose value in the words ``typed`` is no number or out of range.
 
     ``fractional`` states that the value is not a whole number although the option needs one.
     """
-    name, words = param.opts[0], _words_of(param, typed)
+    name, words = param.opts[0], _option_words(param, typed)
     wrong = next((word for word in words if not _is_number(word)), None)
-    low, high = _limits(param)
+    low, high = _option_limits(param)
     limits = f"{low:g} to {high:g}" if high is not None else f"at least {low or 0:g}"
     if wrong is None:
         problem = "not a whole number" if fractional else "out of range"
@@ -209,7 +209,7 @@ def _bad_number(param: Any, typed: list[str], fractional: bool) -> UsageError:
     return UsageError("not a number", where=name, got=wrong, expected="numbers in Hz", hint=hint)
 
 
-def _limits(param: Any) -> tuple[float | None, float | None]:
+def _option_limits(param: Any) -> tuple[float | None, float | None]:
     """Least and greatest value of an option; older typer has them at its type."""
     owner = param if hasattr(param, "min") else getattr(param, "type", None)
     return getattr(owner, "min", None), getattr(owner, "max", None)

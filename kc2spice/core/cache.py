@@ -62,7 +62,7 @@ def _home() -> Path:
         return Path(directory)
 
 
-def cached(
+def load_or_build(
     kind: str,
     key: Mapping[str, Any],
     build: Callable[[], T],

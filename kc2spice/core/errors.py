@@ -68,7 +68,7 @@ class SimulationError(Kc2spiceError):
 
 
 @contextmanager
-def part_named(where: str) -> Iterator[None]:
+def name_part_in_errors(where: str) -> Iterator[None]:
     """Errors within say which part they are about."""
     try:
         yield

@@ -21,7 +21,11 @@ def available_bytes(root: Path = Path("/")) -> float:
 
     It is that of the machine if the system states no other limit. Files below ``root`` are read.
     """
-    known = [*_free_of_machine(root), *_free_of_groups(root), *_free_below_limits(root)]
+    known = [
+        *_free_memory_of_machine(root),
+        *_free_memory_of_groups(root),
+        *_free_memory_below_limits(root),
+    ]
     return max(min(known), 0.0) if known else _free_pages()
 
 
@@ -29,13 +33,13 @@ def _free_pages() -> float:
     return float(os.sysconf(PAGE)) * os.sysconf("SC_PHYS_PAGES")
 
 
-def _free_of_machine(root: Path) -> Iterator[float]:
+def _free_memory_of_machine(root: Path) -> Iterator[float]:
     free = _read_field(root / "proc/meminfo", "MemAvailable:")
     if free is not None:
         yield 1024.0 * free
 
 
-def _free_of_groups(root: Path) -> Iterator[float]:
+def _free_memory_of_groups(root: Path) -> Iterator[float]:
     """Free memory of each control group of this process.
 
     File pages that can be reclaimed are free.
@@ -64,7 +68,7 @@ def _free_of_groups(root: Path) -> Iterator[float]:
             yield limit - used + files
 
 
-def _free_below_limits(root: Path) -> Iterator[float]:
+def _free_memory_below_limits(root: Path) -> Iterator[float]:
     """Memory below the limits of address space and data segment (``ulimit``)."""
     try:
         import resource

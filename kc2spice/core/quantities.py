@@ -90,9 +90,13 @@ def _explain(
         case "extra_forbidden":
             table_schema = _schema_at(schema, path)
             fields = [*table_schema.model_fields, *(also if len(path) == 1 else ())]
-            word, every = str(path[-1]), (join_path(item) for item, _ in entries(schema))
+            word, every = str(path[-1]), (join_path(item) for item, _ in list_keys(schema))
             near = did_you_mean(word, fields) or did_you_mean(word, every)
-            near = _hints_of(table_schema).get(word) or _suggest_other_word(word, fields) or near
+            near = (
+                _replacement_hints(table_schema).get(word)
+                or _suggest_other_word(word, fields)
+                or near
+            )
             return "unknown key", "one of " + candidates(word, fields, _key_list(schema)), near
         case "missing":
             return (
@@ -171,7 +175,7 @@ def _suggest_other_word(word: str, fields: Sequence[str]) -> str | None:
     return hint if key in fields else None
 
 
-def _hints_of(table: type[BaseModel]) -> Mapping[str, str]:
+def _replacement_hints(table: type[BaseModel]) -> Mapping[str, str]:
     """Return hints that replace the use of keys that a table lacks."""
     return getattr(table, "absent", {})
 
@@ -194,7 +198,7 @@ def _unit_at(schema: type[BaseModel], path: KeyPath) -> str | None:
     Numbers of list entries in the path are ignored.
     """
     names = tuple(step for step in path if isinstance(step, str))
-    field = dict(entries(schema)).get(names)
+    field = dict(list_keys(schema)).get(names)
     return None if field is None else unit_of(field)
 
 
@@ -211,14 +215,14 @@ def _schema_at(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
     return schema
 
 
-def entries(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
+def list_keys(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
     """Yield all keys of a schema in its order, those of its tables behind their names."""
     for name, field in schema.model_fields.items():
         section, path = submodel(field.annotation), (field.alias or name,)
         if section is None:
             yield path, field
             continue
-        for below, item in entries(section):
+        for below, item in list_keys(section):
             yield path + below, item
 
 
@@ -550,7 +554,7 @@ class Notch:
             return float(f"{factor * value:.6g}")
         return round(factor * (value - 1)) + 1 if self.spaces else round(factor * value)
 
-    def applies(self, keys: BaseModel) -> bool:
+    def is_used(self, keys: BaseModel) -> bool:
         """Whether the table ``keys`` uses it."""
         return all(getattr(keys, name) == value for name, value in self.when)
 
@@ -566,7 +570,7 @@ class Section(BaseModel):
 Schema = TypeVar("Schema", bound=Section)
 
 
-def validated(
+def validate(
     schema: type[Schema],
     table: Mapping[str, Any] | Schema,
     where: str,

@@ -195,7 +195,7 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
     """
     mesh, sphere = mover_mesh(bore)
     coercivity = catch.remanence / (catch.mu_r * MU_0)
-    moved = _assemble_mesh(catch, mesh, sphere, {SPHERE: (_remanence, coercivity, sphere)})
+    moved = _assemble_mesh(catch, mesh, sphere, {SPHERE: (_remanence_load, coercivity, sphere)})
     r, y = moved.points
     edge = 1e-6 * bore.pitch
     rim = np.flatnonzero((r > bore.wall - edge) | (np.abs(y) > bore.half - edge))
@@ -206,16 +206,18 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
     g[core] = 1.0
     g = solve(*condense(laplace.assemble(basis), x=g, D=np.union1d(core, rim)))
     outside = _make_basis(mesh, np.flatnonzero(~sphere))
-    stretch = sparse.csr_array(_stretch.assemble(outside, g=outside.interpolate(g)) / MU_0)
+    stretch = sparse.csr_array(
+        _stiffness_derivative.assemble(outside, g=outside.interpolate(g)) / MU_0
+    )
 
     mesh = stator_mesh(catch, bore)
     centres = mesh.p[:, mesh.t].mean(axis=1)
     (r, y), boxes = centres, list(map(rectangle, actuator_sections(catch)))
     ring, *coils = ((r > a) & (r < c) & (y > b) & (y < d) for a, b, c, d in boxes)
-    sources = {RING: (_remanence, coercivity, ring)}
+    sources = {RING: (_remanence_load, coercivity, ring)}
     for column, coil, inside in zip((LOWER, UPPER), (catch.lower, catch.upper), coils, strict=True):
         density = catch.turns / ((coil.outer - coil.inner) * coil.height)
-        sources[column] = (_current, density, inside)
+        sources[column] = (_current_load, density, inside)
     stator = _assemble_mesh(catch, mesh, ring, sources)
     movable = (r < bore.wall) & (y > bore.bottom) & (y < bore.bottom + bore.rows * bore.pitch)
     _, low, right, high = air_section(catch)
@@ -291,7 +293,7 @@ def _stiffness(u: Any, v: Any, w: Any) -> np.ndarray:
 
 
 @BilinearForm
-def _stretch(u: Any, v: Any, w: Any) -> np.ndarray:
+def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
     """Derivative of the stiffness when points move by g in y with their values."""
     r, (g_r, g_y) = w.x[0], w.g.grad
     bu, bv = 2 * u + r * u.grad[0], 2 * v + r * v.grad[0]
@@ -300,14 +302,14 @@ def _stretch(u: Any, v: Any, w: Any) -> np.ndarray:
 
 
 @LinearForm
-def _remanence(v: Any, w: Any) -> np.ndarray:
+def _remanence_load(v: Any, w: Any) -> np.ndarray:
     """``int b(v) dV``: the load of an axial ``nu B_rem`` of 1 A/m."""
     r = w.x[0]
     return 2 * pi * r * (2 * v + r * v.grad[0])
 
 
 @LinearForm
-def _current(v: Any, w: Any) -> np.ndarray:
+def _current_load(v: Any, w: Any) -> np.ndarray:
     """Load of 1 A/m^2, ``int A_phi 2 pi r dr dy``.
 
     It is the flux linkage of one turn/m^2 as well.

@@ -32,7 +32,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.errors import UsageError, candidates, did_you_mean, part_named, wrong
+from kc2spice.core.errors import UsageError, candidates, did_you_mean, name_part_in_errors, wrong
 from kc2spice.core.quantities import (
     EPSILON_0,
     Density,
@@ -41,7 +41,7 @@ from kc2spice.core.quantities import (
     Section,
     quantity,
     si,
-    validated,
+    validate,
 )
 
 ROUNDING = 1e-12  # rounding error, relative to a tensor's largest component
@@ -157,7 +157,7 @@ class Material(EqualByContent):
         return True
 
     @property
-    def twists(self) -> bool:
+    def couples_planes(self) -> bool:
         """Whether motion in a plane through z causes motion or polarisation out of it.
 
         The material then has a component that changes its sign in the mirror of the plane.
@@ -570,8 +570,8 @@ def material(
     if isinstance(name_or_table, Material):
         return name_or_table
     if isinstance(name_or_table, Mapping):
-        table = validated(MaterialTable, name_or_table, where)
-        with part_named(where):
+        table = validate(MaterialTable, name_or_table, where)
+        with name_part_in_errors(where):
             return table.build(where.rsplit(".", 1)[-1])
     if name_or_table.lower() not in _library_names():
         names = list(_load_tables())

@@ -64,7 +64,7 @@ class Solid:
             hint = "repair or refine the mesh"
             raise wrong("mesh", problem, f"{flipped.sum()} of them", expected, hint)
         for material in self.materials if self.axisymmetric else ():
-            if material.cylinder is not None and material.twists:
+            if material.cylinder is not None and material.couples_planes:
                 problem = "a material that twists an axisymmetric body when it is driven"
                 hint = 'use a mesh in three dimensions (part = "body" without axisymmetric)'
                 raise wrong(None, problem, material.name, "a poling in the plane of the mesh", hint)

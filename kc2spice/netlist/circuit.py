@@ -132,7 +132,7 @@ class Element(Card):
         return parse(self.expression, where=self.where)
 
     @property
-    def sensed(self) -> frozenset[str]:
+    def sensed_nodes(self) -> frozenset[str]:
         """Nodes whose voltages the expression reads; none if the expression is broken."""
         try:
             return probed_names(self.law, "v") if self.quantity else frozenset()
@@ -253,6 +253,6 @@ def electrical_pins(names: Iterable[str]) -> tuple[Pin, ...]:
     return tuple(Pin(name, "V", "A") for name in names)
 
 
-def positive(name: str, default: float, unit: str, doc: str) -> Param:
+def positive_parameter(name: str, default: float, unit: str, doc: str) -> Param:
     """Return a parameter that must stay above zero."""
     return Param(name, default, unit, doc, low=LEAST)

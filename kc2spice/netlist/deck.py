@@ -207,7 +207,7 @@ class Deck:
         return f"{self.name}.cir"
 
     @property
-    def saved(self) -> tuple[str, ...]:
+    def saved_vectors(self) -> tuple[str, ...]:
         """The ngspice vectors of all results, each once."""
         result = dict[str, None]()
         for expression, _ in self.vectors.values():
@@ -245,9 +245,9 @@ class Deck:
         return {self.main: self.circuit} | libraries | more
 
     @cached_property
-    def located(self) -> Mapping[str, Circuit]:
+    def located_trees(self) -> Mapping[str, Circuit]:
         """The trees with the place of each card in the files that are written, for errors."""
-        libraries = dict(map(attrgetter("filename", "located"), self.parts))
+        libraries = dict(map(attrgetter("filename", "located_tree"), self.parts))
         main = locate_cards(self.circuit, self.main) if self.text is None else self.circuit
         return {**self.trees, **libraries, self.main: main}
 
@@ -307,7 +307,7 @@ class Deck:
         yield from self._option_cards
         yield self.command.directive
         yield from self._refinement_cards
-        for vector in self.saved:
+        for vector in self.saved_vectors:
             yield Directive(".save", (vector,))
         if self.command.kind == "noise":
             yield Directive(".save", ("onoise_total",))  # vector of the second plot
@@ -353,7 +353,7 @@ class Deck:
         for row in self._available_measures if self.command.kind == "op" else ():
             yield f"* {row.name} in SI units is {number(row.factor)} times {row.words[0]}"
             columns.append(row.words[0])
-        columns += self.saved[:2]
+        columns += self.saved_vectors[:2]
         yield Directive(".print", (self.command.kind, *dict.fromkeys(columns)))
 
     def with_command(self, command: Command) -> Deck:

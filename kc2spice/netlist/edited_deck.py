@@ -146,7 +146,7 @@ def _require_saved(original: Deck, cards: Iterable[Statement], path: Path) -> No
     for card in cards:
         if card.keyword == ".save":
             saved.update(map(parse_vector, map(str.lower, card.words[1:])))
-    missing = [name for name in original.saved if parse_vector(name.lower()) not in saved]
+    missing = [name for name in original.saved_vectors if parse_vector(name.lower()) not in saved]
     if saved and parse_vector("all") not in saved and missing:
         raise UsageError(
             "the scene's metrics need vectors that this deck does not save",
@@ -183,7 +183,7 @@ def _require_results(before: Scope, edited: Deck, path: Path) -> None:
     """
     now = edited.scope
     _require_instances(before, now, path)
-    missing = [v for v in edited.saved if not has_vector(now, v) and has_vector(before, v)]
+    missing = [v for v in edited.saved_vectors if not has_vector(now, v) and has_vector(before, v)]
     if not missing:
         return
     hints = []

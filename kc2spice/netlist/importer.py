@@ -69,7 +69,7 @@ _NO_EQUAL = {
 }  # fmt: skip
 
 
-def imported(circuit: Circuit, syntax: Syntax) -> Circuit:
+def translate_circuit(circuit: Circuit, syntax: Syntax) -> Circuit:
     """Return the same circuit in the words of ngspice.
 
     Parameters
@@ -92,7 +92,7 @@ def imported(circuit: Circuit, syntax: Syntax) -> Circuit:
     --------
     >>> from kc2spice.netlist.read import read
     >>> text = ".subckt p a b\\nC1 a b 10n Rser=0.1\\nB1 a b I=if(V(a,b)>1, 1m, 0)\\n.ends"
-    >>> for item in imported(read(text, "p.lib"), "ltspice").subcircuits[0].items:
+    >>> for item in translate_circuit(read(text, "p.lib"), "ltspice").subcircuits[0].items:
     ...     print(item.name, *item.nodes, *(item.values or [item.expression]))
     C1 C1_inner b 10n
     RC1_ser a C1_inner 0.1
@@ -167,7 +167,7 @@ class _Scope:
         if base is None or base is model:
             raise model.error("no model to begin with", model.type[4:], "a .model of this file")
         base = self._resolved(base)
-        parameters = _settings(base) | _settings(model)
+        parameters = _model_parameters(base) | _model_parameters(model)
         parameters.pop(base.type.lower(), None)  # the type, which stands behind ako: as well
         return replace(model, type=base.type, parameters=parameters)
 
@@ -186,7 +186,7 @@ class _Scope:
 
     def _is_ideal(self, model: Model) -> bool:
         """Whether it is the model of LTspice's piecewise linear diode."""
-        ideal = model.type.lower() == "d" and bool(_settings(model).keys() & IDEAL_DIODE)
+        ideal = model.type.lower() == "d" and bool(_model_parameters(model).keys() & IDEAL_DIODE)
         return ideal and self.syntax == "ltspice"
 
     def _element(self, element: Element) -> Iterable[Item]:
@@ -201,7 +201,7 @@ class _Scope:
         )
         model = self.models.get(element.model.lower()) if element.kind == "d" else None
         if model is not None and self._is_ideal(resolved := self._resolved(model)):
-            return (_ideal_diode(element, self._values(_settings(resolved), resolved)),)
+            return (_ideal_diode(element, self._values(_model_parameters(resolved), resolved)),)
         words = (*element.values, *element.parameters)
         if element.kind in "eg" and any(word.lower().startswith("laplace") for word in words):
             raise element.error("a Laplace transform has no equal in ngspice's time domain")
@@ -226,7 +226,9 @@ class _Scope:
             if across is None:
                 raise element.error(f"{name} of a behavioural source has no equal in ngspice")
             card = f"{across.upper()}{element.name}_par"
-            result.append(_beside(element, card, *element.nodes, self._value(value, element)))
+            result.append(
+                _make_parallel_element(element, card, *element.nodes, self._value(value, element))
+            )
         return result
 
     def _inductor(self, element: Element) -> Iterable[Item]:
@@ -236,19 +238,19 @@ class _Scope:
         ideal = element.key in self.coupled or self.syntax == "pspice"
         default = "0" if ideal else INDUCTOR_RESISTANCE
         settings = {"rser": default, **element.settings}
-        return _expanded(element, settings, ())
+        return _expand_parasitics(element, settings, ())
 
 
 def _with_meter(element: Element, group: Iterable[Item], meter: str) -> Iterator[Item]:
     """Put a source of 0 V in series with all items that an element becomes."""
     plus, inner = element.nodes[0], f"{element.name}_metered"
-    yield _beside(element, meter, plus, inner, "0")
+    yield _make_parallel_element(element, meter, plus, inner, "0")
     for item in group:
         assert isinstance(item, Element)  # an element becomes elements
         yield replace(item, nodes=tuple(inner if node == plus else node for node in item.nodes))
 
 
-def _beside(element: Element, name: str, *words: str) -> Element:
+def _make_parallel_element(element: Element, name: str, *words: str) -> Element:
     """An element that stands for a part of another one, and is in parallel as often."""
     count = {key: text for key, text in element.parameters.items() if key.lower() == "m"}
     made = Element.of(name, *words, **({} if name[0] in "Vv" else count))
@@ -261,17 +263,17 @@ def _capacitor(element: Element) -> Iterable[Item]:
     settings = element.settings
     if "q" in settings or any(word.lower().startswith("q=") for word in element.values):
         raise element.error("a charge by an expression has no equal in ngspice")
-    return _expanded(element, settings, ("lser", "rlshunt"))
+    return _expand_parasitics(element, settings, ("lser", "rlshunt"))
 
 
 def _voltage(element: Element) -> Iterable[Item]:
     """A source in series with ``Rser``; ``Cpar`` across both."""
     if any(word.lower().startswith("wavefile") for word in element.values):
         raise element.error("a source out of a sound file has no equal in ngspice")
-    return _expanded(element, element.settings, ())
+    return _expand_parasitics(element, element.settings, ())
 
 
-def _expanded(
+def _expand_parasitics(
     element: Element, settings: Mapping[str, str], more: tuple[str, ...]
 ) -> Iterator[Element]:
     """The element without its parasitic ``settings``, and an element for each of them."""
@@ -283,19 +285,23 @@ def _expanded(
     series: list[Element] = []
     if "rser" in stated:
         inner = f"{element.name}_inner"
-        series.append(_beside(element, f"R{element.name}_ser", plus, inner, stated["rser"]))
+        series.append(
+            _make_parallel_element(element, f"R{element.name}_ser", plus, inner, stated["rser"])
+        )
     if "lser" in stated:
         before, inner = inner, f"{element.name}_core"
-        series.append(_beside(element, f"L{element.name}_ser", before, inner, stated["lser"]))
+        series.append(
+            _make_parallel_element(element, f"L{element.name}_ser", before, inner, stated["lser"])
+        )
         if "rlshunt" in stated:
             shunt = f"R{element.name}_shunt"
-            series.append(_beside(element, shunt, before, inner, stated["rlshunt"]))
+            series.append(_make_parallel_element(element, shunt, before, inner, stated["rlshunt"]))
     yield replace(element, nodes=(inner, minus), parameters=left)
     yield from series
     for name in ("rpar", "cpar"):
         if name in stated:
             card = f"{name[0].upper()}{element.name}_par"
-            yield _beside(element, card, plus, minus, stated[name])
+            yield _make_parallel_element(element, card, plus, minus, stated[name])
 
 
 def _is_zero(text: str) -> bool:
@@ -351,14 +357,14 @@ def _ramp(excess: str, model: Mapping[str, str], width: str) -> str:
     return f"({inside}*{inside}/(2*{text})+max({excess}-{text}, 0))"
 
 
-def _settings(model: Model) -> dict[str, str]:
+def _model_parameters(model: Model) -> dict[str, str]:
     """Parameters of a model by names in lower case."""
     return {key.lower(): text for key, text in model.parameters.items()}
 
 
 def _require_switch(model: Model) -> None:
     """Refuse switches that conduct gradually, or have an inductance, a voltage or a limit."""
-    words = _settings(model)
+    words = _model_parameters(model)
     name = "vh" if model.type.lower() == "sw" else "ih"
     width = literal(words.get(name, "0"), where=model.where)
     if width is not None and width < 0:
@@ -413,11 +419,15 @@ class _Translator:
             case Call(function, arguments):
                 return self._call(function, arguments)
             case Choice(test, yes, no):
-                return Choice(_truth(test), yes, no)
+                return Choice(_translate_condition(test), yes, no)
             case Unary("!", inner):
-                return Choice(_truth(inner), Number("0"), Number("1"))
+                return Choice(_translate_condition(inner), Number("0"), Number("1"))
             case Binary(op, left, right) if op in _LOGICAL:
-                return Choice(Binary(op, _truth(left), _truth(right)), Number("1"), Number("0"))
+                return Choice(
+                    Binary(op, _translate_condition(left), _translate_condition(right)),
+                    Number("1"),
+                    Number("0"),
+                )
             case Binary("^", base, power):
                 return self._power(base, power)
             case CircuitVariable("i", (name,)):
@@ -464,19 +474,19 @@ def _is_positive(tree: Tree) -> bool:
     )
 
 
-def _truth(tree: Tree) -> Tree:
+def _translate_condition(tree: Tree) -> Tree:
     """A condition: LTspice takes numbers above one half as true."""
     compared = isinstance(tree, Binary) and tree.op in (*_ORDERED, *_LOGICAL)
     return tree if compared else Binary(">", tree, Number("0.5"))
 
 
-def _limit(x: Tree, a: Tree, b: Tree) -> Tree:
+def _translate_limit(x: Tree, a: Tree, b: Tree) -> Tree:
     """The one of three values that lies between the two others."""
     low, high = Call("min", (a, b)), Call("max", (a, b))
     return Call("min", (Call("max", (x, low)), high))
 
 
-def _table(x: Tree, *points: Tree) -> Tree:
+def _translate_table(x: Tree, *points: Tree) -> Tree:
     """Straight lines between points, flat beyond their ends.
 
     ``y1 + sum((y[k+1] - y[k]) share[k])``, where the share of an interval is its part below ``x``.
@@ -491,43 +501,43 @@ def _table(x: Tree, *points: Tree) -> Tree:
     return result
 
 
-def _signed_power(x: Tree, power: Tree) -> Tree:
+def _translate_signed_power(x: Tree, power: Tree) -> Tree:
     return Binary("*", Call("sgn", (x,)), Binary("^", Call("abs", (x,)), power))
 
 
-def _whole_part(x: Tree) -> Tree:
+def _translate_whole_part(x: Tree) -> Tree:
     return Binary("*", Call("sgn", (x,)), Call("floor", (Call("abs", (x,)),)))
 
 
-def _length(x: Tree, y: Tree) -> Tree:
+def _translate_length(x: Tree, y: Tree) -> Tree:
     return Call("sqrt", (Binary("+", Binary("*", x, x), Binary("*", y, y)),))
 
 
-def _square(x: Tree) -> Tree:
+def _translate_square(x: Tree) -> Tree:
     return Binary("*", x, x)
 
 
-def _step_below(x: Tree) -> Tree:
-    return Choice(_truth(x), Number("0"), Number("1"))
+def _translate_step_below(x: Tree) -> Tree:
+    return Choice(_translate_condition(x), Number("0"), Number("1"))
 
 
-def _step_above(x: Tree) -> Tree:
-    return Choice(_truth(x), Number("1"), Number("0"))
+def _translate_step_above(x: Tree) -> Tree:
+    return Choice(_translate_condition(x), Number("1"), Number("0"))
 
 
 _RULES: dict[tuple[str, int], Callable[..., Tree]] = {
-    ("if", 3): lambda test, yes, no: Choice(_truth(test), yes, no),
-    ("limit", 3): _limit,
-    ("table", -1): _table,
+    ("if", 3): lambda test, yes, no: Choice(_translate_condition(test), yes, no),
+    ("limit", 3): _translate_limit,
+    ("table", -1): _translate_table,
     ("pwr", 2): lambda x, power: Binary("^", Call("abs", (x,)), power),
-    ("pwrs", 2): _signed_power,
-    ("int", 1): _whole_part,
+    ("pwrs", 2): _translate_signed_power,
+    ("int", 1): _translate_whole_part,
     ("round", 1): lambda x: Call("nint", (x,)),
-    ("hypot", 2): _length,
-    ("sqr", 1): _square,
-    ("square", 1): _square,
-    ("buf", 1): _step_above,
-    ("inv", 1): _step_below,
+    ("hypot", 2): _translate_length,
+    ("sqr", 1): _translate_square,
+    ("square", 1): _translate_square,
+    ("buf", 1): _translate_step_above,
+    ("inv", 1): _translate_step_below,
     ("log", 1): lambda x: Call("ln", (x,)),
     ("sign", 1): lambda x: Call("sgn", (x,)),
     ("stp", 1): lambda x: Call("u", (x,)),

@@ -109,7 +109,7 @@ class _Reader:
                 yield Line(line, place, raw)
                 continue
             if goes_on and not self.trust:
-                raise refusal("goes on in an include", self.main, place, raw)
+                raise forbidden_line_error("goes on in an include", self.main, place, raw)
             target = self._read_target(match[1], place, raw)
             file = path.parent / target
             try:
@@ -138,7 +138,7 @@ class _Reader:
         if not self.trust:
             reason = "more than one word" if rest and result is None else name_threat(target)
             if reason:
-                raise refusal(f"includes {reason}", self.main, where, raw)
+                raise forbidden_line_error(f"includes {reason}", self.main, where, raw)
         return target
 
     def _read_text(self, name: str, real: Path, where: str) -> str:
@@ -169,7 +169,7 @@ class _Reader:
             ) from None
 
 
-def refusal(reason: str, path: Path, where: str, text: str) -> UsageError:
+def forbidden_line_error(reason: str, path: Path, where: str, text: str) -> UsageError:
     """Return the error for a line ``text`` at ``where`` of the circuit ``path``."""
     return UsageError(
         f"the included circuit {reason}",
@@ -341,10 +341,10 @@ def read_checked_circuit(path: Path, *, trust: bool = False, home: Path | None =
         text = line.raw.rstrip("\r")
         for reason in _find_line_faults(text):
             quotation = repr(text) if _HIDDEN.search(text) else text
-            raise refusal(reason, path, line.where, quotation)
+            raise forbidden_line_error(reason, path, line.where, quotation)
     for card in result.cards():
         for reason in _find_card_faults(card):
-            raise refusal(reason, path, card.where, card.written)
+            raise forbidden_line_error(reason, path, card.where, card.written)
     return result
 
 

@@ -106,7 +106,7 @@ class Subcircuit:
         return self.source or Printer().file(self.circuit)
 
     @cached_property
-    def located(self) -> Circuit:
+    def located_tree(self) -> Circuit:
         """The circuit, each card with its text and its place in the library file."""
         return self.circuit if self.source else locate_cards(self.circuit, self.filename)
 
@@ -171,12 +171,12 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
     return parts
 
 
-def use_line(name: str, pins: Iterable[str], defaults: Mapping[str, str]) -> str:
+def instance_comment(name: str, pins: Iterable[str], defaults: Mapping[str, str]) -> str:
     """Return an instance to copy, as a comment; nodes have the names of the pins.
 
     Examples
     --------
-    >>> use_line("contact", ("ring", "v", "base"), {"eps": "400000000.0"})
+    >>> instance_comment("contact", ("ring", "v", "base"), {"eps": "400000000.0"})
     '* use: X1 ring v base contact eps=400meg'
     """
     settings = (f"{key}={with_prefix(value)}" for key, value in defaults.items())
@@ -210,7 +210,7 @@ def _instantiated_names(circuit: Circuit) -> Iterator[str]:
         yield from _instantiated_names(inner)
 
 
-def joined_comments(notes: Iterable[str]) -> list[str]:
+def join_comments(notes: Iterable[str]) -> list[str]:
     """Return comments as one line each: three blanks and more continue the line above."""
     return "\n".join(notes).replace("\n*   ", " ").split("\n")
 
@@ -232,7 +232,7 @@ def _make_part(circuit: Circuit, library: Circuit, text: str, file: str) -> Subc
         listed = " ".join(map(attrgetter("name"), pins))
         message = "the head does not list the pins of its subcircuit"
         raise circuit.error(message, listed, " ".join(circuit.pins))
-    heads = {m[1].lower(): m for m in map(_PARAM.match, joined_comments(circuit.notes)) if m}
+    heads = {m[1].lower(): m for m in map(_PARAM.match, join_comments(circuit.notes)) if m}
     params = []
     for name, default in circuit.defaults.items():
         value, head = literal(default, where=circuit.where), heads.get(name.lower())
@@ -241,7 +241,7 @@ def _make_part(circuit: Circuit, library: Circuit, text: str, file: str) -> Subc
         )
         params.append(Param(name, math.nan if value is None else value, *(labels or ("-", ""))))
     ends = tuple(pins) or electrical_pins(circuit.pins)
-    title = joined_comments(text.split("\n"))[0].lstrip("* ")
+    title = join_comments(text.split("\n"))[0].lstrip("* ")
     return Subcircuit(
         circuit.name, ends, tuple(params), library, title=title, file=file, source=text
     )

@@ -61,15 +61,15 @@ def find_circuit_problems(deck: Deck) -> list[UsageError]:
             return []
     except UsageError:  # raised again below, with the place of its card
         pass
-    top = circuit(deck.located[deck.main], deck.located, deck.main)
-    return _find_problems(deck, deck.located, top)
+    top = circuit(deck.located_trees[deck.main], deck.located_trees, deck.main)
+    return _find_problems(deck, deck.located_trees, top)
 
 
 def _find_problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list[UsageError]:
     signals = frozenset(_list_signal_pins(trees.values()))
     read = _saved_nodes(deck, top)
     problems: list[UsageError] = []
-    for item in top.inwards():
+    for item in top.inner_scopes():
         problems += _check_cards(item)
         problems += _check_connections(item, signals, read.get(id(item), set()))
     return problems
@@ -81,7 +81,7 @@ def _saved_nodes(deck: Deck, top: Scope) -> dict[int, set[str]]:
     The keys are identities of scopes. A node that is saved needs no second connection.
     """
     result: dict[int, set[str]] = {}
-    for text in deck.saved:
+    for text in deck.saved_vectors:
         for name in text.lower().partition("(")[2].removesuffix(")").split(","):
             *path, node = name.strip().split(".")
             scope = find_instance(top, tuple(path)) if path else None
@@ -217,7 +217,7 @@ def _check_connections(
         for text in _card_text(card).split("(")[1:]:
             names = text.partition(")")[0].lower().split(",")
             watched.update(map(str.strip, names))
-    watched.update(*map(attrgetter("sensed"), scope.elements))
+    watched.update(*map(attrgetter("sensed_nodes"), scope.elements))
     for part in scope.elements:
         called = scope.find(part.model) if part.kind == "x" else None
         pins = dict(enumerate(called.pins if called else ()))

@@ -70,11 +70,11 @@ class Scope:
         """Return the definition of the subcircuit ``name`` that applies in this scope."""
         return self.subcircuits.get(name.lower())
 
-    def inwards(self) -> Iterator[Scope]:
+    def inner_scopes(self) -> Iterator[Scope]:
         """Yield this scope and all scopes within it."""
         yield self
         for child in self.subcircuits.maps[0].values():
-            yield from child.inwards()
+            yield from child.inner_scopes()
 
 
 def circuit(tree: Circuit, files: Mapping[str, Circuit] | None = None, file: str = "") -> Scope:

@@ -13,7 +13,7 @@ from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param, lower
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.expression import join_terms, parse_vector, terms
-from kc2spice.netlist.library import Subcircuit, parameter_line, use_line
+from kc2spice.netlist.library import Subcircuit, instance_comment, parameter_line
 from kc2spice.netlist.spelling import number
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
@@ -35,7 +35,7 @@ def include_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircu
         for k, item in enumerate(items):
             if isinstance(item, Circuit) and item.name == name:
                 title = f"* {name}:{helper.title.partition(':')[2]}"
-                head = ("", title, use_line(name, item.pins, item.defaults))
+                head = ("", title, instance_comment(name, item.pins, item.defaults))
                 items[k] = replace(item, notes=(*head, *item.notes[helper.head_lines :]))
         tree = replace(tree, items=(*tree.items, *items))
     return part.changed(tree)
@@ -134,8 +134,8 @@ def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -
     for where, item in cards(part):
         if where == library and name in item.defaults:
             defaults = {**item.defaults, name: number(value)}
-            before = use_line(item.name, item.pins, item.defaults)
-            lines[before] = use_line(item.name, item.pins, defaults)
+            before = instance_comment(item.name, item.pins, item.defaults)
+            lines[before] = instance_comment(item.name, item.pins, defaults)
             notes = tuple(lines.get(line, line) for line in item.notes)
             new[id(item)] = replace(item, defaults=defaults, notes=notes)
     items = tuple(new.get(id(item), item) for item in part.circuit.items)

@@ -31,7 +31,7 @@ def translate(deck: Deck, dialect: str) -> Deck:
         return deck
     printer = dialect_named(dialect)(deck)
     main = deck.printed_for(f"* Run it with:  {printer.command} {deck.main}")
-    trees = {**deck.located, deck.main: main}
+    trees = {**deck.located_trees, deck.main: main}
     if deck.text is None:
         trees[deck.main] = locate_cards(main, deck.main)
     files = {name: printer.file(tree) for name, tree in trees.items()}
@@ -97,5 +97,5 @@ def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
             symbols = printer.symbols(part, library)
             files |= symbols
             if symbols and dialect == NGSPICE:
-                files[library] = printer.file(part.located)
+                files[library] = printer.file(part.located_tree)
     return files

@@ -211,9 +211,9 @@ def _variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
             if b.flows
             else CircuitVariable("v", _coordinate_nodes(declaration, b))
         )
-        result[b.name] = _in_si(variable, factor)
+        result[b.name] = _scale_to_si(variable, factor)
         high, low = _pin_velocity(declaration, b.plus), _pin_velocity(declaration, b.minus)
-        sensed = _in_si(CircuitVariable("i", (f"Vrate_{b.name}",)), factor * 1e6)
+        sensed = _scale_to_si(CircuitVariable("i", (f"Vrate_{b.name}",)), factor * 1e6)
         sensed = sensed if ZERO in (high, low) else ZERO
         result[b.rate] = plus(sensed, minus(high, low))
     return result
@@ -239,12 +239,12 @@ def coordinate_quantity(b: Branch) -> Quantity:
     return domain.quantity(side)
 
 
-def _in_si(tree: Tree, factor: float) -> Tree:
+def _scale_to_si(tree: Tree, factor: float) -> Tree:
     """Multiply a voltage or current by ``factor``, without simplification."""
-    return tree if factor == 1 else Binary("*", _decimal(factor), tree)
+    return tree if factor == 1 else Binary("*", _format_power_of_ten(factor), tree)
 
 
-def _decimal(value: float) -> Number:
+def _format_power_of_ten(value: float) -> Number:
     """Return a power of ten as people write it, such as 1e-6."""
     return ONE if value == 1 else Number(re.sub(r"e([-+])0", r"e\1", f"{value:g}").replace("+", ""))
 
@@ -360,7 +360,7 @@ def _write_force(
     metered = declaration.metered or b.less
     ends = (base, node) if metered else (high, low)
     across, through = b.domain.across, b.domain.through_variable
-    factor = "" if across.factor == 1 else f"{text(_decimal(across.factor))} "
+    factor = "" if across.factor == 1 else f"{text(_format_power_of_ten(across.factor))} "
     words = {"flow": through.name, "unit": through.pin_unit, "word": across.symbol}
     yield _comment("force" if metered else "direct", b, node=node, factor=factor, **words)
     yield f"*   {b.through} = {text(declaration.name_power_series(force))}"
@@ -378,7 +378,7 @@ def _write_stored_quantity(
 ) -> Iterator[Line]:
     """Write the stored quantity in units of its derivative at rest, and its rate."""
     scale = declaration.at_rest(derivative(stored, b.name))
-    scale = times(_decimal(coordinate_quantity(b).factor), scale)
+    scale = times(_format_power_of_ten(coordinate_quantity(b).factor), scale)
     unit = scale if scale != ZERO else Number("1e-12")
     yield Parameters({f"scale_{b.name}": f"{{{text(unit)}}}"})
     amount = substitute(declaration.name_power_series(stored), nodes)
@@ -395,7 +395,7 @@ def _write_charge(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
     charge, direct, inner = declaration.stored_quantity(b), declaration.direct_flow(b), b.plus
-    unit = _decimal(b.domain.through_variable.per_unit)
+    unit = _format_power_of_ten(b.domain.through_variable.per_unit)
     times_unit = "" if unit == ONE else f"*{text(unit)}"
     if declaration.metered or charge != ZERO:
         inner = f"in_{b.name}"
@@ -421,7 +421,7 @@ def _write_flux(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
     flux, drop, inner = declaration.stored_quantity(b), declaration.direct_flow(b), f"in_{b.name}"
-    unit = _decimal(b.domain.across.per_unit)
+    unit = _format_power_of_ten(b.domain.across.per_unit)
     across = b.domain.across.name.replace("_", " ")
     integral, si_unit = _time_integral(b.domain.across)
     yield Element.of(meter_name(b), b.plus, inner, "0")

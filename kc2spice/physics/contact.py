@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from kc2spice.core.quantities import Section
-from kc2spice.netlist.circuit import Param, positive
+from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.expression import Name, Tree, Writer, substitute
 from kc2spice.physics.declaration import RATE, Declaration, displacement
 from kc2spice.physics.symbolic import (
@@ -181,7 +181,7 @@ def _parameters(
         s = f"s = sin({groove:g}/2 deg)"
         what = f"along the axis of a groove, 2 s^{1 + law.power:g} times one flank's, {s}"
         damping, friction = f"s times that of a flank, {s}", f"1/s times Coulomb's coefficient, {s}"
-    yield positive("eps", law.stiffness, "N/m" if linear else "N/m^1.5", what)
+    yield positive_parameter("eps", law.stiffness, "N/m" if linear else "N/m^1.5", what)
     if law.radius:
         yield Param("radius", law.radius, "m", "radius of the sphere", law.depth)
         yield Param("pace", law.pace, "s", "in which the surfaces follow the pressure")
@@ -191,7 +191,7 @@ def _parameters(
     for port, gap in zip(ports, gaps, strict=True):
         yield Param(f"gap_{port}", gap, "m", doc.format(port))
     if law.damping:
-        yield positive("damping", law.damping, "s/m", damping)
+        yield positive_parameter("damping", law.damping, "s/m", damping)
     if law.friction:
-        yield positive("friction", law.friction, "1", friction)
-        yield positive("creep", law.creep, "m/s", "speed of full friction")
+        yield positive_parameter("friction", law.friction, "1", friction)
+        yield positive_parameter("creep", law.creep, "m/s", "speed of full friction")

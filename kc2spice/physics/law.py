@@ -55,7 +55,7 @@ class DeclaredLaw(Device):
     tables: Mapping[str, _Table] = field(default_factory=dict, compare=False)
 
     @property
-    def _flowing(self) -> tuple[Branch, ...]:
+    def _through_branches(self) -> tuple[Branch, ...]:
         return tuple(b for b in self.declaration.branches if b.flows)
 
     @property
@@ -122,11 +122,11 @@ class DeclaredLaw(Device):
 
     @property
     def states(self) -> tuple[str, ...]:
-        return (*names_of(self._flowing), *self.declaration.states)
+        return (*names_of(self._through_branches), *self.declaration.states)
 
     @property
     def storing(self) -> bool:
-        return bool(self._flowing or self.charged)
+        return bool(self._through_branches or self.charged)
 
     @cached_property
     def _inputs(self) -> tuple[str, ...]:
@@ -140,7 +140,7 @@ class DeclaredLaw(Device):
         d = self.declaration
         laws = (*d.state_rates.values(), *d.output_trees.values())
         trees = (*map(d.direct_flow, d.acting_branches), *laws)
-        for tree, name in product(map(self._in_inputs, trees), self._inputs):
+        for tree, name in product(map(self._substitute_inputs, trees), self._inputs):
             slope = replace_kinks(derivative(tree, name), self._corners)
             if not names(slope).isdisjoint(self._inputs):
                 return False
@@ -155,10 +155,10 @@ class DeclaredLaw(Device):
         """Arguments of all one-sided expressions, whose signs make modes."""
         d = self.declaration
         trees = (d.stored_energy, *d.branch_laws, *d.state_rates.values(), *d.output_trees.values())
-        corners = chain.from_iterable(map(kinks, map(self._in_inputs, trees)))
+        corners = chain.from_iterable(map(kinks, map(self._substitute_inputs, trees)))
         return tuple(dict.fromkeys(corners))
 
-    def _in_inputs(self, tree: Tree) -> Tree:
+    def _substitute_inputs(self, tree: Tree) -> Tree:
         """``tree`` as a function of the inputs alone, with signals in the units of their pins."""
         units: dict[str, Tree] = {}
         for b in self.declaration.measured_branches:
@@ -168,7 +168,7 @@ class DeclaredLaw(Device):
 
     def _compile_declared(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
         """Compile expressions of the declaration's variables."""
-        return self._compile(map(self._in_inputs, trees), slopes)
+        return self._compile(map(self._substitute_inputs, trees), slopes)
 
     def _compile(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
         """Compile ``trees`` and, with ``slopes``, the derivatives of each by all inputs."""
@@ -184,7 +184,7 @@ class DeclaredLaw(Device):
     def _flow_function(self) -> _Compiled:
         d = self.declaration
         flows = [Name(b.name) if b.flows else d.direct_flow(b) for b in d.acting_branches]
-        rates = [minus(Name(_input_name(b)), d.direct_flow(b)) for b in self._flowing]
+        rates = [minus(Name(_input_name(b)), d.direct_flow(b)) for b in self._through_branches]
         per_metre = _number(TRANSLATION.across.per_unit)
         outputs = map(partial(times, per_metre), d.output_trees.values())
         trees = (*flows, *rates, *d.state_rates.values(), *outputs)
@@ -193,7 +193,7 @@ class DeclaredLaw(Device):
     @cached_property
     def _storage_function(self) -> _Compiled:
         d = self.declaration
-        fluxes = map(d.stored_quantity, self._flowing)
+        fluxes = map(d.stored_quantity, self._through_branches)
         charges = map(d.stored_quantity, self._charged_branches)
         return self._compile_declared([*fluxes, *map(Name, d.states), *charges], slopes=True)
 
@@ -251,7 +251,7 @@ class DeclaredLaw(Device):
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
         """A force, a current, or a voltage in series with every loss."""
-        branches, currents = self.declaration.acting_branches, self._flowing
+        branches, currents = self.declaration.acting_branches, self._through_branches
         root = np.sqrt(self._evaluate(self._loss_function, e, mode))
         rows = len(branches) + len(self.states) + len(self.prescribes)
         out = np.zeros((rows, len(branches)))

@@ -118,7 +118,7 @@ class DeclaredPart(PartType[KeysT]):
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
         d, name = self.built_declaration(part, build), build.libraries[part.name]
-        return (declared_subcircuit(header, name, d, d.values(part.keys), build.noisy),)
+        return (declared_subcircuit(header, name, d, d.values(part.keys), build.has_noise),)
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterator[Numerics]:
         if not self.declared(part, scene).linear:
@@ -175,7 +175,7 @@ class DeclaredPart(PartType[KeysT]):
         known = {} if "frequency" in waves else self._recorded_variables(part, build, waves)
         yield from _check_limits(d, part, known)
         if build.scene.analysis.type == "op":
-            yield from self.standing(part, build, waves)
+            yield from self.check_operating_point(part, build, waves)
         if "time" in waves:
             yield from balance_energy(d, part, known, waves)
             forces = map(d.direct_flow, d.acting_branches)
@@ -186,7 +186,9 @@ class DeclaredPart(PartType[KeysT]):
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
                 yield Check(f"strikes of {part.name}", strikes, STRIKES, "", REBOUND, "warn")
 
-    def standing(self, part: Part[KeysT], build: Build, point: Waveforms) -> Iterator[Check]:
+    def check_operating_point(
+        self, part: Part[KeysT], build: Build, point: Waveforms
+    ) -> Iterator[Check]:
         """Yield checks whether the operating point is on a stop or outside the limits."""
         d, known = self.built_declaration(part, build), self._recorded_variables(part, build, point)
         small = build.scene.analysis.small

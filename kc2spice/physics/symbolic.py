@@ -341,14 +341,14 @@ def _terms(tree: Tree) -> list[_Product]:
         case Unary("-" | "+", _) | Binary("+" | "-", _, _):
             return _merge_terms(_sum_terms(tree))
         case Binary("*", left, right):
-            return [_single(left).times(_single(right))]
+            return [_merge_to_product(left).times(_merge_to_product(right))]
         case Binary("/", left, right):
-            return [_single(left).times(_single(right).inverse())]
+            return [_merge_to_product(left).times(_merge_to_product(right).inverse())]
         case Binary("^", base, Number(power)) if float(power).is_integer():
-            factors = [_single(base)] * int(float(power))
+            factors = [_merge_to_product(base)] * int(float(power))
             return [reduce(_Product.times, factors, _Product(Fraction(1)))]
         case Binary("^", base, Unary("-", power)):
-            return [_single(Binary("^", base, power)).inverse()]
+            return [_merge_to_product(Binary("^", base, power)).inverse()]
         case Binary("^", base, power):
             raise UsageError(
                 "the exponent is not a whole number",
@@ -385,7 +385,7 @@ def _may_differ_from_zero(tree: Tree) -> bool:
 
 
 @cache  # the derivative of a product has the same sums many times
-def _single(tree: Tree) -> _Product:
+def _merge_to_product(tree: Tree) -> _Product:
     """One product equal to ``tree``, with a sum as a factor."""
     result = _nonzero_terms(tree)
     if len(result) == 1:

@@ -79,13 +79,13 @@ class LinearisedSystem:
             np.abs(system.rated) + direct @ np.abs(stores),
         )
 
-    def answer(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
+    def respond(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
         """Compute the outputs (ny,) for sources ``amplitudes e^(w t)``."""
         X = self._unknowns(w, amplitudes)
         return np.asarray(self.C0 @ X + w * (self.C1 @ X))
 
     def terms(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Sum the absolute values (ny,) of all terms of each output of :meth:`answer`."""
+        """Sum the absolute values (ny,) of all terms of each output of :meth:`respond`."""
         X = self._unknowns(w, amplitudes)
         return self._terms(slice(None), X[:, None], np.array([w]))[:, 0]
 
@@ -217,8 +217,8 @@ class LinearisedSystem:
         unit = np.eye(len(waves))
         small = 1e-5 * np.abs(modes.rates).min()
         shape = len(waves), len(self.system.names)
-        growing = np.array(list(map(partial(self.answer, small), unit))).real.reshape(shape)
-        decaying = np.array(list(map(partial(self.answer, -small), unit))).real.reshape(shape)
+        growing = np.array(list(map(partial(self.respond, small), unit))).real.reshape(shape)
+        decaying = np.array(list(map(partial(self.respond, -small), unit))).real.reshape(shape)
         still, drift = (growing + decaying) / 2, (growing - decaying) / (2 * small)
         return ExponentialSolution(
             self, modes, waves, tuple(sorted(lines)), tuple(sines), still, drift, stop
@@ -235,7 +235,7 @@ def solve_ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
     frequencies, point = np.asarray(frequencies, dtype=float), equilibrium(system)
     result = []
     for w in 2j * np.pi * frequencies:
-        result.append(LinearisedSystem(system, w, point).answer(w, amplitude))
+        result.append(LinearisedSystem(system, w, point).respond(w, amplitude))
     waves = zip(system.names, np.array(result).T, strict=True)
     return {"frequency": frequencies} | {n: y for n, y in waves if not n.endswith(".rate")}
 
@@ -355,7 +355,7 @@ class ExponentialSolution:
         unit = np.eye(len(self.waves))
         for k, wave in self.sines:
             jw = np.array([2j * np.pi * wave.frequency])
-            answer = self.linear.answer((jw if axis is None else axis(jw))[0], unit[k])[outputs]
+            answer = self.linear.respond((jw if axis is None else axis(jw))[0], unit[k])[outputs]
             on = t >= wave.start
             turned = np.exp(jw[0] * (t - wave.start)) * on
             y += wave.amplitude * (turned[:, None] * answer).imag

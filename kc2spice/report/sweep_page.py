@@ -27,7 +27,7 @@ Table = Mapping[str, Sequence[Any]]
 Axis = tuple[str, np.ndarray]  # label with unit, and the numbers
 
 
-def _is_of(column: Sequence[Any], *kinds: type) -> bool:
+def _belongs_to(column: Sequence[Any], *kinds: type) -> bool:
     """Return whether all values of a column but None are of one of these types."""
     present = set(map(type, column)) - {type(None)}
     return len(present) == 1 and present <= set(kinds)
@@ -46,7 +46,7 @@ def compute_yields(table: Table, keys: Sequence[str]) -> dict[str, dict[str, flo
     """
     result = {}
     for name, column in table.items():
-        if name not in keys and _is_of(column, bool):
+        if name not in keys and _belongs_to(column, bool):
             count, total = sum(map(bool, column)), len(column)
             interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
             ends = {"low": float(interval.low), "high": float(interval.high)}
@@ -73,9 +73,9 @@ def write_sweep(
     metrics = []
     spread = []
     for name, column in table.items():
-        if name not in units and _is_of(column, *NUMBERS):
+        if name not in units and _belongs_to(column, *NUMBERS):
             metrics.append(name)
-            if not _is_of(column, bool):
+            if not _belongs_to(column, bool):
                 spread.append(_quantile_row(name, column, metric_units.get(name, "")))
     head = ("metric", "points", "least", "5 %", "median", "95 %", "largest")
     note = "Of all points; a point that failed counts as a miss."
@@ -108,7 +108,7 @@ def _key_row(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple
     """Return the row of a swept key: number of values, and their range or list."""
     distinct = list(dict(zip(map(repr, column), column, strict=True)).values())
     text = ", ".join(map(str, distinct[:POINTS_PER_KEY]))
-    if _is_of(column, *NUMBERS):
+    if _belongs_to(column, *NUMBERS):
         text = f"{min(distinct):g} … {max(distinct):g} {units[key]}".rstrip()
     return key, f"{len(distinct)} values, {text}"
 
@@ -134,7 +134,7 @@ def plot_sweep(
     words: dict[str, Sequence[Any]] = {}
     crossed = 1
     for key, unit in units.items():
-        if _is_of(table[key], *NUMBERS):
+        if _belongs_to(table[key], *NUMBERS):
             values = _read_numbers(table[key])
             x[key] = label_axis(key.replace("_", " "), unit), values
             crossed *= np.unique(values).size

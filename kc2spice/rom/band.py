@@ -10,7 +10,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.quantities import quantity
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.constraints import reduced_form
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, largest, magnitudes
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries, largest_entry, to_dense
 from kc2spice.rom.rigid_body import RANDOM, energy_rounding
 from kc2spice.rom.rounding import FREE
 
@@ -67,16 +67,16 @@ def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
     """
     K, M = pencil.coefficients[0], pencil.coefficients[-1]
     if pencil.size <= SMALL:
-        K, M = dense(K), dense(M)
+        K, M = to_dense(K), to_dense(M)
         mass = np.linalg.eigvalsh(M)
         if mass[0] > MASSLESS * mass[-1]:
             X = np.asarray(eigh(K, M)[1])
         else:  # modes of unknowns without inertia are infinitely fast
-            inverse, T = eigh(M, K + SHIFT * largest(K) / mass[-1] * M)
+            inverse, T = eigh(M, K + SHIFT * largest_entry(K) / mass[-1] * M)
             X = T[:, inverse > MASSLESS * inverse[-1]][:, ::-1]
         return _rayleigh_quotients(K, M, X)[:count]
     require_factors(pencil.bordered(1.0, 1.0, 1.0))
-    stiffness, inertia = (magnitudes(P).diagonal() for P in (K, M))
+    stiffness, inertia = (absolute_entries(P).diagonal() for P in (K, M))
     top = float((stiffness[inertia > 0] / inertia[inertia > 0]).max(initial=0.0))
     shift = RIGID_SHIFT * top
     solve = pencil.pencil_solver(-shift).solve
@@ -99,7 +99,7 @@ def _rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
     """Rayleigh quotients ``x'Kx / x'Mx`` of elastic modes, in ascending order."""
     energy = np.einsum("ij,ij->j", X, K @ X)
     mass = np.einsum("ij,ij->j", X, M @ X)
-    noise = FREE * np.finfo(float).eps * np.einsum("ij,ij->j", abs(X), magnitudes(K) @ abs(X))
+    noise = FREE * np.finfo(float).eps * np.einsum("ij,ij->j", abs(X), absolute_entries(K) @ abs(X))
     if not isinstance(K, Schur):
         noise = np.minimum(noise, RANDOM * np.diag(energy_rounding(K, X)))
     return np.asarray(np.sort(energy[energy > noise] / mass[energy > noise]))
@@ -123,8 +123,8 @@ def band_end(pencil: Pencil, count: int, high: float) -> float:
 
 
 def _compute_all_rates(pencil: Pencil) -> np.ndarray:
-    rest, inertia = map(dense, (pencil.coefficients[0], pencil.coefficients[-1]))
-    if largest(rest) == 0 or largest(inertia) == 0:
+    rest, inertia = map(to_dense, (pencil.coefficients[0], pencil.coefficients[-1]))
+    if largest_entry(rest) == 0 or largest_entry(inertia) == 0:
         return np.empty(0)
     rates = np.abs(Pencil((rest, inertia), pencil.B, pencil.C, pencil.D).poles())
     return np.asarray(rates[rates > 1e-12 * rates.max(initial=0.0)])

@@ -19,7 +19,7 @@ from scipy.linalg import block_diag, eigh, lapack, schur
 from kc2spice.core.equality import EqualByContent
 from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.pencil import explicit_pencil, largest
+from kc2spice.rom.pencil import explicit_pencil, largest_entry
 
 # Bounds of a decoupling transformation: the first costs three digits, others what is measured.
 GROWTH = 1e3
@@ -117,13 +117,13 @@ def decouple_states(
     one = np.eye(len(A))
     if len(A) % 2 == 0 and not A[np.kron(np.eye(len(A) // 2), np.ones((2, 2))) == 0].any():
         return tuple(A[i : i + 2, i : i + 2] for i in range(0, len(A), 2)), one, one
-    if largest(A - A.T) <= SAME * largest(A):
+    if largest_entry(A - A.T) <= SAME * largest_entry(A):
         values, X = eigh(0.5 * (A + A.T))
         return tuple(np.array([[value]]) for value in values), X, X.T
     T, Z = schur(A, output="real")
-    if largest(A + A.T) <= SAME * largest(A):  # lossless: the poles stay on the axis
+    if largest_entry(A + A.T) <= SAME * largest_entry(A):  # lossless: the poles stay on the axis
         T = 0.5 * (T - T.T)
-        T[np.abs(T) <= SAME * largest(T)] = 0.0
+        T[np.abs(T) <= SAME * largest_entry(T)] = 0.0
         return tuple(T[i : i + k, i : i + k] for i, k in _list_blocks(T)), Z, Z.T
     return _split_schur_form(T, Z, growth)
 

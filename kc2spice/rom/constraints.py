@@ -30,12 +30,12 @@ from kc2spice.rom.pencil import (
     Matrix,
     Pencil,
     Schur,
-    dense,
     detect_rayleigh,
     eliminate_massless,
     first_order,
     has_entries,
-    largest,
+    largest_entry,
+    to_dense,
 )
 
 DEPENDENT = 1e-12  # size of a dependent constraint, relative to the largest
@@ -72,7 +72,7 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
         return pencil
     parts = [_symmetrise(Z.T @ P @ Z, pencil.symmetric) for P in (K, E, M)]
     if pencil.is_dense:
-        parts = list(map(dense, parts))
+        parts = list(map(to_dense, parts))
     C = pencil.C[:, keep]
     B = Z.T @ pencil.B[keep]
     plain = Pencil(tuple(parts), B, B.T.copy() if pencil.collocated else C @ Z, pencil.D)
@@ -132,8 +132,8 @@ def _insert_multipliers(
 
     ``S = L'M^-1 L``. The model is of first order if the multipliers depend on velocities.
     """
-    K, E, M = map(dense, parts)
-    L, Z = dense(L), dense(Z)
+    K, E, M = map(to_dense, parts)
+    L, Z = to_dense(L), to_dense(Z)
     try:
         through = np.linalg.solve(M.T, L).T
         lift = pencil.C[:, row] @ np.linalg.solve(through @ L, through)
@@ -145,7 +145,7 @@ def _insert_multipliers(
     speed = -lift @ E @ Z
     if np.abs(speed).max(initial=0.0) <= NEGLIGIBLE * (np.abs(lift) @ np.abs(E) @ np.abs(Z)).max():
         return replace(small, C=C, D=D)
-    omega = float(np.sqrt(largest(K) / largest(M)))
+    omega = float(np.sqrt(largest_entry(K) / largest_entry(M)))
     result = first_order(replace(small, C=C, D=D), omega)
     return replace(result, C=np.hstack([C, omega * speed]))
 
@@ -160,7 +160,9 @@ def deflate_infinite_poles(pencil: Pencil) -> Pencil:
         return pencil
     full = pencil.dense()
     rest, inertia = full.coefficients
-    rows, columns = balance(np.abs(rest) / largest(rest) + np.abs(inertia) / largest(inertia))
+    rows, columns = balance(
+        np.abs(rest) / largest_entry(rest) + np.abs(inertia) / largest_entry(inertia)
+    )
     if not _is_singular(inertia / np.outer(rows, columns)):
         return pencil
     symmetric = pencil.symmetric
@@ -171,7 +173,7 @@ def deflate_infinite_poles(pencil: Pencil) -> Pencil:
     U, V, rank = _split_by_rank(E, symmetric or np.array_equal(inertia, inertia.T))
     P, E, B, C = U.T @ P @ V, (U.T @ E @ V)[:rank, :rank], U.T @ B, C @ V
     # algebraic equations: those that determine their unknowns, then constraints
-    U2, V2, regular = _split_by_rank(P[rank:, rank:], symmetric, largest(P))
+    U2, V2, regular = _split_by_rank(P[rank:, rank:], symmetric, largest_entry(P))
     left, right = (scipy.linalg.block_diag(np.eye(rank), T) for T in (U2, V2))
     P, B, C = left.T @ P @ right, left.T @ B, C @ right
     known = slice(rank, rank + regular)
@@ -242,7 +244,7 @@ def _split_by_rank(
 
     ``U'PV`` is regular in front, and zero elsewhere.
     """
-    if symmetric and np.abs(matrix - matrix.T).max(initial=0.0) <= 1e-12 * largest(matrix):
+    if symmetric and np.abs(matrix - matrix.T).max(initial=0.0) <= 1e-12 * largest_entry(matrix):
         values, U = np.linalg.eigh(0.5 * (matrix + matrix.T))
         order = np.argsort(-np.abs(values))
         size, U = np.abs(values[order]), U[:, order]
@@ -268,7 +270,7 @@ def _restore_symmetry(pencil: Pencil, symmetric: bool, collocated: bool) -> Penc
 
 def _exceeds_rounding(difference: Matrix, reference: Matrix) -> bool:
     """Whether a difference is more than rounding of the reference."""
-    return largest(difference) > NEGLIGIBLE * largest(reference)
+    return largest_entry(difference) > NEGLIGIBLE * largest_entry(reference)
 
 
 def _submatrix(P: Matrix, rows: np.ndarray, columns: np.ndarray) -> Matrix:

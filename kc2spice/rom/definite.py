@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, magnitudes
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries
 from kc2spice.rom.rigid_body import RANDOM, energy_rounding
 from kc2spice.rom.rounding import FREE
 
@@ -42,7 +42,7 @@ def _is_free(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
     The motion is ``y = K^-1 load`` of a random load. Because of such errors, the factor of a free
     body may exist.
     """
-    size = magnitudes(K)
+    size = absolute_entries(K)
     rounding = FREE * np.finfo(float).eps * np.sum(abs(y) * (size @ abs(y)))
     soft = bool(np.sum(y * load) < rounding)
     if not soft or isinstance(K, Schur):

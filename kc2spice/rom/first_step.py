@@ -30,7 +30,7 @@ from kc2spice.rom.rounding import (
     RESONANCES,
     SPREAD,
     removed_stiffness,
-    uncertainty,
+    rounding_uncertainty,
     uncertainty_note,
     zero_entries,
 )
@@ -164,7 +164,7 @@ def _keep_full_order(
             states = V @ response.states(s)
         elif response.modes is not None and original is full:
             states, dual = response.states(s), response.dual.states(s)
-        size = uncertainty(original, at, states, dual, response.zero)
+        size = rounding_uncertainty(original, at, states, dual, response.zero)
         rounded = SPREAD * float(size.max())
         if T is not None:
             note = uncertainty_note(at, size, 2 * limit)

@@ -17,7 +17,7 @@ import scipy
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import Factor, factorise
 from kc2spice.rom.definite import has_definite_form
-from kc2spice.rom.pencil import Pencil, Schur, magnitudes
+from kc2spice.rom.pencil import Pencil, Schur, absolute_entries
 from kc2spice.rom.rigid_body import energy_rounding, split_driven_modes
 from kc2spice.rom.rounding import FREE
 
@@ -82,7 +82,7 @@ class FreeBody:
     @cached_property
     def _forces(self) -> tuple[np.ndarray, ...]:
         """Sums of the sizes of all forces on :attr:`vectors`, for each matrix (n, r)."""
-        return tuple(magnitudes(P) @ np.abs(self.vectors) for P in self.pencil.coefficients)
+        return tuple(absolute_entries(P) @ np.abs(self.vectors) for P in self.pencil.coefficients)
 
     def _bound_rounding(self, forces: np.ndarray, V: np.ndarray) -> np.ndarray:
         """Bound rounding errors (k, k) in the rows and columns of rigid-body modes."""
@@ -142,7 +142,7 @@ def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.n
             X = factor.solve(M @ X)
             values, turn = scipy.linalg.eigh(X.T @ (K @ X), X.T @ (M @ X))
             X = X @ turn
-            rigid = np.abs(values) <= np.diag(_bound_energy(pencil, X))
+            rigid = np.abs(values) <= np.diag(_bound_elastic_energy(pencil, X))
             lowest = values[~rigid].min(initial=np.inf)
             if shift < lowest < np.inf and (shift / (shift + lowest)) ** step < CONVERGED:
                 return np.asarray(X[:, rigid])
@@ -152,10 +152,10 @@ def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.n
     return np.empty((pencil.size, 0))
 
 
-def _bound_energy(pencil: Pencil, V: np.ndarray) -> np.ndarray:
+def _bound_elastic_energy(pencil: Pencil, V: np.ndarray) -> np.ndarray:
     """Bound the elastic energies (k, k) of motions V by rounding errors of the stiffness."""
     K = pencil.coefficients[0]
-    bound = FREE * np.finfo(float).eps * (np.abs(V).T @ (magnitudes(K) @ np.abs(V)))
+    bound = FREE * np.finfo(float).eps * (np.abs(V).T @ (absolute_entries(K) @ np.abs(V)))
     if not isinstance(K, Schur):
         bound = np.minimum(bound, LARGEST_ENERGY * energy_rounding(K, V))
     return np.asarray(bound)

@@ -23,7 +23,7 @@ from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import require_factors
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, magnitudes
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries
 from kc2spice.rom.stability import is_dissipative, is_semidefinite
 
 POLES, VECTORS, RESTARTS = 4, 40, 12  # settings of the Arnoldi method
@@ -86,7 +86,7 @@ def _has_negative_stiffness(pencil: Pencil) -> bool:
     x = _find_highest_energy(-K)
     if x is None:
         return False
-    noise = ROUNDING * np.finfo(float).eps * float(np.abs(x) @ (magnitudes(K) @ np.abs(x)))
+    noise = ROUNDING * np.finfo(float).eps * float(np.abs(x) @ (absolute_entries(K) @ np.abs(x)))
     return bool(x @ (K @ x) < -noise) and is_semidefinite(M)
 
 

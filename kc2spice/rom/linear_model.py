@@ -19,7 +19,7 @@ import scipy
 from kc2spice.core.domains import ELECTRICAL, PORTS, THERMAL, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense, is_symmetric, largest
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, is_symmetric, largest_entry, to_dense
 from kc2spice.rom.stability import is_semidefinite
 from kc2spice.rom.state_space import ABCD, state_space
 
@@ -206,7 +206,7 @@ class LinearModel:
         put = object.__setattr__  # frozen: this is the constructor
         _set_structural(self)
         if self.M is self.A is None and self.E is not None and self.K is not None:
-            put(self, "A", negated(_require_matrix(self.K, "K", self.name))), put(self, "K", None)
+            put(self, "A", negate(_require_matrix(self.K, "K", self.name))), put(self, "K", None)
         first = self.A is not None
         if first in (self.K is not None, self.M is not None) or self.B is None:
             got = "matrices " + ", ".join(k for k in "MEKA" if getattr(self, k) is not None)
@@ -284,7 +284,7 @@ class LinearModel:
     def pencil(self) -> Pencil:
         """The model as one polynomial in s, for solvers."""
         if self.first_order:
-            return Pencil((negated(self.A), self.E), self.B, self.C, self.D)
+            return Pencil((negate(self.A), self.E), self.B, self.C, self.D)
         return Pencil((self.K, self.E, self.M), self.B, self.C, self.D, self.rayleigh)
 
     @property
@@ -522,13 +522,13 @@ def model_of(pencil: Pencil, ports: Sequence[Port], **labels: Any) -> LinearMode
     ``labels`` are its other fields.
     """
     parts = pencil.coefficients
-    matrices = {"A": negated(parts[0]), "E": parts[1]}
+    matrices = {"A": negate(parts[0]), "E": parts[1]}
     if pencil.degree == 2:
         matrices = dict(zip("KEM", parts, strict=True))
     return LinearModel(**matrices, B=pencil.B, C=pencil.C, D=pencil.D, ports=tuple(ports), **labels)
 
 
-def negated(matrix: Matrix) -> Matrix:
+def negate(matrix: Matrix) -> Matrix:
     """``-matrix``, of a Schur complement too."""
     if isinstance(matrix, Schur):
         return Schur(-matrix.uu, -matrix.up, -matrix.pu, -matrix.pp)
@@ -569,15 +569,15 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
     if isinstance(K, Schur) or K is None or K.shape != loss.shape:
         raise _structural_loss_error(where, "a loss that does not belong to K")
     if isinstance(K, np.ndarray):
-        loss = dense(loss)
+        loss = to_dense(loss)
     else:
         K, loss = map(scipy.sparse.csc_array, (K, loss))
-    scale = largest(K)
+    scale = largest_entry(K)
     if not scale:
         raise _structural_loss_error(where, "an imaginary part without a real one")
     square, product = (float((P * (K / scale)).sum()) for P in (K, loss))
     eta = product / square
-    if eta >= 0 and largest(loss - eta * K) <= LOSS_FACTOR * scale:
+    if eta >= 0 and largest_entry(loss - eta * K) <= LOSS_FACTOR * scale:
         return None, eta
     if not is_symmetric(loss) or not is_semidefinite(loss):
         raise _structural_loss_error(
@@ -615,7 +615,7 @@ def _require_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) ->
         )
 
 
-def half_stored(matrix: Matrix) -> bool:
+def is_half_stored(matrix: Matrix) -> bool:
     """Whether only one triangle of a matrix has entries beside the diagonal."""
     if isinstance(matrix, Schur) or matrix.shape[0] < 2 or is_symmetric(matrix):
         return False

@@ -23,7 +23,7 @@ import scipy
 from kc2spice.core.errors import UsageError
 from kc2spice.linalg.factor import Factor
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, dense
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, to_dense
 
 DENSE = 700  # unknowns up to which all modes are as fast as a few
 ABOVE = 2.0  # times the band, up to which modes are kept
@@ -161,7 +161,7 @@ class Parametric(ParameterPolynomials):
         return LinearModel(**result, ports=self.frame.ports, name=self.frame.name)
 
 
-def parametric(
+def reduce_over_parameters(
     full: Full,
     axes: Sequence[ParameterAxis],
     band: tuple[float, float],
@@ -270,7 +270,7 @@ def natural_modes(
     K, M = pencil.coefficients[0], pencil.coefficients[2]
     n = pencil.size
     if n <= DENSE:
-        w2, V = scipy.linalg.eigh(dense(K), dense(M))
+        w2, V = scipy.linalg.eigh(to_dense(K), to_dense(M))
         count = min(n, max(LEAST, int(np.searchsorted(w2, top**2))))
         return w2[:count], V[:, :count]
     count, operator = LEAST, scipy.sparse.linalg.LinearOperator

@@ -97,7 +97,7 @@ class Schur:
     def scaled(self, t: np.ndarray) -> Schur:
         """``diag(t) S diag(t)``."""
         return self._with_blocks(
-            scaled(self.uu, t, t), scaled(self.up, t), scaled(self.pu, None, t)
+            scale_matrix(self.uu, t, t), scale_matrix(self.up, t), scale_matrix(self.pu, None, t)
         )
 
     def damping(self, alpha: float, beta: float, M: scipy.sparse.csc_array) -> Schur:
@@ -113,7 +113,7 @@ class Schur:
         return np.asarray(self.uu.toarray() - self.up @ self.inner.solve(self.pu.toarray()))
 
 
-def scaled(
+def scale_matrix(
     P: scipy.sparse.sparray, rows: np.ndarray | None = None, columns: np.ndarray | None = None
 ) -> scipy.sparse.csc_array:
     """Compute ``diag(rows) P diag(columns)`` entry by entry.
@@ -128,20 +128,20 @@ def scaled(
     return result
 
 
-def dense(matrix: Matrix) -> np.ndarray:
+def to_dense(matrix: Matrix) -> np.ndarray:
     """Any matrix as an array."""
     return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray(), dtype=float)
 
 
-def magnitudes(matrix: Matrix) -> Matrix:
+def absolute_entries(matrix: Matrix) -> Matrix:
     """Absolute values of the entries, of a :class:`Schur` those of its leading block."""
     return abs(matrix.uu if isinstance(matrix, Schur) else matrix)
 
 
-def largest(matrix: Matrix) -> float:
+def largest_entry(matrix: Matrix) -> float:
     """Largest absolute entry; of a :class:`Schur` that of its leading block."""
     if isinstance(matrix, Schur):
-        return largest(matrix.uu)
+        return largest_entry(matrix.uu)
     return float(abs(matrix).max()) if matrix.shape[0] and matrix.shape[1] else 0.0
 
 
@@ -155,7 +155,7 @@ def has_entries(matrices: Sequence[Matrix]) -> np.ndarray:
 
 def is_equal(one: Matrix, other: Matrix) -> bool:
     """Equal but for rounding of the largest entry."""
-    return one.shape == other.shape and largest(one - other) <= SAME * largest(one)
+    return one.shape == other.shape and largest_entry(one - other) <= SAME * largest_entry(one)
 
 
 def is_symmetric(matrix: Matrix) -> bool:
@@ -177,7 +177,7 @@ def congruence(
     total = np.zeros((V.shape[1],) * 2)
     for sign in (1, -1):
         part = 0.5 * (P + sign * P.T)
-        if largest(part) > SAME * largest(P):
+        if largest_entry(part) > SAME * largest_entry(P):
             R = V.T @ (part @ V)
             total += 0.5 * (R + sign * R.T)
     return total
@@ -240,7 +240,7 @@ class Pencil:
     @cached_property
     def undamped(self) -> bool:
         """Second order without first-order terms: real on the whole imaginary axis."""
-        return self.degree == 2 and largest(self.coefficients[1]) == 0
+        return self.degree == 2 and largest_entry(self.coefficients[1]) == 0
 
     @property
     def is_dense(self) -> bool:
@@ -249,7 +249,7 @@ class Pencil:
 
     def dense(self) -> Pencil:
         """The same model with arrays throughout."""
-        parts = tuple(map(dense, self.coefficients))
+        parts = tuple(map(to_dense, self.coefficients))
         return replace(self, coefficients=parts, rayleigh=None)
 
     def bordered(self, k: complex, e: complex, m: complex) -> Matrix:
@@ -270,7 +270,7 @@ class Pencil:
                 total = total + factor_ * P
         if not isinstance(K, Schur):
             return total
-        volt = np.sqrt(largest(K.uu) / largest(K.pp))
+        volt = np.sqrt(largest_entry(K.uu) / largest_entry(K.pp))
         blocks = [[total, k * volt * K.up], [k * volt * K.pu, k * volt**2 * K.pp]]
         return scipy.sparse.csc_array(scipy.sparse.block_array(blocks))
 
@@ -418,7 +418,7 @@ class Pencil:
         """Units (n,) of the unknowns in which their energies at ``omega`` are alike."""
         size = np.zeros(self.size)
         for k, P in enumerate(self.coefficients):
-            rows = magnitudes(P).max(axis=1)
+            rows = absolute_entries(P).max(axis=1)
             rows = rows.toarray() if scipy.sparse.issparse(rows) else rows
             size += omega**k * np.asarray(rows, dtype=float).ravel()
         t = 1 / np.sqrt(np.where(size > 0, size, 1.0))
@@ -430,7 +430,7 @@ class Pencil:
         def both(P: Matrix) -> Matrix:
             if isinstance(P, Schur):
                 return P.scaled(t)
-            return t[:, None] * P * t if isinstance(P, np.ndarray) else scaled(P, t, t)
+            return t[:, None] * P * t if isinstance(P, np.ndarray) else scale_matrix(P, t, t)
 
         parts = tuple(map(both, self.coefficients))
         B = t[:, None] * self.B
@@ -472,7 +472,7 @@ class Pencil:
     def poles(self, omega: float | None = None) -> np.ndarray:
         """Finite poles [1/s] by dense eigenvalues; ``omega`` is a frequency that matters."""
         full = self.coefficients if self.is_dense else self.dense().coefficients
-        sizes = list(map(largest, full))
+        sizes = list(map(largest_entry, full))
         if omega is None:
             tops = sizes[0] / sizes[-1] if sizes[0] and sizes[-1] else 1.0
             omega = float(tops ** (1 / self.degree))
@@ -513,16 +513,16 @@ def detect_rayleigh(pencil: Pencil) -> Pencil:
     if pencil.degree != 2 or pencil.rayleigh is not None or pencil.undamped:
         return pencil
     K, E, M = pencil.coefficients
-    if any(isinstance(P, Schur) for P in pencil.coefficients) or not largest(M):
+    if any(isinstance(P, Schur) for P in pencil.coefficients) or not largest_entry(M):
         return pencil
-    basis = [P / largest(P) for P in (M, K)]
+    basis = [P / largest_entry(P) for P in (M, K)]
     gram = [[float((P * Q).sum()) for Q in basis] for P in basis]
     result = np.linalg.lstsq(gram, [float((P * E).sum()) for P in basis], rcond=None)[0]
-    result = np.where(np.abs(result) > SAME * largest(E), result, 0.0)
+    result = np.where(np.abs(result) > SAME * largest_entry(E), result, 0.0)
     rest = E - result[0] * basis[0] - result[1] * basis[1]
-    if (result < 0).any() or largest(rest) > SAME * largest(E):
+    if (result < 0).any() or largest_entry(rest) > SAME * largest_entry(E):
         return pencil
-    rayleigh = float(result[0] / largest(M)), float(result[1] / largest(K))
+    rayleigh = float(result[0] / largest_entry(M)), float(result[1] / largest_entry(K))
     return replace(pencil, rayleigh=rayleigh)
 
 

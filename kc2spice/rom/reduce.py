@@ -21,7 +21,7 @@ from typing import get_args
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError, part_named, unknown
+from kc2spice.core.errors import UsageError, name_part_in_errors, unknown
 from kc2spice.linalg.factor import require_factors
 from kc2spice.linalg.solver import DirectSolver, solving_with
 from kc2spice.rom.band import natural_band
@@ -36,7 +36,7 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor, require_basis
 from kc2spice.rom.reductors.block_krylov import BlockArnoldi, nested_model
 from kc2spice.rom.reductors.registry import BLOCK_KRYLOV, reductor_named, suited_reductors
-from kc2spice.rom.refinement import lower_order
+from kc2spice.rom.refinement import find_lower_order
 from kc2spice.rom.search import require_order, select_basis, select_fewest_states
 from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.structural import approximate_causally, first_order_model
@@ -177,7 +177,7 @@ def _reduce(fom: LinearModel, target: Target) -> LinearModel:
     else:
         basis, order = find_basis_within(task, reductors, target)
     rom = certify(basis, order)
-    warn_of_rounding(rom, intermediate.floor, target.tolerance)
+    warn_of_rounding_errors(rom, intermediate.floor, target.tolerance)
     return with_full_order(rom, full_order_proof)
 
 
@@ -276,7 +276,7 @@ def find_basis_within(
     basis, order = select_fewest_states(
         task, reductors, tolerance, tighten=not target.contact, keep_form=target.keep_form
     )
-    return (basis, order) if target.contact else lower_order(basis, order, tolerance)
+    return (basis, order) if target.contact else find_lower_order(basis, order, tolerance)
 
 
 def _prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
@@ -284,7 +284,7 @@ def _prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
     basis, reason = None, reductor.obstacle(task) or "its applies_to() returns False"
     if reductor.applies_to(task):
         reason = reductor.no_basis
-        with part_named(f"method {reductor.name!r}"):
+        with name_part_in_errors(f"method {reductor.name!r}"):
             basis = require_basis(reductor, reductor.basis(task))
     if basis is None:
         raise UsageError(
@@ -297,7 +297,7 @@ def _prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
     return replace(basis, origin=f"{reductor.name}; ")
 
 
-def warn_of_rounding(rom: LinearModel, floor: float, tolerance: float | None) -> None:
+def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | None) -> None:
     """Warn if rounding of the full-order model prevents the tolerance."""
     if tolerance is None:
         return

@@ -23,7 +23,7 @@ from kc2spice.rom.reduce import (
     list_methods,
     require_valid,
     verified_first_step,
-    warn_of_rounding,
+    warn_of_rounding_errors,
 )
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.balanced_truncation import hankel_singular_values
@@ -202,7 +202,7 @@ class Reduction:
         else:
             basis, order = self._basis_within(tolerance, target)
         rom = certify(basis, order)
-        warn_of_rounding(rom, self._intermediate.floor, tolerance)
+        warn_of_rounding_errors(rom, self._intermediate.floor, tolerance)
         return with_full_order(rom, self._proof)
 
     def error(self, order: int) -> float:

@@ -31,7 +31,7 @@ HOPELESS = 1.5  # error over the tolerance at which a fit ends
 SUFFICIENT = 0.97  # share of the tolerance at which a fit ends; the rest is for the error estimate
 
 
-def lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
+def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
     """Return a basis with a lower order within the tolerance, if a fit finds one.
 
     Otherwise the basis remains.

@@ -11,7 +11,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.entries import Entries
-from kc2spice.rom.pencil import INFINITE, Pencil, first_order, largest
+from kc2spice.rom.pencil import INFINITE, Pencil, first_order, largest_entry
 from kc2spice.rom.rigid_body import free_part
 
 # A response this far below the sum of its terms is what their cancellation leaves: a zero.
@@ -210,7 +210,7 @@ def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
     This form includes unknowns without inertia. The result is None unless the eigenvectors
     reproduce direct solutions to rounding.
     """
-    sizes = largest(pencil.coefficients[0]), largest(pencil.coefficients[-1])
+    sizes = largest_entry(pencil.coefficients[0]), largest_entry(pencil.coefficients[-1])
     if not all(sizes):
         return None
     shift = float((sizes[0] / sizes[1]) ** (1 / pencil.degree))

@@ -19,10 +19,10 @@ from kc2spice.rom.pencil import (
     Matrix,
     Pencil,
     Schur,
+    absolute_entries,
     first_order,
     is_symmetric,
-    largest,
-    magnitudes,
+    largest_entry,
 )
 
 ROUNDING = 8.0  # times n eps of the largest: a stiffness, a damping or a coupling that is zero
@@ -157,7 +157,9 @@ def energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
     ``eps (sum_ij v_ik^2 P_ij^2 v_jl^2)^(1/2)``.
     """
     squares = V**2
-    return np.asarray(np.finfo(float).eps * np.sqrt(squares.T @ (magnitudes(P) ** 2 @ squares)))
+    return np.asarray(
+        np.finfo(float).eps * np.sqrt(squares.T @ (absolute_entries(P) ** 2 @ squares))
+    )
 
 
 def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
@@ -212,12 +214,12 @@ def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndar
     X = X @ np.linalg.inv(np.linalg.cholesky(X.T @ inertia @ X)).T
     U, size, _ = np.linalg.svd(X.T @ pencil.B)
     K, momenta = pencil.coefficients[0], inertia @ X
-    momenta *= np.sqrt(largest(K)) / largest(momenta)
+    momenta *= np.sqrt(largest_entry(K)) / largest_entry(momenta)
     # rounding of K turns X towards what it takes no force to move: inputs see their own answers
     answer = np.linalg.solve(K + momenta @ momenta.T, pencil.B)
     input_rounding = ROUNDING * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
     noise = np.abs(X.T) @ (input_rounding + rounding[0] @ np.abs(answer))
-    moved = int((size > largest(noise)).sum())
+    moved = int((size > largest_entry(noise)).sum())
     return np.asarray(X @ U[:, :moved])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from kc2spice.rom.entries import Entries
 from kc2spice.rom.error_estimate import relative_size
 from kc2spice.rom.intermediate import IntermediateModel
-from kc2spice.rom.pencil import Pencil, magnitudes
+from kc2spice.rom.pencil import Pencil, absolute_entries
 from kc2spice.rom.response import (
     FLANK,
     SHARPEST,
@@ -30,7 +30,7 @@ TRIALS = 4  # random units of the unknowns
 SPREAD = 3.0  # factor on the largest of the trials, which are few
 
 
-def uncertainty(
+def rounding_uncertainty(
     pencil: Pencil,
     frequency: np.ndarray,
     states: np.ndarray | None = None,
@@ -46,11 +46,11 @@ def uncertainty(
     """
     x = pencil.states(2j * np.pi * frequency) if states is None else states
     H = pencil.C @ x + pencil.D
-    size = relative_size(rounding_of(pencil, frequency, x, dual), H, Entries.of(H, zero=zero))
+    size = relative_size(rounding_change(pencil, frequency, x, dual), H, Entries.of(H, zero=zero))
     return np.asarray(size.max(axis=(1, 2)))
 
 
-def rounding_of(
+def rounding_change(
     pencil: Pencil, frequency: np.ndarray, x: np.ndarray, dual: np.ndarray | None = None
 ) -> np.ndarray:
     """Change (frequencies, outputs, inputs) of a response by rounding of entries.
@@ -61,7 +61,7 @@ def rounding_of(
     s = 2j * np.pi * frequency
     y = x if pencil.symmetric and pencil.collocated else dual
     y = pencil.transposed().states(s) if y is None else y
-    squares = [magnitudes(P) ** 2 for P in pencil.coefficients]
+    squares = [absolute_entries(P) ** 2 for P in pencil.coefficients]
     result = []
     for item, right, left in zip(s, np.abs(x) ** 2, np.abs(y) ** 2, strict=True):
         terms = (abs(item) ** (2 * k) * (left.T @ (P @ right)) for k, P in enumerate(squares))
@@ -99,7 +99,7 @@ def zero_entries(
             else pencil.transposed().states(2j * np.pi * f[rows])
         )
         if both or dual is not None:
-            limit = FREE * rounding_of(pencil, f[rows], V @ x[rows], dual)
+            limit = FREE * rounding_change(pencil, f[rows], V @ x[rows], dual)
             faint[rows] |= (np.abs(H[rows]) <= limit) & suspect
     return np.asarray(faint.all(axis=0))
 

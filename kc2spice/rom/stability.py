@@ -14,7 +14,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import factorise
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, is_symmetric, largest
+from kc2spice.rom.pencil import Matrix, Pencil, Schur, is_symmetric, largest_entry
 from kc2spice.rom.rigid_body import split_rigid_body
 
 # Rounding of a congruence: a semi-definite matrix may show eigenvalues this far below zero.
@@ -129,7 +129,7 @@ def is_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
         return _is_factorisable(scipy.sparse.csc_array(matrix), order)
     if matrix.size == 0:
         return True
-    if largest(matrix - matrix.T) > ASYMMETRY * largest(matrix):
+    if largest_entry(matrix - matrix.T) > ASYMMETRY * largest_entry(matrix):
         return False
     values = np.linalg.eigvalsh(matrix)
     return bool(values[0] >= -ASYMMETRY * abs(values[-1]))
@@ -179,7 +179,7 @@ def _is_factorisable(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     Its diagonal is scaled to one first. Either Lanczos steps show that all eigenvalues are above
     zero, or the matrix has a Cholesky factor after rounding errors are added to its diagonal.
     """
-    if not largest(matrix):
+    if not largest_entry(matrix):
         return True
     diagonal = matrix.diagonal()
     empty = np.asarray(abs(matrix).max(axis=0).toarray()).ravel() == 0

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.pencil import Pencil, explicit_pencil, first_order, largest
+from kc2spice.rom.pencil import Pencil, explicit_pencil, first_order, largest_entry
 from kc2spice.rom.stability import is_semidefinite
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -32,7 +32,7 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     if pencil.degree == 1:
         return _energy_states(pencil)
     K, _, M = pencil.coefficients
-    top = largest(K) / largest(M) if largest(K) and largest(M) else 1.0
+    top = largest_entry(K) / largest_entry(M) if largest_entry(K) and largest_entry(M) else 1.0
     omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
     if is_semidefinite(M):
         for item in (pencil, pencil.scaled(omega)):  # a free motion's units may hide an inertia
@@ -89,7 +89,7 @@ def _normalise_modes(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
     A definite K takes the part of the better conditioned matrix, so that low modes are exact.
     """
-    if largest(K - K.T) > COUPLING * largest(K):
+    if largest_entry(K - K.T) > COUPLING * largest_entry(K):
         return scipy.linalg.solve_triangular(scipy.linalg.cholesky(M), np.eye(len(M))), None
     values = np.linalg.eigvalsh(K)
     if values[0] > MASSLESS * values[-1]:
@@ -109,9 +109,9 @@ def _eliminate_static(pencil: Pencil) -> Pencil:
     none = mass <= MASSLESS * mass[-1]
     damping = V[:, none].T @ E @ V[:, none]
     size, U = scipy.linalg.eigh(0.5 * (damping + damping.T))
-    still = np.abs(size) <= MASSLESS * max(largest(E), np.finfo(float).tiny)
+    still = np.abs(size) <= MASSLESS * max(largest_entry(E), np.finfo(float).tiny)
     light, static = V[:, none] @ U[:, ~still], V[:, none] @ U[:, still]
-    if max(largest(E @ static), largest(E.T @ static)) > COUPLING * largest(E):
+    if max(largest_entry(E @ static), largest_entry(E.T @ static)) > COUPLING * largest_entry(E):
         raise _improper_error("massless coordinates are coupled by damping alone")
     T, r = np.hstack([V[:, ~none], light, static]), len(M) - static.shape[1]
     why = "massless, undamped coordinates without stiffness"
@@ -146,10 +146,10 @@ def _energy_states(pencil: Pencil) -> ABCD:
     """
     rest, E = pencil.coefficients
     A, B, C, D = -rest, pencil.B, pencil.C, pencil.D
-    if is_semidefinite(E) and np.linalg.eigvalsh(E)[0] > MASSLESS * largest(E):
+    if is_semidefinite(E) and np.linalg.eigvalsh(E)[0] > MASSLESS * largest_entry(E):
         T = scipy.linalg.solve_triangular(scipy.linalg.cholesky(E), np.eye(len(E)))
         inner = T.T @ A @ T
-        if largest(A - A.T) <= COUPLING * largest(A):
+        if largest_entry(A - A.T) <= COUPLING * largest_entry(A):
             inner = 0.5 * (inner + inner.T)
         return inner, T.T @ B, C @ T, D
     U, size, Vt = scipy.linalg.svd(E)
@@ -161,7 +161,7 @@ def _energy_states(pencil: Pencil) -> ABCD:
 
 def _is_singular(matrix: np.ndarray, reference: np.ndarray) -> bool:
     """A singular value that is rounding of ``reference``."""
-    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * largest(reference))
+    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * largest_entry(reference))
 
 
 def _improper_error(why: str) -> UsageError:

@@ -35,7 +35,7 @@ from kc2spice.rom.lossy_modes import (
     relaxing_oscillator,
     viscous_oscillator,
 )
-from kc2spice.rom.pencil import Pencil, Schur, largest
+from kc2spice.rom.pencil import Pencil, Schur, largest_entry
 from kc2spice.rom.response import Response, grid
 from kc2spice.rom.stability import is_semidefinite, prove_stability
 
@@ -289,7 +289,7 @@ def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tup
         raise UsageError("structural damping is of second-order models", where=model.name)
     plain = replace(model, loss_factor=0.0, loss=None)
     alpha, beta_share = model.rayleigh or (0.0, 0.0)
-    undamped = model.rayleigh is not None or not largest(model.E)
+    undamped = model.rayleigh is not None or not largest_entry(model.E)
     if model.loss is not None:
         if not undamped:
             raise UsageError(
@@ -367,5 +367,5 @@ def _is_singular(E: np.ndarray) -> bool:
     diagonal = E.diagonal()
     if diagonal.min(initial=np.inf) <= MASSLESS * diagonal.max(initial=0.0):
         return True
-    matrix = E - MASSLESS * largest(E) * scipy.sparse.eye_array(E.shape[0], format="csc")
+    matrix = E - MASSLESS * largest_entry(E) * scipy.sparse.eye_array(E.shape[0], format="csc")
     return not is_semidefinite(np.asarray(matrix) if isinstance(E, np.ndarray) else matrix)

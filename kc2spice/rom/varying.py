@@ -36,8 +36,8 @@ from kc2spice.rom.parametric import (
     Values,
     higher_degree,
     list_exponents,
-    parametric,
     polynomials,
+    reduce_over_parameters,
 )
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import prove_stability
@@ -198,7 +198,7 @@ def _certify(
     sobol = scipy.stats.qmc.Sobol(len(axes), seed=11)
     degree: int | None = None
     while True:
-        dense_model = parametric(full, axes, band, degree=degree, progress=progress)
+        dense_model = reduce_over_parameters(full, axes, band, degree=degree, progress=progress)
         draws = sobol.random(CHECKS) * 2 - 1
         points = [_values_at(dense_model.box, x) for x in (*draws, np.sign(draws[0]))]
         checks = []
@@ -210,7 +210,7 @@ def _certify(
         error = SAFETY * _difference(dense_model, checks)
         if error > tolerance and degree is not None:
             continue
-        result, inner = varying(dense_model, band, OWN * tolerance, norm)
+        result, inner = make_resonators(dense_model, band, OWN * tolerance, norm)
         error = SAFETY * max(inner, _difference(result, checks))
         if error <= tolerance:
             return result, error
@@ -248,7 +248,7 @@ def _interpolate_facts(
     return facts
 
 
-def varying(
+def make_resonators(
     dense_model: Parametric, band: tuple[float, float], tolerance: float, norm: Norm = "pointwise"
 ) -> tuple[Varying, float]:
     """Make resonators of ``dense_model`` over its ranges.

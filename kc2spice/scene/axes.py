@@ -122,7 +122,7 @@ def _list_marked(keys: BaseModel, prefix: str) -> Iterator[Axis]:
         if isinstance(value, BaseModel) and not isinstance(value, Rom):
             yield from _list_marked(value, f"{prefix}.{name}")
         notch = _find_notch(declared)
-        if notch is not None and value is not None and notch.applies(keys):
+        if notch is not None and value is not None and notch.is_used(keys):
             yield _make_axis(f"{prefix}.{name}", value, declared)
 
 
@@ -193,7 +193,7 @@ def _describe_noise(part: Part, build: Build) -> str:
     """Return the noise sources of a part in words, if the scene has a noise analysis."""
     result = part.type.noise
     noise = result if isinstance(result, str) else "thermal noise at 27 C" if result else "no noise"
-    return f"; {noise}" if build.noisy else ""
+    return f"; {noise}" if build.has_noise else ""
 
 
 def _describe_mesh(part: Part, build: Build) -> str:

@@ -234,7 +234,7 @@ def _list_metered(scene: Scene) -> Iterator[Pin]:
     ``PART.PIN.force``, and as ``PART.current``, which is that of the first pin. ``PART.force`` is a
     result of the part.
     """
-    for of in scene.probed:
+    for of in scene.probed_results:
         name, _, quantity = of.partition(".")
         part = scene.parts.get(name)
         if part is None or not part.is_subcircuit:

@@ -16,7 +16,7 @@ from operator import mul
 from kc2spice.core.domains import ACCELERATION, TRANSLATION, VELOCITY
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.rows import SQUARE, Shake, ShakenFrame
+from kc2spice.scene.rows import SQUARE, FrameShake, ShakenFrame
 
 MOTIONS = (TRANSLATION.across.pin_unit, VELOCITY.pin_unit)  # units of pins that move or sense it
 
@@ -68,7 +68,7 @@ def _find_body_frames(part: Part, scene: Scene) -> dict[str, ShakenFrame]:
         for source, net in accelerations.items():
             share = _compute_cosine(directions.get(pin), directions.get(source))
             if share is None or abs(share) > SQUARE:
-                shakes.append(Shake(net, (part.name, source), share))
+                shakes.append(FrameShake(net, (part.name, source), share))
         result[pin] = ShakenFrame(part.name, tuple(shakes))
     return result
 

@@ -11,7 +11,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from kc2spice.core.quantities import entries, unit_of
+from kc2spice.core.quantities import list_keys, unit_of
 from kc2spice.scene.model import DEFAULT_TABLES, Scene
 from kc2spice.scene.parttype import part_types
 from kc2spice.scene.settings import Frame, Probe
@@ -42,7 +42,7 @@ def _list_kinds(annotation: Any) -> Iterator[Any]:
 
 def list_schema_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
     """Yield all keys of a schema in its order, those of its tables by dotted names."""
-    for path, field in entries(model):
+    for path, field in list_keys(model):
         default = _find_default(field)
         doc, kinds = field.description or "", dict.fromkeys(_list_kinds(field.annotation))
         words = tuple(kind for kind in kinds if isinstance(kind, str))

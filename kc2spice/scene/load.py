@@ -16,7 +16,7 @@ from kc2spice.core.quantities import (
     clip_text,
     describe_invalid,
     display_text,
-    entries,
+    list_keys,
 )
 from kc2spice.core.untrusted_files import (
     identifier,
@@ -252,7 +252,7 @@ def _unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
         if isinstance(table, Mapping) and item not in Frame.model_fields:
             parts.append(item)
             kind = part_type(str(table.get("part", DEFAULT_TYPES.get(item))))
-            for path, _ in () if kind is None else entries(kind.schema):
+            for path, _ in () if kind is None else list_keys(kind.schema):
                 part_keys.append(".".join((item, *path)))
     below = f"keys of a part stand below its name: {', '.join(parts)}" if parts else None
     return UsageError(

@@ -35,12 +35,12 @@ from kc2spice.scene.rows import (
     Neglected,
     Numerics,
     Rest,
-    Sampled,
+    SampledSource,
     SceneResults,
     ShakenFrame,
     State,
     StepLimit,
-    Swept,
+    SweptSource,
     Vector,
 )
 from kc2spice.scene.settings import Analysis, Bench, Checks, ErrorLimits, Frame, Probe, Rom, Solver
@@ -303,7 +303,7 @@ class DeclaredScene:
         return self.frame.probes
 
     @property
-    def probed(self) -> tuple[str, ...]:
+    def probed_results(self) -> tuple[str, ...]:
         """Results that probes read, each once."""
         return tuple(dict.fromkeys(probe.of for probe in self.probes.values()))
 
@@ -535,7 +535,7 @@ class BuildRecord:
 
     rest: Rest
     vectors: Mapping[str, Vector] = field(default_factory=dict)
-    settable: Mapping[str, Swept | Sampled | float] = field(default_factory=dict)
+    settable: Mapping[str, SweptSource | SampledSource | float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -568,7 +568,7 @@ class Build:
     workspace: Workspace = field(default_factory=Workspace)
 
     @property
-    def noisy(self) -> bool:
+    def has_noise(self) -> bool:
         """Whether the netlist has sources of noise."""
         return self.scene.analysis.type == "noise"
 
@@ -771,7 +771,9 @@ class PartType(Generic[KeysT]):
         instance = Element.of(f"X{part.name}", *nodes, build.libraries[part.name])
         return (instance, *ammeters)
 
-    def settable(self, part: Part[KeysT], build: Build) -> Mapping[str, Swept | Sampled | float]:
+    def settable(
+        self, part: Part[KeysT], build: Build
+    ) -> Mapping[str, SweptSource | SampledSource | float]:
         """Return quantities that the equations of the part do not determine.
 
         By key: the source that a dc sweep moves, or the function that runs beside the simulator.
@@ -866,7 +868,9 @@ class PartType(Generic[KeysT]):
         """
         return ()
 
-    def standing(self, part: Part[KeysT], build: Build, point: Waveforms) -> Iterable[Check]:
+    def check_operating_point(
+        self, part: Part[KeysT], build: Build, point: Waveforms
+    ) -> Iterable[Check]:
         """Return checks that small signals about the operating ``point`` have a meaning."""
         return ()
 

@@ -26,7 +26,7 @@ def require_probed_results(build: Build) -> None:
     UsageError : names the key of the probe, and the results that it may read.
     """
     scene = build.scene
-    if not scene.probes or build.noisy:
+    if not scene.probes or build.has_noise:
         return
     waiting = set()
     for name, part in scene.parts.items():

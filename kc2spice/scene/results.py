@@ -19,7 +19,7 @@ from kc2spice.netlist.deck import PowerTerm
 from kc2spice.scene.compose import metered_pins, powered_pins
 from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import Build, Part
-from kc2spice.scene.rows import DcSweep, Powers, SceneResults, Swept, Vector
+from kc2spice.scene.rows import DcSweep, Powers, SceneResults, SweptSource, Vector
 from kc2spice.scene.settings import Analysis
 
 NOISE_WAVE = "noise"  # spectral density of the output, and the metric of its rms value
@@ -58,7 +58,7 @@ def collect_results(build: Build) -> SceneResults:
     ------
     UsageError : as :func:`find_noise_output`.
     """
-    if build.noisy:
+    if build.has_noise:
         output = find_noise_output(build)
         return SceneResults({NOISE_WAVE: output.density}, noise_output=output)
     vectors = _collect_vectors(build)
@@ -132,7 +132,7 @@ def collect_powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
     for name, pin in build.scene.meters:
         part = build.scene.parts[name]
         domain = metered_pins(part, build.scene)[pin]
-        if f"{name}.{pin}.power" in build.scene.probed:
+        if f"{name}.{pin}.power" in build.scene.probed_results:
             result[f"{name}.{pin}.power"] = (_pin_power(part, pin, domain, build),)
     return result
 
@@ -167,7 +167,7 @@ def _pin_power(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
 
 def _probed_parts(build: Build, quantity_name: str) -> Iterator[Part]:
     """Yield the parts whose result ``PART.QUANTITY`` a probe reads."""
-    for result in build.scene.probed:
+    for result in build.scene.probed_results:
         name, _, read = result.partition(".")
         if read == quantity_name and name in build.scene.parts:
             yield build.scene.parts[name]
@@ -186,7 +186,7 @@ def resolve_dc_sweep(build: Build) -> DcSweep | None:
     name, _, key = str(selected.sweep).partition(".")
     part = scene.part(name, "analysis.sweep")
     moved = build.records[part.name].settable.get(key)
-    if not isinstance(moved, Swept):
+    if not isinstance(moved, SweptSource):
         raise UsageError(
             "a dc analysis cannot sweep this key",
             where=scene.where("analysis.sweep"),

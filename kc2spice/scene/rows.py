@@ -133,7 +133,7 @@ class LargestRealPart:
 
 
 @dataclass(frozen=True)
-class Swept:
+class SweptSource:
     """Source that a dc sweep of a key moves, with its volts or amperes per SI unit.
 
     ``range`` contains the first and the last value in SI, if they differ from those of the scene.
@@ -175,7 +175,7 @@ class DcSweep(EqualByContent):
 
 
 @dataclass(frozen=True)
-class Sampled:
+class SampledSource:
     """Function outside of the simulator that sets a source.
 
     ``source`` is the name of its card in lower case.
@@ -191,7 +191,7 @@ class Sampled:
     reload: Callable[[], Callable[[float, Mapping[str, float]], float]] | None = None
 
     @property
-    def at_start(self) -> Sampled:
+    def reset_function(self) -> SampledSource:
         """Function in its state before the first call of a run."""
         return self if self.reload is None else replace(self, call=self.reload())
 
@@ -226,7 +226,7 @@ class Numerics:
 
 
 @dataclass(frozen=True)
-class Shake:
+class FrameShake:
     """Acceleration at a ``pin`` of a body, on the node ``net``.
 
     ``along`` is the cosine between acceleration and displacement, None if a direction is unknown.
@@ -242,7 +242,7 @@ class ShakenFrame:
     """Accelerations of the frame of a net; empty if all are at a right angle."""
 
     body: str
-    shakes: tuple[Shake, ...]
+    shakes: tuple[FrameShake, ...]
 
     @property
     def acts(self) -> frozenset[tuple[str, float | None]]:

@@ -94,7 +94,7 @@ class Rom(Section):
         return band
 
     @property
-    def left_open(self) -> bool:
+    def is_default(self) -> bool:
         """Whether the scene sets neither order nor tolerance."""
         return not {"order", "tolerance"} & self.model_fields_set
 

@@ -186,13 +186,13 @@ def _require_size(deck: Deck) -> None:
     step = literal(words[3], where=deck.main) if len(words) > 3 else None
     if deck.command.kind != "tran" or not step or deck.stop is None:
         return
-    size = 8.0 * (1 + len(deck.saved)) * deck.stop / step
+    size = 8.0 * (1 + len(deck.saved_vectors)) * deck.stop / step
     if size > LARGEST_RAW:
         raise UsageError(
             "the run would write more than its limit",
             where=deck.main,
-            got=f"about {size:.2g} bytes: {1 + len(deck.saved)} vectors at {deck.stop / step:.2g} "
-            "points",
+            got=f"about {size:.2g} bytes: {1 + len(deck.saved_vectors)} vectors at "
+            f"{deck.stop / step:.2g} points",
             expected=f"at most {LARGEST_RAW:.2g}",
             hint="raise solver.max_step, end earlier, or save fewer vectors",
         )

@@ -320,7 +320,7 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
     plots = [first, *(plot for plot in plots[1:] if plot.names == first.names)]
     for plot in plots:
         if not plot.finite.all():
-            raise _corrupt(path, "it holds values that are not finite")
+            raise _corrupt_file_error(path, "it holds values that are not finite")
     if len(plots) == 1:
         return first.columns(len(first.table))
     return join_analyses([plot.columns(len(plot.table)) for plot in plots])
@@ -345,11 +345,11 @@ def _read_plots(path: Path) -> Iterator[_Plot]:
     while begin is not None:
         plot = _read_plot(path, begin)
         if plot is None:
-            raise _corrupt(path, "its header is cut off")
+            raise _corrupt_file_error(path, "its header is cut off")
         points = len(plot.table)
         if points < 1 or (points, plot.left) != (plot.promised, 0):
             what = f"it promises {plot.promised} points and holds {points} and {plot.left} bytes"
-            raise _corrupt(path, what)
+            raise _corrupt_file_error(path, what)
         yield plot
         begin = plot.end
 
@@ -393,9 +393,11 @@ def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
         _, *vectors = dropwhile(lambda line: not line.startswith("Variables:"), lines)
         names = tuple(line.split()[1].lower() for line in vectors[:count])
     except (KeyError, ValueError, IndexError):
-        raise _corrupt(path, "its header is not that of a binary raw file") from None
+        raise _corrupt_file_error(path, "its header is not that of a binary raw file") from None
     if len(names) != count or count < 1:
-        raise _corrupt(path, f"its header promises {count} vectors and names {len(names)}")
+        raise _corrupt_file_error(
+            path, f"its header promises {count} vectors and names {len(names)}"
+        )
     kind = np.dtype(np.complex128 if "complex" in fields.get("Flags", "") else np.float64)
     offset = begin + end + len(_BINARY)
     complete, left = divmod(path.stat().st_size - offset, kind.itemsize * count)
@@ -416,5 +418,5 @@ def _has_next_plot(path: Path, offset: int) -> bool:
         return stream.read(len(_NEXT)) == _NEXT
 
 
-def _corrupt(path: Path, what: str) -> SimulationError:
+def _corrupt_file_error(path: Path, what: str) -> SimulationError:
     return SimulationError(f"the raw file is not complete: {what}", where=str(path))

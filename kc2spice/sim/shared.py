@@ -31,7 +31,7 @@ from kc2spice.core.untrusted_files import lines_of
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
-from kc2spice.scene.rows import Sampled
+from kc2spice.scene.rows import SampledSource
 from kc2spice.sim.ngspice import partial_waves, waves_by_name
 from kc2spice.sim.output import altered_run, failed_run, read_raw, read_statistics
 
@@ -60,7 +60,7 @@ _library: Library | None = None
 class _Sampler:
     """Functions of a deck, which are called at their instants, with their answers."""
 
-    sampled: Sequence[Sampled]
+    sampled: Sequence[SampledSource]
     stop: float
     progress: Callable[[float], None] | None
     reported: float = 0.0
@@ -101,7 +101,9 @@ class _Sampler:
 
 
 def run_shared(
-    deck: Deck, sampled: Sequence[Sampled] = (), progress: Callable[[float], None] | None = None
+    deck: Deck,
+    sampled: Sequence[SampledSource] = (),
+    progress: Callable[[float], None] | None = None,
 ) -> Waveforms:
     """Run the transient ``deck`` in libngspice and return its results.
 

@@ -113,7 +113,7 @@ class EmittedResponse:
         forces, voltages, accelerations and signals.
         """
         s = 2j * np.pi * frequency
-        H = self.equations.solve(s, self.loads, list(map(_answer_node, self.rows)))
+        H = self.equations.solve(s, self.loads, list(map(_response_node, self.rows)))
         for row, port in enumerate(self.rows):
             if port.domain is not None and port.loaded:
                 H[:, row] *= port.domain.across.factor
@@ -148,7 +148,7 @@ def _unit_load(port: Port) -> dict[str, float]:
     return {node if port.loaded else f"i(held_{node})": unit}
 
 
-def _answer_node(port: Port) -> str:
+def _response_node(port: Port) -> str:
     node = port.terminals[0].lower()
     return f"i(held_{node})" if port.conservative and not port.loaded else node
 

@@ -14,7 +14,13 @@ from typing import Any
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.mesh_error import NOT_ESTIMATED, mesh_words
 from kc2spice.netlist.circuit import Circuit, Param, Pin
-from kc2spice.netlist.library import Header, ReductionFacts, Subcircuit, parameter_line, use_line
+from kc2spice.netlist.library import (
+    Header,
+    ReductionFacts,
+    Subcircuit,
+    instance_comment,
+    parameter_line,
+)
 from kc2spice.netlist.read import read
 from kc2spice.netlist.spelling import comment, name, number, render, word
 from kc2spice.rom.linear_model import Certificate, Port
@@ -101,7 +107,10 @@ def part_header(
     """
     sign = sign if TRANSLATION.flow in map(attrgetter("flow"), pins) else FLOW
     ends = map(attrgetter("name"), pins)
-    lines = [f"* {comment(title)}", use_line(title.partition(":")[0], ends, defaults(params))]
+    lines = [
+        f"* {comment(title)}",
+        instance_comment(title.partition(":")[0], ends, defaults(params)),
+    ]
     lines += [*header.origin(), *rom]
     facts = {"mesh": mesh, "sign": sign, "validity": validity, "rating": rating}
     for key, text in facts.items():

@@ -41,7 +41,7 @@ from kc2spice.scene.axes import Axis, find_axes, find_finest_axes, move_axes
 from kc2spice.scene.model import Scene
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow import refine
-from kc2spice.workflow.refine import Runs, changes
+from kc2spice.workflow.refine import Runs, metric_changes
 from kc2spice.workflow.simulate import Run
 
 ERROR = 1e-4
@@ -214,7 +214,7 @@ class _Plane:
         for turn in range(1, repeats):
             progress("times", turn / repeats, f"round {turn} of {repeats - 1}")
             for point in repeated:
-                point.times.append(refine.time_again(point.run))
+                point.times.append(refine.measure_again(point.run))
 
     def record(self, point: _Point) -> dict[str, Any]:
         """Return the row of a setting in ``bench.json``."""
@@ -326,7 +326,7 @@ def _require_convergence(plane: _Plane, selected: Sequence[str], *, keep_all: bo
     SimulationError : none converges.
     """
     start, finer, exact = map(plane.run_all_at, (0.0, CHECK, REFERENCE))
-    moved, changed = changes(finer, exact), changes(start, exact)
+    moved, changed = metric_changes(finer, exact), metric_changes(start, exact)
     present = []
     for name in selected:
         comparable = name in moved and max(moved[name], changed[name]) < np.inf
@@ -356,7 +356,7 @@ def run_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
         ours = run.values.get(name)
         if value.dtype.kind == "b" and not np.array_equal(np.nan if ours is None else ours, value):
             raise SimulationError(f"{name} is {ours}, with the finest settings {value}")
-    result = changes(run, exact)
+    result = metric_changes(run, exact)
     for name in names:
         if result[name] == np.inf:
             raise SimulationError(f"has no {name}")

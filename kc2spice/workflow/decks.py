@@ -85,7 +85,7 @@ def make_deck(build: Build) -> Deck:
     require_probed_results(build)
     results = build.results
     parts = tuple(_libraries(build, header))
-    noise = noise_analysis.noise_cards(build) if build.noisy else None
+    noise = noise_analysis.noise_cards(build) if build.has_noise else None
     sweep_scale = 1.0 if build.dc_sweep is None else build.dc_sweep.scale
     reductions = [f"* {p.name}, rom: {p.reduction.summary}" for p in parts if p.reduction]
     deck = Deck(
@@ -135,7 +135,7 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
         if part.name in build.scene.movers:
             continue
         for result in part.type.subcircuits(part, build, header):
-            if build.noisy and not part.netlist:
+            if build.has_noise and not part.netlist:
                 meters = part.type.noise
                 result = remove_arithmetic_noise(result, () if isinstance(meters, str) else meters)
             first, same = known.setdefault(result.filename.lower(), (part.name, result))

@@ -38,13 +38,13 @@ from kc2spice.rom.parametric import (
     Parametric,
     modal_projection,
     modal_transfer,
-    parametric,
+    reduce_over_parameters,
 )
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import Response
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
-from kc2spice.workflow.misfit import WARNED, covariance, likely_cause, misfit
+from kc2spice.workflow.misfit import WARNED, covariance, likely_cause, misfit_to_noise
 from kc2spice.workflow.sweep.grid import parse_value
 
 SPREAD, LOSSES = 1.3, 10.0  # range of a key over its value: ceramics vary by 30 %, losses by tens
@@ -458,7 +458,7 @@ class _Body:
         """Return the least squares problem of the reduced model of a parameter range."""
         constant = {TANGENT, *LOSS_FACTORS} if self.damping.model == "ieee176" else {TANGENT}
         axes = [axis for name, axis in box.items() if name not in constant]
-        reduced = parametric(self.full, axes, self.band, degree=degree)
+        reduced = reduce_over_parameters(self.full, axes, self.band, degree=degree)
         return _Descent(self, reduced, box)
 
 
@@ -673,7 +673,7 @@ def _record(
         "undetermined": [dict(zip(names, row, strict=True)) for row in Vt[weak].tolist()],
         "correlation": (scatter / np.outer(sigma, sigma)).tolist(),
         "noise": body.data.noise,
-        "misfit": misfit(solved.fun, len(keys)),
+        "misfit": misfit_to_noise(solved.fun, len(keys)),
         "caution": caution,
         "resonances": resonances,
         "starts": [{**item.values, "cost": item.cost} for item in ends],
@@ -687,7 +687,7 @@ def _explain_misfit(
     body: _Body, end: _DescentResult, resonances: Sequence[Mapping[str, float | None]]
 ) -> str | None:
     """Return the likely cause of a misfit in words; None if noise explains the misfit."""
-    ratio = misfit(end.solved.fun, len(body.keys))
+    ratio = misfit_to_noise(end.solved.fun, len(body.keys))
     if ratio <= WARNED:
         return None
     text = f"the model does not describe the data: a misfit of {ratio:.1f} times the noise"
@@ -701,7 +701,7 @@ def _explain_misfit(
 
 def _noise_ratio(solved: OptimizeResult) -> float:
     """Return the ratio of the residual to the noise, at least 1."""
-    return max(1.0, misfit(solved.fun, solved.jac.shape[1]))
+    return max(1.0, misfit_to_noise(solved.fun, solved.jac.shape[1]))
 
 
 def _log_widths(keys: Sequence[VariedKey]) -> list[float]:

@@ -63,7 +63,7 @@ def _measures(
         if wave is None or not _NAME.fullmatch(name):
             continue
         if isinstance(probe, LargestRealPart):
-            yield Measure(name, wave.kind, (_signed("MAX_AT", wave.factor), wave.text))
+            yield Measure(name, wave.kind, (_signed_extreme("MAX_AT", wave.factor), wave.text))
         elif not {"from_", "to", "periods"} & probe.model_fields_set:
             yield from _measure(name, probe, wave)
 
@@ -97,7 +97,7 @@ def _measure(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
             return
         text, factor = f"vm({text[2:]}", abs(factor)
     if take == "argmax":
-        yield Measure(name, kind, (_signed("MAX_AT", factor), text), 1 / wave.per_unit)
+        yield Measure(name, kind, (_signed_extreme("MAX_AT", factor), text), 1 / wave.per_unit)
     elif take == "crossing" and probe.level is not None:
         words = "WHEN", f"{text}={number(probe.level / factor)}", "CROSS=1"
         yield Measure(name, kind, words, 1 / wave.per_unit)
@@ -107,9 +107,9 @@ def _measure(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
         yield Measure(name, kind, ("FIND", text, f"AT={number(wave.last)}"), factor)
     elif word := _TAKEN.get(take):
         size = abs(factor) if word in ("PP", "RMS") else factor
-        yield Measure(name, kind, (_signed(word, factor), text), size)
+        yield Measure(name, kind, (_signed_extreme(word, factor), text), size)
 
 
-def _signed(word: str, factor: float) -> str:
+def _signed_extreme(word: str, factor: float) -> str:
     """The word of an extreme of a vector whose unit may be negative."""
     return _OPPOSITE.get(word, word) if factor < 0 else word

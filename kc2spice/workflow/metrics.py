@@ -45,7 +45,9 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
                 balances[name] = row
             else:
                 gates.append((name, row))
-    checks += noise_analysis.checks(waves) if build.noisy else step_checks(build, waves, balances)
+    checks += (
+        noise_analysis.checks(waves) if build.has_noise else step_checks(build, waves, balances)
+    )
     if scene.checks.energy == "off":
         balances = {}
     slack = max(1.0, BUDGET_SHARE * (scene.error_budget or 0.0) / 1e-4)

@@ -25,7 +25,7 @@ AS_LIKELY = 1.1  # squares that a cause leaves, relative to the least: as likely
 EXPLAINED = 0.5  # share of squared residuals that a likely cause removes at least
 
 
-def misfit(residuals: np.ndarray, keys: int) -> float:
+def misfit_to_noise(residuals: np.ndarray, keys: int) -> float:
     """Rms residual in units of the noise.
 
     Parameters
@@ -37,7 +37,7 @@ def misfit(residuals: np.ndarray, keys: int) -> float:
 
     Examples
     --------
-    >>> misfit(np.array([3.0, -3.0, 3.0, -3.0]), 2)
+    >>> misfit_to_noise(np.array([3.0, -3.0, 3.0, -3.0]), 2)
     4.242640687119285
     """
     return float(np.sqrt(residuals @ residuals / max(len(residuals) - keys, 1)))
@@ -56,7 +56,7 @@ def covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray) -> np.n
         Ranges of the values; no standard error of the jackknife is larger.
     """
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
-    more = misfit(residuals, J.shape[1])
+    more = misfit_to_noise(residuals, J.shape[1])
     noise = max(1.0, more) ** 2 * (Vt.T / np.maximum(s, 1e-12) ** 2) @ Vt
     if more < MODEL_ERROR:
         return np.asarray(noise)

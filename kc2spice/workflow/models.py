@@ -79,7 +79,7 @@ def share_subcircuits(build: Build) -> Build:
     It has the name of the type if those of all its parts are equal. Otherwise each group of equal
     subcircuits has the name of its first part's subcircuit.
     """
-    header, names = Header(build.scene.name, scene_hash(build.scene)), _numbered(build)
+    header, names = Header(build.scene.name, scene_hash(build.scene)), _number_subcircuits(build)
     kinds: dict[str, list[Part]] = {}
     for part in build.scene.parts.values():
         if part.name in names:
@@ -91,19 +91,19 @@ def share_subcircuits(build: Build) -> Build:
         trial = replace(build, libraries=names | same_name)
         equal: dict[tuple[str, ...], list[str]] = {}
         for part in parts:
-            equal.setdefault(_texts(part, trial, header), []).append(part.name)
+            equal.setdefault(_netlist_texts(part, trial, header), []).append(part.name)
         single = len(equal) == 1 and kind not in map(str.lower, names.values())
         for group in equal.values():
             names |= dict.fromkeys(group, kind if single else names[group[0]])
     return replace(build, libraries=names)
 
 
-def _texts(part: Part, build: Build, header: Header) -> tuple[str, ...]:
+def _netlist_texts(part: Part, build: Build, header: Header) -> tuple[str, ...]:
     """Return the netlists of a part's subcircuits."""
     return tuple(map(attrgetter("text"), part.type.subcircuits(part, build, header)))
 
 
-def _numbered(build: Build) -> dict[str, str]:
+def _number_subcircuits(build: Build) -> dict[str, str]:
     """Return the libraries of all parts, with different names for different subcircuits.
 
     Bodies of one part number may have different subcircuits, such as those of other ports. The
@@ -117,7 +117,7 @@ def _numbered(build: Build) -> dict[str, str]:
         name = build.libraries[part.name]
         if users.count(name) < 2 or part.netlist or not isinstance(part.type, LinearBody):
             continue
-        texts = _texts(part, build, header)
+        texts = _netlist_texts(part, build, header)
         if texts not in equal:
             scene_name = part.type.scene_library(part, scene)
             equal[texts] = unique.name(part.name, scene_name) if name in equal.values() else name

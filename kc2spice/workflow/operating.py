@@ -44,7 +44,7 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
     if is_linear(build):
         return OperatingPoint()
     # Probes stay: what they read decides which pins a body has. Noise is no result of this run.
-    probes = {} if build.noisy else scene.probes
+    probes = {} if build.has_noise else scene.probes
     frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": probes})
     # Pins and models stay: films and eddy currents are resolved up to the same frequency.
     resolved = replace(scene, frame=frame, resolved_frequency=highest_frequency(scene))
@@ -61,7 +61,7 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
     values = {name: float(point[name][-1]) for name in deck_at_rest.units if name in point}
     checks: list[Check] = []
     for part in scene.parts.values():
-        checks += part.type.standing(part, build, point)
+        checks += part.type.check_operating_point(part, build, point)
     units = {name: deck_at_rest.units[name] for name in values}
     return OperatingPoint(values, units, tuple(checks))
 

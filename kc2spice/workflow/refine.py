@@ -191,7 +191,7 @@ def evaluate(
         return simulate_deck(build, deck, Path(folder), retries=retries)
 
 
-def time_again(run: Run) -> float:
+def measure_again(run: Run) -> float:
     """Simulate the deck of ``run`` again and return the CPU time [s] of the simulator."""
     with tempfile.TemporaryDirectory() as folder:
         shared = bool(sampled_functions(run.build))
@@ -200,7 +200,7 @@ def time_again(run: Run) -> float:
         return simulator_cpu(shared=shared) - begin
 
 
-def changes(run: Run, finer: Run) -> dict[str, float]:
+def metric_changes(run: Run, finer: Run) -> dict[str, float]:
     """Return the relative change of every metric of ``finer``.
 
     The change of a curve is relative to its largest value. The change of a number is relative to
@@ -392,7 +392,7 @@ def coarser_changes(
         coarser = None
         if axis.at(at - 1) != axis.at(at):
             coarser = _try_run(runs, _move_axes(notches, [axis], -1))
-        for name, change in changes(coarser, now).items() if coarser is not None else ():
+        for name, change in metric_changes(coarser, now).items() if coarser is not None else ():
             if math.isfinite(change):
                 result[name] = max(result.get(name, 0.0), change)
     return result
@@ -443,4 +443,4 @@ def _try_run(runs: Runs, notches: Notches) -> Run | None:
 
 def _differences(run: Run, finer: Run) -> dict[str, float]:
     """Estimate the relative error of each metric of ``run``."""
-    return {name: REMAINDER * change for name, change in changes(run, finer).items()}
+    return {name: REMAINDER * change for name, change in metric_changes(run, finer).items()}

@@ -53,7 +53,7 @@ def point_time(states: int) -> float:
     return PER_POINT + PER_STATE * states
 
 
-def ringing_of(part: str, model: Resonators, stop: float, reltol: float) -> Ringing:
+def expect_ringing(part: str, model: Resonators, stop: float, reltol: float) -> Ringing:
     """Expected time points of a run in which all modes of a body ring from its start.
 
     Parameters
@@ -120,6 +120,6 @@ def _announce_ringing(build: Build, deck: Deck) -> None:
             continue
         drive = getattr(scene.parts[name].keys, "drive", None)
         span = scene.stop - min(getattr(drive, "start", 0.0), scene.stop)
-        result = ringing_of(name, modal, span, read_reltol(deck))
+        result = expect_ringing(name, modal, span, read_reltol(deck))
         if result.points > MANY and result.frequency:
             warnings.warn(str(result), stacklevel=3)

@@ -46,7 +46,7 @@ class CompletedRun:
         """Figures of probes and parts, and further files."""
         build, waves, units = self.run.build, self.run.waves, self.run.deck.units
         result: list[Figure | FileWriter] = []
-        if build.noisy:
+        if build.has_noise:
             result += noise_analysis.noise_figures(waves, units[NOISE_WAVE])
         result += plot_probes(build.scene.probes, waves, units)
         for part in build.scene.parts.values():

@@ -23,7 +23,7 @@ from kc2spice.netlist.deck import Deck, PowerTerm
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Verdict
 from kc2spice.scene.model import Build
-from kc2spice.scene.rows import Sampled
+from kc2spice.scene.rows import SampledSource
 from kc2spice.sim.ngspice import (
     Outcome,
     RetriesFailedError,
@@ -217,7 +217,7 @@ def run_simulation(
 
     Raises as :func:`run_deck` and :func:`kc2spice.sim.shared.run_shared` do.
     """
-    functions = [item.at_start for item in sampled_functions(build)]
+    functions = [item.reset_function for item in sampled_functions(build)]
     if build.scene.analysis.small:
         from kc2spice.workflow.resonances import with_resonances  # which loads scipy
 
@@ -248,7 +248,7 @@ def _run_each_from_rest(
     return replace(first, data=join_analyses(parts))
 
 
-def sampled_functions(build: Build) -> list[Sampled]:
+def sampled_functions(build: Build) -> list[SampledSource]:
     """The functions that set sources of the scene while it runs.
 
     Raises
@@ -260,7 +260,7 @@ def sampled_functions(build: Build) -> list[Sampled]:
         for part in build.scene.parts.values()
         if build.scene.analysis.type == "transient"
         for item in build.records[part.name].settable.values()
-        if isinstance(item, Sampled)
+        if isinstance(item, SampledSource)
     ]
 
 

@@ -15,7 +15,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.parts.bodies._box import with_values
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.rom.parametric import ParameterAxis, parametric
+from kc2spice.rom.parametric import ParameterAxis, reduce_over_parameters
 from kc2spice.rom.varying import reduce_over_ranges
 from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
 
@@ -353,7 +353,7 @@ def two_masses(values):
 
 
 def test_frequencies_may_cross_within_the_box():
-    made = parametric(two_masses, [ParameterAxis("k", 1.0, 4.0)], (0.01, 0.5), degree=9)
+    made = reduce_over_parameters(two_masses, [ParameterAxis("k", 1.0, 4.0)], (0.01, 0.5), degree=9)
     f = np.linspace(0.05, 0.5, 200)
     for k in (1.1, 1.97, 2.0, 2.05, 3.7):
         exact = two_masses({"k": k}).transfer(f)
@@ -367,7 +367,7 @@ def test_sizes_and_losses_of_a_disc_at_values_that_no_sample_had():
     axes = [ParameterAxis(key, value / 1.05, 1.05 * value) for key, value in start.items()][:2]
     axes += [ParameterAxis("damping.quality", 10.0, 100.0)]
     band = (1e3, 25e3)
-    made = parametric(buzzer, axes, band, degree=6)
+    made = reduce_over_parameters(buzzer, axes, band, degree=6)
     assert [loss.axis.name for loss in made.losses] == ["damping.quality"]
     f, draw = np.linspace(*band, 20), np.random.default_rng(5)
     for _ in range(3):
@@ -405,7 +405,7 @@ def test_models_without_a_common_form_are_refused(change, said):
         return change(two_masses(values), values["k"])
 
     with pytest.raises(UsageError, match=said):
-        parametric(full, [ParameterAxis("k", 1.0, 3.0)], (0.01, 0.5))
+        reduce_over_parameters(full, [ParameterAxis("k", 1.0, 3.0)], (0.01, 0.5))
 
 
 @pytest.mark.parametrize("ends", [(1.0, 1.0), (-1.0, 1.0), (0.0, 1.0), (np.nan, 1.0)])
@@ -415,7 +415,7 @@ def test_a_range_has_two_ends_of_one_sign(ends):
 
 
 def test_parameters_outside_of_the_box_are_refused():
-    made = parametric(two_masses, [ParameterAxis("k", 1.0, 4.0)], (0.01, 0.5), degree=3)
+    made = reduce_over_parameters(two_masses, [ParameterAxis("k", 1.0, 4.0)], (0.01, 0.5), degree=3)
     for values in ({"k": 4.1}, {"k": -2.0}, {}):
         with pytest.raises(UsageError, match="outside"):
             made.at(values)

@@ -9,7 +9,7 @@ from kc2spice.bodies.device import ForceShape, Setup, make_device, node_shares, 
 from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import validated
+from kc2spice.core.quantities import validate
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear_model import Port
@@ -138,7 +138,7 @@ def test_shear_agrees_with_solid_elements_over_the_whole_section():
 )
 def test_impossible_stacks_are_refused(keys, says):
     with pytest.raises(UsageError, match=says):
-        validated(Chip, keys, "stack")
+        validate(Chip, keys, "stack")
 
 
 def test_a_stack_that_nothing_holds_is_reduced_as_one():

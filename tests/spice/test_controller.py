@@ -12,7 +12,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import RetriesFailedError
 from kc2spice.sim.shared import run_shared
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.refine import time_again
+from kc2spice.workflow.refine import measure_again
 from kc2spice.workflow.run import complete
 from kc2spice.workflow.verify.verify import verify_scenes
 
@@ -80,7 +80,7 @@ def test_a_run_says_that_it_was_within_this_process_and_can_be_timed_again(tmp_p
     done = complete(scene(), tmp_path, functions={"digits": lambda time, inputs: 1.0})
     assert done.record["simulator"]["engine"] == "shared"
     assert done.run.cpu_s > 0
-    assert time_again(done.run) > 0
+    assert measure_again(done.run) > 0
 
 
 def test_files_that_are_no_function_are_refused(tmp_path):

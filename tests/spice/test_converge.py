@@ -133,7 +133,7 @@ def test_the_error_at_the_limit_is_that_of_each_metric(monkeypatch):
     done, exact = refined_disc(monkeypatch, 2500, 1e-4)
     assert done.final.settings["disc.mesh.refine"] == 2
     assert done.final.unmoved == ("disc.mesh.refine",)
-    true = refine.changes(done.final.run, exact)
+    true = refine.metric_changes(done.final.run, exact)
     for name, error in true.items():
         assert done.final.errors[name] >= error, name
     mesh = max(mesh_errors(done.final.run.build.facts(exact.build.scene.parts["disc"])).values())

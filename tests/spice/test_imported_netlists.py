@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.importer import imported
+from kc2spice.netlist.importer import translate_circuit
 from kc2spice.netlist.read import read
 
 
@@ -375,19 +375,19 @@ max_step = "20 ns"
 def test_what_has_no_equal_is_refused_with_its_line(card, message):
     text = f".subckt own a\nR1 a 0 1\n{card}\n.ends\n"
     with pytest.raises(UsageError, match=message) as caught:
-        imported(read(text, "own.lib"), "ltspice")
+        translate_circuit(read(text, "own.lib"), "ltspice")
     assert caught.value.where.startswith("own.lib:")
 
 
 def test_pspice_has_no_unit_in_place_of_the_decimal_point():
     """The card stays as it is, and the check of the whole deck names what ngspice would read."""
-    resistor = imported(read("R1 a 0 4k7\n", "r.lib"), "pspice").items[0]
+    resistor = translate_circuit(read("R1 a 0 4k7\n", "r.lib"), "pspice").items[0]
     assert resistor.values == ("4k7",)
 
 
 def test_a_model_begins_with_another_one():
     text = ".model base NPN(Bf=100 Is=1f)\n.model own ako:base NPN(Bf=200 mfg=X)\nQ1 c b e own\n"
-    models = imported(read(text, "m.lib"), "ltspice").items[:2]
+    models = translate_circuit(read(text, "m.lib"), "ltspice").items[:2]
     assert models[1].type.lower() == "npn"
     assert models[1].parameters == {"bf": "200", "is": "1f"}
 

@@ -159,7 +159,7 @@ def test_a_metric_is_judged_by_those_of_its_own_unit():
         {"x_peak": 1.0e-6, "u_peak": 1e3, "far_m": 2e-6, "quality": 100.0, "coupling_quality": 0.3},
         units,
     )
-    found = refine.changes(coarse, fine)
+    found = refine.metric_changes(coarse, fine)
     assert found["x_peak"] == pytest.approx(0.1)
     assert found["quality"] == pytest.approx(0.1)
 
@@ -167,7 +167,7 @@ def test_a_metric_is_judged_by_those_of_its_own_unit():
 def test_near_zero_values_are_judged_by_a_tenth_of_the_largest_in_their_unit():
     units = {"rest": "m", "stroke": "m"}
     coarse, fine = runs({"rest": 2e-9, "stroke": 1e-6}, {"rest": 1e-9, "stroke": 1e-6}, units)
-    assert refine.changes(coarse, fine)["rest"] == pytest.approx(1e-9 / 1e-7)
+    assert refine.metric_changes(coarse, fine)["rest"] == pytest.approx(1e-9 / 1e-7)
 
 
 def test_values_of_a_response_are_judged_by_themselves():
@@ -176,7 +176,7 @@ def test_values_of_a_response_are_judged_by_themselves():
     coarse, fine = runs(
         {"low": 2e-9, "peak": 1e-6, "still": 3e-19}, {"low": 1e-9, "peak": 1e-6, "still": 0}, units
     )
-    found = refine.changes(replace(coarse, small=True), fine)
+    found = refine.metric_changes(replace(coarse, small=True), fine)
     assert found["low"] == pytest.approx(1.0)
     assert found["still"] < 1e-6
 
@@ -184,7 +184,7 @@ def test_values_of_a_response_are_judged_by_themselves():
 def test_bench_and_error_budget_state_the_same_error():
     units = {"rest": "m", "stroke": "m"}
     coarse, fine = runs({"rest": 2e-9, "stroke": 1e-6}, {"rest": 1e-9, "stroke": 1.1e-6}, units)
-    assert bench.run_errors(coarse, fine, ("rest", "stroke")) == refine.changes(coarse, fine)
+    assert bench.run_errors(coarse, fine, ("rest", "stroke")) == refine.metric_changes(coarse, fine)
 
 
 def test_facts_of_models_have_units():

@@ -12,7 +12,7 @@ from kc2spice.parts.electronics._template import opamp_subcircuit
 from kc2spice.parts.mechanics.sphere import rigid_sphere
 from kc2spice.physics.part import declared_subcircuit as declared
 from kc2spice.pyspice import subcircuit
-from kc2spice.scene.rows import Sampled
+from kc2spice.scene.rows import SampledSource
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.sim.shared import run_shared
 
@@ -46,7 +46,7 @@ def rc(text=RC):
 
 
 def sampled(call):
-    return [Sampled("vexternal", 10e-6, 4e-6, call)]
+    return [SampledSource("vexternal", 10e-6, 4e-6, call)]
 
 
 def test_failing_function_is_reported():

@@ -36,7 +36,7 @@ def test_ngspice_takes_the_time_points_that_are_expected(damping, tmp_path):
     deck = make_deck(build)
     taken = run_deck(deck, tmp_path)["time"].size
     modal = resonators(build.models["kick"])
-    expected = ringing.ringing_of("kick", modal, 59e-6, read_reltol(deck))
+    expected = ringing.expect_ringing("kick", modal, 59e-6, read_reltol(deck))
     assert 0.75 < expected.points / taken < 1.35
 
 

@@ -23,7 +23,7 @@ def elements(circuit):
 def test_libraries_read_back_to_the_trees_they_are_printed_from(loop):
     for part in loop.parts:
         again = read(part.text, part.filename)
-        cards = list(elements(part.located))
+        cards = list(elements(part.located_tree))
         assert list(map(element_text, elements(again))) == list(map(element_text, cards))
         assert [card.written for card in elements(again)] == [card.written for card in cards]
         assert [card.where for card in elements(again)] == [card.where for card in cards]
@@ -34,7 +34,7 @@ def test_decks_read_back_to_the_trees_they_are_printed_from(loop):
     cards = [Printer().card(item) for item in loop.circuit.items]
     assert [Printer().card(item) for item in again.items] == cards
     assert [item.notes for item in again.items] == [item.notes for item in loop.circuit.items]
-    lines = [item.where for item in loop.located[loop.main].items]
+    lines = [item.where for item in loop.located_trees[loop.main].items]
     assert lines == [item.where for item in again.items]
 
 

@@ -14,7 +14,7 @@ import pytest
 import kc2spice
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core import cache
-from kc2spice.core.cache import cached
+from kc2spice.core.cache import load_or_build
 from kc2spice.core.progress import Clock, silent
 from kc2spice.parts.bodies import _body_model
 from kc2spice.parts.magnetics import ring_magnet_coils
@@ -68,8 +68,8 @@ class Builder:
 
 def test_round_trip_is_bit_exact(outer):
     build = Builder(outer)
-    assert cached("kind", {"a": 1}, build, classes=(Outer, Inner)) is outer
-    second = cached("kind", {"a": 1}, build, classes=(Outer, Inner))
+    assert load_or_build("kind", {"a": 1}, build, classes=(Outer, Inner)) is outer
+    second = load_or_build("kind", {"a": 1}, build, classes=(Outer, Inner))
     assert build.calls == 1
     assert second.dense.tobytes() == outer.dense.tobytes()
     assert second.ports == outer.ports
@@ -88,10 +88,10 @@ def test_round_trip_is_bit_exact(outer):
 def test_a_change_of_what_it_depends_on_builds_again(change):
     base = {"kind": "kind", "key": {"kick": Chip()}}
     build = Builder(1)
-    cached(build=build, **base)
-    cached(build=build, **base)
+    load_or_build(build=build, **base)
+    load_or_build(build=build, **base)
     assert build.calls == 1
-    cached(build=build, **{**base, **change})
+    load_or_build(build=build, **{**base, **change})
     assert build.calls == 2
 
 
@@ -100,19 +100,19 @@ def test_changed_source_or_library_builds_again(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     build = Builder(1)
     for _ in range(2):
-        cached("kind", {}, build, sources=("some_model",))
+        load_or_build("kind", {}, build, sources=("some_model",))
     assert build.calls == 1
     (tmp_path / "some_model.py").write_text("x = 2\n")
-    cached("kind", {}, build, sources=("some_model",))
+    load_or_build("kind", {}, build, sources=("some_model",))
     assert build.calls == 2
     monkeypatch.setattr(cache, "_version", lambda library: "0.0")
-    cached("kind", {}, build, sources=("some_model",))
+    load_or_build("kind", {}, build, sources=("some_model",))
     assert build.calls == 3
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "empty"])
 def test_damaged_entries_are_noticed(folder, outer, damage):
-    cached("kind", {}, Builder(outer), classes=(Outer, Inner))
+    load_or_build("kind", {}, Builder(outer), classes=(Outer, Inner))
     (entry,) = folder.rglob("*.entry")
     content = bytearray(entry.read_bytes())
     if damage == "flip":
@@ -120,9 +120,9 @@ def test_damaged_entries_are_noticed(folder, outer, damage):
     entry.write_bytes({"flip": content, "cut": content[:-9], "empty": b""}[damage])
     build = Builder(outer)
     with pytest.warns(UserWarning, match="damaged"):
-        cached("kind", {}, build, classes=(Outer, Inner))
+        load_or_build("kind", {}, build, classes=(Outer, Inner))
     assert build.calls == 1
-    cached("kind", {}, build, classes=(Outer, Inner))
+    load_or_build("kind", {}, build, classes=(Outer, Inner))
     assert build.calls == 1
 
 
@@ -130,7 +130,7 @@ def test_an_unwritable_cache_warns_and_works(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("KC2SPICE_CACHE", str(tmp_path / "file"))
     with pytest.warns(UserWarning, match="cannot write the cache"):
-        assert cached("kind", {}, Builder(3)) == 3
+        assert load_or_build("kind", {}, Builder(3)) == 3
 
 
 def test_a_full_disk_costs_time_only(folder):
@@ -138,7 +138,7 @@ def test_a_full_disk_costs_time_only(folder):
     if child == 0:
         resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
         with pytest.warns(UserWarning, match="cannot write the cache"):
-            found = cached("kind", {}, Builder(np.zeros(10_000)))
+            found = load_or_build("kind", {}, Builder(np.zeros(10_000)))
         os._exit(7 if found.size == 10_000 else 1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
     assert not [path for path in folder.rglob("*") if path.is_file()]
@@ -148,12 +148,12 @@ def test_two_that_need_the_same_build_it_once(folder):
     """One builds, the other waits for it, be they threads or processes."""
     code = (
         "import sys, time\n"
-        "from kc2spice.core.cache import cached\n"
+        "from kc2spice.core.cache import load_or_build\n"
         "def build():\n"
         "    open(sys.argv[1], 'a').write('x')\n"
         "    time.sleep(0.5)\n"
         "    return 7\n"
-        "assert cached('sums', {'a': 1}, build) == 7\n"
+        "assert load_or_build('sums', {'a': 1}, build) == 7\n"
     )
     log = folder / "built"
     command = [sys.executable, "-c", code, str(log)]
@@ -205,7 +205,7 @@ def test_every_module_that_a_build_runs_is_part_of_its_key(scene, monkeypatch):
         return result
 
     for module in (_body_model, ring_magnet_coils):
-        monkeypatch.setattr(module, "cached", watched)
+        monkeypatch.setattr(module, "load_or_build", watched)
     build_models(load_scene(scene, list(BODIES[scene])), Clock(silent))
     assert missed
     assert not any(missed.values()), missed

@@ -8,7 +8,7 @@ import pytest
 import kc2spice as kc
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.library import Header, ReductionFacts, joined_comments
+from kc2spice.netlist.library import Header, ReductionFacts, join_comments
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.read import read
 from kc2spice.netlist.transforms import with_parameters
@@ -46,7 +46,7 @@ def test_a_head_has_an_instance_to_copy_and_lines_of_100_characters():
 
 def declared_use(circuit):
     """The instance that the head of a subcircuit shows, as an element."""
-    (line,) = (line for line in joined_comments(circuit.notes) if line.startswith("* use: "))
+    (line,) = (line for line in join_comments(circuit.notes) if line.startswith("* use: "))
     (element,) = read(line.removeprefix("* use: ").replace(" + ", " ") + "\n", "use").items
     return element
 

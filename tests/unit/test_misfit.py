@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from kc2spice.workflow.misfit import covariance, likely_cause, misfit
+from kc2spice.workflow.misfit import covariance, likely_cause, misfit_to_noise
 
 F = np.linspace(0.8, 1.3, 200)
 TRUE = np.log([1.0, 0.2, 50.0])  # resonance, motional capacitance, Q
@@ -67,7 +67,9 @@ def test_no_standard_error_of_a_bad_model_exceeds_the_range_by_far():
     rng = np.random.default_rng(1)
     J, left = np.zeros((60, 1)), 20 * rng.normal(size=60)
     J[3], J[33] = 50.0, 1e-6  # one frequency determines the value
-    assert np.sqrt(covariance(J, left, np.array([0.5]))[0, 0]) < 1.1 * (0.5 + misfit(left, 1) / 50)
+    assert np.sqrt(covariance(J, left, np.array([0.5]))[0, 0]) < 1.1 * (
+        0.5 + misfit_to_noise(left, 1) / 50
+    )
 
 
 def test_the_likely_cause_is_the_one_that_was_added():
@@ -77,7 +79,7 @@ def test_the_likely_cause_is_the_one_that_was_added():
     rng = np.random.default_rng(5)
     for name, changed in (("series", Y / (1 + 0.02 * Y)), ("dielectric", Y + 0.5 * F)):
         solved = solve(np.log(changed) + white(rng, STATED))
-        assert misfit(solved.fun, 3) > 3
+        assert misfit_to_noise(solved.fun, 3) > 3
         assert likely_cause(solved.jac, solved.fun, causes) == name
     wavy = log_admittance(TRUE) + 0.1 * np.sin(60 * F) + white(rng, STATED)
     solved = solve(wavy)

@@ -20,7 +20,7 @@ from kc2spice.core.untrusted_files import (
     plain_name,
     read_bounded,
 )
-from kc2spice.netlist.circuit import Param, Pin, positive
+from kc2spice.netlist.circuit import Param, Pin, positive_parameter
 from kc2spice.netlist.library import Header
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
@@ -172,7 +172,7 @@ def test_every_text_of_a_record_is_checked(place, evil, tmp_path):
 def test_a_header_takes_no_line_break():
     with pytest.raises(UsageError, match="not a unit"):
         part_header(Header("s", "h"), "t", (Pin("a", EVIL, "A"),), rating="none")
-    params = (Param("k", 2.0, "N/m", EVIL), positive("c", 1e-9, "F", "size"))
+    params = (Param("k", 2.0, "N/m", EVIL), positive_parameter("c", 1e-9, "F", "size"))
     lines = part_header(Header(EVIL, "h"), "t", (Pin("a", "V", "A"),), params, rating="none")
     text = "\n".join(lines)
     assert all(line.startswith("* ") for line in text.splitlines())

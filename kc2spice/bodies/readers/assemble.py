@@ -16,7 +16,7 @@ from kc2spice.bodies.readers.sidecar import FORCES, LENGTHS, NodeSelection, Port
 from kc2spice.core.domains import ACCELERATION, ELECTRICAL
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.io import complete_triangle
-from kc2spice.rom.linear_model import LinearModel, Port, half_stored, with_potentials
+from kc2spice.rom.linear_model import LinearModel, Port, is_half_stored, with_potentials
 from kc2spice.rom.pencil import Matrix
 
 
@@ -94,7 +94,7 @@ def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
     if structural and "K" in result:
         result["K"] = stiffness
     symmetric, square = rows.sidecar.symmetric, _square_matrices(result)
-    halves = [k for k, matrix in square.items() if half_stored(matrix)]
+    halves = [k for k, matrix in square.items() if is_half_stored(matrix)]
     if symmetric is None and halves:
         hint = f"in {rows.name}.toml: symmetric = true for halves, false if it is triangular"
         problem = "only one triangle is stored, but the file says 'general'"

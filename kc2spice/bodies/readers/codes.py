@@ -84,11 +84,11 @@ def read_abaqus(files: dict[str, Path]) -> raw.Raw:
         n = 1 + max(int(np.max(table[:2])) for table in tables.values())
         result = {k: sparse.csc_array((v, (i, j)), (n, n)) for k, (i, j, v) in tables.items()}
     fixed = result["K"].diagonal() >= _FIXED_STIFFNESS if "K" in result else np.empty(0, dtype=bool)
-    result = with_loss(result)
+    result = add_structural_loss(result)
     return raw.Raw(result, dofs, np.flatnonzero(fixed))
 
 
-def with_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
+def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
     """Replace K by ``K + j H`` if there is a matrix H of structural damping.
 
     Raises
@@ -366,7 +366,7 @@ def read_dmig(path: Path, requested: Mapping[str, str]) -> raw.Raw:
     for letter, name in selected.items():
         if forms[name] == _SYMMETRIC:
             matrices[letter] = raw.both_triangles(matrices[letter])
-    return raw.Raw(with_loss(matrices), dofs)
+    return raw.Raw(add_structural_loss(matrices), dofs)
 
 
 def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
@@ -473,6 +473,6 @@ def unpack_op4(path: str, requested: Mapping[str, str]) -> dict[str, np.ndarray]
         matrix, form = sparse.csc_array(loaded[name][0]), loaded[name][1]
         matrices[letter] = raw.both_triangles(matrix) if form == _SYMMETRIC else matrix
     result: dict[str, np.ndarray] = {}
-    for letter, matrix in with_loss(matrices).items():
+    for letter, matrix in add_structural_loss(matrices).items():
         result |= raw.pack_matrix(letter, matrix)
     return result

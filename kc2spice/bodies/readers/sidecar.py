@@ -83,7 +83,7 @@ from kc2spice.core.domains import (
     TRANSLATION,
 )
 from kc2spice.core.errors import candidates, did_you_mean
-from kc2spice.core.quantities import Count, Section, invalid_value_error, validated
+from kc2spice.core.quantities import Count, Section, invalid_value_error, validate
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import MAX_BYTES, read_bounded, text_of
 from kc2spice.rom.linear_model import PORT_KINDS, Port
@@ -400,6 +400,6 @@ def read_sidecar(path: Path) -> Sidecar:
     require_file(path, expected)
     text = call_reader(path, expected, lambda: text_of(read_bounded(path, MAX_BYTES)))
     data = parse_toml_file(text, str(path))
-    result = validated(Sidecar, data, f"{path}:", {"folder": path.parent})
+    result = validate(Sidecar, data, f"{path}:", {"folder": path.parent})
     result._where = str(path)
     return result

@@ -316,7 +316,7 @@ def _merge_blocks(tables: list[TextTable]) -> list[TextTable]:
     result = list[TextTable]()
     for table in tables:
         place = next(
-            (k for k, first in enumerate(result) if _has_frequencies_of(first, table)), None
+            (k for k, first in enumerate(result) if _has_same_frequencies(first, table)), None
         )
         if place is None:
             result.append(table)
@@ -337,7 +337,7 @@ def _merge_blocks(tables: list[TextTable]) -> list[TextTable]:
     return result
 
 
-def _has_frequencies_of(first: TextTable, table: TextTable) -> bool:
+def _has_same_frequencies(first: TextTable, table: TextTable) -> bool:
     """Whether two tables have the same frequencies under the same title."""
     if first.titles is None or table.titles is None or first.rows != table.rows:
         return False

@@ -196,7 +196,7 @@ def make_project(deck: Deck) -> dict[str, str]:
     ------
     UsageError : the deck instantiates a subcircuit that none of its files defines.
     """
-    top = circuit(deck.located[deck.main], deck.located, deck.main)
+    top = circuit(deck.located_trees[deck.main], deck.located_trees, deck.main)
     plain = element_symbols()
     drawn = {part.name.lower(): part_symbol(part) for part in deck.parts}
     items = [_draw_element(element, drawn, plain) for element in top.elements]

@@ -75,7 +75,7 @@ def _find_sensed_nodes(scope: Scope | None) -> set[str]:
     for item in scope.elements if scope else ():
         two = item.kind in _CONTROLLED and len(item.nodes) == 4
         loaded |= set(item.ends[:2] if two else () if item.kind == "x" else item.ends)
-        sensed |= {*item.ends[2:]} if two else item.sensed
+        sensed |= {*item.ends[2:]} if two else item.sensed_nodes
         if item.kind == "x" and scope and (called := scope.find(item.model)):
             sensed_pins = _find_sensed_nodes(called)
             for pin, node in zip(called.pins, item.ends, strict=False):

@@ -206,7 +206,7 @@ def module_files(part: Subcircuit) -> dict[str, str]:
             expected="ngspice, xyce or ltspice",
             hint="export this scene with --dialect ngspice",
         )
-    scope = circuit(part.located).subcircuits[part.name.lower()]
+    scope = circuit(part.located_tree).subcircuits[part.name.lower()]
     module = Module()
     pins, params = {}, {}
     for pin in part.pins:
@@ -306,18 +306,18 @@ def _contribution(part: Element, names: VerilogNames, across: str) -> str:
     current = f"I({names.branch(part.name)})"
     match part.kind:
         case "r":
-            return f"{across}/{_value(part, names)}"
+            return f"{across}/{_card_value(part, names)}"
         case "c":
             # If ddt contains equal products, OpenVAF (Reloaded, 2026-08) sometimes gives the
             # derivative of one to the node of another.
-            charge = f"{_value(part, names)}*{across}"
+            charge = f"{_card_value(part, names)}*{across}"
             return f"ddt({names.module.variable(f'charge_{names.prefix}{part.key}', charge)})"
         case "l":
-            return f"ddt({_value(part, names)}*{current})"
+            return f"ddt({_card_value(part, names)}*{current})"
         case "e" | "g":
-            return f"{_value(part, names)}*{names.across(part.nodes[2:])}"
+            return f"{_card_value(part, names)}*{names.across(part.nodes[2:])}"
         case "f" | "h":
-            return f"{_value(part, names)}*I({names.branch(part.sources[0])})"
+            return f"{_card_value(part, names)}*I({names.branch(part.sources[0])})"
         case "s":
             return f"{across}/{_switch_resistance(part, names)}"
         case "i":
@@ -339,7 +339,7 @@ def _is_sensed(source: Element, scope: Scope) -> bool:
     return False
 
 
-def _value(part: Element, names: VerilogNames) -> str:
+def _card_value(part: Element, names: VerilogNames) -> str:
     """Return the one value of a card; a multiplier or a model is refused."""
     if len(part.values) != 1 or set(part.settings) - ({"ic"} if part.kind == "c" else set()):
         raise part.error(_UNSAID)
@@ -378,7 +378,7 @@ def _couple_inductors(part: Element, names: VerilogNames) -> list[str]:
         raise part.error(_UNSAID)
     first, second = coils
     product = f"{names.value(first.values[0])}*{names.value(second.values[0])}"
-    mutual = f"{_value(part, names)}*sqrt({product})"
+    mutual = f"{_card_value(part, names)}*sqrt({product})"
     one, two = names.branch(first.name), names.branch(second.name)
     return [f"V({one}) <+ ddt({mutual}*I({two}));", f"V({two}) <+ ddt({mutual}*I({one}));"]
 

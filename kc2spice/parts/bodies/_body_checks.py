@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kc2spice.core.cache import cached
+from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import TRANSLATION, Domain
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.naming import names_of
@@ -178,7 +178,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 return None
 
         kinds = (LinearModel, Certificate, Port)
-        rich = cached("enriched", key, richer, classes=kinds, sources=self.sources())
+        rich = load_or_build("enriched", key, richer, classes=kinds, sources=self.sources())
         if rich is None or count < 2:
             return None
         driven = [port for port in model.ports if port.kind != "output"]

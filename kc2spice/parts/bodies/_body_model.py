@@ -14,7 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kc2spice.core.cache import cached
+from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.progress import Clock
 from kc2spice.fem.body_keys import Damping
@@ -177,7 +177,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
         def load() -> Varying:
             classes = (Varying, ParameterAxis, Loss, Certificate, Port)
-            return cached("box", key, build, classes=classes, sources=self.sources())
+            return load_or_build("box", key, build, classes=classes, sources=self.sources())
 
         return scene.workspace.latest(f"range of {part.name}", key, load)
 
@@ -246,7 +246,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             return replace(modal.linear(), **labels)
 
         kinds = (LinearModel, Certificate, Port)
-        return cached("body", model_key, build, classes=kinds, sources=self.sources())
+        return load_or_build("body", model_key, build, classes=kinds, sources=self.sources())
 
     def orders(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> Orders:
         """Return reductions of the full model to prescribed orders, with the ports of the scene.

@@ -79,7 +79,9 @@ class BodyNetlist(BodyModel[LinearKeysT]):
             params = [*map(known.__getitem__, result.box)]
             return (parametric_subcircuit(result, name, params, header, **words),)
         return (
-            subcircuit(build.model(part, LinearModel), name, header, **words, noise=build.noisy),
+            subcircuit(
+                build.model(part, LinearModel), name, header, **words, noise=build.has_noise
+            ),
         )
 
     def vectors(self, part: Part[LinearKeysT], build: Build) -> Mapping[str, Vector]:

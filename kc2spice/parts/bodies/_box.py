@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from kc2spice.core.errors import UsageError, did_you_mean, wrong
-from kc2spice.core.quantities import entries, join_path, unit_of, validated
+from kc2spice.core.quantities import join_path, list_keys, unit_of, validate
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
@@ -125,7 +125,7 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
         except (KeyError, IndexError, TypeError, ValueError):
             raise _unknown_key(part, key, f"{part.name}.{PARAMETERS}") from None
     try:
-        keys = validated(type(part.keys), table, part.name)
+        keys = validate(type(part.keys), table, part.name)
         return replace(part, keys=keys.model_copy(update={"rom": part.keys.rom}))
     except UsageError as error:
         got = error.message if error.got is None else f"{error.message}: {error.got}"
@@ -141,7 +141,7 @@ def _split_key(key: str) -> list[str | int]:
 
 def _unknown_key(part: Part, key: str, where: str) -> UsageError:
     """Make the error of a key that is no number of the part."""
-    known = [join_path(path) for path, _ in entries(type(part.keys))]
+    known = [join_path(path) for path, _ in list_keys(type(part.keys))]
     plain = re.sub(r"\[-?\d+\]", "", key)
     expected = "a number below the part, such as layers[1].thickness or damping.ratio"
     if "material" in plain.split("."):
@@ -171,7 +171,7 @@ def number_of(part: Part, key: str, where: str) -> tuple[float, str]:
             unit = unit_of(type(result).model_fields[str(step)]) or ""
             result = getattr(result, str(step))
             if step == "material" and isinstance(result, Mapping):
-                result = validated(MaterialTable, result, f"{part.name}.{key}")
+                result = validate(MaterialTable, result, f"{part.name}.{key}")
         elif isinstance(result, Mapping) and step in result:
             result = result[str(step)]
         elif isinstance(result, list | tuple) and isinstance(step, int) and step < len(result):

@@ -33,7 +33,7 @@ from kc2spice.core.quantities import (
     Section,
     Thickness,
     Width,
-    validated,
+    validate,
 )
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
@@ -113,7 +113,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     ------
     UsageError : a material that does not exist, wiring without a piezoelectric layer.
     """
-    beam = validated(BimorphKeys, keys, where)
+    beam = validate(BimorphKeys, keys, where)
     materials = [
         material(layer.material, f"{where}.layers[{number}].material")
         for number, layer in enumerate(beam.layers)

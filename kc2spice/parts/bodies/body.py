@@ -34,12 +34,12 @@ from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies import device as fe
 from kc2spice.bodies.undamped import FiniteElementModel
-from kc2spice.core.cache import cached
+from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import ACCELERATION, ELECTRICAL, ROTATION, TRANSLATION
-from kc2spice.core.errors import UsageError, candidates, part_named, wrong
+from kc2spice.core.errors import UsageError, candidates, name_part_in_errors, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel
 from kc2spice.core.naming import names_of
-from kc2spice.core.quantities import Count, Length, Notch, Section, validated
+from kc2spice.core.quantities import Count, Length, Notch, Section, validate
 from kc2spice.core.untrusted_files import file_in_folder
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
@@ -300,8 +300,8 @@ def device(
         dimension, or used twice; elements without material; an electrode on a material that is
         not piezoelectric.
     """
-    keys = validated(BodyKeys, keys, where)
-    with part_named(where):
+    keys = validate(BodyKeys, keys, where)
+    with name_part_in_errors(where):
         path = file_in_folder(home, keys.mesh, "mesh")
         unit = mesh_file.length_unit(path, keys.unit)
         result = mesh_file.read_mesh(
@@ -525,13 +525,13 @@ class Body(MeshedBody[BodyKeys]):
         """Sides of the bounding box of its file [m]."""
 
         def size() -> list[float]:
-            with part_named(part.name):
+            with name_part_in_errors(part.name):
                 path = _mesh_path(part, scene)
                 sides = mesh_file.length_unit(path, part.keys.unit) * mesh_file.measure_extent(path)
             return list(map(float, sides))
 
         key = {"file": file_stamp(_mesh_path(part, scene)), "unit": part.keys.unit}
-        return cached("extent", key, size, sources=self.sources())
+        return load_or_build("extent", key, size, sources=self.sources())
 
     def envelope(self, part: Part[BodyKeys], scene: DeclaredScene) -> Envelope:
         sides = self.sides(part, scene)
@@ -553,7 +553,7 @@ class Body(MeshedBody[BodyKeys]):
         self, part: Part[BodyKeys], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
         """Yield its mesh, then the figures of all bodies."""
-        curve = cached(
+        curve = load_or_build(
             "outline",
             self.full_key(part, build.scene),
             lambda: draw_edges("", self.device(part, build.scene).solid.mesh),

@@ -23,7 +23,7 @@ from pydantic import Field, model_validator
 from kc2spice.bodies.device import Block, Bonded, Box
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.naming import names_of
-from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, validated
+from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, validate
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts.bodies._linear_keys import FieldKeys
@@ -136,7 +136,7 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
     ------
     UsageError : a key is wrong, or names electrodes or supports beyond the body.
     """
-    disc = validated(DiscKeys, keys, where)
+    disc = validate(DiscKeys, keys, where)
     pieces = _make_blocks(disc, where)
     conductors, series = _electrode_levels(disc, pieces, where), disc.wiring == "series"
     electrodes = {"anode": [*chain(*conductors[1::2])], "cathode": [*chain(*conductors[::2])]}

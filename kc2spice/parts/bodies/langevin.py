@@ -26,7 +26,7 @@ from kc2spice.core.quantities import (
     Section,
     Thickness,
     Width,
-    validated,
+    validate,
 )
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
@@ -142,7 +142,7 @@ def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin
     ------
     UsageError : a key is wrong, or the parts do not fit into one another.
     """
-    body = validated(LangevinKeys, keys, where)
+    body = validate(LangevinKeys, keys, where)
     pieces, rings = _make_blocks(body, where), body.rings
     boxes = np.array([piece.box for piece in pieces])
     bottom, top = float(boxes[:, 1].min()), float(boxes[:, 1].max())

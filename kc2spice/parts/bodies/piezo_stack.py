@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
 from kc2spice.bodies.stack_keys import PATCH, SECTORS, Chip
-from kc2spice.core.cache import cached
+from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
@@ -284,7 +284,7 @@ class PiezoStack(MeshedBody[Stack]):
         over a band in proportion to the reciprocal height.
         """
         specified = part.keys.rom or scene.rom
-        if not specified.left_open:
+        if not specified.is_default:
             return specified
         plain = type(part.keys)()
         if all(getattr(part.keys, key) == getattr(plain, key) for key in CHIP - FREE):
@@ -486,7 +486,7 @@ def _compliance_of(part: Part[Stack], shape: PressureBasis) -> LocalCompliance:
     from kc2spice.bodies.pressure import LocalCompliance, local_compliance
 
     chip = part.keys.model_dump(mode="json", include=CHIP - {"damping"})
-    return cached(
+    return load_or_build(
         "indented",
         {"chip": chip, "pressure_basis": shape.nodes.tolist()},
         lambda: local_compliance(part.keys, shape),

@@ -28,7 +28,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Sampled, Vector
+from kc2spice.scene.rows import SampledSource, Vector
 from kc2spice.scene.settings import FileName
 
 Function = Callable[[float, Mapping[str, float]], float]
@@ -121,7 +121,7 @@ wiring = "parallel"
     def vectors(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, Vector]:
         return {f"{part.name}.{name}": build.across(part, name) for name in part.keys.inputs}
 
-    def settable(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, Sampled]:
+    def settable(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, SampledSource]:
         keys = part.keys
         sources = {}
         for name in keys.inputs:
@@ -136,7 +136,9 @@ wiring = "parallel"
 
             return call
 
-        return {"out": Sampled(f"v{part.name}".lower(), keys.period, keys.delay, load(), load)}
+        return {
+            "out": SampledSource(f"v{part.name}".lower(), keys.period, keys.delay, load(), load)
+        }
 
     def _function(self, part: Part[ControllerKeys], build: Build) -> Function:
         keys = part.keys

@@ -14,7 +14,7 @@ from kc2spice.core.magnets import EMTable
 from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import Param, positive
+from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import include_helpers
 from kc2spice.parts.control._pid_keys import Control
@@ -126,8 +126,8 @@ def _parameters(control: Control) -> Iterator[Param]:
     yield Param("setpoint", control.setpoint, "m", "height of the sphere's centre")
     for gain, item, unit, doc in GAINS:
         if getattr(control, gain):
-            yield positive(item, getattr(control, item), unit, doc)
-    yield positive("current_limit", control.current_limit, "A", "largest coil current")
+            yield positive_parameter(item, getattr(control, item), unit, doc)
+    yield positive_parameter("current_limit", control.current_limit, "A", "largest coil current")
 
 
 def pid_subcircuit(
@@ -156,10 +156,10 @@ def pid_subcircuit(
     params = [
         *declared.given,
         Param("offset", 0.0, "V", doc),
-        positive("rail", rail, "V", "supply of the signal amplifiers"),
+        positive_parameter("rail", rail, "V", "supply of the signal amplifiers"),
     ]
     if output:
-        params += [positive("compliance", supply, "V", "supply of the output stage")]
+        params += [positive_parameter("compliance", supply, "V", "supply of the output stage")]
     gains = names_of(params)
     part = library(
         "pid",
@@ -268,7 +268,7 @@ class Pid(PartType[Control]):
         return {
             "settling_time_s": Metric(settled, "s"),
             "final_error_m": Metric(float(setpoint - y[-1]), "m"),
-            "hold_current_a": Metric(None if current is None else tail_mean(t, current), "A"),
+            "hold_current_a": Metric(None if current is None else mean_at_end(t, current), "A"),
             "caught": Metric(caught),
         }
 
@@ -300,7 +300,7 @@ def _drives_external_circuit(part: Part[Control], scene: DeclaredScene) -> bool:
     return joined or bool(_coils(part, scene).keys.driver)
 
 
-def tail_mean(t: np.ndarray, values: np.ndarray) -> float:
+def mean_at_end(t: np.ndarray, values: np.ndarray) -> float:
     """Time average over the last twentieth of the run."""
     tail = t >= t[-1] - 0.05 * (t[-1] - t[0])
     return float(np.trapezoid(values[tail], t[tail]) / np.ptp(t[tail]))

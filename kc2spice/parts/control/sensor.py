@@ -107,7 +107,7 @@ dc = "1 um"
         d, keys = sensor_declaration(part.keys), part.keys
         cards: tuple[Item, ...] = ()
         size = DISPLACEMENT.per_unit * keys.noise
-        if keys.noise and build.noisy:
+        if keys.noise and build.has_noise:
             # white up to the bandwidth, over the noise voltage of an ohm
             root = math.sqrt(4 * BOLTZMANN * TEMPERATURE * keys.bandwidth)
             cards = attach_comments((

@@ -256,7 +256,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         )
 
 
-def of_unknowns(value: Callable[[Resonator], float]) -> Relation:
+def as_function_of_unknowns(value: Callable[[Resonator], float]) -> Relation:
     """A value of a resonator as a function of the unknowns."""
     return lambda unknowns: value(Resonator.from_unknowns(unknowns))
 

@@ -156,9 +156,9 @@ class StatedValues:
             return
         misses = {key: abs(self._residual(key, x)) for key in self.stated}
         if max(misses.values()) > EXACT:
-            self._refuse_worst(x, misses)
+            self._raise_contradiction(x, misses)
 
-    def _refuse_worst(self, x: np.ndarray, misses: Mapping[str, float]) -> None:
+    def _raise_contradiction(self, x: np.ndarray, misses: Mapping[str, float]) -> None:
         first, second = sorted(misses, key=lambda key: -misses[key] / self.tolerance_of(key))[:2]
         nearest = (self.text(key, math.exp(self._logarithm(key, x))) for key in (first, second))
         stated = (self.text(key, self.stated[key]) for key in (first, second))
@@ -181,14 +181,14 @@ class StatedValues:
             others = self._without(key)
             if others._rank(x) == x.size:
                 redundant[key] = others._sensitivities(key, x)
-        if not any(self._differs(key, shares, x) for key, shares in redundant.items()):
+        if not any(self._is_contradicted(key, shares, x) for key, shares in redundant.items()):
             return
         key = max(redundant, key=self._correction)
         shares = redundant[key]
         other = max(shares, key=lambda name: abs(shares[name]) * self.tolerance_of(name))
         raise self._contradiction(key, other)
 
-    def _differs(self, key: str, shares: Mapping[str, float], x: np.ndarray) -> bool:
+    def _is_contradicted(self, key: str, shares: Mapping[str, float], x: np.ndarray) -> bool:
         """Whether the value that others imply differs by more than all tolerances."""
         implied = sum(share * self._residual(name, x) for name, share in shares.items())
         allowed = sum(abs(share) * self.tolerance_of(name) for name, share in shares.items())

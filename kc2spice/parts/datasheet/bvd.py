@@ -18,15 +18,15 @@ from kc2spice.core.quantities import (
     Resistance,
     invalid_value_error,
 )
-from kc2spice.netlist.circuit import Param, positive
+from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
     RatedKeys,
     Resonator,
     ResonatorNetlist,
     ResonatorPart,
+    as_function_of_unknowns,
     mode_suffixes,
-    of_unknowns,
     to_twelve_digits,
     tolerance_note,
 )
@@ -166,7 +166,7 @@ stop = "10 kHz"
         keys, modes = part.keys, self._mode_count(part)
         stated: dict[str, float] = {}
         for name in PER_MODE:
-            labels = _labels(name, modes)
+            labels = _mode_labels(name, modes)
             stated |= dict(zip(labels, getattr(keys, name), strict=False))
         stated |= {name: v for name in ("c0", "c_low") if (v := getattr(keys, name)) is not None}
         self._check_tolerances(part)
@@ -221,7 +221,7 @@ stop = "10 kHz"
         for n, end in enumerate(ends):
             ratio, loss = _ratio_key(keys, modes), _loss_key(keys, modes)
             for key in ("fs", ratio, loss):
-                params.append(_param(keys, circuit, key, n, end))
+                params.append(_mode_parameter(keys, circuit, key, n, end))
             slow = f"/(1-{keys.c_low_at**2!r}/(fs{end}*fs{end}))"
             if ratio == "cm":
                 fixed.append(f"-cm{end}{slow}")
@@ -232,11 +232,11 @@ stop = "10 kHz"
         value = to_twelve_digits(
             circuit.c0 if level == "c0" else circuit.capacitance(keys.c_low_at)
         )
-        params.append(positive(level, value, "F", _words(keys, level, value)))
+        params.append(positive_parameter(level, value, "F", _key_words(keys, level, value)))
         if level == "c_low":
             constants["c0"] = f"(c_low{''.join(fixed)})/({'+'.join(total)})"
         for end in ends:
-            constants |= _elements(end, ratio, loss)
+            constants |= _element_equations(end, ratio, loss)
         return ResonatorNetlist(tuple(params), constants, tuple(ends))
 
 
@@ -272,7 +272,7 @@ def _impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[UsageE
             )
 
 
-def _labels(name: str, modes: int) -> list[str]:
+def _mode_labels(name: str, modes: int) -> list[str]:
     return [name] if modes == 1 else [f"{name}[{n}]" for n in range(modes)]
 
 
@@ -280,8 +280,8 @@ def _relations(modes: int, low: float) -> dict[str, Relation]:
     """All values that a sheet may state, as functions of the unknowns."""
     result: dict[str, Relation] = {}
     for name, function in PER_MODE.items():
-        functions = (of_unknowns(partial(function, mode=n)) for n in range(modes))
-        result |= dict(zip(_labels(name, modes), functions, strict=True))
+        functions = (as_function_of_unknowns(partial(function, mode=n)) for n in range(modes))
+        result |= dict(zip(_mode_labels(name, modes), functions, strict=True))
     result["c0"] = lambda unknowns: float(unknowns[0])
     result["c_low"] = lambda unknowns: Resonator.from_unknowns(unknowns).capacitance(low)
     return result
@@ -324,21 +324,21 @@ def _loss_key(keys: BvdKeys, modes: int) -> str:
     return "zs" if modes == 1 else "rm"
 
 
-def _words(keys: BvdKeys, key: str, value: float) -> str:
+def _key_words(keys: BvdKeys, key: str, value: float) -> str:
     words = f"capacitance at {keys.c_low_at:g} Hz" if key == "c_low" else WORDS[key]
     return words + tolerance_note(value, keys.tolerance.get(key))
 
 
-def _param(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
+def _mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
     """Parameter of one mode. The coupling of several modes is that of each mode beside c0."""
     value = PER_MODE[key](circuit, mode)
     if key == "keff":
         value = (circuit.cm[mode] / (circuit.c0 + circuit.cm[mode])) ** 0.5
     unit, value = UNITS[key] or "-", to_twelve_digits(value)
-    return positive(f"{key}{end}", value, unit, _words(keys, key, value))
+    return positive_parameter(f"{key}{end}", value, unit, _key_words(keys, key, value))
 
 
-def _elements(end: str, ratio: str, loss: str) -> dict[str, str]:
+def _element_equations(end: str, ratio: str, loss: str) -> dict[str, str]:
     """Equations of one mode from its parameters to the elements that are no parameters."""
     fs, cm, rm = f"fs{end}", f"cm{end}", f"rm{end}"
     result = {} if ratio == "cm" else {cm: f"c0*ratio{end}"}

@@ -9,14 +9,14 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.quantities import Capacitance, Frequency, Inductance, Ratio, Resistance
-from kc2spice.netlist.circuit import positive
+from kc2spice.netlist.circuit import positive_parameter
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
     RatedKeys,
     Resonator,
     ResonatorNetlist,
     ResonatorPart,
-    of_unknowns,
+    as_function_of_unknowns,
     to_twelve_digits,
     tolerance_note,
 )
@@ -96,19 +96,21 @@ scale = "linear"
         words = "frequency with the load cl" if loaded else "series resonance"
         f = to_twelve_digits(_loaded_frequency(circuit, keys.cl))
         params = [
-            positive("f", f, "Hz", words + tolerance_note(f, keys.f_tolerance)),
-            positive("c0", to_twelve_digits(circuit.c0), "F", "shunt capacitance"),
+            positive_parameter("f", f, "Hz", words + tolerance_note(f, keys.f_tolerance)),
+            positive_parameter("c0", to_twelve_digits(circuit.c0), "F", "shunt capacitance"),
         ]
         if keys.cl is not None:
-            params.append(positive("cl", keys.cl, "F", "load capacitance at which f is stated"))
+            params.append(
+                positive_parameter("cl", keys.cl, "F", "load capacitance at which f is stated")
+            )
         motion = "c1" if keys.c1 or not keys.l1 else "l1"
         value = circuit.cm[0] if motion == "c1" else circuit.lm[0]
         words = "motional capacitance" if motion == "c1" else "motional inductance"
-        params.append(positive(motion, to_twelve_digits(value), UNITS[motion], words))
+        params.append(positive_parameter(motion, to_twelve_digits(value), UNITS[motion], words))
         loss = "r1" if keys.r1 else "q"
         value = circuit.rm[0] if loss == "r1" else circuit.quality(0)
         words = "motional resistance" if loss == "r1" else "Q factor"
-        params.append(positive(loss, to_twelve_digits(value), UNITS[loss] or "-", words))
+        params.append(positive_parameter(loss, to_twelve_digits(value), UNITS[loss] or "-", words))
         inverse = f"{TWO_PI**2!r}*f*f*l1" + f"-1/{loaded}" * bool(loaded)
         cm = "c1" if motion == "c1" else f"1/({inverse})"
         equations = {
@@ -136,7 +138,7 @@ def _relations(load: float | None) -> dict[str, Relation]:
         "r1": lambda circuit: circuit.rm[0],
         "q": lambda circuit: circuit.quality(0),
     }
-    return {key: of_unknowns(value) for key, value in values.items()}
+    return {key: as_function_of_unknowns(value) for key, value in values.items()}
 
 
 register(Crystal())

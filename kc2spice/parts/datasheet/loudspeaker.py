@@ -27,7 +27,7 @@ from kc2spice.core.quantities import (
     si,
 )
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import Param, positive
+from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
@@ -174,7 +174,7 @@ def moving_mass(mass: float) -> Declaration:
         (displacement("m", "cone", "frame"),),
         kinetic="0.5*mms*m_rate^2",
         starts={"m": ("0", "0")},
-        given=(positive("mms", mass, "kg", "moving mass"),),
+        given=(positive_parameter("mms", mass, "kg", "moving mass"),),
     )
 
 
@@ -241,8 +241,8 @@ stop = "1 kHz"
         for key, (unit, words) in PARAMS.items():
             value = to_twelve_digits(getattr(driver, key))
             note = words + tolerance_note(value, tolerance.get(key))
-            params.append(positive(key, value, unit, note))
-        params.append(positive("le", driver.le, "H", "inductance of the voice coil"))
+            params.append(positive_parameter(key, value, unit, note))
+        params.append(positive_parameter("le", driver.le, "H", "inductance of the voice coil"))
         return motor(tuple(params))
 
     def pins(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
@@ -270,7 +270,7 @@ stop = "1 kHz"
         d, name = self.built_declaration(part, build), build.libraries[part.name]
         cone = subcircuit_items(moving_mass(self._parameters(part, build.scene).mms))
         values = d.values(part.keys)
-        return (declared_subcircuit(header, name, d, values, build.noisy, cone),)
+        return (declared_subcircuit(header, name, d, values, build.has_noise, cone),)
 
     def law(self, part: Part[LoudspeakerKeys], build: Build) -> laws.Equations:
         equations, n = super().law(part, build), part.name

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Inductance, Ratio, Resistance, Section, Time, Voltage
-from kc2spice.netlist.circuit import Param, positive
+from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.parts.datasheet._resonator import (
     NumberedKeys,
     NumberedPart,
@@ -58,7 +58,7 @@ class Timing:
     armature: float
 
 
-def timing(part: Part[RelayKeys]) -> Timing:
+def solve_timing(part: Part[RelayKeys]) -> Timing:
     """Inductance and time constant by which a relay at its rated voltage takes its operate time.
 
     The current reaches the pick-up current after ``L/R ln(V / (V - Vp))``. The armature then is at
@@ -162,7 +162,7 @@ pins = { a = "relay.com", b = "gnd" }
 """
 
     def detail(self, part: Part[RelayKeys], scene: GovernedScene) -> Timing:
-        return timing(part)
+        return solve_timing(part)
 
     def problems(self, part: Part[RelayKeys], scene: GovernedScene) -> Iterator[UsageError]:
         keys = part.keys
@@ -178,17 +178,21 @@ pins = { a = "relay.com", b = "gnd" }
     def declared(self, part: Part[RelayKeys], scene: GovernedScene) -> Declaration:
         keys, record = part.keys, scene.record(part)
         detail = record.detail if record is not None else None
-        times = detail if isinstance(detail, Timing) else timing(part)
+        times = detail if isinstance(detail, Timing) else solve_timing(part)
         words = "coil resistance" + tolerance_note(keys.resistance, keys.resistance_tolerance)
         inductance, armature = map(to_twelve_digits, (times.inductance, times.armature))
         params = (
-            positive("resistance", keys.resistance, "Ohm", words),
-            positive("inductance", inductance, "H", "coil inductance"),
-            positive("pick_up", keys.pick_up, "V", "coil voltage at which it operates"),
-            positive("release", keys.release, "V", "coil voltage at which it releases"),
-            positive("armature_time", armature, "s", "time constant of the armature"),
-            positive("contact_resistance", keys.contact_resistance, "Ohm", "closed contact"),
-            positive("insulation_resistance", keys.insulation_resistance, "Ohm", "open contact"),
+            positive_parameter("resistance", keys.resistance, "Ohm", words),
+            positive_parameter("inductance", inductance, "H", "coil inductance"),
+            positive_parameter("pick_up", keys.pick_up, "V", "coil voltage at which it operates"),
+            positive_parameter("release", keys.release, "V", "coil voltage at which it releases"),
+            positive_parameter("armature_time", armature, "s", "time constant of the armature"),
+            positive_parameter(
+                "contact_resistance", keys.contact_resistance, "Ohm", "closed contact"
+            ),
+            positive_parameter(
+                "insulation_resistance", keys.insulation_resistance, "Ohm", "open contact"
+            ),
         )
         return relay_law(params, keys.changeover)
 
@@ -199,11 +203,11 @@ pins = { a = "relay.com", b = "gnd" }
 
     def numerics(self, part: Part[RelayKeys], scene: WiredScene) -> Iterator[Numerics]:
         yield from super().numerics(part, scene)
-        times = timing(part)
+        times = solve_timing(part)
         yield Numerics(f"a tenth of the time constant of {part.name}", 0.1 * times.armature)
 
     def notes(self, part: Part[RelayKeys], scene: Scene) -> Iterator[str | Neglected]:
-        keys, times = part.keys, timing(part)
+        keys, times = part.keys, solve_timing(part)
         yield (
             f"operates at {keys.pick_up:g} V, releases at {keys.release:g} V, coil "
             f"{keys.resistance:g} Ohm and {times.inductance:.3g} H"

@@ -17,7 +17,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.magnets import EMTable
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Current, Section, Voltage
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import Param, positive
+from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import include_helpers
 from kc2spice.parts.control._pid_keys import Control
@@ -97,7 +97,7 @@ class TemplatePart(PartType[KeysT]):
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
         params, values = self.design(part, build)
-        if build.noisy and isinstance(part.keys, InputNoise):
+        if build.has_noise and isinstance(part.keys, InputNoise):
             values = {**values, "input_noise": part.keys}
         return (self.netlist(header, build.libraries[part.name], params, values),)
 
@@ -122,7 +122,7 @@ class TemplatePart(PartType[KeysT]):
 def parameters(keys: Section, *names: str) -> tuple[Param, ...]:
     """Keys, or those with these ``names``, as parameters of a netlist, all above zero."""
     return tuple(
-        positive(key.name, getattr(keys, key.name), key.unit or "-", key.doc)
+        positive_parameter(key.name, getattr(keys, key.name), key.unit or "-", key.doc)
         for key in list_schema_keys(type(keys))
         if (not names or key.name in names) and key.name not in InputNoise.model_fields
     )
@@ -139,18 +139,18 @@ def opamp_subcircuit(
     """
     pins = [Terminal(pin, "V", "A") for pin in ("inp", "inn", "out", "vcc", "vee", "ref")]
     params = (
-        positive("a0", STATIC_GAIN, "-", "gain at rest"),
-        positive("gbw", BANDWIDTH, "Hz", "gain-bandwidth product"),
-        positive("rout", OUTPUT, "Ohm", "output resistance"),
+        positive_parameter("a0", STATIC_GAIN, "-", "gain at rest"),
+        positive_parameter("gbw", BANDWIDTH, "Hz", "gain-bandwidth product"),
+        positive_parameter("rout", OUTPUT, "Ohm", "output resistance"),
         Param("offset", 0.0, "V", "input offset"),
     )
     title, rating = "operational amplifier", "its output stays between vee and vcc"
     if level == "pole":
-        stiff = positive("clip", 1e3, "S", "stiffness of the rails")
+        stiff = positive_parameter("clip", 1e3, "S", "stiffness of the rails")
         return library("opamp", header, "opamp", title, pins, (*params, stiff), rating=rating)
     limits = (
-        positive("slew", 1e9, "V/s", "fastest change of the output"),
-        positive("current_limit", 1.0, "A", "largest output current"),
+        positive_parameter("slew", 1e9, "V/s", "fastest change of the output"),
+        positive_parameter("current_limit", 1.0, "A", "largest output current"),
     )
     title += " with slew rate and current limit"
     ohm = math.sqrt(4 * BOLTZMANN * TEMPERATURE)
@@ -211,7 +211,7 @@ class Driver(TemplatePart[KeysT]):
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations | None:
         params, values = self.design(part, build)
         declared = self.declare_circuit((*params, *make_parameters(values)))
-        if declared is None or build.noisy or build.net(part, "ref") != "0":
+        if declared is None or build.has_noise or build.net(part, "ref") != "0":
             return None
         return build_driver_equations(part.name, declared, self.inner_node, self.terminals)
 

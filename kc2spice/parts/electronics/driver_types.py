@@ -19,7 +19,7 @@ from kc2spice.core.quantities import (
     Time,
     Voltage,
 )
-from kc2spice.netlist.circuit import Param, positive
+from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.parts.control.pid import SENSE
 from kc2spice.parts.electronics._driver_laws import (
     declare_amplifier,
@@ -163,7 +163,7 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
         100 Ohm``, through an amplifier of five times the bandwidth ``f``."""
         ratio = 2 * math.pi * keys.bandwidth * load.inductance / SENSE
         resistance = load.resistance + SENSE
-        limit = positive("current_limit", 2 * load.current, "A", "largest output current")
+        limit = positive_parameter("current_limit", 2 * load.current, "A", "largest output current")
         return (*parameters(keys, "rail", "slew"), limit), {
             "inductance": load.inductance,
             "resistance": resistance,

@@ -18,7 +18,7 @@ from kc2spice.core.errors import UsageError, candidates, did_you_mean
 from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Pin
-from kc2spice.netlist.importer import Syntax, imported
+from kc2spice.netlist.importer import Syntax, translate_circuit
 from kc2spice.netlist.include_scan import included_netlist, read_untrusted
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.read import read
@@ -155,7 +155,7 @@ class Netlist(PartType[NetlistKeys]):
         pins = tuple(Pin(t.name, t.unit, t.flow) for t in build.scene.pins(part.name))
         text, file = result.text, result.file
         title = text.partition("\n")[0].lstrip("* ")
-        tree = imported(read(text, file), part.keys.syntax)
+        tree = translate_circuit(read(text, file), part.keys.syntax)
         source = text if part.keys.syntax == "ngspice" else ""
         name = part.keys.subckt
         return (Subcircuit(name, pins, (), tree, title=title, file=file, source=source),)
@@ -291,7 +291,7 @@ def _inner_vector(node: str, part: str = "") -> str:
 def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
     """Read its subcircuit as elements with nodes."""
     flat = read_untrusted(part.keys.file, scene.home)
-    tree = imported(read(flat.text, flat.file), part.keys.syntax)
+    tree = translate_circuit(read(flat.text, flat.file), part.keys.syntax)
     result = circuit(tree).find(part.keys.subckt)
     if result is None:
         raise part.wrong("subckt", "no such subcircuit", part.keys.subckt)

@@ -34,7 +34,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import HighestFrequency, Numerics, Rest, Swept, Vector
+from kc2spice.scene.rows import HighestFrequency, Numerics, Rest, SweptSource, Vector
 
 
 class Kind(NamedTuple):
@@ -242,11 +242,11 @@ class Source(PartType[SourceKeys]):
             yield part.name, "swept"
             yield part.name, "folded"
 
-    def settable(self, part: Part[SourceKeys], build: Build) -> Mapping[str, Swept]:
+    def settable(self, part: Part[SourceKeys], build: Build) -> Mapping[str, SweptSource]:
         kind = KINDS[part.keys.kind]
         if _sweeps_back(part, build.scene):
-            return {"dc": Swept(f"V{build.inner_name(part, part.name, 'swept')}", kind.scale)}
-        return {"dc": Swept(f"{kind.letter}{part.name}", kind.scale)}
+            return {"dc": SweptSource(f"V{build.inner_name(part, part.name, 'swept')}", kind.scale)}
+        return {"dc": SweptSource(f"{kind.letter}{part.name}", kind.scale)}
 
     def vectors(self, part: Part[SourceKeys], build: Build) -> Mapping[str, Vector]:
         n, kind, result = part.name, KINDS[part.keys.kind], {}

@@ -159,10 +159,10 @@ class LinearElement(DeclaredPart[KeysT]):
         admittance = times(self._unit, self.admittance_law[1])
         if self._letter != "C":
             value = self._evaluate(part, over(ONE, admittance))
-            separate = build.noisy and not self._has_si_units
+            separate = build.has_noise and not self._has_si_units
             noise = self._noise_cards(part, build, a, b) if separate else ()
             silent = self._letter == "R" and not (self._has_loss and self._has_si_units)
-            words = {"noisy": "0"} if build.noisy and silent else {}
+            words = {"noisy": "0"} if build.has_noise and silent else {}
             card = Element.of(f"{self._letter}{part.name}", a, b, value, **words)
             return (card.with_unit(self.branch.domain.value_unit(self._letter)), *noise)
         inner = build.inner_name(part, part.name.lower(), "metered")
@@ -172,7 +172,7 @@ class LinearElement(DeclaredPart[KeysT]):
                 self.branch.domain.value_unit("C")
             ),
             *(() if self.branch.moves else self._leak_cards(part, build, a, b)),
-            *(self._noise_cards(part, build, a, b) if build.noisy else ()),
+            *(self._noise_cards(part, build, a, b) if build.has_noise else ()),
         )
 
     def _leak_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:

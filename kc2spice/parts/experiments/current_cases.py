@@ -32,7 +32,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Governed, Swept, Vector
+from kc2spice.scene.rows import Governed, SweptSource, Vector
 
 HEIGHTS = 2001  # at which the lookup is read: five per segment
 
@@ -93,10 +93,12 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         for k, word in product(range(len(current_pairs(part))), words):
             yield (f"{word}{k}",)
 
-    def settable(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, Swept]:
+    def settable(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, SweptSource]:
         keys = _coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift
-        return {"height": Swept(build.inner_name(part, "Vheight"), DISPLACEMENT.per_unit, heights)}
+        return {
+            "height": SweptSource(build.inner_name(part, "Vheight"), DISPLACEMENT.per_unit, heights)
+        }
 
     def vectors(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, Vector]:
         result = {f"{_sphere(part, build.scene)}.y": build.across(part, "y")}

@@ -28,7 +28,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Governed, Numerics, Swept, Vector
+from kc2spice.scene.rows import Governed, Numerics, SweptSource, Vector
 
 
 class PushKeys(Section):
@@ -70,8 +70,10 @@ class Push(TouchablePart[PushKeys]):
         drive = Element.of(f"V{part.name}", build.net(part, "bottom"), "0", "0")
         return (drive.with_unit(DISPLACEMENT.pin_unit),)
 
-    def settable(self, part: Part[PushKeys], build: Build) -> Mapping[str, Swept]:
-        return {"depth": Swept(f"V{part.name}", -DISPLACEMENT.per_unit, (0.0, part.keys.depth))}
+    def settable(self, part: Part[PushKeys], build: Build) -> Mapping[str, SweptSource]:
+        return {
+            "depth": SweptSource(f"V{part.name}", -DISPLACEMENT.per_unit, (0.0, part.keys.depth))
+        }
 
     def penetrations(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[Penetration]:
         yield Penetration(part.keys.depth, f"{part.name}.depth")

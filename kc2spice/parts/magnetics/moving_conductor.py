@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 from typing_extensions import TypeVar
 
-from kc2spice.core.cache import cached
+from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.mesh_error import mesh_words
@@ -299,7 +299,7 @@ class MovingBody(DeclaredPart[MovingT]):
         key = {"keys": keys.model_dump(exclude=shape, mode="json"), "of": settings}
         sources = (*SOURCES, type(self).__module__)
         try:
-            return cached(self.name, key, build, classes=(Ladder,), sources=sources)
+            return load_or_build(self.name, key, build, classes=(Ladder,), sources=sources)
         except UsageError as error:  # the range of heights is the cause
             details = str(error.message), error.got, error.expected, error.hint
             raise part.wrong("y_max", *details) from None

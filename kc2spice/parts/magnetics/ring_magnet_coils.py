@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
-from kc2spice.core.cache import cached
+from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
@@ -27,7 +27,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Catch, Ring
-from kc2spice.netlist.circuit import positive
+from kc2spice.netlist.circuit import positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import number
 from kc2spice.parts.bodies._pictures import plot_impedances
@@ -158,7 +158,7 @@ def coils_subcircuit(
         "catch actuator with real coils" if apart else "electromagnetic catch actuator",
         PINS if apart else SERIES_PINS,
         tuple(
-            positive(f"resistance_{coil}", float(ohm), "Ohm", f"of the {coil} coil")
+            positive_parameter(f"resistance_{coil}", float(ohm), "Ohm", f"of the {coil} coil")
             for coil, ohm in zip(COILS, table.resistance, strict=True)
         ),
         validity=f"sphere's centre from {low:g} to {micrometres[-1]:g} {DISPLACEMENT.pin_unit}, "
@@ -368,7 +368,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             with clock.stage("magnetics", "field of the catch actuator") as share:
                 return catch_table(unit, key["radius"], share)
 
-        table = cached("catch", key, build, classes=(EMTable,), sources=SOURCES)
+        table = load_or_build("catch", key, build, classes=(EMTable,), sources=SOURCES)
         return table.scale_magnets(keys.remanence, keys.shift)
 
     def library(self, part: Part[Coils], scene: Scene) -> str:
@@ -462,7 +462,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             with clock.stage("full model", f"{part.name}: mesh half as wide") as share:
                 return catch_table(unit, key["radius"], share)
 
-        fine = cached("catch", key, finer, classes=(EMTable,), sources=SOURCES)
+        fine = load_or_build("catch", key, finer, classes=(EMTable,), sources=SOURCES)
         fine = fine.scale_magnets(keys.remanence, keys.shift)
         step = (table.y.size - 1) // (fine.y.size - 1)
         current = largest_current(part, build.scene) or USUAL_CURRENT

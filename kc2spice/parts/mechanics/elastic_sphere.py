@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from kc2spice.core.cache import cached
+from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
@@ -152,7 +152,7 @@ elastic = true
 
         key = {**self.full_key(part, scene), "pressure_basis": shape.nodes.tolist()}
         arguments, kinds = (_body(part, scene), shape, part.keys.mesh.refine), (LocalCompliance,)
-        return cached(
+        return load_or_build(
             "indented",
             key,
             lambda: sphere_compliance(*arguments),

@@ -13,7 +13,7 @@ from kc2spice.core.domains import DISPLACEMENT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Mass, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import Param, positive
+from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.parts.mechanics._touching import Surface, TouchablePart
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.declaration import frame_acceleration
@@ -28,7 +28,7 @@ from kc2spice.scene.model import (
 )
 from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import check_dimensions
-from kc2spice.scene.rows import Rest, Shake
+from kc2spice.scene.rows import FrameShake, Rest
 from kc2spice.scene.settings import Probe
 from kc2spice.scene.start_conditions import find_floating_nets, find_rigid_groups
 
@@ -87,7 +87,7 @@ def point_mass(
         forces={"x": "+".join(inertia)} if inertia else {},
         starts={"x": ("position", "velocity")},
         given=(
-            positive("mass", mass, "kg", "mass"),
+            positive_parameter("mass", mass, "kg", "mass"),
             Param("gravity", gravity, "m/s2", "gravity, downwards"),
             Param("position", position, "m", "at t = 0, used with uic"),
             Param("velocity", velocity, "m/s", "at t = 0, used with uic"),
@@ -191,7 +191,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         yield f"mass {part.keys.mass:g}"
 
 
-def _frame_accelerations(part: Part[MassKeys], scene: GovernedScene) -> tuple[Shake, ...]:
+def _frame_accelerations(part: Part[MassKeys], scene: GovernedScene) -> tuple[FrameShake, ...]:
     """Accelerations that shake its frame."""
     frame = scene.frames.get((part.name, "a"))
     return () if frame is None else frame.shakes

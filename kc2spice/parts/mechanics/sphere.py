@@ -16,7 +16,7 @@ from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.quantities import AIR_DENSITY, Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.fem.materials import Material, material
-from kc2spice.netlist.circuit import positive
+from kc2spice.netlist.circuit import positive_parameter
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import Surface, TouchablePart, pair_of
@@ -124,7 +124,7 @@ def rigid_sphere(
     """
     declaration = point_mass(mass, gravity, height, velocity)
     weight, pull, place, fast = declaration.given
-    size = positive("radius", radius, "m", "radius of the sphere")
+    size = positive_parameter("radius", radius, "m", "radius of the sphere")
     place = replace(place, name="height", doc="of the lowest point at t = 0, used with uic")
     return replace(
         declaration,

@@ -22,7 +22,7 @@ from kc2spice.rom.error_estimate import inaccuracy_error, relative_size
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import FLANK, SHARPEST, Response, grid, sample_band
-from kc2spice.rom.rounding import uncertainty, uncertainty_note
+from kc2spice.rom.rounding import rounding_uncertainty, uncertainty_note
 
 # Numbers of frequencies. Chosen by trial.
 FIRST_POINTS = 12  # samples before the error is estimated
@@ -141,7 +141,7 @@ def sampled_model(
     response = Response(model)
     at, ratio = response.within(band)
     at = at * (1 + FLANK * (ratio < SHARPEST)) if at.size else np.array(band)
-    proof += "solutions" + uncertainty_note(at, uncertainty(full, at), 2 * limit)
+    proof += "solutions" + uncertainty_note(at, rounding_uncertainty(full, at), 2 * limit)
     return IntermediateModel(response, max(recent), True, proof)
 
 

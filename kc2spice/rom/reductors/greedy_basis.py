@@ -16,7 +16,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.error_estimate import relative_size
-from kc2spice.rom.pencil import Pencil, Schur, magnitudes
+from kc2spice.rom.pencil import Pencil, Schur, absolute_entries
 from kc2spice.rom.reductors.block_krylov import DEFLATION
 from kc2spice.rom.reductors.exact_samples import real_parts
 from kc2spice.rom.response import Response, sample_band
@@ -152,7 +152,7 @@ class GreedyBasis:
         response, no input excites this motion, and it is left out.
         """
         V, coefficients = self.modal, self.pencil.coefficients
-        sizes, eps = list(map(magnitudes, coefficients)), np.finfo(float).eps
+        sizes, eps = list(map(absolute_entries, coefficients)), np.finfo(float).eps
         bound = FREE * eps * (np.abs(V).T @ (sizes[0] @ np.abs(V)))
         energies = np.abs(np.diag(small.coefficients[0]))
         if (energies > np.diag(bound)).all():

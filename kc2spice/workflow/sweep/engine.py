@@ -475,7 +475,7 @@ def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
     ------
     UsageError : as :func:`make_sweep`; neither a scene nor a study, or a study with a mistake.
     """
-    study = _study(name)
+    study = _find_study(name)
     if study is None:
         return make_sweep(scene_text(name), sets, **asked)
     ranges = {
@@ -490,7 +490,7 @@ def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
     return make_sweep(scene_text(study.scene), tuple(ranges.values()), **selected)
 
 
-def _study(name: str) -> _Study | None:
+def _find_study(name: str) -> _Study | None:
     """The study ``name``, built in or a file with a key ``scene``; None for a scene."""
     builtin = studies().get(name)
     try:
@@ -664,7 +664,7 @@ def run_sweep(
     return {**summary, "resumed": len(done), "wall_s": time.monotonic() - start}
 
 
-def table_name(table_format: str) -> str:
+def table_file_name(table_format: str) -> str:
     """Name of the table's file.
 
     Raises
@@ -680,7 +680,7 @@ def table_name(table_format: str) -> str:
 
 
 def _open_rows(definition: Sweep, out: Path, table_format: str) -> RowStore:
-    name = table_name(table_format)
+    name = table_file_name(table_format)
     if out.exists() and not out.is_dir():
         raise UsageError("is a file, not a directory", where=str(out), hint="choose another --out")
     if (out / name).exists() and not (out / ROWS).exists():
@@ -698,7 +698,7 @@ def _publish(definition: Sweep, rows: RowStore, out: Path, table_format: str) ->
     from kc2spice.report.sweep_page import compute_yields, write_sweep
 
     table = columns(rows.outcomes, definition.plan, definition.metrics)
-    name = table_name(table_format)
+    name = table_file_name(table_format)
     shares = compute_yields(table, definition.plan.keys) if definition.plan.random else {}
     plan = definition.describe()
     with stage_directory(out) as work:

@@ -191,7 +191,7 @@ def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
         changed = (*job.parameters, *subcircuit_parameters(values))
         build, deck = with_changed_parameters(build, deck, changed), with_parameters(deck, changed)
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
-            return _numbers(simulate_deck(build, deck, Path(directory), timeout=job.timeout))
+            return _metric_numbers(simulate_deck(build, deck, Path(directory), timeout=job.timeout))
     except MissingToolError:
         raise
     except Kc2spiceError as error:
@@ -246,18 +246,18 @@ def _testbench(job: Job) -> tuple[Build, Deck]:
     return prepare_deck(job.load({}), Clock())
 
 
-def _numbers(run: Run) -> PointResult:
+def _metric_numbers(run: Run) -> PointResult:
     checks = {check.name: check.value for check in run.verdict.checks}
     facts = run.facts
     units = {f"model.{part}": fact_units(row) for part, row in facts["model"].items()}
     return PointResult(
-        _scalars(run.metrics),
-        _scalars({**facts, "checks": checks}),
+        _flatten_numbers(run.metrics),
+        _flatten_numbers({**facts, "checks": checks}),
         {**run.units, **dict(flatten_mapping(units))},
     )
 
 
-def _scalars(value: Mapping[str, Any]) -> dict[str, Number]:
+def _flatten_numbers(value: Mapping[str, Any]) -> dict[str, Number]:
     """Numbers, yes or no, and what is missing, by their dotted names."""
     result: dict[str, Number] = {}
     for name, item in flatten_mapping(value):

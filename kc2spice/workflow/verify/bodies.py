@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.core.cache import cached
+from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
@@ -251,7 +251,9 @@ def _full_response(part: Part, build: Build, full: LinearModel, at: np.ndarray) 
         "ports": list(full.inputs + full.outputs),
     }
 
-    result = cached("transfer", depends, lambda: full.transfer(at), sources=part.type.sources())
+    result = load_or_build(
+        "transfer", depends, lambda: full.transfer(at), sources=part.type.sources()
+    )
     return np.asarray(result)
 
 

@@ -57,7 +57,7 @@ def add_differences(exact: Reference, differences: Sequence[Difference], end: fl
     time = exact.results["time"]
     resolved = time <= end * (1 + 1e-12)
     for difference in differences:
-        resolved &= difference.resolved(time)
+        resolved &= difference.has_equal_modes(time)
     waves = {name: values[resolved] for name, values in exact.results.data.items()}
     at = time[resolved]
     for difference in differences:
@@ -79,7 +79,7 @@ class Difference:
     apart: np.ndarray
     events: tuple[float, ...]
 
-    def resolved(self, time: np.ndarray) -> np.ndarray:
+    def has_equal_modes(self, time: np.ndarray) -> np.ndarray:
         """Whether both models are in the same mode at each ``time``.
 
         They are not within the step of an event, nor beside a step at whose end only one of them

@@ -80,7 +80,7 @@ def solve_steady(networks: Iterable[Network], build: Build, waves: Waveforms) ->
     points = points.real
     data = {scale: points}
     for network in networks:
-        if build.noisy:
+        if build.has_noise:
             data |= _noise(network, build, points)
         else:
             data |= network.results(_steady_waves(network, build, points), points)

@@ -539,7 +539,7 @@ class _Verification:
         gates, reltol = self.build.scene.gates, self.build.scene.solver.reltol
         if self.timed:
             metric, wave = METRICS * reltol, min(WAVES * reltol, ANY_WAVE)
-        elif self.build.noisy:
+        elif self.build.has_noise:
             metric, wave = NOISE, NOISE
         else:
             metric, wave = STEADY_METRICS, STEADY_WAVES
