@@ -30,13 +30,20 @@ class Option:
     """One ``.options`` entry, with an empty ``value`` for a flag, and its reason."""
 
     key: str
-    value: str
+    value: str | float
     reason: str
+
+    @property
+    def text(self) -> str:
+        """The value as the card states it."""
+        if isinstance(self.value, str):
+            return self.value
+        return write_rounded(self.value).removesuffix(".0")
 
     @property
     def card(self) -> Directive:
         """The card with the reason above it."""
-        word = f"{self.key}={self.value}" if self.value else self.key
+        word = f"{self.key}={self.text}" if self.text else self.key
         return Directive(".options", (word,), notes=(f"* {self.key}: {comment(self.reason)}",))
 
 

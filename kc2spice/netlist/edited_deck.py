@@ -233,7 +233,7 @@ def _compare_options(
     original: Deck, cards: Iterable[Statement]
 ) -> dict[str, tuple[str | None, str | None]]:
     """Return the old and new values of accuracy options that differ."""
-    before = {item.key: item.value for item in original.options if item.key not in HARMLESS}
+    before = {item.key: item.text for item in original.options if item.key not in HARMLESS}
     now = accuracy_options(cards)
 
     def value(text: str | None) -> float | str | None:

@@ -14,6 +14,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.expression import join_terms, parse_vector, terms
 from kc2spice.netlist.library import Subcircuit, instance_comment, parameter_line
+from kc2spice.netlist.scope import Scope
 from kc2spice.netlist.spelling import number
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
@@ -204,3 +205,30 @@ def _inside_instance(expression: str, instance: str) -> str:
         item = parse_vector(text)
         signed.append((sign, str(item.within(instance)) if item else text))
     return join_terms(signed)
+
+
+def add_noise_sources(deck: Deck, output: str, owners: Iterable[str]) -> Deck:
+    """Return the deck with the density of each noisy resistor as a result.
+
+    Its name is ``OUTPUT.OWNER.RESISTOR``. The ``output`` is the density of all noise, the owner the
+    part whose name the name of the card begins with.
+    """
+    parts = sorted(owners, key=len, reverse=True)
+    _, factor = deck.vectors[output]
+    vectors = {}
+    for name, path in _list_noisy_resistors(deck.scope):
+        device = path.partition(".")[0][1:]
+        part = next((part for part in parts if device.startswith(part.lower())), None)
+        if part is not None:
+            vectors[f"{output}.{part}.{path.rpartition('.')[2]}"] = f"onoise_{name}", factor
+    units = dict.fromkeys(vectors, deck.units[output])
+    return replace(deck, vectors={**deck.vectors, **vectors}, units={**deck.units, **units})
+
+
+def _list_noisy_resistors(scope: Scope, path: str = "") -> Iterator[tuple[str, str]]:
+    """Yield simulator names of noisy resistors, and their instance paths."""
+    for item in scope.elements:
+        if item.kind == "x" and (inner := scope.find(item.model)) is not None:
+            yield from _list_noisy_resistors(inner, f"{path}{item.key}.")
+        elif item.kind == "r" and item.settings.get("noisy") != "0":
+            yield f"r.{path}{item.key}" if path else item.key, f"{path}{item.key}"

@@ -547,7 +547,7 @@ class Build:
     they have neither checks nor an energy balance. ``largest`` is the largest step of a transient.
     ``records`` contains the answers of the parts by name
     (:func:`kc2spice.scene.resolve.resolve_build`), ``results`` what netlist and probes read, and
-    ``dc_sweep`` the sweep of a dc analysis. ``laws`` are the laws of the parts
+    ``dc_sweep`` and ``noise_output`` the sweep or the output of the analysis. ``laws`` are the laws
     (:func:`kc2spice.equations.scene_laws.scene_laws`). ``linearised`` contains the motions about
     rest in a transient (:func:`kc2spice.workflow.time_step.linearised_scene`). ``workspace``
     contains large results of the latest run.
@@ -563,6 +563,7 @@ class Build:
     records: Mapping[str, BuildRecord] = field(default_factory=dict)
     results: SceneResults = field(default_factory=SceneResults)
     dc_sweep: DcSweep | None = None
+    noise_output: Vector | None = None
     laws: object = None
     linearised: object = None
     workspace: Workspace = field(default_factory=Workspace)

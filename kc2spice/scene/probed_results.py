@@ -34,7 +34,8 @@ def require_probed_results(build: Build) -> None:
             waiting.add(name)
     results = build.results
     if not build.records:
-        results = collect_results(with_vectors(build, without=waiting))
+        unbuilt = with_vectors(build, without=waiting)
+        results = collect_results(unbuilt)
     known = {*results.vectors, *results.powers}
     for name, probe in scene.probes.items():
         owner, dot, _ = probe.of.partition(".")
@@ -47,13 +48,13 @@ def _unknown_result(build: Build, name: str, where: str, waiting: Collection[str
     """Return the error of an unknown result; ``waiting`` are parts that wait for their models."""
     owner, _, _ = name.partition(".")
     parts = build.scene.parts
-    if owner not in parts:
-        return unknown(f"this scene has no part {owner!r}", name, parts, where)
-    choices = _select_prefixed(_list_results(build, waiting), f"{owner}.")
-    suggestion = _suggest_result(name, choices)
-    error = unknown("no such result", name, choices, where)
-    error.hint = error.hint or suggestion
-    return error
+    if owner in parts:
+        choices = _select_prefixed(_list_results(build, waiting), f"{owner}.")
+        suggestion = _suggest_result(name, choices)
+        error = unknown("no such result", name, choices, where)
+        error.hint = error.hint or suggestion
+        return error
+    return unknown(f"this scene has no part {owner!r}", name, parts, where)
 
 
 def _select_prefixed(names: Iterable[str], prefix: str) -> list[str]:

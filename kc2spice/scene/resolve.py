@@ -16,7 +16,7 @@ import numpy as np
 
 from kc2spice.scene.compose import join_parts, with_rests
 from kc2spice.scene.model import Build, BuildRecord, Part, Record, Scene
-from kc2spice.scene.results import collect_results, resolve_dc_sweep
+from kc2spice.scene.results import collect_results, find_noise_output, resolve_dc_sweep
 from kc2spice.scene.rows import Governed, Numerics, State
 
 
@@ -33,14 +33,14 @@ def resolve(scene: Scene) -> Scene:
 
 
 def resolve_build(build: Build) -> Build:
-    """Return the build with results, a dc sweep, and quantities of its parts that can be set.
+    """Return the build with its results and with quantities of its parts that can be set.
 
     The quantities of a part that can be set depend on the parts at rest around it.
 
     Raises
     ------
-    UsageError : as :func:`kc2spice.scene.results.collect_results` and
-        :func:`kc2spice.scene.results.resolve_dc_sweep`.
+    UsageError : as :func:`kc2spice.scene.results.resolve_dc_sweep` and
+        :func:`kc2spice.scene.results.find_noise_output`.
     """
     build = with_vectors(build)
     records = dict(build.records)
@@ -48,7 +48,9 @@ def resolve_build(build: Build) -> Build:
         settable = part.type.settable(part, build)
         records[part.name] = replace(records[part.name], settable=settable)
     build = replace(build, records=records)
-    return replace(build, results=collect_results(build), dc_sweep=resolve_dc_sweep(build))
+    output = find_noise_output(build)
+    build = replace(build, dc_sweep=resolve_dc_sweep(build), noise_output=output)
+    return replace(build, results=collect_results(build))
 
 
 def with_vectors(build: Build, without: Collection[str] = ()) -> Build:

@@ -26,13 +26,17 @@ NOISE_WAVE = "noise"  # spectral density of the output, and the metric of its rm
 GROUND_VOLTAGE = "v(0)"
 
 
-def find_noise_output(build: Build) -> Vector:
-    """Return the output of the noise analysis: a result, or the quantity across a pin.
+def find_noise_output(build: Build) -> Vector | None:
+    """Return the output of a noise analysis: a result, or the quantity across a pin.
+
+    Other analyses have none.
 
     Raises
     ------
     UsageError : there is no such result, or it is no voltage of the netlist.
     """
+    if not build.has_noise:
+        return None
     name = str(build.scene.analysis.output)
     known = build.vectors
     for part in build.scene.parts.values():
@@ -53,14 +57,9 @@ def collect_results(build: Build) -> SceneResults:
     """Return the results of all parts and the powers that probes read.
 
     A noise analysis has the density alone.
-
-    Raises
-    ------
-    UsageError : as :func:`find_noise_output`.
     """
-    if build.has_noise:
-        output = find_noise_output(build)
-        return SceneResults({NOISE_WAVE: output.density}, noise_output=output)
+    if build.noise_output is not None:
+        return SceneResults({NOISE_WAVE: build.noise_output.density})
     vectors = _collect_vectors(build)
     return SceneResults(vectors, collect_powers(build, vectors))
 

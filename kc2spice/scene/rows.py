@@ -110,13 +110,10 @@ class SceneResults:
         Vectors of the netlist by the names of the results.
     powers : mapping of str to tuple of PowerTerm
         Terms of each power of a part or pin that a probe reads.
-    noise_output : Vector, optional
-        The output of a noise analysis.
     """
 
     vectors: Mapping[str, Vector] = field(default_factory=dict)
     powers: Mapping[str, Powers] = field(default_factory=dict)
-    noise_output: Vector | None = None
 
     @property
     def units(self) -> dict[str, str]:

@@ -16,23 +16,24 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.files import list_earlier_files
 from kc2spice.core.progress import Clock
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.netlist.deck import Command, Deck, Option, ac, dc, transient
+from kc2spice.netlist.deck import Deck, Option
 from kc2spice.netlist.edited_deck import read_edited_deck
 from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.read import statements
 from kc2spice.netlist.scope import INCLUDES
-from kc2spice.netlist.spelling import comment, number, write_rounded
-from kc2spice.netlist.transforms import remove_arithmetic_noise
+from kc2spice.netlist.spelling import comment, number
+from kc2spice.netlist.transforms import add_noise_sources, remove_arithmetic_noise
 from kc2spice.scene.axes import MAX_STEP, describe_plan
 from kc2spice.scene.frames import MOTIONS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.plausible import apply_action, check_models
 from kc2spice.scene.probed_results import require_probed_results
+from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
 from kc2spice.synthesis.header import plan_lines
-from kc2spice.workflow import noise_analysis
+from kc2spice.workflow.analysis_cards import make_analysis_cards
 from kc2spice.workflow.edited_parts import with_edited_parameters
 from kc2spice.workflow.measures import measures
 from kc2spice.workflow.models import build_models
@@ -84,18 +85,17 @@ def make_deck(build: Build) -> Deck:
     notes = (*header.origin(), *plan_lines(describe_plan(build), ours))
     require_probed_results(build)
     results = build.results
+    analysis = make_analysis_cards(build)
     parts = tuple(_libraries(build, header))
-    noise = noise_analysis.noise_cards(build) if build.has_noise else None
-    sweep_scale = 1.0 if build.dc_sweep is None else build.dc_sweep.scale
     reductions = [f"* {p.name}, rom: {p.reduction.summary}" for p in parts if p.reduction]
+    sweep_scale = 1.0 if build.dc_sweep is None else build.dc_sweep.scale
     deck = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
         notes=(*notes, *reductions, *_step_lines(build)),
         parts=parts,
-        items=tuple(_items(build, loose, noise.items if noise else ())),
         options=tuple(_options(build)),
-        command=noise.command if noise else _command(build),
+        command=analysis.command,
         vectors={name: (v.expression, v.factor) for name, v in results.vectors.items()},
         units=results.units,
         powers=results.powers,
@@ -105,8 +105,9 @@ def make_deck(build: Build) -> Deck:
         controlled=any(_is_controller(part, scene) for part in scene.parts.values()),
         trusted=build.trust,
         sweep_scale=sweep_scale,
+        items=tuple(_items(build, loose, analysis.items)),
     )
-    return noise_analysis.add_noise_sources(deck, build) if noise else deck
+    return add_noise_sources(deck, NOISE_WAVE, scene.parts) if build.has_noise else deck
 
 
 def _is_controller(part: Part, scene: Scene) -> bool:
@@ -185,16 +186,10 @@ def _options(build: Build) -> Iterable[Option]:
     reltol = solver.reltol * min(map(attrgetter("reltol"), rows), default=1.0)
     chgtol = solver.chgtol * min(map(attrgetter("chgtol"), rows), default=1.0)
     return [
-        Option("reltol", write_rounded(reltol), "relative error of a time step"),
+        Option("reltol", reltol, "relative error of a time step"),
+        Option("trtol", solver.trtol, "trust the error estimate: take every step it asks for"),
         Option(
-            "trtol",
-            number(solver.trtol).removesuffix(".0"),
-            "trust the error estimate: take every step it asks for",
-        ),
-        Option(
-            "chgtol",
-            write_rounded(chgtol),
-            f"C on 1 uF, thus {1e6 * chgtol:g} um: displacement error of a step",
+            "chgtol", chgtol, f"C on 1 uF, thus {1e6 * chgtol:g} um: displacement error of a step"
         ),
         Option("method", solver.method, "rule of integration"),
         Option("acct", "", "print accepted and rejected steps, iterations and time"),
@@ -207,23 +202,6 @@ def _step_lines(build: Build) -> Iterator[str]:
     limit = build.largest
     if limit is not None and not build.scene.solver.max_step:
         yield f"* {comment(f'largest step {limit.step:g} s: {limit.why}')}"
-
-
-def _command(build: Build) -> Command:
-    """Return the command of the analysis."""
-    scene, sweep = build.scene, build.dc_sweep
-    selected = scene.analysis
-    if selected.type == "transient":
-        assert build.largest is not None
-        return transient(scene.stop, build.largest.step, uic=bool(scene.initial_states))
-    if selected.type == "ac":
-        # ngspice returns only the first of two linear points
-        points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points
-        return ac(selected.start, float(selected.stop or 0.0), points, selected.scale)
-    if sweep is None:
-        return Command("op", ())
-    values = sweep.values
-    return dc(sweep.source, sweep.scale * values[0], sweep.scale * values[-1], values.size)
 
 
 def _initial_values(build: Build, loose: Sequence[FloatingNets]) -> dict[str, float]:

@@ -50,8 +50,10 @@ def replace_parts(build: Build, parts: Mapping[str, Part], unjudged: Iterable[st
 
     The parts ``unjudged`` have neither checks nor an energy balance.
     """
-    scene = resolve_again(replace(build.scene, parts=parts))
-    return _resolve_equations(replace(build, scene=scene, unjudged=build.unjudged.union(unjudged)))
+    judged = replace(build, unjudged=build.unjudged.union(unjudged))
+    return _resolve_equations(
+        replace(judged, scene=resolve_again(replace(build.scene, parts=parts)))
+    )
 
 
 def name_subcircuits(scene: Scene) -> dict[str, str]:

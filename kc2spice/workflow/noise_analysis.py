@@ -1,49 +1,20 @@
-"""Noise analysis of a deck: its input, the shares of parts, its metrics, checks and figures."""
+"""Noise of a scene: the shares of its parts, metrics, checks and figures."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.waveforms import Waveforms, running_integral
-from kc2spice.netlist.circuit import Element, Item
-from kc2spice.netlist.deck import Command, Deck, noise
-from kc2spice.netlist.elements import add_title
-from kc2spice.netlist.scope import Scope
 from kc2spice.scene.checks import Check, Metric
-from kc2spice.scene.model import Build, Names
+from kc2spice.scene.model import Build
 from kc2spice.scene.results import NOISE_WAVE
-from kc2spice.scene.rows import DENSITY_UNIT, Vector
+from kc2spice.scene.rows import DENSITY_UNIT
 
 RESOLVED = 0.02  # largest relative change of the rms value with every second frequency
-
-
-def add_noise_sources(deck: Deck, build: Build) -> Deck:
-    """``deck`` with what each resistor that has noise adds, as ``noise.PART.NAME``."""
-    result = dict(_noisy_resistors(deck.scope, ""))
-    parts = sorted(build.scene.parts, key=len, reverse=True)
-    _, factor = deck.vectors[NOISE_WAVE]
-    vectors = {}
-    for name, path in result.items():
-        device = path.partition(".")[0][1:]
-        part = next((p for p in parts if device.startswith(p.lower())), None)
-        if part is not None:
-            vectors[f"{NOISE_WAVE}.{part}.{path.rpartition('.')[2]}"] = (f"onoise_{name}", factor)
-    units = dict.fromkeys(vectors, deck.units[NOISE_WAVE])
-    return replace(deck, vectors={**deck.vectors, **vectors}, units={**deck.units, **units})
-
-
-def _noisy_resistors(scope: Scope, path: str) -> Iterator[tuple[str, str]]:
-    """Simulator names of noisy resistors, and their instance paths."""
-    for item in scope.elements:
-        if item.kind == "x" and (inner := scope.find(item.model)) is not None:
-            yield from _noisy_resistors(inner, f"{path}{item.key}.")
-        elif item.kind == "r" and item.settings.get("noisy") != "0":
-            yield f"r.{path}{item.key}" if path else item.key, f"{path}{item.key}"
 
 
 def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
@@ -58,38 +29,12 @@ def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
 
 
 def noise_metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
-    """rms values over the band: of the output, and what each part adds to it."""
-    f, parts, unit = waves["frequency"].real, noise_by_part(waves), _noise_output(build).unit
+    """Return rms values over the band: of the output, and of what each part adds to it."""
+    f, parts = waves["frequency"].real, noise_by_part(waves)
+    unit = build.results.units[NOISE_WAVE].removesuffix(DENSITY_UNIT)
     added = {part: Metric(_rms(f, result), unit) for part, result in parts.items()}
     rms: dict[str, Any] = {NOISE_WAVE: Metric(_rms(f, waves[NOISE_WAVE]), unit)}
     return rms | ({"noise_by_part": added} if len(added) > 1 else {})
-
-
-@dataclass(frozen=True)
-class NoiseCards:
-    """Cards of a noise analysis: its command, and the input source that the command names."""
-
-    command: Command
-    items: tuple[Item, ...]
-
-
-def noise_cards(build: Build) -> NoiseCards:
-    """Write the command of the noise analysis and its input source, which drives nothing."""
-    selected, ends = build.scene.analysis, _noise_output(build).voltage
-    node = Names((*build.scene.parts, *build.scene.nets.values())).name(NOISE_WAVE, "noise_input")
-    drive = Element.of(f"V{node}", node, "0", "DC", "0", "AC", "1")
-    load = Element.of(f"R{node}", node, "0", "1", noisy="0")
-    first, last = selected.start, float(selected.stop or 0.0)
-    command = noise(str(ends), drive.name, first, last, selected.points, selected.scale)
-    title = "drives nothing: what the analysis could refer the noise to"
-    return NoiseCards(command, add_title(title, (drive, load)))
-
-
-def _noise_output(build: Build) -> Vector:
-    """Return the output of a noise analysis."""
-    result = build.results.noise_output
-    assert result is not None, f"{build.scene.name} has no noise analysis"
-    return result
 
 
 def _rms(f: np.ndarray, density: np.ndarray) -> float:

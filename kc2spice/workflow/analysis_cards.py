@@ -1,0 +1,57 @@
+"""Command of the analysis of a scene, and the cards that the command needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kc2spice.netlist.circuit import Element, Item
+from kc2spice.netlist.deck import Command, ac, dc, noise, transient
+from kc2spice.netlist.elements import add_title
+from kc2spice.scene.model import Build, Names
+from kc2spice.scene.results import NOISE_WAVE
+
+
+@dataclass(frozen=True)
+class AnalysisCards:
+    """Command of an analysis, and the source that the command names."""
+
+    command: Command
+    items: tuple[Item, ...] = ()
+
+
+def make_analysis_cards(build: Build) -> AnalysisCards:
+    """Return the cards of the analysis of a scene.
+
+    Raises
+    ------
+    UsageError : steps of a dc sweep that are too small for ngspice.
+    """
+    scene, sweep, output = build.scene, build.dc_sweep, build.noise_output
+    selected = scene.analysis
+    if output is not None:
+        return _make_noise_cards(build, str(output.voltage))
+    if selected.type == "transient":
+        assert build.largest is not None
+        step = build.largest.step
+        return AnalysisCards(transient(scene.stop, step, uic=bool(scene.initial_states)))
+    if selected.type == "ac":
+        # ngspice returns only the first of two linear points
+        points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points
+        command = ac(selected.start, float(selected.stop or 0.0), points, selected.scale)
+        return AnalysisCards(command)
+    if sweep is not None:
+        first, last = sweep.scale * sweep.values[0], sweep.scale * sweep.values[-1]
+        return AnalysisCards(dc(sweep.source, first, last, sweep.values.size))
+    return AnalysisCards(Command("op", ()))
+
+
+def _make_noise_cards(build: Build, voltage: str) -> AnalysisCards:
+    """Return the command of a noise analysis and its input source, which drives nothing."""
+    selected = build.scene.analysis
+    node = Names((*build.scene.parts, *build.scene.nets.values())).name(NOISE_WAVE, "noise_input")
+    drive = Element.of(f"V{node}", node, "0", "DC", "0", "AC", "1")
+    load = Element.of(f"R{node}", node, "0", "1", noisy="0")
+    first, last = selected.start, float(selected.stop or 0.0)
+    command = noise(voltage, drive.name, first, last, selected.points, selected.scale)
+    title = "drives nothing: what the analysis could refer the noise to"
+    return AnalysisCards(command, add_title(title, (drive, load)))
