@@ -9,9 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, combinations_with_replacement
+from textwrap import wrap
+from types import MappingProxyType
+
+import numpy as np
 
 from kc2spice.core.domains import QUANTITIES, Quantity
+from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import names_of
 from kc2spice.netlist.circuit import Element, Item, Model, Parameters
 from kc2spice.netlist.elements import Line, attach_comments, pivot_cards
@@ -25,8 +30,10 @@ from kc2spice.netlist.expression import (
     substitute,
     walk,
 )
-from kc2spice.netlist.spelling import LEAK_RATE
+from kc2spice.netlist.spelling import LEAK_RATE, number
 from kc2spice.physics.declaration import Branch, Declaration
+from kc2spice.physics.linkages import Linkages, find_linkages
+from kc2spice.physics.lookups import CELL, WEIGHT, Lookups, TableFunction, has_tables
 from kc2spice.physics.symbolic import (
     ONE,
     ZERO,
@@ -39,9 +46,11 @@ from kc2spice.physics.symbolic import (
     plus,
     text,
     times,
+    weighted_sum,
 )
 
 _FARAD = "1e-06"
+NO_TABLES: Mapping[str, TableFunction] = MappingProxyType({})
 _EDGE = Model("edge", "SW", {"VT": "0", "VH": "0", "RON": "1e6", "ROFF": "2e6"})
 _TIME_INTEGRALS = {
     "current": ("charge", "coulombs"),
@@ -71,13 +80,28 @@ _HEAD = {
     "noise": "of the temperature of a loss, 4 k T times {loss}: this resistor has noise",
     "leak": "by this current the operating point of a floating net keeps its {integral}, which "
     "decays within {seconds} s",
+    "cell": "argument of the lookups in cells on {cell}; t, from 0 to 1 within each cell, gives "
+    "the weight t (1 - t) on {weight}",
+    "lookup": "A lookup is f(s) - w b(s) with the cell s and the weight w: the values at {points} "
+    "arguments less half their second differences times w. Value and slope are continuous. Points "
+    "of b on the lines between others are left out; beyond both ends a lookup is constant. "
+    "NAME_slope is the derivative of the table NAME by its argument.",
+    "linkage": "flux linkage of {plus} to {minus} by all currents on {node}, 1 V = {scale} Wb; its "
+    "rate is the voltage behind the resistance, less that of motion",
+    "current": "current from {plus} to {minus}, 1 V = 1 A on {node}: the flux linkages times the "
+    "inverse inductances, by their means and the lookups of their deviations",
     "edge": "a switch without function: ngspice puts a time point where {argument} is zero",
 }  # fmt: skip
 
 
-def subcircuit_items(declaration: Declaration, noise: bool = False) -> tuple[Item, ...]:
-    """Return the cards between ``.subckt`` and ``.ends``, with their comments."""
-    return attach_comments(_write_items(declaration, noise))
+def subcircuit_items(
+    declaration: Declaration, noise: bool = False, tables: Mapping[str, TableFunction] = NO_TABLES
+) -> tuple[Item, ...]:
+    """Return the cards between ``.subckt`` and ``.ends``, with their comments.
+
+    ``tables`` are the tables of the declaration and their slopes.
+    """
+    return attach_comments(_write_items(declaration, noise, tables))
 
 
 def has_losses(declaration: Declaration) -> bool:
@@ -85,14 +109,22 @@ def has_losses(declaration: Declaration) -> bool:
     return any(declaration.loss_coefficient(b) != ZERO for b in declaration.acting_branches)
 
 
-def _write_items(declaration: Declaration, noise: bool) -> Iterator[Line]:
+def _write_items(
+    declaration: Declaration, noise: bool, tables: Mapping[str, TableFunction]
+) -> Iterator[Line]:
     for name, tree in declaration.constant_trees.items():
         yield Parameters({name: f"{{{text(tree)}}}"})
     nodes, rest = _variable_trees(declaration), reference_node(declaration)
+    linkages = find_linkages(declaration)
+    lookups = Lookups(tables, _list_laws(declaration, linkages), rest)
+    if lookups.argument:
+        nodes = {**nodes, **lookups.node_trees(), **_single_voltages(declaration, linkages)}
+        yield from _write_lookups(lookups, nodes)
     for tree, name in declaration.power_series.items():
         yield f"* the power series {name}"
         yield Element.behaviour(f"B{name}", name, rest, "V", text(substitute(tree, nodes)))
     rated = set(declaration.branches_with_rate).difference(declaration.inertial_branches)
+    rated.update(declaration.displacements if linkages else ())
     for branch in declaration.branches:
         if branch.less or branch.name in declaration.lags:
             yield from _write_coordinate(declaration, branch)
@@ -109,13 +141,133 @@ def _write_items(declaration: Declaration, noise: bool) -> Iterator[Line]:
             added[branch.name] = times(source, Call("sqrt", (loss,)))
             yield _comment("noise", branch, loss=text(loss))
             yield Element.of(f"Rnoise_{branch.name}", f"noise_{branch.name}", branch.minus, "1")
+    if linkages:
+        yield from _write_linkages(linkages, lookups, nodes)
+        branches = [b for b in branches if not b.flows]
     for branch in branches:
-        make = _write_force if branch.moves else _write_flux if branch.flows else _write_charge
-        yield from make(declaration, branch, nodes, added[branch.name])
+        if branch.moves:
+            yield from _write_force(declaration, branch, nodes, added[branch.name], lookups)
+        else:
+            make = _write_flux if branch.flows else _write_charge
+            yield from make(declaration, branch, nodes, added[branch.name])
     yield from _write_edges(declaration, nodes)
     for name, tree in declaration.output_trees.items():
         yield f"* {_HEAD['output'].format(plus=name, words=text(tree))}"
         yield from _write_node(name, times(Number("1e6"), tree), nodes, rest)
+
+
+def _single_voltages(declaration: Declaration, linkages: Linkages | None) -> dict[str, Tree]:
+    """Return inner nodes beside lookups as voltages to ground.
+
+    A source of single voltages is evaluated faster. The reference pin of a part with tables is at
+    0 V.
+    """
+    inner = inner_nodes(declaration)
+    for name in linkages.currents if linkages else ():
+        inner[name] = name
+    return {name: CircuitVariable("v", (node,)) for name, node in inner.items()}
+
+
+def _list_laws(declaration: Declaration, linkages: Linkages | None) -> tuple[Tree, ...]:
+    """Return forces and voltages of motion, the laws that may contain tables.
+
+    Raises
+    ------
+    UsageError : a table in another law.
+    """
+    others = [*declaration.signal_trees.values(), *declaration.state_rates.values()]
+    for b in declaration.stationary_branches:
+        others.append(declaration.direct_flow(b))
+        if not linkages:
+            others.append(declaration.stored_quantity(b))
+    for tree in others:
+        if has_tables(tree, declaration.tables):
+            raise UsageError(
+                "a netlist has tables in forces and inductances alone",
+                where=declaration.name,
+                got=text(tree),
+            )
+    forces = map(declaration.delayed_flow, declaration.displacements)
+    return (*forces, *(linkages.motional if linkages else ()))
+
+
+def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line]:
+    """Write the cells of the lookups, and lookups that several laws use."""
+    base = lookups.base
+    yield from map("* {}".format, wrap(_HEAD["lookup"].format(points=lookups.points), 96))
+    yield Parameters({"table_low": number(lookups.low), "table_step": number(lookups.step)})
+    yield f"* {_HEAD['cell'].format(cell=CELL, weight=WEIGHT)}"
+    cell = over(minus(lookups.argument or ZERO, Name("table_low")), Name("table_step"))
+    yield from _write_node(CELL, cell, nodes, base)
+    at, within = f"V({CELL})", "V(lookup_t)"
+    yield Element.behaviour("Blookup_t", base, "lookup_t", "I", f"{at}-floor({at})")
+    yield Element.of("Rlookup_t", "lookup_t", base, "1")
+    yield Element.behaviour(f"B{WEIGHT}", base, WEIGHT, "I", f"{within}-{within}*{within}")
+    yield Element.of(f"R{WEIGHT}", WEIGHT, base, "1")
+    for calls in lookups.repeated:
+        yield f"* {lookups.describe(calls)}"
+        values = lookups.values(weighted_sum(calls))
+        yield from _write_lookup(lookups.labels[calls], lookups, values)
+
+
+def _write_lookup(name: str, lookups: Lookups, values: np.ndarray) -> Iterator[Line]:
+    """Write a node with the value of a lookup."""
+    law = text(lookups.interpolate(values))
+    yield Element.behaviour(f"B{name}", lookups.base, name, "I", law)
+    yield Element.of(f"R{name}", name, lookups.base, "1")
+
+
+def _write_linkages(
+    linkages: Linkages, lookups: Lookups, nodes: Mapping[str, Tree]
+) -> Iterator[Line]:
+    """Write currents whose flux linkages are states.
+
+    The means of the inverse inductances are cards of their own, because every lookup is 0 V before
+    the first solution.
+    """
+    henry, inverse = linkages.invert(lookups)
+    mean, count = inverse.mean(axis=0), len(linkages.branches)
+    for k, l in combinations_with_replacement(range(count), 2):
+        name = _inverse_node(k, l)
+        yield f"* {name}: {henry:.6g} H times the inverse of the inductances, less its mean"
+        yield from _write_lookup(name, lookups, (inverse - mean)[:, k, l])
+    for k, branch in enumerate(linkages.branches):
+        motion = substitute(plus(*lookups.split(linkages.motional[k])), nodes)
+        yield from _write_linkage(linkages.declaration, branch, henry, text(motion))
+        n, base, terms = branch.name, lookups.base, []
+        yield _comment("current", branch, node=n)
+        for l, other in enumerate(linkages.branches):
+            linkage = f"l_{other.name}"
+            yield Element.of(f"G{n}_{other.name}", base, n, linkage, base, float(mean[k, l]))
+            terms.append(f"V({_inverse_node(k, l)})*V({linkage})")
+        yield Element.behaviour(f"B{n}", base, n, "I", "+".join(terms))
+        yield Element.of(f"R{n}", n, base, "1")
+
+
+def _inverse_node(k: int, l: int) -> str:
+    """Node of an element of the inverse of the inductances."""
+    return f"lookup_g{min(k, l) + 1}{max(k, l) + 1}"
+
+
+def _write_linkage(
+    declaration: Declaration, b: Branch, henry: float, motion: str
+) -> Iterator[Line]:
+    """Write the resistance of a branch, and the flux linkage as a state."""
+    n, base, inner = b.name, reference_node(declaration), f"rest_{b.name}"
+    drop = declaration.direct_flow(b)
+    resistance = derivative(drop, n)
+    if names(resistance) & declaration.variables:
+        raise UsageError(
+            "a current with tables of inductance needs a constant resistance",
+            where=declaration.name,
+            got=text(drop),
+        )
+    yield _comment("linkage", b, node=f"l_{n}", scale=f"{henry:.6g}")
+    yield Element.of(f"R{inner}", b.plus, inner, f"{{{text(resistance)}}}")
+    yield Element.of(f"G{inner}", inner, b.minus, n, base, "1")
+    yield Element.of(f"Cl_{n}", f"l_{n}", base, henry)
+    yield Element.of(f"Gl_{n}", base, f"l_{n}", inner, b.minus, "1")
+    yield Element.behaviour(f"Bl_{n}", f"l_{n}", base, "I", motion)
 
 
 def _write_node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> Iterator[Line]:
@@ -158,7 +310,7 @@ def _only_voltage(tree: Tree) -> tuple[str, ...]:
     """Nodes of the voltage that is the only variable in ``tree``, none if there are others."""
     variables = _circuit_variables(tree)
     if len(variables) == 1 and variables[0].kind == "v":
-        return variables[0].names
+        return (*variables[0].names, "0")[:2]
     return ()
 
 
@@ -214,7 +366,8 @@ def _variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
         result[b.name] = _scale_to_si(variable, factor)
         high, low = _pin_velocity(declaration, b.plus), _pin_velocity(declaration, b.minus)
         sensed = _scale_to_si(CircuitVariable("i", (f"Vrate_{b.name}",)), factor * 1e6)
-        sensed = sensed if ZERO in (high, low) else ZERO
+        plus_pin, minus_pin = _sensed_pins(declaration, b)
+        sensed = sensed if plus_pin != minus_pin else ZERO
         result[b.rate] = plus(sensed, minus(high, low))
     return result
 
@@ -311,11 +464,17 @@ def _write_differentiator(name: str, node: str, minus: str) -> Iterator[Line]:
     yield Element.of(f"Vrate_{name}", f"sense_{name}", minus, "0")
 
 
+def _sensed_pins(declaration: Declaration, b: Branch) -> tuple[str, str]:
+    """Pins of a displacement, or the reference for those with a velocity node."""
+    base = declaration.base or b.minus
+    plus, minus = (base if pin in declaration.speeds else pin for pin in (b.plus, b.minus))
+    return plus, minus
+
+
 def _write_velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """Write the velocity of pins that have no velocity node."""
     base = declaration.base or b.minus
-    plus = base if b.plus in declaration.speeds else b.plus
-    minus = base if b.minus in declaration.speeds else b.minus
+    plus, minus = _sensed_pins(declaration, b)
     if plus != minus:
         yield _comment("rate", replace(b, plus=plus, minus=minus))
         yield Element.of(f"Ecopy_{b.name}", f"copy_{b.name}", base, plus, minus, "1")
@@ -348,7 +507,7 @@ def _write_coordinate(declaration: Declaration, b: Branch) -> Iterator[Line]:
 
 
 def _write_force(
-    declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
+    declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree, lookups: Lookups
 ) -> Iterator[Line]:
     if b in declaration.inertial_branches:
         yield from _write_mass(declaration, b)
@@ -364,8 +523,12 @@ def _write_force(
     words = {"flow": through.name, "unit": through.pin_unit, "word": across.symbol}
     yield _comment("force" if metered else "direct", b, node=node, factor=factor, **words)
     yield f"*   {b.through} = {text(declaration.name_power_series(force))}"
-    law = _write_law(declaration, plus(force, noise), nodes)
-    yield Element.behaviour(f"B{node}", *ends, "I", law)
+    terms = lookups.split(plus(force, noise))
+    for k, term in enumerate(terms):
+        for label in sorted(names(term) & set(lookups.single)):
+            yield f"*   the lookup of {lookups.single[label]}"
+        name = f"B{node}{k + 1 if len(terms) > 1 else ''}"
+        yield Element.behaviour(name, *ends, "I", _write_law(declaration, term, nodes))
     if metered:
         yield Element.of(f"R{node}", node, base, "1")
         yield Element.of(f"G{node}", high, low, node, base, "1")

@@ -10,98 +10,128 @@ from collections.abc import Callable, Mapping
 from functools import cache, lru_cache, partial
 from typing import Any
 
-from kc2spice.core.magnets import POWERS, Coenergy, EMTable
+import numpy as np
+
+from kc2spice.core.magnets import POWERS, Coenergy, EMTable, Piecewise
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import Writer, substitute
-from kc2spice.physics.declaration import Branch, Declaration, current, displacement, voltage
+from kc2spice.physics.declaration import (
+    Branch,
+    Declaration,
+    current,
+    displacement,
+    measured,
+    voltage,
+)
 from kc2spice.physics.law import DeclaredLaw
+from kc2spice.physics.lookups import TableFunction
 from kc2spice.physics.symbolic import SLOPE, ZERO, derivative, expression, minus
 
-_TABLES = tuple(map("int_{}".format, POWERS))  # integrals over the height
+_TABLES = tuple(map("w{}".format, range(len(POWERS))))  # of the coenergy, over the height
+_UNITS = ("J", "Wb", "Wb", "H", "H", "H")
 _COILS = ("resistance_lower", "resistance_upper")
 _RANGE = ("raised", "y_min", "y_max")
 _ENDS = ("", SLOPE, 2 * SLOPE)
 _PLACE = displacement("y", "y", "base")
-_HEIGHT = "y + raised"
-_COENERGY = " + ".join(
-    f"{table}({_HEIGHT})*i1^{a}*i2^{b}"
-    for table, (a, b) in zip(_TABLES, POWERS.values(), strict=True)
-)
+_RAISED = "y + raised"
 _LIMITS = {
-    "the upper end of the force table": f"y_max - ({_HEIGHT})",
-    "the lower end of the force table": f"{_HEIGHT} - y_min",
+    "the upper end of the force table": f"y_max - ({_RAISED})",
+    "the lower end of the force table": f"{_RAISED} - y_min",
 }
 
 
+def _write_coenergy(height: str) -> str:
+    """Write the coenergy [J] of both currents at a height."""
+    terms = []
+    for table, (a, b) in zip(_TABLES, POWERS.values(), strict=True):
+        terms.append(f"{table}({height})*i1^{a}*i2^{b}")
+    return " + ".join(terms)
+
+
 @cache
-def declare_coils() -> Declaration:
+def declare_coils(height: str = _RAISED) -> Declaration:
     """Declare both coils with resistance, inductance and back-EMF.
 
-    The pins are ``lp`` and ``ln`` of the lower coil, ``up`` and ``un`` of the upper one.
+    The pins are ``lp`` and ``ln`` of the lower coil, ``up`` and ``un`` of the upper one. In a
+    netlist the ``height`` is the coordinate ``y`` alone.
     """
     return Declaration(
         "coils",
-        "two coils and the force that they put on a magnet",
+        "catch actuator with real coils",
         Section,
         (_PLACE, current("i1", "lp", "ln"), current("i2", "up", "un")),
-        coenergy=_COENERGY,
+        coenergy=_write_coenergy(height),
         content="0.5*({}*i1^2 + {}*i2^2)".format(*_COILS),
-        given=_unset_parameters(*_RANGE, *_COILS),
         tables=_TABLES,
-        limits=_LIMITS,
+        **_choose_pins(height, _COILS),
     )
 
 
 @cache
-def declare_resistive_coils() -> Declaration:
+def declare_resistive_coils(height: str = _RAISED) -> Declaration:
     """Declare one current through both coils, reversed in the lower one."""
     resistance = f"({' + '.join(_COILS)})"
-    ends = (voltage("v", "drive", "ret"),)
-    return _declare_force(
-        f"-v/{resistance}", f"v/{resistance}", _COILS, ends, content=f"0.5*v^2/{resistance}"
-    )
+    ends = voltage("v", "drive", "ret"), measured(voltage("across", "drive", "ret"))
+    physics = {"signals": {"i": f"across/{resistance}"}, "content": f"0.5*v^2/{resistance}"}
+    return _declare_force("-i", "i", _COILS, height, ends, **physics)
 
 
 @cache
 def declare_prescribed_currents() -> Declaration:
     """Declare constant currents ``lower`` and ``upper``."""
-    return _declare_force("lower", "upper", ("lower", "upper"))
+    return _declare_force("lower", "upper", ("lower", "upper"), _RAISED)
 
 
 def _declare_force(
-    i1: str, i2: str, names: tuple[str, ...], ends: tuple[Branch, ...] = (), content: str = "0"
+    i1: str,
+    i2: str,
+    names: tuple[str, ...],
+    height: str,
+    branches: tuple[Branch, ...] = (),
+    **physics: Any,
 ) -> Declaration:
     """Declare the force alone, without the back-EMF in the coils."""
     currents = {"i1": expression(i1), "i2": expression(i2)}
-    pull = derivative(expression(_COENERGY, tables=_TABLES), "y")
+    pull = derivative(expression(_write_coenergy(height), tables=_TABLES), "y")
     force = substitute(minus(ZERO, pull), currents)
     return Declaration(
         "coils",
-        "force of two coils on a magnet",
+        "electromagnetic catch actuator",
         Section,
-        (_PLACE, *ends),
+        (_PLACE, *branches),
         forces={"y": Writer().write(force)},
-        given=_unset_parameters(*_RANGE, *names),
         tables=(*_TABLES, *(p + SLOPE for p in _TABLES)),
-        limits=_LIMITS,
-        content=content,
+        **_choose_pins(height, names),
+        **physics,
     )
 
 
-def write_force() -> str:
-    """Write the force as nested products of the nodes of coefficients and currents."""
-    first, second = [], []
-    for name, (a, b) in POWERS.items():
-        if a:
-            first.append(f"V({name})" + "*V(i1)" * (a - 1) + "*V(i2)" * b)
-        elif b:
-            second.append(f"V({name})" + "*V(i2)" * (b - 1))
-    return f"V(c0)+V(i1)*({'+'.join(first)})+V(i2)*({'+'.join(second)})"
+def _choose_pins(height: str, names: tuple[str, ...]) -> dict[str, Any]:
+    """Return parameters and limits of a law, or the pins of a netlist without them."""
+    if height == _RAISED:
+        return {"given": _unset_parameters(*_RANGE, *names), "limits": _LIMITS}
+    return {"given": _unset_parameters(*names), "speeds": {"y": "v"}, "metered": False}
 
 
 def _unset_parameters(*names: str) -> tuple[Param, ...]:
     return tuple(Param(name, 0.0, "-", "") for name in names)
+
+
+def list_tables(table: EMTable, points: int) -> dict[str, TableFunction]:
+    """Return tables of the coenergy and of its slopes for a netlist, with ``points`` heights."""
+    result = {}
+    low, high = float(table.y[0]), float(table.y[-1])
+    for order, end in enumerate(("", SLOPE)):
+        per = "/m" * order
+        for k, (name, unit) in enumerate(zip(_TABLES, _UNITS, strict=True)):
+            function = partial(_evaluate_column, table.coenergy.slopes[order], k)
+            result[name + end] = TableFunction(low, high, points, function, unit + per)
+    return result
+
+
+def _evaluate_column(functions: Piecewise, k: int, y: np.ndarray) -> np.ndarray:
+    return functions(y)[..., k]
 
 
 def make_law(

@@ -18,6 +18,7 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.spelling import comment, require_distinct, voltage_between
 from kc2spice.netlist.spelling import name as checked
 from kc2spice.physics.cards import (
+    NO_TABLES,
     force_node,
     has_losses,
     inner_nodes,
@@ -27,6 +28,8 @@ from kc2spice.physics.cards import (
 )
 from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
+from kc2spice.physics.linkages import find_linkages
+from kc2spice.physics.lookups import TableFunction
 from kc2spice.physics.symbolic import derivative, evaluate_tree, kinks, names
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.keys import list_schema_keys
@@ -49,7 +52,7 @@ if TYPE_CHECKING:
 
 STRIKES = 1.0  # strikes of a stop without a warning; two to nine caused errors of up to 20 %
 REBOUND = "what follows may hang on every step: error_budget estimates the error of each metric"
-_OWN = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state"
+_OWN = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state|lookup"
 _INNER = rf"(?:{_OWN})_.+|(?:edge|poly)\d+|tick"  # nodes
 _UNEXPLAINED = 1e-3  # share of what pins bring in that the steps of a run may lose
 
@@ -268,6 +271,8 @@ def declared_subcircuit(
     values: Mapping[str, float],
     noise: bool = False,
     more: Sequence[Item] = (),
+    tables: Mapping[str, TableFunction] = NO_TABLES,
+    pins: Sequence[Pin] = (),
 ) -> Subcircuit:
     """Write the netlist of a declared part.
 
@@ -285,6 +290,10 @@ def declared_subcircuit(
         Whether the losses have thermal noise.
     more : sequence of Item, optional
         Further cards.
+    tables : mapping of str to TableFunction, optional
+        Tables of the declaration and of their slopes.
+    pins : sequence of Pin, optional
+        Pins in another order than that of the branches.
 
     Returns
     -------
@@ -306,9 +315,11 @@ def declared_subcircuit(
     """
     from kc2spice.synthesis.header import defaults, part_header  # loads scipy
 
-    d, pins = declaration, make_pins(declaration)
+    d, pins = declaration, tuple(pins) or make_pins(declaration)
     ends = tuple(names_of(pins))
-    require_distinct([*ends, *map(checked, d.signals)], _INNER, where=name)
+    linkages = find_linkages(d)
+    inner = [*map(checked, d.signals), *tables, *(linkages.currents if linkages else ())]
+    require_distinct([*ends, *inner], _INNER, where=name)
     keys = []
     for key in list_schema_keys(d.keys):
         if key.name in d.numbers:
@@ -317,7 +328,7 @@ def declared_subcircuit(
     params = (*keys, *d.given)
     words: dict[str, Any] = {"rating": d.rating, "validity": d.valid_range, "mesh": d.mesh}
     head = part_header(header, f"{name}: {d.title}", pins, params, sign=d.sign, **words)
-    items = (*subcircuit_items(d, noise), *more)
+    items = (*subcircuit_items(d, noise, tables), *more)
     circuit = Circuit(name, ends, defaults(params), items, notes=head)
     title = comment(f"{name}: {d.title}")
     tree = Circuit(items=(circuit,))

@@ -11,7 +11,7 @@ derivative but has no text in a netlist.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Set
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache, reduce
@@ -403,6 +403,53 @@ def _merge_terms(terms: Iterable[_Product]) -> list[_Product]:
         first = before or term
         sums[key] = _Product(size, first.above, first.below)
     return list(sums.values())
+
+
+# --- tables ---------------------------------------------------------------------------------------
+
+WeightedCalls = tuple[tuple[Call, Fraction], ...]
+
+
+def split_calls(
+    tree: Tree, functions: Container[str]
+) -> tuple[list[tuple[Tree, WeightedCalls]], Tree]:
+    """Split ``tree`` into products with calls of ``functions``, and the rest.
+
+    Each product is a factor times a weighted sum of calls, whose first weight is 1.
+
+    Raises
+    ------
+    UsageError : a call inside another function, or a product of calls.
+    """
+    weights: dict[Tree, dict[Call, Fraction]] = {}
+    rest = []
+    for term in _nonzero_terms(tree):
+        calls = [f for f in term.above if isinstance(f, Call) and f.function in functions]
+        others = tuple((Counter(term.above) - Counter(calls)).elements())
+        factor = _Product(Fraction(1), others, term.below).tree()
+        inner = (node.function for node in walk(factor) if isinstance(node, Call))
+        if len(calls) > 1 or any(name in functions for name in inner):
+            raise UsageError(
+                "a netlist has no functions and no products of tables",
+                got=Writer().write(term.tree()),
+                expected="each table as a factor of a term",
+            )
+        if calls:
+            sums = weights.setdefault(factor, {})
+            sums[calls[0]] = sums.get(calls[0], Fraction(0)) + term.size
+        else:
+            rest.append(term)
+    result = []
+    for factor, sums in weights.items():
+        (_, unit), *_ = rows = sorted(sums.items(), key=str)
+        calls_and_weights = tuple((call, weight / unit) for call, weight in rows)
+        result.append((times(_number(unit), factor), calls_and_weights))
+    return result, _sum_of(rest)
+
+
+def weighted_sum(calls: WeightedCalls) -> Tree:
+    """Return the sum of calls with their weights."""
+    return plus(*(times(_number(weight), call) for call, weight in calls))
 
 
 # --- functions ------------------------------------------------------------------------------------

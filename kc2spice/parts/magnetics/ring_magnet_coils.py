@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -27,15 +27,15 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Catch, Ring
-from kc2spice.netlist.circuit import positive_parameter
+from kc2spice.netlist.circuit import Pin, positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.spelling import number
 from kc2spice.parts.bodies._pictures import plot_impedances
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics.netlist import driver
 from kc2spice.parts.mechanics._touching import Penetration, TouchablePart, impact_penetration
 from kc2spice.parts.mechanics.sphere import height_offset, sphere_of
 from kc2spice.physics import coils
+from kc2spice.physics.part import declared_subcircuit
 from kc2spice.scene.checks import Check, Gate, Metric
 from kc2spice.scene.model import (
     GROUND,
@@ -50,7 +50,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import check_range
 from kc2spice.scene.rows import Neglected, Vector
-from kc2spice.synthesis.header import library
+from kc2spice.synthesis.header import SIGN
 
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 
@@ -88,7 +88,6 @@ SERIES = {
     name: tuple((-1) ** a * (a + b == power) for a, b in POWERS.values())
     for power, name in enumerate(("c0", "d1", "d2"))
 }
-UNITS = ("N", "N/A and V s/m", "N/A and V s/m", "N/A^2", "N/A^2", "N/A^2")
 
 PLACE = (
     Terminal.signal("y", DISPLACEMENT),
@@ -98,15 +97,6 @@ PLACE = (
 ENDS = ("lp", "ln", "up", "un")  # pins of the lower and the upper coil
 PINS = (*(Terminal(end, "V", "A") for end in ENDS), *PLACE)
 SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *PLACE)
-
-
-class Lookup(NamedTuple):
-    """A function of the height as lines of two tables (:func:`smooth_lookup`), and a comment."""
-
-    name: str
-    values: list[str]
-    second: list[str]
-    doc: str
 
 
 def rated_heating(keys: Coils) -> float:
@@ -138,110 +128,32 @@ def coils_subcircuit(
 ) -> Subcircuit:
     """The coils and the force they put on the sphere's node ``v``.
 
-    ``apart`` between ``lp ln`` and ``up un`` with ``v = R i + d(lambda)/dt``: the state of coil k
-    is its inductive flux linkage ``psi_k = sum_l L_kl(y) i_l`` on a capacitor; the magnets' part of
-    the flux enters as ``c_k(y) v`` with the force's own coefficient, which closes the energy
-    balance whatever the lookup's error. Else both as resistors between ``drive`` and ``ret``, the
-    lower one reversed: three functions of height instead of six, and the same force.
+    ``apart`` between ``lp ln`` and ``up un`` with resistance, inductance and back-EMF. Otherwise
+    both are resistors between ``drive`` and ``ret``, the lower one reversed: three functions of
+    height instead of six, and the same force. Pins and law are those of
+    :func:`kc2spice.physics.coils.declare_coils`.
 
     ``points`` are the heights of the resampled lookups, equally spaced over the table.
     """
-    height = np.linspace(table.y[0], table.y[-1], points)
-    micrometres = DISPLACEMENT.per_unit * height
-    low, spacing = micrometres[0], DISPLACEMENT.per_unit * (height[1] - height[0])
-    values = _inductive_lookups(table, height) if apart else _resistive_lookups(table, height)
+    declared = coils.declare_coils("y") if apart else coils.declare_resistive_coils("y")
+    low, high = DISPLACEMENT.per_unit * table.y[[0, -1]]
     errors = mesh_words(table.mesh_errors)
-    return library(
-        "coil" if apart else "catch",
-        header,
-        name,
-        "catch actuator with real coils" if apart else "electromagnetic catch actuator",
-        PINS if apart else SERIES_PINS,
-        tuple(
+    stated = replace(
+        declared,
+        given=tuple(
             positive_parameter(f"resistance_{coil}", float(ohm), "Ohm", f"of the {coil} coil")
             for coil, ohm in zip(COILS, table.resistance, strict=True)
         ),
-        validity=f"sphere's centre from {low:g} to {micrometres[-1]:g} {DISPLACEMENT.pin_unit}, "
+        validity=f"sphere's centre from {low:g} to {high:g} {DISPLACEMENT.pin_unit}, "
         "constant forces beyond; linear magnetics; coils at the temperature of their data, nothing "
         "heats up",
         rating=rating,
+        sign=SIGN,
         mesh=f"error estimate of the field: {errors}" if errors else "",
-        points=points,
-        lowest=low,
-        spacing=spacing,
-        **values,
     )
-
-
-def _resistive_lookups(table: EMTable, height: np.ndarray) -> dict[str, Any]:
-    """Variables of the template ``catch``."""
-    values, functions = table.splines(height), []
-    for power, (name, weights) in enumerate(SERIES.items()):
-        functions.append(Lookup(name, *smooth_lookup(values @ weights), "V(i)*" * power))
-    return {"functions": functions}
-
-
-def _inductive_lookups(table: EMTable, height: np.ndarray) -> dict[str, Any]:
-    """Variables of the template ``coil``."""
-    henry = float(np.mean(table.inductance[:, (0, 1), (0, 1)]))
-    inverse = henry * np.linalg.inv(table.coenergy.inductances(height))
-    default = inverse.mean(axis=0)
-    functions = []
-    for name, values, unit in zip(FORCE, table.splines(height).T, UNITS, strict=True):
-        functions.append(Lookup(name, *smooth_lookup(values), f"{name}(y): {unit}"))
-    for k, l in ((0, 0), (0, 1), (1, 1)):
-        g = f"g{k + 1}{l + 1}"
-        doc = f"{g}(y): {henry:.6g} H times the inverse of L, less its mean"
-        functions.append(Lookup(g, *smooth_lookup((inverse - default)[:, k, l]), doc))
-    windings = [
-        {"k": 1, "name": "lower", "plus": "lp", "minus": "ln", "own": default[0, 0]},
-        {"k": 2, "name": "upper", "plus": "up", "minus": "un", "own": default[1, 1]},
-    ]
-    result = {"henry": henry, "coils": windings, "mutual": default[0, 1], "functions": functions}
-    return result | {"force": coils.write_force()}
-
-
-def smooth_lookup(values: np.ndarray) -> tuple[list[str], list[str]]:
-    """Lines of the lookups ``f`` and ``b`` whose ``f(s) - w(s) b(s)`` has a continuous slope.
-
-    ``s`` counts cells from the first of the equally spaced ``values``, ``b`` are half the second
-    differences and ``w = t (1 - t)`` with t the place within a cell, 0 to 1: the blend of the
-    parabolas through three neighbours (Overhauser 1968), exact to third order, where a polyline's
-    slope jumps at every height. One more cubic value on either side keeps that up to both ends;
-    beyond, the function runs level. Of ``b``, smooth itself, only those points stay that move
-    ``f - w b`` by more than a sixteenth of a fourth difference, which the blend neglects anyway:
-    ngspice reads a table in the square of its length.
-    """
-    weights = np.array([4, -6, 4, -1])
-    first, last = weights @ values[:4], weights @ values[:-5:-1]
-    f = np.concatenate([[first], values, [last]])
-    halves = np.diff(f[[0, *range(f.size), -1]], 2) / 2
-    # Fourth differences are to second ones as those to the values; the corners at both ends apart.
-    largest, second = float(np.abs(values).max()), float(np.abs(2 * halves[2:-2]).max())
-    return _table_lines(f), _table_lines(halves, second**2 / 4 / (largest or 1.0))
-
-
-def _table_lines(values: np.ndarray, tolerance: float = 0.0) -> list[str]:
-    """Lines of a ``pwl()`` table of ``values`` at -1, 0, 1, ..., flat beyond both ends.
-
-    ngspice extrapolates the outer segments, so each end gets a second point of equal value. Five
-    points share a line: ngspice reads fewer lines faster. Points that lie within ``tolerance`` of
-    the lines between others are left out.
-    """
-    f = np.concatenate([values[:1], values, values[-1:]])
-    indices, last = [0, 1], f.size - 2
-    while indices[-1] < last:
-        a = indices[-1]
-        end = a + 1
-        for b in range(a + 2, last + 1):
-            line = np.linspace(f[a], f[b], b - a + 1)
-            if np.abs(line - f[a : b + 1]).max() > tolerance:
-                break
-            end = b
-        indices.append(end)
-    # ngspice keeps 11 digits of a literal in an expression
-    points = [f"{k - 2}, {number(float(f'{f[k]:.11g}'))}" for k in (*indices, f.size - 1)]
-    return [", ".join(points[k : k + 5]) for k in range(0, len(points), 5)]
+    pins = tuple(Pin(end.name, end.unit, end.flow) for end in (PINS if apart else SERIES_PINS))
+    tables = coils.list_tables(table, points)
+    return declared_subcircuit(header, name, stated, {}, tables=tables, pins=pins)
 
 
 class RingMagnetCoils(TouchablePart[Coils]):

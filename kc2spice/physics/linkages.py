@@ -1,0 +1,85 @@
+"""Currents in a common magnetic field of a moving body, by flux linkages for a netlist.
+
+With a coenergy that is quadratic in the currents ``i`` of a declaration, the voltages are ::
+
+    v_k = dR/di_k + d(psi_k)/dt + phi_k'(x) x_rate,     psi_k = sum_l L_kl(x) i_l
+
+Here ``phi_k`` is the flux linkage without currents and ``L`` the second derivative of the coenergy
+by the currents, functions of the displacements ``x``. The states of the netlist are ``psi_k``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.naming import names_of
+from kc2spice.netlist.expression import Name, Tree, substitute
+from kc2spice.physics.declaration import Branch, Declaration
+from kc2spice.physics.lookups import Lookups, has_tables
+from kc2spice.physics.symbolic import ZERO, derivative, names, plus, times
+
+
+@dataclass(frozen=True)
+class Linkages:
+    """Flux linkages of the currents of a declaration."""
+
+    declaration: Declaration
+    branches: tuple[Branch, ...]
+
+    @cached_property
+    def inductances(self) -> tuple[tuple[Tree, ...], ...]:
+        """Second derivatives of the coenergy by the currents [H].
+
+        Raises
+        ------
+        UsageError : inductances that depend on currents.
+        """
+        flux, currents = map(self.declaration.stored_quantity, self.branches), self.currents
+        rows = [tuple(derivative(tree, name) for name in currents) for tree in flux]
+        for tree in chain.from_iterable(rows):
+            if saturating := sorted(names(tree).intersection(currents)):
+                raise UsageError(
+                    "inductances with tables must not depend on currents",
+                    where=self.declaration.name,
+                    got=", ".join(saturating),
+                )
+        return tuple(rows)
+
+    @property
+    def currents(self) -> list[str]:
+        """Names of the currents."""
+        return names_of(self.branches)
+
+    @cached_property
+    def motional(self) -> tuple[Tree, ...]:
+        """Voltage [V] of each branch by motion without currents."""
+        still = dict.fromkeys(self.currents, ZERO)
+        result = []
+        for branch in self.branches:
+            flux = plus(substitute(self.declaration.stored_quantity(branch), still))
+            moving = self.declaration.displacements
+            result.append(plus(*(times(derivative(flux, b.name), Name(b.rate)) for b in moving)))
+        return tuple(result)
+
+    def invert(self, lookups: Lookups) -> tuple[float, np.ndarray]:
+        """Return the mean inductance [H] and the inverse of L relative to it (points, n, n)."""
+        rows = [[lookups.values(tree) for tree in row] for row in self.inductances]
+        matrix = np.moveaxis(np.array(rows), 2, 0)
+        mean = float(np.mean(np.diagonal(matrix, axis1=1, axis2=2)))
+        return mean, mean * np.linalg.inv(matrix)
+
+
+def find_linkages(declaration: Declaration) -> Linkages | None:
+    """Return the flux linkages of the currents, None if no inductance contains a table."""
+    branches = tuple(b for b in declaration.acting_branches if b.flows)
+    result = Linkages(declaration, branches)
+    for branch in branches:
+        flux = declaration.stored_quantity(branch)
+        if has_tables(flux, declaration.tables):
+            return result
+    return None
