@@ -160,7 +160,7 @@ class _Search:
         self.B, self.C = T.T @ small.B, small.C @ T
         if small.pencil.collocated:
             self.C = self.B.T.copy()
-        for former in ("viscous", "_decoupled"):
+        for former in ("viscous_modes", "_decoupled"):
             self.__dict__.pop(former, None)
         self.raised = self._peak_amplification()
 
