@@ -74,16 +74,18 @@ fitted. `kc2spice run NAME` runs a built-in scene. The other scenes are files in
 - *full* is the finite-element model.
 - *reduced* is the model from which the subcircuit is made.
 - *ngspice* is a run of the emitted netlist.
-- *difference* is that of ngspice, or of the full model if ngspice has no value.
-- *within* compares the difference with the tolerance of the source.
+- *difference* is the relative difference of the ngspice value, or of the full model if there is no
+  ngspice value, to the published value.
+- *within* states whether the difference is within the tolerance of the source.
 - A dash marks values that do not apply.
-- *measured* marks values of one device on a bench. All others come from data sheets, closed forms
-  or finite elements of other programs.
+- *measured* marks measured values of one device. All other values come from data sheets, closed
+  forms or finite elements of other programs.
 - *assumed* marks rows that depend on a key that the source does not give.
 
-Discs are free plates. Data sheets measure them at the node, which changes the resonance by a tenth
-of a percent. If the source gives all inputs, *full* and *reduced* are independent time integrations
-of the equations. `python tools/published_table.py` writes this page from `docs/published.toml`.
+Discs are free plates. Data sheets state values of discs that are supported at the node, which
+changes the resonance by a tenth of a percent. If the source gives all inputs, *full* and *reduced*
+are independent time integrations of the equations. `python tools/published_table.py` writes this
+page from `docs/published.toml`.
 
 {origin}
 
@@ -91,12 +93,13 @@ of the equations. `python tools/published_table.py` writes this page from `docs/
 |---|---|---|---|---|---|---|---|
 """
 ASSUMPTIONS = (
-    "The sources do not give the values below. Rows that depend on them do not test the model."
+    "The sources do not state the values below. Rows that depend on these values do not test the "
+    "model."
 )
 KICKS = """\
 The model reaches the measured speed with an edge of about 20 µs. The scene `kick_and_catch` has a
-sphere of 2 mm and edges of 0.1 µs. Its 1.02 m/s need a driver that gives 35 A to the chip. A driver
-that charges the capacitance of the chip more slowly does not reach this speed."""
+sphere of 2 mm and edges of 0.1 µs. Its launch velocity of 1.02 m/s requires a driver current of
+35 A. A driver that charges the capacitance of the chip more slowly does not reach this velocity."""
 SOURCES = """\
 The last column names the text with which the published numbers were compared. Files `vmNNN.dat` are
 in `src/ansys/mapdl/core/examples/verif` of <https://github.com/ansys/pymapdl>. The catalogue of
