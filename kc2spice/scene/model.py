@@ -590,6 +590,14 @@ class Build:
         return {name: item for name, item in self.models.items() if isinstance(item, kind)}
 
     @property
+    def sampled_sources(self) -> tuple[SampledSource, ...]:
+        """Sources that functions set while a transient runs."""
+        if self.scene.analysis.type != "transient":
+            return ()
+        rows = chain.from_iterable(record.settable.values() for record in self.records.values())
+        return tuple(item for item in rows if isinstance(item, SampledSource))
+
+    @property
     def vectors(self) -> dict[str, Vector]:
         """Results of all parts by their names."""
         result: dict[str, Vector] = {}

@@ -34,7 +34,6 @@ from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.simulate import (
     Run,
     run_simulation,
-    sampled_functions,
     simulate_deck,
     simulator_cpu,
 )
@@ -194,7 +193,7 @@ def evaluate(
 def measure_again(run: Run) -> float:
     """Simulate the deck of ``run`` again and return the CPU time [s] of the simulator."""
     with tempfile.TemporaryDirectory() as folder:
-        shared = bool(sampled_functions(run.build))
+        shared = bool(run.build.sampled_sources)
         begin = simulator_cpu(shared=shared)
         run_simulation(run.build, run.deck, Path(folder))
         return simulator_cpu(shared=shared) - begin

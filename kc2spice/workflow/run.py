@@ -29,7 +29,7 @@ from kc2spice.workflow.models import fact_units, mode_tables, model_facts
 from kc2spice.workflow.orders import suggested_keys, with_larger_orders
 from kc2spice.workflow.refine import ConvergedRun, converge
 from kc2spice.workflow.ringing import announce_long_run
-from kc2spice.workflow.simulate import Run, keep_failed_run, sampled_functions, simulate_deck
+from kc2spice.workflow.simulate import Run, keep_failed_run, simulate_deck
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class CompletedRun:
             "simulator": {
                 "name": self.simulator.name,
                 "version": self.simulator.version,
-                "engine": "shared" if sampled_functions(build) else "batch",
+                "engine": "shared" if build.sampled_sources else "batch",
                 "setting": attempts[-1].setting,
                 "attempts": list(map(asdict, attempts)),
             },

@@ -23,7 +23,6 @@ from kc2spice.netlist.deck import Deck, PowerTerm
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Verdict
 from kc2spice.scene.model import Build
-from kc2spice.scene.rows import SampledSource
 from kc2spice.sim.ngspice import (
     Outcome,
     RetriesFailedError,
@@ -154,7 +153,7 @@ def simulate_deck(
 
     point = operating_point(build, deck)
     write_files(deck.files, directory)  # whatever comes of it
-    shared = bool(sampled_functions(build))
+    shared = bool(build.sampled_sources)
     begin = simulator_cpu(shared=shared)
     result = run_with_retries(
         deck,
@@ -217,7 +216,7 @@ def run_simulation(
 
     Raises as :func:`run_deck` and :func:`kc2spice.sim.shared.run_shared` do.
     """
-    functions = [item.reset_function for item in sampled_functions(build)]
+    functions = [item.reset_function for item in build.sampled_sources]
     if build.scene.analysis.small:
         from kc2spice.workflow.resonances import with_resonances  # which loads scipy
 
@@ -246,22 +245,6 @@ def _run_each_from_rest(
         with TemporaryDirectory() as folder:
             parts.append(run_deck(deck.with_command(command), Path(folder), None, timeout).data)
     return replace(first, data=join_analyses(parts))
-
-
-def sampled_functions(build: Build) -> list[SampledSource]:
-    """The functions that set sources of the scene while it runs.
-
-    Raises
-    ------
-    UsageError : a function stands in a file that is not trusted.
-    """
-    return [
-        item
-        for part in build.scene.parts.values()
-        if build.scene.analysis.type == "transient"
-        for item in build.records[part.name].settable.values()
-        if isinstance(item, SampledSource)
-    ]
 
 
 def simulator_cpu(*, shared: bool) -> float:
