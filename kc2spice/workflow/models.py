@@ -51,9 +51,12 @@ def replace_parts(build: Build, parts: Mapping[str, Part], unjudged: Iterable[st
     The parts ``unjudged`` have neither checks nor an energy balance.
     """
     judged = replace(build, unjudged=build.unjudged.union(unjudged))
-    return _resolve_equations(
-        replace(judged, scene=resolve_again(replace(build.scene, parts=parts)))
-    )
+    return replace_scene(judged, replace(build.scene, parts=parts))
+
+
+def replace_scene(build: Build, scene: Scene) -> Build:
+    """Return the build of a scene with other keys but with the same pins, nets and models."""
+    return _resolve_equations(replace(build, scene=resolve_again(scene)))
 
 
 def name_subcircuits(scene: Scene) -> dict[str, str]:

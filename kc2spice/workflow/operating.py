@@ -17,10 +17,10 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.scene.checks import Check
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import Build
-from kc2spice.scene.resolve import resolve_again, resolve_build
 from kc2spice.scene.settings import Analysis
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.models import replace_scene
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,7 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
     # Pins and models stay: films and eddy currents are resolved up to the same frequency.
     resolved = replace(scene, frame=frame, resolved_frequency=highest_frequency(scene))
     try:
-        at_rest = resolve_again(resolved)
-        still = resolve_build(replace(build, scene=at_rest))
-        deck_at_rest = make_deck(still)
+        deck_at_rest = make_deck(replace_scene(build, resolved))
         with TemporaryDirectory() as folder:
             point: Waveforms = run_deck(deck_at_rest, Path(folder))
     except (SimulationError, UsageError) as error:
