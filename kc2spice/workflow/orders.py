@@ -110,12 +110,14 @@ def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> M
 def _run_again(run: Run, chosen: Sequence[LargerOrder], work: Path, clock: Clock) -> Run | None:
     """Run the scene with the ``chosen`` orders; None if it fails or has no smaller error."""
     build = run.build
+    keys: dict[str, Any] = {}
     for item in chosen:
         warnings.warn(str(item), stacklevel=3)
-    scene = load_scene(build.scene, {k: v for item in chosen for k, v in item.keys.items()})
+        keys |= item.keys
+    options: dict[str, Any] = {"trust": build.trust, "functions": build.functions}
     with TemporaryDirectory() as folder:
         try:
-            again, deck = prepare_deck(scene, clock, trust=build.trust, functions=build.functions)
+            again, deck = prepare_deck(load_scene(build.scene, keys), clock, **options)
             with clock.stage("simulate", "with more states") as share:
                 result = simulate_deck(again, deck, Path(folder), progress=share)
         except (SimulationError, UsageError) as error:
