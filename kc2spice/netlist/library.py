@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+import textwrap
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
+from typing import Any
 
 from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError
@@ -41,6 +43,27 @@ class Header:
             f"* scene: {comment(self.scene)} hash={comment(self.scene_hash)}",
             "* licence: GPL-3.0-or-later",
         )
+
+
+def plan_lines(plan: Mapping[str, Any], without: Collection[str] = ()) -> tuple[str, ...]:
+    """Return models, neglected effects and settings of a deck as comment lines."""
+    error = "not estimated" if plan["error_budget"] is None else f"budget {plan['error_budget']:g}"
+    settings = []
+    for item in plan["settings"]:
+        if item["key"] not in without:
+            settings.append(f"{item['key']} {item['value']:g}")
+    facts = {
+        "modelled": ", ".join(map(itemgetter("part"), plan["parts"])),
+        f"numerical settings (error {error})": ", ".join(settings),
+        "left out (sizes: kc2spice explain)": "; ".join(
+            map(itemgetter("effect"), plan["left_out"])
+        ),
+    }
+    lines = list[str]()
+    for head, text in facts.items():
+        if text:
+            lines += textwrap.wrap(comment(f"{head}: {text}"), 96, subsequent_indent="  ")
+    return tuple(map("* {}".format, lines))
 
 
 @dataclass(frozen=True)

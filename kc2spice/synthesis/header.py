@@ -6,9 +6,9 @@ A header states the origin of a library and the meaning of each pin and paramete
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from operator import attrgetter, itemgetter
+from operator import attrgetter
 from typing import Any
 
 from kc2spice.core.domains import TRANSLATION
@@ -33,27 +33,6 @@ OUTWARDS = (
     "um and N count along each port's direction, out of the body; 1 A into a pin pushes the body "
     "that way with 1 N"
 )
-
-
-def plan_lines(plan: Mapping[str, Any], without: Collection[str] = ()) -> tuple[str, ...]:
-    """Return models, neglected effects and settings of a deck as comment lines."""
-    error = "not estimated" if plan["error_budget"] is None else f"budget {plan['error_budget']:g}"
-    settings = []
-    for item in plan["settings"]:
-        if item["key"] not in without:
-            settings.append(f"{item['key']} {item['value']:g}")
-    facts = {
-        "modelled": ", ".join(map(itemgetter("part"), plan["parts"])),
-        f"numerical settings (error {error})": ", ".join(settings),
-        "left out (sizes: kc2spice explain)": "; ".join(
-            map(itemgetter("effect"), plan["left_out"])
-        ),
-    }
-    lines = list[str]()
-    for head, text in facts.items():
-        if text:
-            lines += textwrap.wrap(comment(f"{head}: {text}"), 96, subsequent_indent="  ")
-    return tuple(map("* {}".format, lines))
 
 
 def paragraph(text: str) -> list[str]:

@@ -19,7 +19,7 @@ from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Deck, Option
 from kc2spice.netlist.edited_deck import read_edited_deck
 from kc2spice.netlist.elements import add_title
-from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.library import Header, Subcircuit, plan_lines
 from kc2spice.netlist.lint import lint
 from kc2spice.netlist.read import statements
 from kc2spice.netlist.scope import INCLUDES
@@ -32,7 +32,6 @@ from kc2spice.scene.plausible import apply_action, check_models
 from kc2spice.scene.probed_results import require_probed_results
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
-from kc2spice.synthesis.header import plan_lines
 from kc2spice.workflow.analysis_cards import make_analysis_cards
 from kc2spice.workflow.edited_parts import with_edited_parameters
 from kc2spice.workflow.measures import measures
@@ -80,11 +79,11 @@ def make_deck(build: Build) -> Deck:
     for problem in chain(find_start_errors(scene, build.rests), implausible):
         raise problem
     loose = find_floating_nets(scene, build.rests)
+    require_probed_results(build)
+    results, plan = build.results, describe_plan(build)
     header = Header(scene.name, scene_hash(scene))
     ours = () if scene.solver.max_step else (MAX_STEP,)  # a separate line gives the reason
-    notes = (*header.origin(), *plan_lines(describe_plan(build), ours))
-    require_probed_results(build)
-    results = build.results
+    notes = (*header.origin(), *plan_lines(plan, ours))
     analysis = make_analysis_cards(build)
     parts = tuple(_libraries(build, header))
     reductions = [f"* {p.name}, rom: {p.reduction.summary}" for p in parts if p.reduction]
