@@ -171,7 +171,7 @@ class Deck:
 
     ``parts`` are the subcircuits, each one library file; ``vectors`` maps result names to ngspice
     expressions and the factor to SI, ``units`` to SI units, ``powers`` to the terms that
-    they are sums of. ``stop`` is the last time point [s] of
+    they are sums of. ``stop`` and ``max_step`` are the last time point and the largest step [s] of
     a transient, None otherwise. ``refinements`` are further analyses of the kind of ``command``,
     whose points join its own. A dc analysis sweeps its source in ``sweep_scale`` volts or amperes
     per SI unit of the swept key. A deck that somebody wrote by hand has its ``text``, and
@@ -193,6 +193,7 @@ class Deck:
     powers: Mapping[str, tuple[PowerTerm, ...]] = field(default_factory=dict)
     measures: tuple[Measure, ...] = ()
     stop: float | None = None
+    max_step: float | None = None
     initial: Mapping[str, float] = field(default_factory=dict)
     refinements: tuple[Command, ...] = ()
     sweep_scale: float = 1.0
@@ -375,6 +376,12 @@ class Deck:
         tree = replace(self._read, items=(*items[:at], analysis, *items[at + 1 :]))
         return self._replace_tree(tree, command=command, refinements=())
 
+    def read_option(self, key: str, default: float) -> float:
+        """Return the number of an option, with or without a scale factor."""
+        text = self.option(key)
+        value = literal(text, where=self.main) if text else None
+        return default if value is None else value
+
     def option(self, key: str) -> str | None:
         """Return the value of an option, None if the deck does not set it."""
         result = None
@@ -405,14 +412,11 @@ class Deck:
 
     def with_steps(self, factor: float) -> Deck:
         """Return the same deck with its largest time step times ``factor``."""
-        if self.command.kind != "tran" or len(self.command.words) < 4:
+        if self.max_step is None:
             return self
-        words = list(self.command.words)
-        step = literal(words[3], where=self.main)
-        if step is None:
-            return self
-        words[3] = write_rounded(factor * step)
-        return replace(self, command=Command("tran", tuple(words)))
+        step, words = factor * self.max_step, list(self.command.words)
+        words[3] = write_rounded(step)
+        return replace(self, command=Command("tran", tuple(words)), max_step=step)
 
 
 def _keyword(item: Item) -> str:

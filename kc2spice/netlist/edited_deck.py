@@ -105,6 +105,7 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
         options=(),
         initial={},
         stop=_read_stop(original, analysis),
+        max_step=_read_max_step(original, analysis),
         command=Command(original.command.kind, tuple(analysis.words[1:])),
     )
     _require_results(original.scope, deck, path)
@@ -172,6 +173,14 @@ def _read_stop(original: Deck, analysis: Statement) -> float | None:
         message, got = "the end of the transient is no number", " ".join(words)
         raise UsageError(message, where=analysis.where, got=got)
     return stop
+
+
+def _read_max_step(original: Deck, analysis: Statement) -> float | None:
+    """Return the largest step of a transient [s] from its card, None without one."""
+    words = analysis.words[1:]
+    if original.stop is None or len(words) < 4:
+        return None
+    return literal(words[3], where=analysis.where)
 
 
 def _require_results(before: Scope, edited: Deck, path: Path) -> None:

@@ -26,7 +26,7 @@ from kc2spice.core.packages import install_command
 from kc2spice.core.untrusted_files import name_threat
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import literal, terms
+from kc2spice.netlist.expression import terms
 from kc2spice.netlist.spelling import number
 from kc2spice.scene.checks import Check, Verdict, require
 from kc2spice.sim.output import (
@@ -153,8 +153,8 @@ def run_deck(
         failed = failed_run(deck, str(main), text, code)
         if failed is None:
             vectors = read_raw(unfinished)
-            facts = {**read_statistics(text), "reltol": read_reltol(deck)}
-            waves = Waveforms(waves_by_name(deck, vectors), facts)
+            data, statistics = waves_by_name(deck, vectors), read_statistics(text)
+            waves = Waveforms(data, {**statistics, "reltol": deck.read_option("reltol", RELTOL)})
             last = float(vectors["time"][-1]) if "time" in vectors else math.nan
             failed = failed_run(deck, str(main), text, last=last)
             failed = failed or altered_run(deck, str(main), text)
@@ -182,9 +182,8 @@ def run_deck(
 
 def _require_size(deck: Deck) -> None:
     """Refuse a deck that would write too much even with its largest step."""
-    words = deck.command.words
-    step = literal(words[3], where=deck.main) if len(words) > 3 else None
-    if deck.command.kind != "tran" or not step or deck.stop is None:
+    step = deck.max_step
+    if not step or deck.stop is None:
         return
     size = 8.0 * (1 + len(deck.saved_vectors)) * deck.stop / step
     if size > LARGEST_RAW:
@@ -267,18 +266,6 @@ def partial_waves(
         return None
 
 
-def _read_option(deck: Deck, key: str, default: float) -> float:
-    """Return the value of an option in ``deck``, with or without a scale factor."""
-    text = deck.option(key)
-    value = literal(text, where=deck.main) if text else None
-    return default if value is None else value
-
-
-def read_reltol(deck: Deck) -> float:
-    """Return the ``reltol`` of ``deck``, or the default of ngspice."""
-    return _read_option(deck, "reltol", 1e-3)
-
-
 def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the results in SI by name, the scale first.
 
@@ -304,7 +291,7 @@ def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np
     return data
 
 
-_CHGTOL = 1e-14  # ngspice's own, where the deck says nothing
+RELTOL, CHGTOL = 1e-3, 1e-14  # of ngspice if the deck has no such option
 
 
 @dataclass(frozen=True)
@@ -337,8 +324,8 @@ class RetrySetting:
         """Return ``deck`` with these settings instead of its own options."""
         options = dict(self.options)
         if self.factor != 1.0:
-            options["reltol"] = number(self.factor * read_reltol(deck))
-            options["chgtol"] = number(self.factor * _read_option(deck, "chgtol", _CHGTOL))
+            options["reltol"] = number(self.factor * deck.read_option("reltol", RELTOL))
+            options["chgtol"] = number(self.factor * deck.read_option("chgtol", CHGTOL))
         if not options:
             return deck
         changed = deck.with_options(options, f"retry with {self.name}: {self.why}")

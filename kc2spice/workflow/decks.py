@@ -100,6 +100,7 @@ def make_deck(build: Build) -> Deck:
         powers=results.powers,
         measures=measures(build, sweep_scale),
         stop=scene.stop if scene.analysis.type == "transient" else None,
+        max_step=build.largest.step if build.largest else None,
         initial=_initial_values(build, loose),
         controlled=any(_is_controller(part, scene) for part in scene.parts.values()),
         trusted=build.trust,

@@ -18,9 +18,9 @@ import numpy as np
 from kc2spice.netlist.deck import Deck
 from kc2spice.report.html import format_quantity
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal import Resonators, resonators
+from kc2spice.rom.modal import resonators
 from kc2spice.scene.model import Build
-from kc2spice.sim.ngspice import read_reltol
+from kc2spice.sim.ngspice import RELTOL
 
 LASTING = math.log(1e3)  # of an amplitude that counts, over what is left of it at the end
 MANY = 3e5  # time points that are announced: half a minute for 24 states
@@ -53,15 +53,15 @@ def point_time(states: int) -> float:
     return PER_POINT + PER_STATE * states
 
 
-def expect_ringing(part: str, model: Resonators, stop: float, reltol: float) -> Ringing:
-    """Expected time points of a run in which all modes of a body ring from its start.
+def expect_ringing(part: str, rom: LinearModel, stop: float, reltol: float) -> Ringing | None:
+    """Return the expected time points of a run in which all modes of a body ring from its start.
 
     Parameters
     ----------
     part : str
         Name of the body.
-    model : Resonators
-        Its modes.
+    rom : LinearModel
+        Its reduced model.
     stop : float
         Duration of the ringing in s.
     reltol : float
@@ -69,10 +69,14 @@ def expect_ringing(part: str, model: Resonators, stop: float, reltol: float) -> 
 
     Returns
     -------
-    Ringing
+    Ringing or None
         The points, ``sum_i w_i (t_i - t_{i+1}) / (12 reltol)^(1/3)`` with the fastest mode first,
-        of which ``t_i`` is the time until which a mode rings that is at least as fast.
+        of which ``t_i`` is the time until which a mode rings that is at least as fast. None if the
+        model has no known modes.
     """
+    model = resonators(rom)
+    if model is None:
+        return None
     heavy = model.inertia > 0
     omega, damp = model.omega[heavy], model.damp[heavy]
     fastest = np.argsort(-omega)
@@ -115,11 +119,10 @@ def announce_long_run(build: Build, deck: Deck) -> None:
 def _announce_ringing(build: Build, deck: Deck) -> None:
     scene = build.scene
     for name, model in build.models.items():
-        modal = resonators(model) if isinstance(model, LinearModel) else None
-        if modal is None:
+        if not isinstance(model, LinearModel):
             continue
         drive = getattr(scene.parts[name].keys, "drive", None)
         span = scene.stop - min(getattr(drive, "start", 0.0), scene.stop)
-        result = expect_ringing(name, modal, span, read_reltol(deck))
-        if result.points > MANY and result.frequency:
+        result = expect_ringing(name, model, span, deck.read_option("reltol", RELTOL))
+        if result is not None and result.points > MANY and result.frequency:
             warnings.warn(str(result), stacklevel=3)

@@ -1,5 +1,7 @@
 """Libraries and decks are trees whose cards know their part; text is printed from them alone."""
 
+import re
+
 import pytest
 
 import kc2spice as kc
@@ -92,3 +94,16 @@ def test_places_in_an_edited_deck_are_those_of_its_file(duffing):
     line = next(k for k, text in enumerate(lines, 1) if text.startswith("Xspring "))
     (spring,) = (item for item in edited.scope.elements if item.name == "Xspring")
     assert spring.where == f"{path.name}:{line}"
+
+
+def test_the_times_of_an_edited_deck_are_those_of_its_card(duffing):
+    """A deck of the scene has them as numbers."""
+    deck, path = duffing
+    words = deck.command.words
+    assert (deck.stop, deck.max_step) == (float(words[1]), float(words[3]))
+    path.write_text(re.sub(r"(?m)^\.tran .*", ".tran 1u 2m 0 3u", path.read_text()))
+    edited = read_edited_deck(deck, path).deck
+    assert (edited.stop, edited.max_step) == (2e-3, 3e-6)
+    halved = deck.with_steps(0.5)
+    assert halved.command.words[3] == repr(deck.max_step / 2)
+    assert halved.with_steps(0.5).max_step == deck.max_step / 4
