@@ -563,7 +563,7 @@ class Result:
         for figure in plot_probes(probes, Waveforms(dict(self.waves), {}), self.units):
             return make_notebook_figure(figure)
         raise UsageError(
-            "a single point is no curve",
+            "a plot needs at least two points",
             where=self.scene,
             got=self.scale,
             expected="a result over time, frequency or a sweep",

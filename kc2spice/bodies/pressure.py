@@ -160,7 +160,7 @@ def local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
     lowest = float(np.linalg.eigvalsh(S - coarse)[0])
     if lowest < 0:
         raise SimulationError(
-            "the mesh of the stack is softer than a graded one under a patch of pressure",
+            "the mesh of the stack is softer than the graded mesh under the contact pressure",
             where="contact.shape",
             got=f"compliance {lowest:.3g} m/N of a basis function",
             expected="above 0",

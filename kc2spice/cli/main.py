@@ -118,7 +118,9 @@ PARAMETERS = {
     "run.deck": typer.Option(
         metavar="FILE", help="Run this edited netlist of the scene, with its metrics and checks."
     ),
-    "verify.deck": typer.Option(metavar="FILE", help="Verify this netlist of the scene as it is."),
+    "verify.deck": typer.Option(
+        metavar="FILE", help="Verify this edited netlist of the scene without a new export."
+    ),
     "verbose": typer.Option(
         "--verbose", "-v", help="Print every table of the report, not the answer alone."
     ),
@@ -178,8 +180,8 @@ PARAMETERS = {
     ),
     "vary": typer.Option(
         metavar="KEY[=LOW:HIGH]",
-        help="Key below the part to be varied, and its range in SI units. Default: 30 % about the "
-        "value of the scene, a factor of ten for losses. Repeatable.",
+        help="Key of the part that the fit varies, and its range in SI units. Default: 30 % "
+        "about the value of the scene, a factor of ten for losses. Repeatable.",
     ),
     "error": typer.Option(metavar="X", min=1e-12, max=1.0, help="Largest error that you accept."),
     "bench.metric": typer.Option(
@@ -200,7 +202,7 @@ PARAMETERS = {
     "seed": typer.Option(metavar="N", min=0, help="Seed of all random draws."),
     "table_format": typer.Option("--format", metavar="FORMAT", help="Format: csv or parquet."),
     "workers": typer.Option(
-        metavar="N", min=1, help="Points computed at a time. Default: number of cores."
+        metavar="N", min=1, help="Number of points computed in parallel. Default: number of cores."
     ),
     "dask": typer.Option(
         metavar="ADDRESS", help="Dask scheduler that runs the points, or 'local'."

@@ -119,7 +119,7 @@ def _missing_value_error(param: Any, name: str, typed: list[str]) -> UsageError:
     if getattr(param, "is_flag", False):
         got = next((word for word in typed if word.startswith(f"{name}=")), name)
         return UsageError(
-            "this option has no value",
+            "this option takes no value",
             where=name,
             got=got,
             expected=name,

@@ -244,7 +244,7 @@ def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
         (2, 0): np.lib.format.read_array_header_2_0,
     }
     if version not in readers:
-        raise ValueError(f"array format {version} is not read")
+        raise ValueError(f"array format {version} is not supported")
     shape, _, kind = readers[version](stream)
     if any(not isinstance(n, int) or n < 0 for n in shape):
         raise ValueError("a size is not a number")

@@ -43,7 +43,9 @@ class Catch(Section):
         0.0,
         gt=-1e-3,
         lt=1e-3,
-        description=("Mounting error: height by which ring, coils and field table lie too high"),
+        description=(
+            "Mounting error: height of ring, coils and field table above nominal position"
+        ),
     )
     positions: Annotated[Count, Notch(2.0, spaces=True, model=True)] = Field(
         41, ge=4, le=2001, description="Number of heights at which the magnetic field is computed"

@@ -190,7 +190,7 @@ class Radau:
         rejected = False
         while True:
             if not h > 1e-15 * max(abs(self.t), 1e-6):
-                raise SimulationError("the step became too small", where=f"t = {self.t:.9e} s")
+                raise SimulationError("the time step became too small", where=f"t = {self.t:.9e} s")
             h = min(h, end - self.t)
             if not rejected and end - self.t - h < 1e-3 * h:
                 h = end - self.t

@@ -52,7 +52,7 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
         raise ValueError("the first line is not that of a Matrix Market file")
     form, field, symmetry = banner[2:]
     if form not in _FORMS or symmetry not in _SYMMETRIES:
-        raise ValueError(f"'{form} {symmetry}' is not read")
+        raise ValueError(f"'{form} {symmetry}' is not supported")
     if field not in _FIELDS:
         raise ValueError(f"it is a {field} matrix")
     sizes, start = _read_sizes(data, end + 1)

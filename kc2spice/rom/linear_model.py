@@ -558,7 +558,7 @@ def _set_structural(model: LinearModel) -> None:
         put(model, "loss", loss)
     put(model, "loss_factor", eta)
     if model.structural and model.M is None:
-        raise UsageError("structural damping is of second-order models", where=where)
+        raise UsageError("only second-order models have structural damping", where=where)
 
 
 def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:

@@ -512,7 +512,9 @@ def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
     known = model.certificate
     electrical = [k for k, port in enumerate(model.ports) if port.electrical]
     if known is None or not electrical:
-        raise UsageError("no dielectric to lose energy in", where="damping.loss_tangent")
+        raise UsageError(
+            "the body has no dielectric, so it has no dielectric loss", where="damping.loss_tangent"
+        )
     D = model.D[np.ix_(electrical, electrical)]
     motional = np.sum((model.gain[:, electrical] / model.omega[:, None]) ** 2)
     clamped_loss = clamped_tangent(tangent, float(motional / np.trace(D)))

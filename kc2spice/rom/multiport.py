@@ -112,7 +112,7 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
             break
     if result is None or least > POOR:
         raise UsageError(
-            "no passive model comes near the measurement",
+            "no passive model agrees with the measurement",
             where=where,
             got=f"{100 * least:.2g} % deviation of the best of {len(fits)} models"
             if result

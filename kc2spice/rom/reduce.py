@@ -225,8 +225,8 @@ def verified_first_step(
         proof = prove_stability(pencil, band, result.poles if result else None)
         if proof.stable is False:
             warnings.warn(
-                "the full model is unstable: some of its motions grow without any drive, and a "
-                "frequency response says nothing of them; check signs and halves of the matrices",
+                "the full model is unstable: some motions grow without any drive, and the "
+                "frequency response does not include them; check signs and halves of the matrices",
                 stacklevel=3,
             )
     return result, proof
@@ -305,14 +305,15 @@ def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | N
     estimate = rom.certificate.error_estimate
     if floor > tolerance:
         warnings.warn(
-            f"the full model itself is only good to {floor:.1e}: so far rounding of its "
-            "entries moves its response; other units or fewer elements may condition it better",
+            f"the response of the full model is accurate to {floor:.1e} only, because the entries "
+            "of its matrices are rounded; other units or fewer elements may reduce this error",
             stacklevel=4,
         )
     elif tolerance < estimate:
         warnings.warn(
-            f"the reduced model is certified to {estimate:.2g} only, {tolerance:g} was asked "
-            f"for: rounding of the full model's entries alone moves its response by {floor:.1e}",
+            f"the error estimate of the reduced model is {estimate:.2g}, more than the tolerance "
+            f"{tolerance:g}: rounding of the full model's entries changes its response by "
+            f"{floor:.1e}",
             stacklevel=4,
         )
 

@@ -60,8 +60,8 @@ def prove_stability(
         dissipates = is_dissipative(pencil)
     except MemoryError:
         warnings.warn(
-            "memory does not hold the factor that proves stability and passivity: both are not "
-            "known; the error estimate is not concerned",
+            "the memory is too small for the factor that proves stability and passivity: both are "
+            "unknown; the error estimate remains valid",
             stacklevel=2,
         )
         return StabilityProof(None, False, "nothing: memory does not hold another factor")

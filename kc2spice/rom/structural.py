@@ -286,7 +286,7 @@ def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tup
     The results are the model, and the shares of M and K in its other damping.
     """
     if model.first_order:
-        raise UsageError("structural damping is of second-order models", where=model.name)
+        raise UsageError("only second-order models have structural damping", where=model.name)
     plain = replace(model, loss_factor=0.0, loss=None)
     alpha, beta_share = model.rayleigh or (0.0, 0.0)
     undamped = model.rayleigh is not None or not largest_entry(model.E)
@@ -296,7 +296,7 @@ def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tup
                 "structural damping of several materials beside a damping matrix",
                 where=model.name,
                 expected="one of them",
-                hint="rayleigh instead of E, or one loss factor",
+                hint="state the key rayleigh instead of matrix E, or one loss factor",
             )
         E = beta * model.loss + beta_share * model.K + alpha * model.M
         return replace(plain, rayleigh=None, E=E), (alpha, beta_share)

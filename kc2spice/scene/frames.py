@@ -165,7 +165,7 @@ def _require_inertial_force(
             cure = "join its acceleration pin to the same source"
             other = 'use part = "mass", or drive the body by a force instead of its acceleration'
             raise UsageError(
-                "has inertia, but nothing that shakes it with the frame it is joined to",
+                "has inertia, but the acceleration of the frame does not act on it",
                 where=f"{part.name}.{pin}",
                 got=f"joined to {_name_frame(frame)}",
                 expected="a body with a port of kind base" if body else "a part that follows it",

@@ -104,7 +104,7 @@ def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
         source = scene.parts.get((selected.sweep or "").removesuffix(".dc"))
         if selected.type != "dc" or source is None or source.type.name != "source":
             yield UsageError(
-                "only the dc value of a source returns",
+                "only a sweep of the dc value of a source can return",
                 where="analysis.back",
                 got=f"{selected.type} of {selected.sweep}",
                 expected='type = "dc" and sweep = "SOURCE.dc", or back = false',
@@ -144,7 +144,7 @@ def _check_frequencies(selected: Analysis) -> Iterator[UsageError]:
         )
     elif math.isinf(stop / start):
         yield UsageError(
-            "a range of more decades than numbers have",
+            "a frequency range of too many decades",
             where="analysis.start",
             got=f"{start:g} … {stop:g} Hz",
             expected="at most 308 decades",

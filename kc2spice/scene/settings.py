@@ -180,7 +180,9 @@ class Bench(Section):
     """Metrics and limits by which ``bench`` judges settings."""
 
     metric: tuple[str, ...] = Field(
-        (), max_length=64, description="Metrics that the scene is run for; by default all numbers"
+        (),
+        max_length=64,
+        description="Metrics whose errors are compared; by default all metrics that are numbers",
     )
 
 
@@ -231,7 +233,9 @@ class ErrorLimits(Section):
     energy: Ratio = Field(
         1e-7,
         gt=0,
-        description=("Share of the turned-over energy that the integration of the equations loses"),
+        description=(
+            "Fraction of the exchanged energy that the integration of the equations loses"
+        ),
     )
     imprint_rom: Ratio = Field(
         1e-12, gt=0, description="Relative error of the static force, reduced against full model"

@@ -565,7 +565,7 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
                 "wrong number of pins",
                 where=where,
                 got=port.name,
-                expected="two of an electrical port, else one",
+                expected="two pins of an electrical port, otherwise one pin",
             )
         into = None if port.kind == "output" else column
         out = None if port.kind == "input" else row
@@ -707,12 +707,12 @@ class _OutputLaws:
         at_once = np.abs(self.D[t.row] - self.rom.D[t.row]) > CROSS_ROUNDING * np.abs(self.D).max()
         if jump.any() or at_once.any():
             raise UsageError(
-                "an acceleration port drives states without inertia: its force needs the rates "
-                "of what drives them, which no netlist of sources and capacitors has",
+                "an acceleration port drives states without inertia: its force depends on the time "
+                "derivatives of inputs, which the netlist does not contain",
                 where=t.label,
                 got="C B not zero in its row",
                 expected="C B = 0 in the row of an acceleration port",
-                hint="inertia drives with M, so give those states zero rows of B and C there",
+                hint="set the rows of B and C of the states without inertia to zero",
             )
         rate = MICRO * row @ states.A
         force = -(rate @ states.B)

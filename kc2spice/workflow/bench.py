@@ -183,7 +183,7 @@ class _Plane:
             self.run_setting(place)
             if failed := self.failed.get(_describe_settings({})):
                 raise SimulationError(
-                    "the scene as it is gives another result than its reference",
+                    "the run with the settings of the scene differs from the reference run",
                     where="bench",
                     got=failed["why"],
                 )
@@ -355,7 +355,7 @@ def run_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
     for name, value in exact.values.items():
         ours = run.values.get(name)
         if value.dtype.kind == "b" and not np.array_equal(np.nan if ours is None else ours, value):
-            raise SimulationError(f"{name} is {ours}, with the finest settings {value}")
+            raise SimulationError(f"{name} is {ours}, but {value} with the finest settings")
     result = metric_changes(run, exact)
     for name in names:
         if result[name] == np.inf:

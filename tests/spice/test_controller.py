@@ -96,7 +96,7 @@ def test_files_that_are_no_function_are_refused(tmp_path):
 
 
 def test_impossible_controllers_are_refused():
-    for keys, words in (({"delay": PERIOD}, "after the next sample"),
+    for keys, words in (({"delay": PERIOD}, "the delay reaches the next sample"),
                         ({"inputs": [], "pins": {}}, "has no inputs"),
                         ({"analysis": {"type": "op"}}, "needs a transient")):  # fmt: skip
         with pytest.raises(UsageError, match=words):

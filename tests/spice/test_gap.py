@@ -159,7 +159,7 @@ def test_bad_keys_say_what_they_are():
         load_scene(loop(shares=[0.5, 0.5]))
     with pytest.raises(UsageError, match="has no patches"):
         load_scene(loop(a="spring"))
-    with pytest.raises(UsageError, match="only the dc value of a source returns"):
+    with pytest.raises(UsageError, match="only a sweep of the dc value of a source can return"):
         load_scene(loop() | {"analysis": {"type": "op", "back": True}})
 
 

@@ -49,7 +49,7 @@ LIMITS = [
     (BALL, "sphere.density=22600", "sphere.density=22600.5", "osmium"),
     (IMPRINT, "imprint.depth=0.99 mm", "imprint.depth=1 mm", "deeper than the sphere's radius"),
     (PRESSED, "contact.spacing=62 um", "contact.spacing=62.5 um", "wider than the patch"),
-    (PRESSED, "sphere.radius=251 um", "sphere.radius=250 um", "pressure is that under a sphere"),
+    (PRESSED, "sphere.radius=251 um", "sphere.radius=250 um", "a contact by pressure needs"),
     (PRESSED, "contact.a=kick", "contact.a=kick.ring0", "no port of pressure"),
     (PRESSED, "gravity=0", "contact.law=hertz", "without law"),
     (PRESSED, "gravity=0", "contact.groove=90", "without groove"),

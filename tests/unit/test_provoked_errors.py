@@ -54,7 +54,7 @@ def rows(text):
         ("run impact --nope=3", "run: no such option", "--nope", "kc2spice run --help"),
         ("run impact --deck", "--deck: the value is missing", "--deck", "write FILE behind --deck"),
         ("reduce x.K --band 1", "--band: needs 2 values", "--band 1", "write F0 F1 behind --band"),
-        ("run impact --json=yes", "--json: this option has no value", "--json=yes", "write --json"),
+        ("run impact --json=yes", "--json: this option takes no", "--json=yes", "write --json"),
         ("run impact more", "run: one argument too many", "more", "delete more"),
         ("run impact a.b=3", "run: one argument too many", "a.b=3", "write --set a.b=3"),
         ("run impact --set a.b=3 A", "one argument too many", "A", "--set 'a.b=3 A'"),

@@ -345,7 +345,7 @@ def test_complex_matrices_that_are_no_structural_damping(tmp_path):
     path = tmp_path / "m.K"
     hermitian = "%%MatrixMarket matrix coordinate complex hermitian\n1 1 1\n1 1 2.0 0.0\n"
     path.write_text(hermitian)
-    refused(tmp_path / "m", "'coordinate hermitian' is not read")
+    refused(tmp_path / "m", "'coordinate hermitian' is not supported")
 
 
 def beside(folder, monkeypatch, module, text):

@@ -385,7 +385,7 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
     if M[:, potential].count_nonzero() or (np.diag(c) <= 0).any():
         expected = "K = [[K_uu, K_up], [K_up', -K_pp]] with K_pp positive definite"
         got = "mass on a potential, or a positive dielectric block"
-        raise wrong(rows.where, "potentials are not as expected", got, expected)
+        raise wrong(rows.where, "the rows of the potentials have another form", got, expected)
     loads = [rows.load(entry)[u] for entry in settings.ports if entry.kind != ELECTRICAL.port]
     damping = {"rayleigh": settings.damping.rayleigh} if E is None else {"E": _restrict(E, u)}
     return with_potentials(

@@ -161,7 +161,7 @@ def _parse_dofs(data: bytes) -> raw.Dofs:
     pairs = [word.partition(b".")[::2] for word in words]  # 12.3 is node 12, never a number
     node, kind = np.array(pairs).astype(np.int64).T
     if not ((kind >= 0) & (kind <= 6)).all():
-        raise ValueError(f"direction {kind[(kind < 0) | (kind > 6)][0]}")
+        raise ValueError(f"unknown direction {kind[(kind < 0) | (kind > 6)][0]}")
     return raw.Dofs(node, np.where(kind == 0, raw.CODES["temp"], kind))
 
 
@@ -232,7 +232,7 @@ def read_harwell_boeing(
         raise ValueError("the header is cut off")
     match = _TYPE.match(lines[2] + b" ")
     if match is None:
-        raise ValueError(f"the third line is {lines[2][:40]!r}")
+        raise ValueError(f"the third line cannot be read: {lines[2][:40]!r}")
     kind = match[1].decode().upper()
     if kind not in ("RSA", "RUA", "RZA", "RRA", "CSA", "CUA"):
         raise ValueError(f"type {kind}")
@@ -262,7 +262,7 @@ def read_harwell_boeing(
         return matrix
     triangle = sparse.coo_array(matrix)
     if (triangle.row < triangle.col).any() and (triangle.row > triangle.col).any():
-        raise ValueError(f"type {kind} with entries on both sides, not one triangle")
+        raise ValueError(f"a matrix of type {kind} has entries in both triangles")
     return complete_triangle(matrix, 1 if kind[1] == "S" else -1)
 
 
@@ -274,7 +274,7 @@ def _parse_fixed_width(lines: list[bytes], repeat: int, width: int, number: int)
             f"{number} numbers; it may be truncated"
         )
     if not 0 < repeat * width <= _LONGEST:
-        raise ValueError(f"lines of {repeat} fields of {width} characters")
+        raise ValueError(f"unusual line format: {repeat} fields of {width} characters")
     text = b"".join(line[: repeat * width].ljust(repeat * width) for line in lines)
     text = text.translate(bytes.maketrans(b"Dd", b"EE"))
     values = np.frombuffer(text, dtype=f"S{width}")[:number]
@@ -296,7 +296,7 @@ def read_mapping(data: bytes, size: int) -> raw.Dofs:
     names = [_ANSYS.get(name.upper(), name.lower()) for name in freedoms]
     unknown = sorted(set(names) - set(raw.CODES))
     if unknown:
-        raise ValueError(f"degree of freedom {unknown[0]}")
+        raise ValueError(f"unknown degree of freedom {unknown[0]}")
     place = parse_indices(np.array(list(map(float, equations))), size)
     if len(np.unique(place)) < size:
         raise ValueError("an equation occurs twice")

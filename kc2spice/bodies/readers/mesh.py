@@ -148,7 +148,7 @@ def _parse_keywords(data: bytes) -> Content:
         cells = _split_cells(line)
         filled, name = list(filter(None, cells)), options.get("NSET", "")
         if keyword == "INSTANCE" and any(map(float, filled)):
-            raise ValueError("an *INSTANCE that is moved")
+            raise ValueError("a moved *INSTANCE is not supported")
         if keyword == "NODE":
             nodes[int(cells[0])] = _parse_point(cells[1:4])
             if name:

@@ -122,7 +122,8 @@ def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = 
     except Kc2spiceError:
         raise
     except NotImplementedError:
-        message, got, hint = "is in a format that is not read", None, "in MATLAB: save(..., '-v7')"
+        message, got = "is in a format that is not supported", None
+        hint = "in MATLAB: save(..., '-v7')"
     except Exception as error:  # parsers of hostile bytes raise nearly anything
         got = " ".join(str(error).split())[:160] or type(error).__name__
         message, hint = "cannot be read", advice
@@ -427,7 +428,7 @@ def _load_variables(path: str, names: list[str], full: list[tuple[int, ...]]) ->
     """Load the variables of these names, whose full arrays have the shapes ``full``."""
     size = sum(8 * np.prod(shape, dtype=float) for shape in full)
     if size > unpacked_limit(Path(path)):
-        raise ValueError(f"its variables of {size:g} bytes are too large")
+        raise ValueError(f"its variables take {size:g} bytes, which is too much")
     return io.loadmat(path, appendmat=False, variable_names=names) if names else {}
 
 
@@ -437,7 +438,7 @@ def _to_plain_array(name: str, matrix: Any) -> Any:
     matrix = real_if_possible(np.asarray(matrix))
     if name in _NAMES:  # MATLAB's numbers are doubles
         if not (matrix == np.floor(matrix)).all():
-            raise ValueError(f"variable {name} holds fractions")
+            raise ValueError(f"variable {name} contains fractions")
         return matrix.astype(np.int64)
     return matrix
 
@@ -469,7 +470,9 @@ def _select_fields(value: Any, name: str) -> dict[str, Any]:
     if "Kc" not in fields and "N" in fields and _count_entries(fields["N"]):
         raise ValueError(f"struct {name} has constraints N that are not eliminated: ask for Kc, Ec")
     if "Kc" in fields and "uscale" in fields and (np.asarray(fields["uscale"]) != 1).any():
-        raise ValueError(f"struct {name} is in unknowns over uscale: scale by None in the solver")
+        raise ValueError(
+            f"struct {name} has scaled unknowns (uscale): set the scaling in the solver to None"
+        )
     # Without a mass the problem is of first order and keeps its E; without a load the ports come
     # from the TOML file.
     empty = {letter for letter in {*"MEB"} & set(result) if not _count_entries(result[letter])}

@@ -82,7 +82,7 @@ FREE = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 class Drive(Section):
     """Kick pulse: rises from ``start`` within ``edge``; ``width`` is measured at half height."""
 
-    voltage: Voltage = Field(100.0, description="Height of the voltage pulse")
+    voltage: Voltage = Field(100.0, description="Voltage of the pulse")
     width: Time = Field(25e-6, gt=0, description="Width of the pulse at half of its height")
     edge: Time = Field(0.1e-6, gt=0, description="Rise and fall time of the pulse")
     start: Time = Field(0.5e-3, ge=0, description="Instant at which the pulse begins to rise")

@@ -13,7 +13,7 @@ from kc2spice.core.quantities import Current, Length, Section, Time, si
 class Control(Section):
     """PID with clamped output: same current in both coils, the lower one negated (paper 2.4)."""
 
-    setpoint: Length = Field(2.5e-3, description="Height at which the sphere is to be held")
+    setpoint: Length = Field(2.5e-3, description="Set point of the height of the sphere")
     kp: Annotated[float, si("A/m")] = Field(
         5e4, ge=0, description="Proportional gain of the controller"
     )

@@ -96,7 +96,7 @@ wiring = "parallel"
         keys = part.keys
         if keys.delay >= keys.period:
             got, expected = f"{keys.delay:g} s", f"less than the period, {keys.period:g} s"
-            yield part.wrong("delay", "answers come after the next sample", got, expected)
+            yield part.wrong("delay", "the delay reaches the next sample", got, expected)
         if (kind := scene.analysis.type) != "transient":
             yield part.wrong("", "a function needs a transient", kind, "the analysis transient")
         if not keys.inputs:

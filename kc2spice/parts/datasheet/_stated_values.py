@@ -243,7 +243,7 @@ class StatedValues:
             got=" and ".join(stated),
             expected=f"{texts[key]}, which follows from {other} and the other values, or "
             f"{texts[other]}, which follows from {key} and the other values",
-            hint=f"correct or delete one of both, or state the tolerance of {key}",
+            hint=f"correct or delete one of the two values, or state the tolerance of {key}",
         )
 
 

@@ -88,7 +88,9 @@ class BvdKeys(RatedKeys):
     zs: Annotated[tuple[Annotated[Resistance, Field(gt=0)], ...], Modes] = Field(
         (), description="Magnitude of the impedance at the series resonance"
     )
-    c0: Capacitance | None = Field(None, gt=0, description="Clamped capacitance beside the branch")
+    c0: Capacitance | None = Field(
+        None, gt=0, description="Clamped capacitance, parallel to the motional branch"
+    )
     c_low: Capacitance | None = Field(
         None, gt=0, description="Capacitance at the low frequency c_low_at"
     )

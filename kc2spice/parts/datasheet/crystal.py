@@ -35,7 +35,10 @@ class CrystalKeys(RatedKeys):
 
     f: Frequency = Field(gt=0, description="Nominal frequency, with the load capacitance if stated")
     cl: Capacitance | None = Field(
-        None, gt=0, description="Load capacitance of the frequency; by default f is the series one"
+        None,
+        gt=0,
+        description="Load capacitance with which the frequency is f; by default f is the series "
+        "resonance",
     )
     c0: Capacitance = Field(gt=0, description="Shunt capacitance of electrodes and holder")
     c1: Capacitance | None = Field(None, gt=0, description="Motional capacitance of the branch")

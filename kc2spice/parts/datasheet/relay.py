@@ -35,7 +35,7 @@ class RelayKeys(NumberedKeys):
     pick_up: Voltage = Field(gt=0, description="Coil voltage at which the relay operates")
     release: Voltage = Field(gt=0, description="Coil voltage at which the relay releases")
     inductance: Inductance | None = Field(
-        None, gt=0, description="Inductance of the coil; by default that of the operate time"
+        None, gt=0, description="Inductance of the coil; by default computed from operate_time"
     )
     operate_time: Time | None = Field(
         None, gt=0, description="Time from the rated voltage to the closed contact"
@@ -44,7 +44,9 @@ class RelayKeys(NumberedKeys):
     insulation_resistance: Resistance = Field(
         1e8, gt=0, description="Resistance of an open contact"
     )
-    changeover: bool = Field(False, description="Whether there is a contact nc, closed at rest")
+    changeover: bool = Field(
+        False, description="Whether the relay has a contact nc, which is closed at rest"
+    )
     resistance_tolerance: Ratio | None = Field(
         None, gt=0, lt=1, description="Relative tolerance of the coil's resistance"
     )
@@ -99,7 +101,7 @@ def solve_timing(part: Part[RelayKeys]) -> Timing:
             f"operate_time = {keys.operate_time:g} s and inductance = {keys.inductance:g} H",
             f"an operate time above {electrical:.4g} s, which the current alone takes, or an "
             f"inductance below {most:.4g} H",
-            "correct or delete one of both",
+            "correct or delete one of the two values",
         )
     return Timing(keys.inductance, (keys.operate_time - electrical) / HALF)
 

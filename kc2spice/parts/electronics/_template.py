@@ -63,9 +63,7 @@ class InputNoise(Section):
     noise_current: Current | None = Field(
         None,
         gt=0,
-        description=(
-            "Noise current out of each amplifier input, rms per root hertz; by default none"
-        ),
+        description=("Noise current at each amplifier input, rms per root hertz; by default none"),
     )
 
 
@@ -263,7 +261,7 @@ class CoilDriver(Driver[KeysT]):
         coils = _joined_part(part, "drive", build.scene, "ring_magnet_coils")
         if coils is None:
             raise UsageError(
-                "drives no coils, whose inductance its current loop is made for",
+                "drives no coils, but its current loop depends on their inductance",
                 where=f"{part.name}.drive",
                 expected="joined to a part of type ring_magnet_coils",
                 hint="for a load of your own, put your driver's circuit into a netlist part",

@@ -123,7 +123,8 @@ class GapKeys(_stop.StoppedCoordinate):
         1.0, gt=0, description="Relative permittivity of the medium in the gap"
     )
     travel: Length = Field(
-        gt=0, description="Displacement of a patch at which it meets its stop, less than the gap"
+        gt=0,
+        description="Displacement of a patch at which it meets its stop; must be less than the gap",
     )
     stop: Stiffness = Field(1e6, gt=0, description="Stiffness of the stop, all patches together")
     shares: tuple[float, ...] | None = Field(

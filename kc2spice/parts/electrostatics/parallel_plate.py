@@ -23,7 +23,8 @@ class ParallelPlateKeys(_stop.StoppedCoordinate):
         1.0, gt=0, description="Relative permittivity of the medium between the plates"
     )
     travel: Length = Field(
-        gt=0, description="Displacement x at which the plate meets its stop, less than the gap"
+        gt=0,
+        description="Displacement x at which the plate meets its stop; must be less than the gap",
     )
     stop: Stiffness = Field(1e5, gt=0, description="Stiffness of the stop")
 

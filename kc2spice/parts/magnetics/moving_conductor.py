@@ -390,7 +390,9 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
             yield part.wrong("thickness", "a disc needs a thickness", "none", "a length above zero")
         if keys.shape == "sphere" and (keys.inner or keys.thickness):
             got = f"inner {keys.inner:g} m, thickness {keys.thickness}"
-            yield part.wrong("shape", "a sphere has a radius alone", got, "neither of them")
+            yield part.wrong(
+                "shape", "a sphere has no inner radius and no thickness", got, "neither of them"
+            )
 
     def resolved_frequency(self, part: Part[MovingConductorKeys], scene: Scene) -> float:
         """Frequency [Hz] up to which its eddy currents are resolved."""

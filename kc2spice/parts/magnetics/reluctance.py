@@ -36,7 +36,8 @@ class ReluctanceKeys(_stop.StoppedCoordinate):
     turns: Ratio = Field(1.0, gt=0, description="Number of turns of the coil")
     resistance: Resistance = Field(gt=0, description="Resistance of the coil")
     travel: Length = Field(
-        gt=0, description="Displacement x at which the armature meets its stop, less than the gap"
+        gt=0,
+        description="Displacement x of the armature at its stop; must be less than the gap",
     )
     stop: Stiffness = Field(1e7, gt=0, description="Stiffness of the stop")
 

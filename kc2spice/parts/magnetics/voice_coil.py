@@ -18,19 +18,19 @@ class VoiceCoilKeys(Section):
     inductance: Inductance = Field(gt=0, description="Inductance of the coil")
     bl: Annotated[float, si("N/A")] = Field(description="Force factor at rest")
     bl1: Annotated[float, si("N/(A m)")] = Field(
-        0.0, description="Slope of the force factor by the displacement"
+        0.0, description="Derivative of the force factor with respect to the displacement"
     )
     bl2: Annotated[float, si("N/(A m2)")] = Field(
-        0.0, description="Coefficient of the displacement squared in the force factor"
+        0.0, description="Coefficient of the squared displacement in the force factor"
     )
     cms: Annotated[float, si("m/N")] = Field(
         gt=0, description="Compliance of the suspension at rest"
     )
     cms1: Annotated[float, si("1/N")] = Field(
-        0.0, description="Slope of the compliance by the displacement"
+        0.0, description="Derivative of the compliance with respect to the displacement"
     )
     cms2: Annotated[float, si("1/(N m)")] = Field(
-        0.0, description="Coefficient of the displacement squared in the compliance"
+        0.0, description="Coefficient of the squared displacement in the compliance"
     )
     damping: MechanicalDamping = Field(
         0.0, ge=0, description="Mechanical damping of the suspension"

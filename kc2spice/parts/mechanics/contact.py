@@ -117,7 +117,7 @@ class Contact(DeclaredPart[ContactKeys]):
         a, b = pair.a, pair.b
         if a.part == b.part != GROUND and set(a.force_pins) & set(b.force_pins):
             got, expected = f"{a.part} on both sides", "two parts, or two ports of a body"
-            yield part.wrong("b", "nothing touches itself", got, expected)
+            yield part.wrong("b", "both sides of the contact are the same part", got, expected)
         if b.radius is not None and max(a.distance) >= b.radius:
             yield UsageError(
                 "the outermost contact port lies beyond the sphere, which can never touch it",
@@ -296,7 +296,7 @@ def _check_pressure(pair: Pair) -> Iterator[UsageError]:
     if b.radius is None or b.radius <= a.patch:
         got = "no sphere" if b.radius is None else f"a radius of {b.radius:g} m"
         expected = f"a sphere of more than {a.patch:g} m, the outermost ring"
-        yield part.wrong("shape", "pressure is that under a sphere", got, expected, hint)
+        yield part.wrong("shape", "a contact by pressure needs a sphere", got, expected, hint)
     for key, default in (("law", "linear"), ("groove", None)):
         if (got := getattr(part.keys, key)) != default:
             yield part.wrong(key, f"pressure has its own law, without {key}", got, hint=hint)

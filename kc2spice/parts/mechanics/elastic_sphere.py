@@ -82,7 +82,9 @@ elastic = true
             yield owner.wrong(key, "a sphere has one material", True, expected)
         if part.keys.damping.model != "rayleigh":
             got, expected = part.keys.damping.model, "rayleigh"
-            yield owner.wrong("elastic.damping.model", "a sphere rings viscously", got, expected)
+            yield owner.wrong(
+                "elastic.damping.model", "an elastic sphere has viscous damping only", got, expected
+            )
 
     def surface(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()

@@ -121,7 +121,7 @@ class OptimalModels(ReducedBasis):
         else:
             warnings.warn(
                 f"IRKA of order {order} has not converged: its poles still change by {change:.1e} "
-                "(relative), and the model is not optimal; the error estimate is not concerned",
+                "(relative), and the model is not optimal; the error estimate remains valid",
                 stacklevel=2,
             )
         return self.task.from_first_order(reduced)

@@ -127,9 +127,9 @@ def rational_krylov_model(
             modes = search.response.within(band)[0].size
             text = "a narrower band, a looser tolerance or proportional damping costs less"
             warnings.warn(
-                f"the reduction takes more than {MANY_POINTS} factorisations: the last frequency "
-                f"was still {error:.0e} off, {target:.0e} is looked for, and the band holds at "
-                f"least {modes} resonances; {text}",
+                f"the reduction takes more than {MANY_POINTS} factorisations: the error at the "
+                f"last frequency was {error:.0e}, the target is {target:.0e}, and the band "
+                f"contains at least {modes} resonances; {text}",
                 stacklevel=2,
             )
         # An error from before the basis grew is no longer that of the projection. A point beside

@@ -35,7 +35,7 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
         if columns is not None:
             expected += f", and {columns} columns as V"
         raise UsageError(
-            "vectors of another shape", where=where, got=_describe_size(V), expected=expected,
+            "the vectors have another shape", where=where, got=_describe_size(V), expected=expected,
             hint="build them from the matrices of task.model, not of task.fom",
         )  # fmt: skip
     if rows and not V.shape[1]:

@@ -118,7 +118,7 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
             raise UsageError(f"cannot be read: {error.strerror}", where=name) from None
     if sum(map(len, result.values())) > MAX_FILES:
         raise UsageError(
-            "the files of this scene are too long to travel with a sweep",
+            "the files of this scene are too large for the workers of a sweep",
             where=scene.name,
             expected=f"at most {MAX_FILES} bytes",
         )
