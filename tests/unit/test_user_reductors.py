@@ -114,7 +114,9 @@ BAD = {
     "no projection": (vectors, "does not return a basis", r"shape \(40, 5\)"),
     "text": (lambda t: "V", "does not return a basis", "str"),
     "test vectors of another shape": (
-        lambda t: t.project(vectors(t), vectors(t)[:, :4]), "W: the vectors have another", "4 columns"
+        lambda t: t.project(vectors(t), vectors(t)[:, :4]),
+        "W: the vectors have another",
+        "4 columns",
     ),
     "too many fixed vectors": (lambda t: t.project(vectors(t), fixed=9), "fixed: not a n", "9"),
     "fixed text": (lambda t: t.project(vectors(t), fixed="all"), "fixed: not a number", "all"),
