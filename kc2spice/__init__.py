@@ -1,7 +1,8 @@
 """kc2spice: finite-element actuator models as SPICE subcircuits, run with their electronics.
 
-``import kc2spice as kc`` does what the command line does, in the same words. Everything named in
-``__all__`` is loaded when it is used first, so that the import itself costs nothing.
+``import kc2spice as kc`` provides the functions of the command line under the same names.
+Everything named in ``__all__`` is loaded when it is used first, so that the import itself costs
+nothing.
 """
 
 from __future__ import annotations

@@ -136,7 +136,8 @@ def reduce(
         entry's largest value in the band (``"peak"``). The default is ``"peak"`` for models whose
         ports are all signals, and ``"pointwise"`` for all others.
     contact : bool, default False
-        Whether to keep some of what a contact excites above the band, as models of scenes do.
+        Whether the model also represents responses above the band that a contact excites, as models
+        of scenes do.
     method : str or Reductor, optional
         Method of reduction: ``"response POD"``, ``"response POD of both sides"``, ``"balanced
         truncation"``, ``"balanced truncation of outputs as they are"``, ``"balanced truncation over
@@ -290,8 +291,8 @@ def run(
 
     Raises
     ------
-    UsageError : as :func:`kc2spice.load_scene`; a ``deck`` that lacks what the metrics need; an
-        ``out`` that cannot be written, noticed before anything is computed.
+    UsageError : as :func:`kc2spice.load_scene`; a ``deck`` without the vectors of the metrics; an
+        ``out`` that cannot be written, which is detected before the computation.
     MissingToolError : no ngspice.
     SimulationError : ngspice or a check of its result failed. With ``out``, deck and log are kept
         in ``OUT.failed`` until a run with the same ``out`` succeeds.
@@ -364,7 +365,7 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
     ------
     UsageError : not a deck.
     MissingToolError : no ngspice.
-    SimulationError : ngspice failed or stopped early; the message says where.
+    SimulationError : ngspice failed or stopped early; the message names the time.
 
     Examples
     --------
@@ -492,8 +493,8 @@ class Result:
     metrics : numbers by name, in the SI unit that ``record["metric_units"]`` states.
     waves : arrays (points,) in SI by name, over ``scale``; complex in an ``ac`` analysis.
     units : SI unit of each wave.
-    checks : what was held against physics: ``name``, ``value``, ``limit``, ``passed``, ``advice``.
-    record : everything that ``result.json`` says, but for the names of files.
+    checks : comparisons with physics: ``name``, ``value``, ``limit``, ``passed``, ``advice``.
+    record : the content of ``result.json`` without the names of files.
     deck : the deck that gave this result.
     figures : plots of the scene's parts by name, for :meth:`plot`.
     """

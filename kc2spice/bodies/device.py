@@ -72,7 +72,7 @@ class Setup:
     Attributes
     ----------
     fixed : mask (d nodes,) of the displacements that are zero.
-    electrodes : pin to its nodes; ``reference`` is the pin that all voltages are counted from.
+    electrodes : pin to its nodes; ``reference`` is the pin to which all voltages are relative.
     floating : nodes of each electrode without pin: one potential, no charge.
     shapes, faces : ports of forces and moments.
     base : ports of base acceleration and their direction (3,).
@@ -427,7 +427,7 @@ class Bonded:
         that of a point.
     fixed : axes (``"xz"``, x the radius in a body of revolution) along which boxes are held.
     masses : [kg] spread over faces.
-    moved : whether the acceleration of what holds it is the port ``base``, upwards.
+    moved : whether the port ``base`` is the acceleration of the support, upwards.
     grid : lines along each axis, or none: cells of at most ``size`` [m], each cut in ``refine``.
     like : another body of the same blocks in other sizes, whose mesh this one has, moved.
     where : the part, for errors.

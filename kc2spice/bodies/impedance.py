@@ -24,7 +24,8 @@ from kc2spice.core.errors import wrong
 _FEWEST = 7  # samples around the resonance, for six real coefficients
 _PASSES = 8
 OVERDAMPED = 0.5  # Q of a circuit whose charge returns without overshoot
-STANDS_OUT = 3.0  # a resonance's largest conductance by the rms of what its circuit leaves over
+# ratio of the largest conductance of a resonance to the rms residual of its circuit
+STANDS_OUT = 3.0
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ answers v to a voltage and p to a force,
 
     df/f = -A(e_w, e_w) / (2 A(w, w)),   dC = A(e_v, e_v),   d(stroke) = A(e_p, e_v).
 
-On triangles, tetrahedra and quadrilaterals e is what shape functions of one degree more correct
-(:mod:`kc2spice.bodies.enriched_model`). At edges of electrodes and supports the solution is
+On triangles, tetrahedra and quadrilaterals, e is the correction by shape functions of one degree
+more (:mod:`kc2spice.bodies.enriched_model`). At edges of electrodes and supports the solution is
 singular and converges slowly with the degree, so the functions correct only a part of the error,
 :data:`CORRECTED`. On hexahedra these functions would cost more than the model, and e is the
 difference to a recovered strain and field (:mod:`kc2spice.fem.recovery`).

@@ -25,8 +25,8 @@ The other side may be a free elastic :class:`TransverselyIsotropicSphere` under 
 quadrilaterals that grow away from its lowest point. The conformal map ``zeta = w / (1 - i w / 2R)``
 of ``zeta = r + i h`` takes the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc, h
 the height above the pole. A grid of the angles x, along the surface, and y, along the axis, has
-right angles everywhere and, at the pole, the lines of the basis. The other pole is at infinity. A
-pit of ``R / 30`` is left out there, 1e-5 of the mass.
+right angles everywhere and, at the pole, the lines of the basis. The other pole is at infinity. The
+mesh of the sphere omits a pit of the radius ``R / 30`` at the pole, which has 1e-5 of the mass.
 
 Displacements of the sphere are relative to its centre of mass. Its motion along the axis is t (n,),
 its mass ``m = t' M t``. Forces F at the ports B act together with the inertia that balances them,
@@ -311,7 +311,8 @@ def indentation_law(
     contacts at least :data:`RESOLVED` functions wide.
     """
     spacing, widest = shape.nodes[1], WIDEST * shape.nodes[-1]
-    depth = 2 * float(np.interp(widest, shape.distances, gap))  # Hertz: half of it is left there
+    # Hertz: half of the pressure remains at this radius
+    depth = 2 * float(np.interp(widest, shape.distances, gap))
     s = np.linspace(min(0.5, RESOLVED * spacing / widest), 1.0, DEPTHS)
     x = depth * s**2
     force = contact_forces(compliance, gap, x)

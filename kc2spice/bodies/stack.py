@@ -61,7 +61,7 @@ def stack_device(
     solid, setup = stack_setup(kick, breakdown, pressure)
     device = make_device(solid, setup)
     facts = dict(device.model.facts)
-    facts.pop("depoling_voltage_v", None)  # its key rated_field says it
+    facts.pop("depoling_voltage_v", None)  # the key rated_field states it
     facts["unknowns"] += 1  # as the paper counts them: with one anode
     for name in [name for name in facts if name.endswith("_m_per_v")]:
         facts[name.replace("_m_per_v", "_m_per_100v")] = 100 * facts.pop(name)  # as data sheets do

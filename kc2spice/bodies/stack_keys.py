@@ -24,7 +24,7 @@ from kc2spice.core.quantities import (
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material, material
 
-SECTORS = 4  # quarters of the chip that move alike, of which one is modelled
+SECTORS = 4  # number of equal quarters of the chip, of which one is modelled
 PATCH = "patch"  # its port under a pressure
 PAPER = "THP51"  # the ceramic of the paper's chip
 
@@ -67,7 +67,10 @@ class ChipMesh(Section):
 
 
 class ChipDamping(Damping):
-    """The ratio is met at a frequency of the paper's chip unless ``at`` says another."""
+    """Damping of the chip.
+
+    The ratio holds at the frequency ``at``, by default a frequency of the paper's chip.
+    """
 
     at: Frequency | tuple[Frequency, Frequency] | None = Field(
         250e3,

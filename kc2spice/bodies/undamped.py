@@ -17,7 +17,9 @@ from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear_model import LinearModel
 
 RESIDUAL = 1e-5  # residual of a mode; the error of its frequency is the square
-MODES = (4, 8, 40)  # asked for in turn; a body that is free to move has more than four rigid ones
+# numbers of modes, tried in this order; a body that is free to move has more than four rigid-body
+# modes
+MODES = (4, 8, 40)
 # A mode is excited by a port if it has more than this part of the static answer (mass norm).
 COUPLED = 0.03
 REFINEMENTS = 3

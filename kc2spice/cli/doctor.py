@@ -39,7 +39,7 @@ R1 out 0 1
 .end
 """
 # ngspice features that our netlists use: parameters in braces, pwl and max in a behavioural
-# source, and the current of such a source among the results.
+# source, and the current of a behavioural source among the results.
 _FEATURE_DECK = """* feature probe
 .param eps=2
 V1 in 0 PULSE(0 1 0 1e-6 1e-6 1)
@@ -106,8 +106,8 @@ def _can_import(soname: str) -> bool:
 
 
 def _ngspice() -> Iterator[Finding]:
-    """The program, the language that our netlists use, whatever the version says, and code models,
-    which op-amp benches of users may need."""
+    """Check the program, the statements that our netlists use, and the code models, which netlists
+    of users may need."""
     find_ngspice.cache_clear()
     install, missing = install_command("ngspice"), None
     try:

@@ -272,7 +272,7 @@ def run_command_line() -> None:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # a search of all installed packages
     gc.set_threshold(100_000)  # nearly all that is imported and loaded stays until the end
     try:
-        # also of what stands outside the commands, such as --help
+        # also for options outside of the commands, such as --help
         with end_on_signals(), reported_errors():
             app()
     except typer.Exit as end:

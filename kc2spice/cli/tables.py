@@ -51,7 +51,7 @@ class Caller:
 
 
 def _print_limits(stage: str, done: float | None, text: str) -> None:
-    """Print what a run states before it begins to refine."""
+    """Print the limits of an error budget before the first refinement."""
     if stage == ERROR_BUDGET:
         print(f"{stage}: {text}", file=sys.stderr)
 
@@ -132,7 +132,7 @@ def print_table(
 ) -> None:
     """A small table on stdout; plain text where stdout is no terminal.
 
-    The column ``names`` is never broken: what stands there is meant to be searched and copied.
+    The column ``names`` is never broken, so that readers can search for its entries and copy them.
     """
     from rich.console import Console
     from rich.table import Table

@@ -1,7 +1,7 @@
-"""Errors of the command line: options, arguments and commands, with what was typed and what helps.
-
-typer reports such mistakes in another form. :class:`CheckedCommand` and :class:`CheckedCommands`
-report them as every other error: what is wrong, what was typed, what is accepted, what to do next.
+"""Errors of the command line: options, arguments and commands, with the typed text and a hint.
+typer reports these mistakes in another form. :class:`CheckedCommand` and :class:`CheckedCommands`
+report them in the form of all errors: the mistake, the typed text, what is accepted, what to do
+next.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class CheckedCommand(TyperCommand):
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
         typed = list(args)
-        extra.setdefault("allow_extra_args", True)  # refused below, with what was typed
+        extra.setdefault("allow_extra_args", True)  # refused below, with the typed text
         with reported_errors():
             try:
                 context = super().make_context(info_name, args, parent, **extra)

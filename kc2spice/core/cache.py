@@ -75,7 +75,7 @@ def load_or_build(
     Parameters
     ----------
     kind : sub-directory for this sort of result.
-    key : what the result depends on: scene sections, numbers, strings, lists, mappings.
+    key : values on which the result depends: scene sections, numbers, strings, lists, mappings.
     build : makes the result: dataclasses, arrays, tuples, dicts with string keys, numbers, strings,
         None, nested at will.
     classes : dataclasses that may occur in the result; no other class is ever restored.
@@ -83,7 +83,7 @@ def load_or_build(
         ``classes`` are added.
 
     A directory that cannot be written costs the time of a new build, with a warning, never a
-    failure. Whoever asks for what another process is building waits for it.
+    failure. If another process is building the same entry, the function waits for this process.
     """
     known = {cls.__name__: cls for cls in classes}
     modules = {__name__, *sources, *(cls.__module__ for cls in known.values())}
@@ -91,7 +91,7 @@ def load_or_build(
     answer = _load(path, known)
     if answer is None:
         with _lock_entry(path):
-            answer = _load(path, known)  # somebody else may have built it since
+            answer = _load(path, known)  # another process may have built the entry in the meantime
             if answer is None:
                 _store(path, result := build(), known)
                 return result
@@ -128,7 +128,7 @@ def _version(library: str) -> str:
 
 
 def _to_json(value: Any) -> Any:
-    """JSON form of what a key may hold besides JSON: scene sections and numpy scalars."""
+    """Convert values of a key that JSON lacks: scene sections and numpy scalars."""
     return value.model_dump(mode="json") if hasattr(value, "model_dump") else value.item()
 
 
@@ -170,7 +170,7 @@ def _store(path: Path, result: Any, known: Mapping[str, type]) -> None:
 def _prune(root: Path) -> None:
     """Delete the entries that were unused for longest if the cache is too large.
 
-    What a killed process left half written goes after an hour.
+    Files that a killed process left incomplete are deleted after an hour.
     """
     for part in root.glob("*/.*.part"):
         with contextlib.suppress(OSError):  # another process may have finished or dropped it

@@ -27,7 +27,7 @@ SPICE_UNITS = "V", "A"  # units across and through the nodes of a simulator
 class Quantity:
     """A physical quantity on a pin.
 
-    ``name`` is what sources and branches call it, ``symbol`` the word in names of results and
+    ``name`` is its name in sources and branches, ``symbol`` the word in names of results and
     ``unit`` its SI unit. One volt or one ampere on a pin is one ``pin_unit``, which is ``factor``
     in SI.
     """
@@ -55,7 +55,8 @@ class Domain:
     """Physical domain: quantities on its pins, their power, and the meaning of rest.
 
     The values of ``across`` are equal on all pins of a net and those of ``through`` sum to zero.
-    ``power`` states what power enters a part through a pin. ``rest`` describes an operating point.
+    ``power`` states the power that enters a part through a pin. ``rest`` describes an operating
+    point.
 
     ``port`` is the kind of a model's port. Its input is the ``driven`` quantity, its output has the
     unit ``answer_unit`` and the short name ``word`` in results; ``response`` is the name of the
@@ -64,9 +65,9 @@ class Domain:
     ``rate`` is a second quantity across pins, the rate of ``across``. ``frame`` is the domain whose
     quantity shakes the frame that ``across`` is relative to.
 
-    In a domain with a ``path`` every net needs one to the reference, by what the words describe
-    or the part type ``path_part``; without one it has no operating point, which ``adrift`` says of
-    a part.
+    In a domain with a ``path`` every net needs a path to the reference: ``path`` describes it in
+    words, and ``path_part`` is a part type that makes it. Without a path, the net has no operating
+    point; ``adrift`` is the error text.
 
     Examples
     --------

@@ -15,10 +15,10 @@ class Kc2spiceError(Exception):
 
     Parameters
     ----------
-    message : what went wrong, one sentence.
+    message : the mistake in one sentence.
     where : file, key, line or part that the message is about.
-    got, expected : the offending value and what would have been right.
-    hint : what to do next.
+    got, expected : the faulty value and the accepted values.
+    hint : the next action.
     """
 
     exit_code = 1

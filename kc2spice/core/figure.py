@@ -1,4 +1,4 @@
-"""Figures as data: what to plot, without a plotting library."""
+"""Figures as data, without a plotting library."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class Shape:
 
 def window(t: np.ndarray, first: float, last: float) -> np.ndarray:
     """Mask (n,) of the points from ``first`` to ``last`` and one more on either side."""
-    import numpy as np  # late: what draws loads this module before anything that computes
+    import numpy as np  # imported here, because modules that draw load this module first
 
     low, high = np.searchsorted(t, (first, last))
     inside = np.zeros(t.size, dtype=bool)
@@ -138,7 +138,7 @@ def scale_axis(name: str, x: np.ndarray) -> tuple[str, float]:
 
 @dataclass(frozen=True)
 class FileWriter:
-    """A further file of a run: ``write`` puts it where its argument says."""
+    """A further file of a run; ``write(path)`` writes it."""
 
     name: str
     write: Callable[[Path], None]

@@ -35,7 +35,7 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
 
     If the block raises, nothing was written and earlier results in ``out`` are as they were.
     Files are moved by rename under a lock on ``out``: two runs into one directory finish one after
-    the other, and no reader ever sees half a file.
+    the other, and no program reads an incomplete file.
 
     Raises
     ------

@@ -3,7 +3,7 @@
 A law is plain data in SI with named, typed pins, without a scene or a netlist. A pin's kind is the
 name of a domain (:mod:`kc2spice.core.domains`). All pins of a net share the *across* quantity of
 this domain, such as a voltage [V]. The *through* quantities into the parts, such as currents [A],
-sum to zero there. The kind ``signal`` has no through quantity, and one pin of a net sets the
+sum to zero on each net. The kind ``signal`` has no through quantity, and one pin of a net sets the
 signal.
 
 The assembler stamps bodies and sources into matrices (:mod:`kc2spice.reference.system`). Every
@@ -36,7 +36,8 @@ MECHANICAL = _names_of(filter(attrgetter("position"), CONSERVATIVE))
 POTENTIALS = _names_of(filter(attrgetter("potential"), CONSERVATIVE))
 # Kinds whose port answers a flow with a potential: the flow is an unknown.
 HEATED = _names_of(d for d in CONSERVATIVE if d.potential and d.driven == "through")
-# Kinds whose port answers a potential with what has flowed through it, such as a charge.
+# Kinds of ports whose input is a potential and whose output is the integral of the flow, such as a
+# charge.
 CHARGED = _names_of(filter(attrgetter("charged"), CONSERVATIVE))
 GROUND = "gnd"
 
@@ -110,7 +111,7 @@ class LawPort:
 
     Electrical: voltage in, charge out; ``ret`` names the pin of its return. Acoustic: pressure in,
     volume out. Mechanical: force in, displacement out. ``acceleration``: acceleration of the base
-    in [m/s^2] (a signal pin), reaction force out [N], seen in the wave ``NAME.PORT.reaction``.
+    in [m/s^2] (a signal pin), reaction force out [N], recorded in the wave ``NAME.PORT.reaction``.
     """
 
     name: str

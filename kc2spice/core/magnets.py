@@ -1,7 +1,7 @@
 """Two coils and a moving magnet: coenergy of height and currents, and its table.
 
-Splines are in numpy alone: scipy's would be most of what a run with cached models spends on loading
-modules.
+The splines use numpy only, because loading the splines of scipy would take most of the loading time
+of a run with cached models.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Piecewise(EqualByContent):
         return Piecewise(self.knots, np.concatenate([start[None], rising]))
 
     def derivative(self) -> Piecewise:
-        """Slopes; what jumps at the knots is that of the cell above."""
+        """Return the derivative. At a knot with a jump, it is the value of the upper cell."""
         return Piecewise(self.knots, self.c[1:] * np.arange(1, self.c.shape[0])[:, None, None])
 
     def add_constant(self, by: np.ndarray) -> Piecewise:
@@ -91,7 +91,7 @@ def cubic_spline(x: np.ndarray, values: np.ndarray) -> Piecewise:
 CASES = np.array(list(product((-0.1, 0.0, 0.1), repeat=2)))  # A
 NEAR = 1e-6  # distance of two equal heights, relative to the range of the table
 # Order of convergence of the force on quadratic triangles: 4 where the field is smooth, less at
-# corners of magnets and coils; tests/physics/test_magnetostatic.py limits what remains.
+# corners of magnets and coils; tests/physics/test_magnetostatic.py limits the remaining error.
 ORDER = 3
 
 

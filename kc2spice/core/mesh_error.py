@@ -44,7 +44,7 @@ def mesh_words(facts: Mapping[str, float]) -> str:
     Returns
     -------
     str
-        What each is an error of, with the error in percent.
+        The quantities with their errors in percent.
 
     Examples
     --------

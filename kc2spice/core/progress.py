@@ -26,7 +26,7 @@ def silent(stage: str, done: float | None, text: str) -> None:
 
 @dataclass
 class Clock:
-    """Wall time by stage; a stage that was not needed or came from the cache says 0."""
+    """Wall time by stage; 0 for a stage that was skipped or came from the cache."""
 
     progress: Progress = silent
     wall_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))

@@ -49,9 +49,9 @@ def describe_invalid(
 ) -> tuple[KeyPath, dict[str, Any]]:
     """Path of the first invalid key, and its message, got, expected and hint.
 
-    An unknown key comes before one that is missing, which it may stand for. ``at`` is where the
-    table stands, ``also`` are keys that it may have beside those of the ``schema``, ``table`` is
-    what the author typed.
+    An unknown key comes before one that is missing, which it may stand for. ``at`` is the path of
+    the table, ``also`` are accepted keys besides those of the ``schema``, ``table`` is the table as
+    typed.
     """
     every = error.errors()
     result = next((item for item in every if item["type"] == "extra_forbidden"), every[0])
@@ -446,7 +446,7 @@ class ScalePlace(float):
     unit: str = ""
 
 
-# Units of the range of an analysis: those of a scale, and of what a source prescribes.
+# Units of the range of an analysis: units of scales, and of quantities that a source prescribes.
 SCALE_UNITS = ("Hz", "s", *dict.fromkeys(d.quantity(side).unit for d, side in QUANTITIES.values()))
 
 
@@ -483,8 +483,8 @@ def si(unit: str) -> BeforeValidator:
 class Plausible:
     """Marks a key by the role of its number, with a range of plausible values.
 
-    Such things are ``low`` to ``high`` in ``unit``, and ``why`` states the reason. Zero is outside
-    of the role, such as no mass at a tip.
+    Plausible values lie between ``low`` and ``high`` in ``unit``, and ``why`` states the reason.
+    Zero is outside of the role, such as no mass at a tip.
     """
 
     unit: str
@@ -494,7 +494,8 @@ class Plausible:
 
 
 Length = Annotated[float, si("m")]
-# Dimensions of what is made: of layers and plates, across a device, along it.
+# Plausible dimensions of manufactured parts: layers and plates, width of a device, length of a
+# device.
 Thickness = Annotated[
     Length, Plausible("m", 1e-7, 0.03, "films begin at 0.1 um, plates end at 3 cm")
 ]

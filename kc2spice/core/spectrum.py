@@ -27,7 +27,7 @@ def energy_frequency(
     ----------
     time : (n,) rising times [s].
     values : (n,) values there.
-    constant : time constant [s] of a low-pass of first order that the signal is seen behind.
+    constant : time constant [s] of a first-order low-pass filter through which the signal passes.
     share : of the energy, below 1.
     """
     span = time[-1] - time[0]

@@ -1,8 +1,8 @@
 """Errors of TOML files: the line as typed, and a repair that the parser accepts.
 
-The parser says where it stopped, which is seldom what the author did wrong. Each function of this
-module proposes repaired lines for one kind of mistake. :func:`invalid_toml` suggests the first
-repair behind which the parser comes further.
+The parser reports the position at which it stopped, which is seldom the position of the mistake.
+Each function of this module proposes repaired lines for one kind of mistake. :func:`invalid_toml`
+suggests the first repair behind which the parser comes further.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def parse_toml_file(text: str, label: str) -> dict[str, Any]:
 
     Raises
     ------
-    UsageError : not TOML; the message quotes the line and says what to write instead.
+    UsageError : not TOML; the message quotes the line and proposes a correction.
     """
     try:
         return parse_toml(text)
@@ -51,8 +51,8 @@ def invalid_toml(text: str, error: ValueError, label: str) -> UsageError:
 
     Parameters
     ----------
-    text : what the file contains.
-    error : what ``parse_toml`` raised.
+    text : content of the file.
+    error : the exception of ``parse_toml``.
     label : name of the file.
     """
     number = _line_number(text, str(error))
@@ -140,7 +140,7 @@ def _mask_strings(line: str) -> str:
 
 
 def _guess_value(value: str) -> str:
-    """A value that is no TOML as what it most likely means."""
+    """Return the most likely TOML value of a text that is not valid TOML."""
     if value.lower() in ("true", "false"):
         return value.lower()
     try:

@@ -1,12 +1,12 @@
 """Files of others: regular, of limited size, with safe names, checked before use.
 
 The TOML parser of the standard library takes time with the square of the length of a dotted key,
-and calls itself once for every bracket; an archive unpacks to any size. What a file declares is
-therefore compared with limits before it is parsed or unpacked.
+and calls itself once for every bracket; an archive unpacks to any size. The declared sizes in a
+file are therefore compared with limits before the file is parsed or unpacked.
 
-Parsers written in C crash, fill the memory or act on what they read. They work in a process with a
-folder of their own, no output, no programs to start and a limit of memory. They hand back arrays;
-whatever else becomes of them is an error of the process that asked.
+Parsers written in C can crash, fill the memory or execute commands in a file. They work in a
+process with a folder of their own, no output, no programs to start and a limit of memory. The child
+processes return arrays; any other outcome raises an error in the calling process.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _ITEM = 1_000_000  # bytes of one entry, which is a text where it is more than a
 MAX_BYTES = 1_000_000  # a scene is a page of text; more is a mistake or an attack
 DEEPEST = 32  # tables and arrays within each other
 LONGEST_KEY = 200  # characters of one part of a key
-# Strings and comments first, whatever is in them; then what nests and what chains.
+# Strings and comments with any content first, then nested values, then chained keys.
 _TOKEN = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*"*|\'\'\'(?:[^\']|\'(?!\'\'))*\'*'
     r'|"(?:[^"\\\n]|\\.)*"?|\'[^\'\n]*\'?|#[^\n]*|[\w-]+|[\[{]|[\]}]|\.|[ \t]+'
@@ -119,8 +119,7 @@ def name_threat(name: str) -> str | None:
 def file_in_folder(home: Path, name: str, where: str) -> Path:
     """The file ``name`` in the folder ``home`` of the scene that names it, or below.
 
-    Tables that a Python program hands over have no folder (``Path()``): what they name is the
-    program's own choice.
+    Tables from a Python program have no folder (``Path()``), so the program may name any file.
 
     Raises
     ------
@@ -296,7 +295,7 @@ def call_in_child(
             assert process.stdin is not None
             with contextlib.suppress(BrokenPipeError):
                 process.stdin.write(json.dumps(dict(request)).encode() + b"\n")
-                process.stdin.flush()  # left open: its end is what tells the child that we ended
+                process.stdin.flush()  # left open: the child ends when this pipe closes
             code = process.wait()
         if code != 0:
             raise _explain_exit(folder / REASON, code, memory)

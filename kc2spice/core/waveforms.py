@@ -335,8 +335,8 @@ class RecordedWave(EqualByContent):
 
     It consists of cubics (Akima, J. ACM 17, 589, 1970).
 
-    Every 16th sample is a corner: no step of an integrator is longer than what was sampled
-    there, so that an event after a long rest is not stepped over.
+    Every 16th sample is a corner: no step of an integrator is longer than 16 samples, so that it
+    cannot miss an event after a long rest.
     """
 
     times: np.ndarray

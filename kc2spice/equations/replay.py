@@ -1,6 +1,6 @@
 """Sources that replay the values of a net in place of parts without a law.
 
-A scene with such parts, for example a netlist of the user, can then be integrated without them.
+A scene with parts without a law, for example a netlist of the user, can then be integrated.
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ def networks_to_solve(
     """Return the networks of the scene that sources do not determine completely.
 
     Sources on the nets ``replayed`` (by net, the kind of its pins) have the values of ``waves``,
-    the results of ngspice. If they are on every net of a network, such as a capacitor behind a
-    rectifier, that network has nothing left to integrate.
+    the results of ngspice. If these parts are on every net of a network, such as a capacitor behind
+    a rectifier, the network contains no unknown.
     """
     sources, driven = {}, set()
     for net, kind in replayed.items():

@@ -1,7 +1,7 @@
 """Laws of all parts of a scene, and the nets that join their pins.
 
-:func:`scene_laws` is the entry: the choice of the time step, the resonances of small signals, the
-check of the time steps, and ``verify`` take the laws from there.
+:func:`scene_laws` is the entry point: the choice of the time step, the resonances of small signals,
+the check of the time steps, and ``verify`` use its laws.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ face or the interior of an element and vanishes at all nodes of the solid:
 with ``b_2 = x (1 - x)`` and ``b_3 = x (1 - x) (2 x - 1)``. Functions of edges change their sign
 with the direction of the edge.
 
-:func:`assemble_enrichment` integrates what the matrices of :mod:`kc2spice.fem.solid` lack.
-Source: B. Szabo and I. Babuska, Finite Element Analysis (1991).
+:func:`assemble_enrichment` integrates the matrix entries of the additional functions, which
+:mod:`kc2spice.fem.solid` lacks. Source: B. Szabo and I. Babuska, Finite Element Analysis (1991).
 """
 
 from __future__ import annotations
@@ -374,7 +374,7 @@ def _reference_tensor(
 
 
 def _number_selected(mask: np.ndarray) -> np.ndarray:
-    """Consecutive numbers of what a mask selects, -1 elsewhere."""
+    """Return consecutive numbers of the selected entries of a mask, -1 for all others."""
     return np.where(mask, np.cumsum(mask).reshape(mask.shape) - 1, -1)
 
 

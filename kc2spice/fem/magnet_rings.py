@@ -32,7 +32,8 @@ FAR = 40.0  # longest sides of two sections, from where on their distance is tha
 USUAL = 400  # default number of rings per body, with LAYERS layers per skin depth
 LAYERS = 3.0  # layers of rings per skin depth at the surface, with USUAL rings
 GROWTH = 1.35  # thickness of a layer over that of the one above
-SKINNED = 1500  # rings of a sphere at most, whose skin has no layers, with 400 that are asked for
+# largest number of rings of a sphere, whose skin has no layers, if 400 rings are requested
+SKINNED = 1500
 MOST = 3000  # and with more: dense matrices of 70 MB each
 PLACES = 5  # heights and frequencies at which loops are compared with those of finer rings
 STEP = 1e-4  # step of a numerical slope, relative to the range of heights

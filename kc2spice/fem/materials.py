@@ -58,7 +58,7 @@ Symmetry: TypeAlias = Annotated[
     BeforeValidator(lambda said: _GROUPS.get(said, said) if isinstance(said, str) else said),
 ]
 
-# Free components of stiffness and of coupling in a symmetry class, each with where else it stands.
+# Free components of stiffness and coupling in a symmetry class, each with its equal components.
 _FREE = {
     "cubic": ("11=22=33 12=13=23 44=55=66", "14=25=36"),
     "hexagonal": ("11=22 12 13=23 33 44=55 66", "31=32 33 15=24"),
@@ -102,7 +102,7 @@ class Material(EqualByContent):
 
     Attributes
     ----------
-    name : of the library, or what the user called it.
+    name : name in the library, or the name that the user chose.
     density : kg/m^3.
     C : (6, 6) stiffness at constant field [Pa], Voigt order xx yy zz yz xz xy.
     e : (3, 6) piezoelectric stress coefficients [C/m^2], zero of other materials.
@@ -487,7 +487,8 @@ class MaterialTable(Section):
     def _build_tensor(self, key: str, letter: str) -> np.ndarray:
         """Make a tensor from lists, or from the free components of the symmetry.
 
-        The letter tells stiffness ``c`` or compliance ``s`` (6, 6), coupling ``e`` or ``d`` (3, 6).
+        The letter selects stiffness ``c`` or compliance ``s`` (6, 6), coupling ``e`` or ``d`` (3,
+        6).
         """
         values, elastic = getattr(self, key), letter in "cs"
         shape = (6, 6) if elastic else (3, 6)

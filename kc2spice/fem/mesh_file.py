@@ -4,7 +4,7 @@
 Their solids are first modified to share faces. Their groups are the labels of the file, and the
 picks of :func:`read_mesh`.
 
-gmsh decides by extension and content of a file what it reads, and runs unknown files as scripts. No
+gmsh selects the format by extension and content of a file, and runs unknown files as scripts. No
 option of gmsh prevents scripts from starting programs. Therefore gmsh runs in a separate process
 (:mod:`kc2spice.core.untrusted_files`), on a copy with a safe name and a checked format.
 """
@@ -48,7 +48,8 @@ _CURVED = {
     4: (MeshTet, MeshTet2, ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1))),
     3: (MeshTri, MeshTri2, ((0, 1), (1, 2), (2, 0))),
 }
-# Versions of .msh files that are read; what follows tells text from binary numbers of either order.
+# Accepted versions of .msh files; the next bytes distinguish text from binary numbers of either
+# byte order.
 _MSH = re.compile(
     rb"\$MeshFormat[ \t\r]*\n[ \t]*(2|2\.[012]|4|4\.[01])[ \t]+"
     rb"(0[ \t]+8[ \t\r]*\n\s*\$EndMeshFormat|1[ \t]+8[ \t\r]*\n(\x01\0\0\0|\0\0\0\x01))"
@@ -372,7 +373,7 @@ def require_joined(
 ) -> None:
     """Refuse solids that touch and share no nodes.
 
-    Nothing would hold such solids together.
+    Nothing would connect these solids.
 
     ``points`` (n, d) [m], ``blocks`` of elements (k, nodes) with ``corners`` each, ``owners`` the
     numbers of the elements of each named group.
@@ -475,7 +476,7 @@ def _make_quadratic(
 ) -> tuple[Mesh, np.ndarray]:
     """Make a quadratic mesh with the mid-edge nodes of the file.
 
-    Edges without such nodes are straight.
+    Edges without middle nodes are straight.
 
     The second result is the number of each of the file's nodes in the mesh, -1 if no corner.
     """

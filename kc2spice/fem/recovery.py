@@ -1,10 +1,9 @@
 """Error estimates of the strain and field of hexahedra.
 
-Around every corner of the mesh a polynomial is fitted to the strain and field of the elements that
-meet there. The least-squares fit uses the points of an element where these are most accurate.
-Linear shape functions blend the polynomials to the recovered strain and field, which are more
-accurate than those of the elements. Their difference d = (dS, dE) measures the error in the energy
-product
+Around every corner of the mesh a polynomial is fitted to the strain and field of the adjacent
+elements. The least-squares fit uses the points of an element where these are most accurate. Linear
+shape functions blend the polynomials to the recovered strain and field, which are more accurate
+than those of the elements. Their difference d = (dS, dE) measures the error in the energy product
 
     A(1, 2) = int dS1' C dS2 - dS1' e' dE2 - dE1' e dS2 - dE1' eps dE2
 

@@ -1,6 +1,6 @@
 """Products and solutions of dense matrices beyond double precision, by BLAS.
 
-What a badly conditioned matrix says of its slow motions is the small difference of large numbers.
+In a badly conditioned matrix, slow motions depend on small differences of large numbers.
 Residuals in extended precision find it, so that results are those of the matrix that was given.
 
 Sources: matrix products without error, Ozaki, Ogita, Oishi and Rump, Numer. Algorithms 59 (2012)

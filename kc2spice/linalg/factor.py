@@ -79,7 +79,8 @@ Inverse: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 # A backward-stable solver leaves about 1e-15; four digits of slack for growth, no more.
 RESIDUAL_LIMIT = 1e-11
-# Factors without pivoting for size lose digits; each step of refinement gains what they kept.
+# Factors without pivoting for size lose digits; each refinement step gains as many digits as the
+# factor retains.
 REFINEMENTS = 3
 # Up to this half-bandwidth a banded factor costs no more than the search for a better order.
 NARROW = 600
@@ -139,7 +140,7 @@ class Factor:
         return solution[:size]
 
     def _backward_error(self, x: np.ndarray, residual: np.ndarray, rhs: np.ndarray) -> float:
-        """Normwise: ``|r| / (|A| |x| + |rhs|)``, zero where nothing is asked."""
+        """Normwise: ``|r| / (|A| |x| + |rhs|)``, zero if the right-hand side is zero."""
         scale = self.norm * np.abs(x).max(initial=0.0) + np.abs(rhs).max(initial=0.0)
         return float(np.abs(residual).max(initial=0.0) / scale) if scale else 0.0
 
@@ -183,10 +184,10 @@ def factorise(
     """Factorise a symmetric matrix, real or complex.
 
     A narrow positive definite matrix (planes numbered one after another) gets a banded Cholesky
-    factor, which costs n b^2 operations and no fill, any other definite one a supernodal Cholesky
-    factor; everything else that of :func:`two_sided`. An ``order`` of elimination that is known
-    from a matrix of a similar pattern spares the search for one. A supplied solver is used for a
-    definite matrix only if it counts negative eigenvalues.
+    factor, which costs n b^2 operations and no fill, any other definite matrix a supernodal
+    Cholesky factor; all other matrices the factor of :func:`two_sided`. An ``order`` of elimination
+    that is known from a matrix of a similar pattern spares the search for one. A supplied solver is
+    used for a definite matrix only if it counts negative eigenvalues.
 
     Raises
     ------

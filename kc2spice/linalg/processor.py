@@ -1,6 +1,6 @@
 """Kernels of linear algebra for processors that are younger than a library.
 
-The OpenBLAS in cvxopt knows processors up to 2021. On a younger Intel processor it falls back to
+The OpenBLAS in cvxopt supports processors up to 2021. On a younger Intel processor it falls back to
 kernels of 2004: a Cholesky factor of 103 000 unknowns took 12.5 s of CPU, and 4.4 s with kernels
 for AVX-512.
 """

@@ -1,7 +1,7 @@
 """Direct solvers that users supply in place of the built-in ones.
 
 A solver is a function or class that factorises one sparse matrix. :func:`solving_with` selects it
-for all factors that are made meanwhile. :mod:`kc2spice.linalg.factor` asks for it here.
+for all factors within the context. :mod:`kc2spice.linalg.factor` obtains the solver here.
 """
 
 from __future__ import annotations

@@ -221,7 +221,7 @@ def items_of(items: Iterable[object], kind: type[Kind]) -> tuple[Kind, ...]:
 
 @dataclass(frozen=True)
 class Pin:
-    """One pin of a subcircuit: what 1 V and 1 A on it mean.
+    """One pin of a subcircuit, with the meaning of 1 V and 1 A on it.
 
     A signal pin has the flow ``"-"``.
     """

@@ -73,8 +73,8 @@ class Command:
 class Measure:
     """A ``.meas`` card of an analysis ``kind``, with the factor of its value to SI.
 
-    ``words`` are those behind its name. An ``op`` has no such card: there the only word is the
-    vector that the deck prints.
+    ``words`` are those behind its name. An ``op`` analysis has no ``.meas`` card; its only word is
+    the vector that the deck prints.
     """
 
     name: str
@@ -356,7 +356,7 @@ class Deck:
 
     @property
     def _printed(self) -> Iterator[Line]:
-        """The card of what ngspice prints: the measures of an ``op``, and two vectors."""
+        """Cards of the printed values: the measures of an ``op``, and two vectors."""
         columns = []
         for row in self._available_measures if self.command.kind == "op" else ():
             yield f"* {row.name} in SI units is {number(row.factor)} times {row.words[0]}"

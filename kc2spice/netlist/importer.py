@@ -157,7 +157,7 @@ class _Scope:
                 return self._element(item)
         return (item,)
 
-    # --- models -----------------------------------------------------------------------------
+    # --- models -----------------------------------------------------------------------------------
 
     def _resolved(self, model: Model) -> Model:
         """The model with the parameters of the one that it is a kind of (``ako:``)."""
@@ -182,7 +182,7 @@ class _Scope:
         computed = {k: v for k, v in model.parameters.items() if k.lower() not in displayed}
         return (replace(model, parameters=self._values(computed, model)),)
 
-    # --- elements ---------------------------------------------------------------------------
+    # --- elements ---------------------------------------------------------------------------------
 
     def _is_ideal(self, model: Model) -> bool:
         """Whether it is the model of LTspice's piecewise linear diode."""
@@ -376,7 +376,7 @@ def _require_switch(model: Model) -> None:
         raise model.error(problem)
 
 
-# --- numbers and expressions -----------------------------------------------------------------
+# --- numbers and expressions ----------------------------------------------------------------------
 
 
 def _split_settings(law: str) -> tuple[str, dict[str, str]]:
@@ -468,7 +468,10 @@ class _Translator:
 
 
 def _is_positive(tree: Tree) -> bool:
-    """Whether a value cannot be negative: numbers, parameters, and functions of such a range."""
+    """Whether a value cannot be negative.
+
+    Positive numbers, parameters, and functions without negative values.
+    """
     return isinstance(tree, Number | Name) or (
         isinstance(tree, Call) and tree.function in ("abs", "cosh", "exp", "hypot", "sqrt", "uramp")
     )
@@ -481,7 +484,7 @@ def _translate_condition(tree: Tree) -> Tree:
 
 
 def _translate_limit(x: Tree, a: Tree, b: Tree) -> Tree:
-    """The one of three values that lies between the two others."""
+    """Return the median of three values."""
     low, high = Call("min", (a, b)), Call("max", (a, b))
     return Call("min", (Call("max", (x, low)), high))
 

@@ -38,7 +38,7 @@ _GOES_ON = "\\\\"  # two backslashes at the end of a line
 
 @dataclass(frozen=True)
 class Line:
-    """One line as it is written, its place as ``file:line``, and its raw text."""
+    """One line of a file, its place as ``file:line``, and its raw text."""
 
     text: str
     where: str
@@ -207,7 +207,7 @@ _FUNCTIONS = FUNCTIONS.union((
     "pwrs", "sign", "sqr", "stp", "table", "ternary_fcn", "unif", "v",
 ))
 _CONSTANTS = BUILT_IN.union(("c", "echarge", "false", "kelvin", "planck", "true"))
-# Options that change what is printed and nothing that is computed.
+# Options that change the printed output only, not the computation.
 HARMLESS = frozenset(("acct", "list", "noacct", "node", "nomod", "nopage", "numdgt", "opts", "post",
                       "probe", "warn", "width"))
 ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".tf", ".noise", ".pz", ".sens", ".disto",
@@ -287,7 +287,7 @@ def accuracy_options(cards: Iterable[Statement]) -> Mapping[str, str]:
     return result
 
 
-# --- what could act on the machine ---
+# --- lines that could act on the machine ---
 
 # fmt: off
 COMMANDS = OPTION_CARDS.union(_OUTPUTS, (

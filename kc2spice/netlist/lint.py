@@ -37,7 +37,7 @@ def lint(deck: Deck) -> None:
 
     Raises
     ------
-    UsageError : wrong wiring; the message names file, line, what is wrong and what was expected.
+    UsageError : wrong wiring; the message names file, line, mistake and expected text.
     """
     if result := find_circuit_problems(deck):
         first = result[0]

@@ -43,7 +43,7 @@ def read_parameter(text: str) -> float:
 
 
 def with_prefix(text: str) -> str:
-    """Return a number with the scale factor of an engineer, or as it is.
+    """Return a number with an SI scale factor if this is exact, otherwise unchanged.
 
     Names and plain integers, such as ``V1`` and ``12``, are returned unchanged.
 

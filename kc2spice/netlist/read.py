@@ -159,7 +159,7 @@ def tree_of(cards: Iterable[Statement]) -> Circuit:
 def _read_items(
     cards: Iterator[Statement], head: Statement | None
 ) -> tuple[tuple[Item, ...], tuple[str, ...]]:
-    """Return the items up to the ``.ends`` of ``head``, and the comments there.
+    """Return the items up to the ``.ends`` of ``head``, and the comments above the ``.ends``.
 
     Without ``head`` they are the items up to the end of the file.
     """

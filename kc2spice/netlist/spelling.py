@@ -11,9 +11,9 @@ from typing import Any
 
 from kc2spice.core.errors import MissingToolError, UsageError
 
-#: 1/s, at which a floating charge decays in a netlist. What holds a charge has a leak of this times
-#: its charge, so that the currents sum to zero at an operating point where the charges do, and of
-#: the current in it a share of 1.6e-10 Hz / f, whatever the capacitance.
+#: : 1/s, at which a floating charge decays in a netlist. A node that stores charge has a leak of
+# this rate times : its charge, so that the currents sum to zero at an operating point where the
+# charges do, and of : the current in it a share of 1.6e-10 Hz / f, whatever the capacitance.
 LEAK_RATE = 1e-9
 # A unit in place of the decimal point, such as 4k7, but no exponent such as 1e5.
 _INFIX = re.compile(r"(\d+)([a-df-z][a-z]*)(\d+)", re.IGNORECASE)

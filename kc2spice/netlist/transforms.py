@@ -26,7 +26,7 @@ DIGITS = "0123456789"
 def include_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit:
     """Return ``part`` with the ``helpers`` that it instantiates, as ``PART_HELPER``.
 
-    A user then includes one library file, and two such files never define the same name.
+    A user then includes one library file, and two library files never define the same name.
     """
     tree = part.circuit
     for helper in helpers:

@@ -83,7 +83,7 @@ def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
 
     Raises
     ------
-    UsageError : a part that such a simulator does not have, a card that KiCad has no symbol for.
+    UsageError : a part that the simulator lacks, or a card without a symbol in KiCad.
     """
     if dialect == VERILOG_A:
         return {}

@@ -1,4 +1,6 @@
-"""Physics stated once, as expressions, and what is generated from it."""
+"""Declarations of physics as expressions, and the netlists, laws and checks that are generated from
+them.
+"""
 
 from kc2spice.physics.declaration import Declaration as Declaration
 from kc2spice.physics.declaration import branch as branch

@@ -1,7 +1,7 @@
 """A declaration as a subcircuit: one source of current or voltage a branch.
 
-Inside, 1 V between pins is the unit of their domain, such as 1 um; other nodes are in SI. What
-changes over time is differentiated by the current of a capacitor that a source charges.
+Inside, 1 V between pins is the unit of their domain, such as 1 um; other nodes are in SI. A time
+derivative is the current of a capacitor that a source charges.
 """
 
 from __future__ import annotations
@@ -398,7 +398,7 @@ def _scale_to_si(tree: Tree, factor: float) -> Tree:
 
 
 def _format_power_of_ten(value: float) -> Number:
-    """Return a power of ten as people write it, such as 1e-6."""
+    """Return a power of ten in the usual spelling, such as 1e-6."""
     return ONE if value == 1 else Number(re.sub(r"e([-+])0", r"e\1", f"{value:g}").replace("+", ""))
 
 

@@ -1,4 +1,5 @@
-"""A part's physics as data: energies, losses and states as expressions of what is across its pins.
+"""The physics of a part as data: energies, losses and states as expressions of the quantities
+across its pins.
 
 ======================  ===================  =========================  =====================
 branch                  coordinate           through, into ``plus``     its rate
@@ -124,8 +125,8 @@ def branch(
 ) -> Branch:
     """Branch in any domain, whose coordinate is the quantity ``kind``, such as ``"pressure"``.
 
-    The names of the coordinate and of what flows through are by default the symbols of the
-    quantities in :mod:`kc2spice.core.domains`.
+    By default, the names of the coordinate and of the flow are the symbols of the quantities in
+    :mod:`kc2spice.core.domains`.
 
     Raises
     ------
@@ -328,7 +329,7 @@ class Declaration:
             *self.signal_trees.items(),
         )
 
-    # --- names ------------------------------------------------------------------------------
+    # --- names ------------------------------------------------------------------------------------
 
     @cached_property
     def coordinates(self) -> tuple[str, ...]:
@@ -444,7 +445,7 @@ class Declaration:
         """Keys that are numbers, and constants."""
         return (*self.numbers, *self.constants)
 
-    # --- expressions ------------------------------------------------------------------------
+    # --- expressions ------------------------------------------------------------------------------
 
     def _tree(self, what: str) -> Tree:
         """Expression tree of one of the energies, or of the content."""

@@ -54,7 +54,7 @@ STRIKES = 1.0  # strikes of a stop without a warning; two to nine caused errors 
 REBOUND = "what follows may hang on every step: error_budget estimates the error of each metric"
 _OWN = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state|lookup"
 _INNER = rf"(?:{_OWN})_.+|(?:edge|poly)\d+|tick"  # nodes
-_UNEXPLAINED = 1e-3  # share of what pins bring in that the steps of a run may lose
+_UNEXPLAINED = 1e-3  # fraction of the energy from the pins that the steps of a run may lose
 
 
 def sweep_numerics(part: Part, scene: DeclaredScene) -> Iterator[Numerics]:
@@ -79,7 +79,7 @@ class DeclaredPart(PartType[KeysT]):
         self.example = declaration.example
         self.noise = ("Rnoise",) if has_losses(declaration) else ()
 
-    # --- pins and netlist -------------------------------------------------------------------
+    # --- pins and netlist -------------------------------------------------------------------------
 
     def declared(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
         """Declaration of a part, by default that of its type."""
@@ -111,7 +111,7 @@ class DeclaredPart(PartType[KeysT]):
             if b.domain.path and b.flows:
                 flowing.append((b.plus, b.minus))
             elif b.domain.path:
-                # all others at rest first: what a long sum leaves of it has a short derivative
+                # all other variables at rest first: the remaining short sum has a short derivative
                 slope = derivative(d.at_rest(d.direct_flow(b), b.name), b.name)
                 if evaluate_tree(d.at_rest(slope), values):
                     stiff.append((b.plus, b.minus))
@@ -127,7 +127,7 @@ class DeclaredPart(PartType[KeysT]):
         if not self.declared(part, scene).linear:
             yield from sweep_numerics(part, scene)
 
-    # --- results ----------------------------------------------------------------------------
+    # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
         result, d = {}, self.built_declaration(part, build)
@@ -170,7 +170,7 @@ class DeclaredPart(PartType[KeysT]):
         law = DeclaredLaw(n, d.with_loop_pin, values, self.initial_motion(part, build))
         return laws.Equations((law,), law.joins, results)
 
-    # --- what a run says --------------------------------------------------------------------
+    # --- checks of a run --------------------------------------------------------------------------
 
     def checks(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Any]:
         """Yield checks of limits and impacts, and the energy balance."""
@@ -215,7 +215,7 @@ class DeclaredPart(PartType[KeysT]):
                 result[name] = wave
         return result
 
-    # --- what explain says ------------------------------------------------------------------
+    # --- notes of explain -------------------------------------------------------------------------
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
         yield "; ".join(self.declared(part, scene).equations)

@@ -225,7 +225,7 @@ class _Assembly:
             self.sizes[self.body[b.name]] = MICRO / reach
         self.extra_sizes = np.array(extra)
 
-    # --- what stamps use --------------------------------------------------------------------
+    # --- what stamps use --------------------------------------------------------------------------
 
     def form(self, law: L.Law, pin: str) -> np.ndarray:
         """Compute the displacement, voltage or signal of a pin as a form of the unknowns."""
@@ -270,7 +270,7 @@ class _Assembly:
         """Balances (size, stored) with the rates of quantities that a device stores."""
         return np.hstack([np.eye(self.size)[:, self.states(law)], -outputs[:, list(law.charged)]])
 
-    # --- reduction --------------------------------------------------------------------------
+    # --- reduction --------------------------------------------------------------------------------
 
     def _constraint_basis(self, where: slice, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute a basis of unconstrained motions, and R of ``y = R s``.

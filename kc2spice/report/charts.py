@@ -60,7 +60,7 @@ def render_figure(figure: Figure) -> str:
     )
 
 
-# --- curves and units of a panel ----------------------------------------------------------------
+# --- curves and units of a panel ------------------------------------------------------------------
 
 
 def _prepare_panel(panel: Panel) -> Iterator[Panel]:
@@ -200,7 +200,7 @@ def _split_curves(panel: Panel) -> Iterator[Panel]:
         yield replace(panel, curves=(*others[indices[0] : indices[-1] + 1], *shared))
 
 
-# --- data for the script ------------------------------------------------------------------------
+# --- data for the script --------------------------------------------------------------------------
 
 Range = tuple[float, float]
 

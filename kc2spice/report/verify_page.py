@@ -124,7 +124,7 @@ def _format_details(scene: str, findings: Findings) -> list[PageSection]:
     ]
 
 
-# --- figures: solutions over each other, and their differences ----------------------------------
+# --- figures: solutions over each other, and their differences ------------------------------------
 
 
 def plot_comparison(

@@ -664,7 +664,7 @@ class PartType(Generic[KeysT]):
     #: what has noise: cards of its subcircuit that are resistors of the device, or words for it
     noise: tuple[str, ...] | str = ()
 
-    # --- scene: keys, pins, further parts ------------------------------------------------------
+    # --- scene: keys, pins, further parts ---------------------------------------------------------
 
     def expand(
         self, part: Part[KeysT], data: Mapping[str, object]
@@ -740,7 +740,7 @@ class PartType(Generic[KeysT]):
         """
         return ()
 
-    # --- models and netlist --------------------------------------------------------------------
+    # --- models and netlist -----------------------------------------------------------------------
 
     def reduction(self, part: Part[KeysT], scene: Scene) -> Rom | None:
         """Return the settings of its reduction, None if its model is not reduced."""
@@ -839,7 +839,7 @@ class PartType(Generic[KeysT]):
                 result[pin.name] = np.sum(leaving, axis=0)
         return result
 
-    # --- results of a run ----------------------------------------------------------------------
+    # --- results of a run -------------------------------------------------------------------------
 
     def metrics(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Return numbers that describe its behaviour, by name.
@@ -897,7 +897,7 @@ class PartType(Generic[KeysT]):
         """Return its side view: the upper face of a body is at y = 0, its axis at x = 0."""
         return ()
 
-    # --- text for explain ----------------------------------------------------------------------
+    # --- text for explain -------------------------------------------------------------------------
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
         """Return text about the model of the part, and the effects that it neglects."""

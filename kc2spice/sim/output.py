@@ -161,7 +161,7 @@ def read_statistics(text: str) -> dict[str, float]:
     return result
 
 
-# --- failed runs ------------------------------------------------------------------------------
+# --- failed runs ----------------------------------------------------------------------------------
 
 
 class FailedRunError(SimulationError):

@@ -54,7 +54,7 @@ SHRINKS, STALLS = 0.9, 2  # from one estimate to the next; so often not, the axe
 Notches = Mapping[str, float]  # by how many notches an axis is moved, by its name
 
 
-# --- runs ---------------------------------------------------------------------------------------
+# --- runs -----------------------------------------------------------------------------------------
 
 
 class Runs:
@@ -234,7 +234,7 @@ def metric_changes(run: Run, finer: Run) -> dict[str, float]:
     return result
 
 
-# --- an error budget ----------------------------------------------------------------------------
+# --- an error budget ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

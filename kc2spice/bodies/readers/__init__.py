@@ -49,14 +49,14 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     Returns
     -------
     LinearModel
-        Model in SI units. Its ports are those of the TOML file, or else signals.
+        Model in SI units. The TOML file defines the ports. Without it, all ports are signals.
 
     Raises
     ------
     UsageError : no such model; a file that is damaged, too large, half stored, or not real and
-        finite; matrices or ports that do not fit together. The message names the file, the key,
-        what was found and what was expected.
-    MissingToolError : the format needs a package that is not installed; the message says which.
+        finite; matrices or ports that do not fit together. The message names the file, the key, the
+        faulty input and the expected input.
+    MissingToolError : the format needs a package that is not installed; the message names it.
 
     Examples
     --------

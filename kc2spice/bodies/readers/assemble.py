@@ -39,7 +39,8 @@ def assemble_model(rows: Rows) -> LinearModel:
 def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
     """Rename a damping matrix C to E, because C are the outputs here.
 
-    A square C beside M and K may be either, and is an error unless the sidecar tells which.
+    A square C beside M and K may be the damping or the outputs, and is an error unless the sidecar
+    states its meaning.
     """
     matrices, settings = rows.matrices, rows.sidecar
     C, K = matrices.get("C"), matrices.get("K")
@@ -255,7 +256,8 @@ class Rows:
     def _select_load(self, entry: PortEntry) -> np.ndarray:
         """Select a column of B or row of C, which must be equal for conservative ports."""
         B = self.matrices.get("B", np.zeros((self.size, 0)))
-        C = self.matrices.get("C", B.T)  # the file's, or what goes with nodes alone
+        # matrix C of the files, or the transpose of B
+        C = self.matrices.get("C", B.T)
         where, place = self.sidecar.of(entry), entry.column or entry.row or 0
         table, what = (B.T, "columns of B") if entry.row is None else (C, "rows of C")
         if place > len(table):

@@ -1,7 +1,7 @@
 """Readers of the matrix formats of FE codes.
 
 Abaqus writes ``JOB_STIF2.mtx``, ``JOB_MASS2.mtx`` ... of ``*MATRIX GENERATE``. With ``FORMAT=MATRIX
-INPUT`` (or ``LABELS``) such a text file contains ``node, dof, node, dof, value`` of one triangle.
+INPUT`` (or ``LABELS``) the text file contains ``node, dof, node, dof, value`` of one triangle.
 With ``FORMAT=COORDINATE`` it contains ``row column value`` of both triangles, without the names of
 the rows. A freedom that a boundary condition of the step fixes has 1e36 on the diagonal of the
 stiffness.

@@ -164,7 +164,7 @@ def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str
 
 @dataclass(frozen=True, eq=False)
 class _ColumnPair(EqualByContent):
-    """The ``samples`` (n,) of a combination of columns, and what their titles are."""
+    """The ``samples`` (n,) of a combination of columns, and the titles of these columns."""
 
     combination: Combination
     columns: tuple[Column, ...]
@@ -323,7 +323,8 @@ def _select_pair(combination: Combination, columns: _Columns) -> tuple[Column, C
 
     Raises
     ------
-    UsageError : columns of one quantity differ, and no channel tells which belong together.
+    UsageError : columns of one quantity differ, and no channel states which of them belong
+        together.
     """
     first, second = combination.columns
     sizes, others = columns.by_quantity[first], columns.by_quantity[second]

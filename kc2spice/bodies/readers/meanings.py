@@ -20,7 +20,7 @@ Quantity = Literal["S", "Z", "Y"]
 PREFIXES = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "": 1.0,
             "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # fmt: skip
 LARGE = "kMGT"  # prefixes of both cases where a small letter is no smaller prefix
-# Spellings of each unit, by what it measures, with its value in SI.
+# Spellings of each unit by the measured quantity, with the SI value of the unit.
 # A spelling with a capital letter counts in this case only.
 UNITS: dict[str, dict[str, float]] = {
     "frequency": {"hz": 1.0, "hertz": 1.0, "rad/s": 0.5 / np.pi, "rads": 0.5 / np.pi},
@@ -130,7 +130,8 @@ ADDED = re.compile(
     r"trace|tr\d*|trc\d*|ch\d*|channel|data|measured|measurement|meas|value|\d+|parameter|primary|"
     r"secondary|in|log|lin|linear"
 )
-CHANNEL = re.compile(r"\b(channel|ch)\s*(\d+|[a-z]\b)", re.I)  # tells which columns belong together
+# states which columns belong together
+CHANNEL = re.compile(r"\b(channel|ch)\s*(\d+|[a-z]\b)", re.I)
 # Titles of a table without titles, by the suffix of its file.
 SUFFIX_TITLES = {
     ".zma": ("Frequency (Hz)", "|Z| (Ohm)", "Phase (deg)"),
@@ -143,7 +144,7 @@ TRACE_COLUMN = re.compile(r"((data )?trace( [a-z0-9])?|formatted data)( (real|im
 TRACE_FORMAT = re.compile(r"\W*format\s*:\s*(.*\S)", re.I)
 COMPLEX_FORMATS = {"complex z": ("Re(Z) (Ohm)", "Im(Z) (Ohm)"),
                    "complex y": ("Re(Y) (S)", "Im(Y) (S)")}  # fmt: skip
-# Columns that state no quantity, with what they may be.
+# Columns that state no quantity, with their possible quantities.
 UNSTATED = {
     "formatteddata": "real and imaginary part of S11 or Z; or one real quantity beside zeros"
 }

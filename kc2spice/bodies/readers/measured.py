@@ -61,7 +61,7 @@ class Measured(EqualByContent):
 
     ``samples`` (n, ports, ports) are the ``quantity`` that was measured, ``"S"``, ``"Z"`` or
     ``"Y"``; ``Y`` by default. ``reference`` (ports,) [Ohm] are the resistances of S. ``notes`` are
-    assumptions of the reader, ``columns`` what it understood.
+    assumptions of the reader, ``columns`` the columns that it used.
     """
 
     name: str
@@ -141,7 +141,7 @@ def is_measured(path: Path) -> bool:
     if path.suffix.lower() == ".mat" and is_file(path):
         try:
             return any(map(is_frequency, _load_variables(path, path.stat().st_mtime)))
-        except (ValueError, NotImplementedError):  # which the reader of matrices tells
+        except (ValueError, NotImplementedError):  # which the reader of matrices reports
             return False
     return bool(by_suffix) and is_file(path)
 
@@ -211,7 +211,7 @@ def read_measured(path: Path, shunt: float | None = None) -> Measured:
 
 
 def shunt_resistance(shunt: str | float | None) -> float | None:
-    """Resistance [Ohm] of what ``--shunt`` states, None without one.
+    """Resistance [Ohm] of the option ``--shunt``, None without the option.
 
     Raises
     ------

@@ -68,7 +68,7 @@ class NodeMesh:
 
 
 def read_nodes(path: Path) -> NodeMesh:
-    """Read the nodes and node sets of a file, whose suffix tells the format.
+    """Read the nodes and node sets of a file, whose suffix determines the format.
 
     Raises
     ------

@@ -61,7 +61,7 @@ Triple: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 T = TypeVar("T")
 
 
-# --- what is refused ------------------------------------------------------------------------------
+# --- refused files --------------------------------------------------------------------------------
 
 
 def unusable_file(path: Path, got: object, expected: str, hint: str = NEXT) -> UsageError:
@@ -180,7 +180,7 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
     return matrix
 
 
-# --- what is read ---------------------------------------------------------------------------------
+# --- accepted files -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +269,7 @@ _NAMES = ("nodes", "dofs")
 _SECONDS = 8, 1_000_000  # CPU seconds for a small file; bytes per second of a large one
 _MEMORY = 1_300_000_000  # bytes, with libraries, in addition to the content of the file
 _OTHER = ("cell", "object", "char", "function", "opaque")
-# Fields of the structs by letter, the first that is there.
+# Fields of the structs by letter; the first existing field is used.
 _STATE = {"E": ("Mc",), "A": ("MA", "A"), "B": ("MB", "B"), "C": ("C",), "D": ("D",)}
 _SECOND = {"M": ("Ec", "E"), "E": ("Dc", "D"), "K": ("Kc", "K"), "B": ("Lc", "L")}
 
@@ -306,8 +306,9 @@ def call_in_process(
 
     Raises
     ------
-    UsageError, ValueError : the file is missing or too large, or anything else goes wrong there.
-    MissingToolError : the function needs a package that is not there.
+    UsageError, ValueError : the file is missing or too large, or the process fails for another
+        reason.
+    MissingToolError : the function needs a package that is not installed.
     """
     memory = _MEMORY + 2 * unpacked_limit(path)
     seconds = _SECONDS[0] + path.stat().st_size // _SECONDS[1]

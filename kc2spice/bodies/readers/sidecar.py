@@ -1,4 +1,4 @@
-"""``NAME.toml`` beside the matrices: what the tool's files do not say.
+"""``NAME.toml`` beside the matrices: units, supports and ports of the model.
 
 ::
 
@@ -188,7 +188,7 @@ class NodeSelection(Section):
 
     @property
     def placed(self) -> bool:
-        """Whether it says where."""
+        """Whether the entry selects nodes."""
         return any(item is not None for item in (self.numbers or None, self.nodeset, self.at))
 
     @property

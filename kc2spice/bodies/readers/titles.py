@@ -42,7 +42,7 @@ LONGEST_TITLE = 200  # characters
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit as it is written, what it ``measures`` and its ``value`` in SI."""
+    """A unit with its spelling, the quantity that it ``measures`` and its ``value`` in SI."""
 
     text: str
     measures: str
@@ -98,7 +98,7 @@ def parse_units(text: str) -> list[Unit]:
 
 
 def _prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | None:
-    """The factor of a prefix, None for what is none."""
+    """Return the factor of a prefix; None if the text is no prefix."""
     if len(prefix) > 1:
         return None
     small = measures in ("capacitance", "inductance", "admittance") or base == "OHM"

@@ -45,8 +45,9 @@ from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import INCLUDES
 
 _SAME = frozenset({".end", *ANALYSES, *INCLUDES}) - {".noise"}
-_SHARED = frozenset("rclvikfhxdqjmbegs")  # written alike, but for braces and parameters
-# Models that all three read alike: SPICE2's own parameters.
+# written in the same way in all dialects, except for braces and parameters
+_SHARED = frozenset("rclvikfhxdqjmbegs")
+# Models with the parameters of SPICE2, which have the same meaning in all three simulators.
 _SEMICONDUCTORS = {
     "d": "is rs n tt cjo vj m eg xti fc bv ibv",
     "npn": "is bf nf vaf ikf ise ne br nr var ikr rb rc re cje vje mje tf cjc vjc mjc tr",
@@ -83,14 +84,15 @@ class Dialect(Printer, ABC):
     """One simulator's spelling of a netlist, as differences from ngspice.
 
     ``dialect`` is the name for ``--dialect``, ``title`` the name of the simulator in messages and
-    ``command`` what runs a deck. ``keyword`` stands before parameters of subcircuits. ``functions``
-    are those of expressions that the simulator has, ``rewritten`` those that :meth:`call` writes in
-    other words. ``known_options`` are settings that it has too, behind ``option_prefix``; other
-    ones become comments. ``joined`` commands are written as one card. ``parameters`` are those of
-    each kind of card. ``temperature`` is the name of the temperature in expressions.
+    ``command`` the command that runs a deck. ``keyword`` stands before parameters of subcircuits.
+    ``functions`` are those of expressions that the simulator has, ``rewritten`` those that
+    :meth:`call` writes in other words. ``known_options`` are settings that it has too, behind
+    ``option_prefix``; other ones become comments. ``joined`` commands are written as one card.
+    ``parameters`` are those of each kind of card. ``temperature`` is the name of the temperature in
+    expressions.
 
     ``deck`` is the deck that is printed, None for a library alone, and :attr:`analysis` its
-    analysis. :meth:`refusal` is the error for what the simulator has no words for.
+    analysis. :meth:`refusal` is the error for a construct that the simulator lacks.
     """
 
     dialect: ClassVar[str] = ""
@@ -141,7 +143,7 @@ class Dialect(Printer, ABC):
         match item.keyword:
             case ".meas":
                 return self.measure(item) or f"* {self.title} prints no {item.text}"
-            case ".print":  # ngspice's own; what .save names is what a dialect prints
+            case ".print":  # cards of ngspice only; a dialect prints the vectors of .save
                 return ""
             case ".options" | ".option" | ".opt":
                 return self.options(item.words)
@@ -286,7 +288,7 @@ class Dialect(Printer, ABC):
         return ":".join([*trace.path, *trace.names])
 
     def number(self, text: str) -> str:
-        """Return a word with numbers that all simulators read alike.
+        """Return a word with numbers that all simulators read as the same value.
 
         Units behind a number and scale factors such as ``mil``, ``a`` or ``x`` are replaced.
         """

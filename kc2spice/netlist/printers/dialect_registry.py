@@ -38,7 +38,7 @@ def register_dialect(dialect: type[Dialect]) -> type[Dialect]:
 
     Raises
     ------
-    UsageError : it is no such class, lacks a method, or has the name ngspice or verilog-a.
+    UsageError : it is no subclass of Dialect, lacks a method, or has the name ngspice or verilog-a.
 
     Examples
     --------

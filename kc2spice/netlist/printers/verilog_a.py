@@ -453,7 +453,8 @@ def _use_modules(item: Item, stems: Mapping[str, str], replaced: Collection[str]
     elif item.keyword in _PRINTED or (item.keyword in INCLUDES and words[0] in replaced):
         words = ()
     if item.words and not words:
-        notes = () if item.keyword in _PRINTED else item.notes  # those say what is printed
+        # these cards state the printed vectors
+        notes = () if item.keyword in _PRINTED else item.notes
         return replace(item, keyword="", words=(), notes=notes)
     return replace(item, words=words)
 

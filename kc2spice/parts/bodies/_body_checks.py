@@ -127,9 +127,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         It is the error at the worst frequency of the band. In a transient it is the error under the
         recorded loads, if the former is too large or a contact excites modes above the band.
 
-        A pointwise error at a sharp resonance is no error of what the loads do, and a small one is
-        no error of what loads above the band do. The recorded forces and voltages weight the error
-        by their spectrum: a model of more states answers them too.
+        A large pointwise error at a sharp resonance may have no effect under the recorded loads,
+        and a small one says nothing about loads above the band. The error under load compares the
+        responses of this model and of a model with more states to the recorded forces and voltages.
         """
         name, error = part.name, certificate.error_estimate
         unlike = max((size for _, size in certificate.above), default=0.0) > UNLIKE
@@ -244,10 +244,10 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> Balance | None:
         """Work of voltage and forces on the body against its exact response to the same loads.
 
-        What the exact response takes in and does not store is damped. The electrical part needs the
-        body's current among the waveforms. The scale is the largest change of the energy stored, or
-        of what rounds it where nothing moves. Where the ringing is coarse, that is judged until
-        nothing presses on the body any more; else displacements [m] and charges [C] are exact.
+        The losses are the work on the exact response less its stored energy. The electrical part
+        needs the current of the body among the waveforms. The scale is the largest change of the
+        stored energy, or its rounding error if nothing moves. With coarse ringing, the check ends
+        when the last force on the body ends.
         """
         model, t = resonators(build.model(part, LinearModel)), waves["time"]
         ports = self.used_ports(part, build.scene)

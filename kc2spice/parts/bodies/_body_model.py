@@ -45,7 +45,9 @@ if TYPE_CHECKING:
     from kc2spice.rom.enriched import Orders
 
 UNASKED = 1e-4  # tolerance over a box of parameters where an order is the default
-LEAST = 10e3  # Hz of a transient's band at least: what switches in the circuit is not known
+# Hz, least upper end of the band of a transient, because switching in the circuit has unknown
+# frequencies
+LEAST = 10e3
 MOTIONS = 20  # natural frequencies that a band reaches unasked: above them the mesh decides
 # Keys of a body that change no model of it.
 _NO_MODEL = {"rom", "fields", "rated_voltage", "number"}
@@ -71,7 +73,9 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def varied(
         self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock, like: Part[LinearKeysT]
     ) -> LinearModel:
-        """Return :meth:`full` on the mesh of ``like``, a part of other values, moved to these."""
+        """Return :meth:`full` on the mesh of ``like``, a part with other values, moved to the
+        values of this part.
+        """
         return self.full(part, scene, clock)
 
     def full_key(self, part: Part[LinearKeysT], scene: GovernedScene) -> Mapping[str, Any]:
@@ -95,8 +99,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def reduction(self, part: Part[LinearKeysT], scene: Scene) -> Rom:
         """Settings of the keys; by default a tolerance over the band that the analysis uses.
 
-        In ``ac``, the band ends 20 % above the last frequency. In a transient, it contains what the
-        scene excites (:meth:`PartType.numerics`), up to the first :data:`MOTIONS` natural
+        In ``ac``, the band ends 20 % above the last frequency. In a transient, it contains the
+        excited frequencies (:meth:`PartType.numerics`), up to the first :data:`MOTIONS` natural
         frequencies of the body. The tolerance of 1e-3 is a tenth of usual mesh errors. It is above
         the effect of rounding on a free thin plate, some 1e-4 at its resonances.
         """
@@ -201,7 +205,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
             return None if self._has_constant_losses(part) else self._full_model(part, scene, clock)
         if keys := varied_keys(part):
             return self.varying(part, scene, clock).at(values_of_part(keys))
-        # Asked here, as parts of the key: what runs within ``build`` is hashed with its modules.
+        # Computed here as part of the key, because ``build`` itself is hashed by the text of its
+        # modules only.
         target, model_key = reduction_target(part, scene), self.model_key(part, scene)
         tangent, constants = loss_tangent(part), has_complex_constants(part)
 
@@ -294,7 +299,7 @@ def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
 
     Raises
     ------
-    UsageError : there is no resonance that says at which frequency.
+    UsageError : there is no resonance that determines the frequency.
     """
     damping, facts = damping_of(part), model.facts
     at = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))

@@ -67,8 +67,8 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def used_ports(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Port, ...]:
         """The ports that the scene needs: electrical ones, and others that something names.
 
-        Return all ports if the body is the only part, because such a scene exists to export the
-        body. In an export, return all declared ports.
+        Return all ports if the body is the only part, because the scene only exports the body. In
+        an export, return all declared ports.
         """
         every = self.ports(part, scene)
         if len(scene.parts) == 1 or scene.ports == "all":
@@ -119,7 +119,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def rest_with_model(self, part: Part[LinearKeysT], build: Build) -> Rest:
         """Return the paths from all pins to its reference, of a free body between its pins.
 
-        A port that takes up volume for a pressure is a path for flow only in a free body.
+        An acoustic port is a path for flow only if the body is free.
         """
         model, rest = build.models.get(part.name), build.scene.records[part.name].rest
         if not isinstance(model, LinearModel):

@@ -45,8 +45,8 @@ from kc2spice.synthesis.realize import COARSE
 
 FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
 STEP = 1e-2  # relative, of a parameter: its sensitivities are central differences
-# Relative error of a mesh above which a run warns and ``verify`` fails: what a data sheet states of
-# a part. By the facts of a model that it is an error of.
+# Relative error of a mesh above which a run warns and ``verify`` fails, by the fact of the model.
+# The limits are usual tolerances of data sheets.
 COARSE_MESH = {"first resonance": 0.03, "capacitance": 0.05, "stroke": 0.1}
 MESH_FACTS = {
     "first resonance": "resonance_short_hz",
@@ -58,8 +58,8 @@ MESH_FACTS = {
 class LinearBody(BodyChecks[LinearKeysT]):
     """A linear part with metrics, figures and notes.
 
-    Each base class has one subject: ports, models, netlist, checks. A subclass says which
-    :meth:`ports` its keys give and builds the :meth:`full` model of the whole device with them.
+    Each base class has one subject: ports, models, netlist, checks. A subclass derives the
+    :meth:`ports` from its keys and builds the :meth:`full` model of the whole device.
     """
 
     def metrics(
@@ -108,8 +108,8 @@ class LinearBody(BodyChecks[LinearKeysT]):
     ) -> Mapping[str, Probe | LargestRealPart]:
         """The resonance of an impedance, where the model's conductance is largest there.
 
-        It is that of the current of a voltage source at its first electrode, nothing else loading
-        the body.
+        The resonance is that of the current of a voltage source at the first electrode, if nothing
+        else loads the body.
         """
         result = f"{part.name}.current"
         if build.scene.analysis.type != "ac" or result not in build.records[part.name].vectors:
@@ -241,7 +241,8 @@ def _count_of_key(part: Part, key: str) -> int:
 
 
 def impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> dict[str, Any]:
-    """The impedance (frequencies,) [Ohm] as metrics, and what an analyser reads off from it.
+    """The impedance (frequencies,) [Ohm] as metrics, and the values that an impedance analyser
+    derives from it.
 
     Without a resonance in the range the curve is the only metric.
     """

@@ -28,7 +28,10 @@ class LinearKeys(Section):
 
 
 class FieldKeys(LinearKeys):
-    """Whether a run recovers what happens inside the body; instants become VTU files."""
+    """Keys of the stress and field inside the body.
+
+    Whether a run computes them, or the instants for which it writes VTU files.
+    """
 
     fields: bool | Annotated[tuple[Time, ...], Field(min_length=1, max_length=MOST)] | None = Field(
         None,

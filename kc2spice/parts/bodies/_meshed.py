@@ -1,9 +1,9 @@
-"""Bodies whose stress and field a run recovers on their mesh, where the key ``fields`` asks for it.
+"""Bodies whose stress and field a run computes on their mesh if the key ``fields`` is set.
 
 The full model's motion under the port waveforms of the run (:mod:`kc2spice.bodies.fields`) gives
 the largest principal stress and field of every material beside its limit, a VTU file of the instant
-of the largest stress and a picture of the body at that instant. The shapes of its lowest modes are
-there in ``ac`` as well.
+of the largest stress and a picture of the body at that instant. An ``ac`` analysis also gives the
+shapes of the lowest modes.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 TOO_COARSE = "refine the mesh (its key refine), or set error_budget, which refines all settings"
 MODES = 6  # drawn at most, the lowest ones
 _SINGULAR = "look at the VTU file: edges of clamps and corners exceed any limit when refined"
-# Word and unit of the metrics, panel and scale of the plot, and what going beyond means.
+# Word and unit of the metrics, panel and scale of the plot, and the effect of exceeding the limit.
 _QUANTITIES = {
     "principal_stress": (
         "stress", "pa", "largest principal stress in MPa", f"it may crack; {_SINGULAR}",
@@ -341,7 +341,7 @@ def _plot_extremes(name: str, recovered: RecoveredFields) -> Figure:
     panels = []
     for quantity, (_, _, label, _) in _QUANTITIES.items():
         rows = recovered.extremes_of(quantity)
-        if quantity == "opposing_field":  # else the panel above says it all
+        if quantity == "opposing_field":  # otherwise the panel above contains the same curves
             rows = [e for e in rows if e.limit and e.value > 0]
         if not rows:
             continue

@@ -1,7 +1,7 @@
 """Effects that no finite-element body models, each with its size if a formula exists.
 
-An :class:`Envelope` is what these formulas take: outer sizes, mass and layers, known from the keys
-before any mesh is made. What a body models after all (a layer of glue) is not listed.
+The input of these formulas is an :class:`Envelope`: outer sizes, mass and layers, which follow from
+the keys before a mesh exists. Effects that a body models, such as a layer of glue, are not listed.
 """
 
 from __future__ import annotations

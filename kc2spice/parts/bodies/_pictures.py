@@ -1,4 +1,4 @@
-"""Figures of bodies: what their ports did, and what happens inside a meshed one."""
+"""Figures of bodies: waveforms of their ports, and fields and modes of meshed bodies."""
 
 from __future__ import annotations
 

@@ -2,12 +2,11 @@
 
 Unimorphs, series and parallel bimorphs, and beams of metal alone (then without electrical pins).
 
-x runs along the length from the clamp, y along the width, z up. Every layer is a solid of
-quadratic hexahedra, so plate action, the clamp's hindrance of lateral contraction and the field
-inside the layers are there without a theory of beams. Both faces of a piezoelectric layer are
-electrodes all over; faces across a conductor, and between two piezoelectric layers, are one. A
-positive voltage at the anode bends the tip up: layers above the middle are poled to contract,
-those below to stretch.
+x runs along the length from the clamp, y along the width, z up. Every layer is a solid of quadratic
+hexahedra, so plate action, the lateral contraction at the clamp and the field inside the layers
+need no theory of beams. Both faces of a piezoelectric layer are electrodes all over; faces across a
+conductor, and between two piezoelectric layers, are one. A positive voltage at the anode bends the
+tip up: layers above the middle are poled to contract, those below to stretch.
 
 * *series*: anode on top, cathode at the bottom, all between floating;
 * *parallel*: the levels of electrodes are anode and cathode by turns, the top one anode.
@@ -107,7 +106,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     """Make the layers with electrodes, support, ports and the mass at the tip.
 
     ``mesh.refine`` divides edges in the plane, and every second one through the thickness: one
-    quadratic element there represents the bending of a plate.
+    quadratic element through the thickness represents the bending of a plate.
 
     Raises
     ------

@@ -99,7 +99,7 @@ class Drive(Section):
 
 
 class Stack(Chip, FieldKeys):
-    """Piezoelectric chip actuator, with its drive where nothing else is joined to the anode."""
+    """Piezoelectric chip actuator, with its own drive if nothing is joined to the anode."""
 
     electrical: Literal["open", "short", "driven"] = Field(
         "driven", description="Electrical condition of an anode that no part is connected to"

@@ -9,8 +9,8 @@ of equal strips of width d, from clamp to clamp; between two of them ``w' = (15 
 Of a plate held all round, with rows of patches as its face, it is the same with ``e = int |grad
 w|^2 dA / (2 width)`` and stiffness = E h width / (length (1 - nu^2)): H. M. Berger, J. Appl. Mech.
 22 (1955) 465, who leaves the second invariant of the strains in the plane out. The squares of means
-lack a twelfth of the squares of what differs between rows. At a mirror plane w is even as at a
-clamp, so a quarter of a plate has its own length, width and stiffness.
+lack a twelfth of the squared differences between rows. At a mirror plane w is even as at a clamp,
+so a quarter of a plate has its own length, width and stiffness.
 """
 
 from __future__ import annotations

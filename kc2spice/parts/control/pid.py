@@ -143,7 +143,8 @@ def pid_subcircuit(
     The output stage of amplifiers measures with a resistor that gives 10 V at the current limit, at
     most 100 Ohm, so that no limit is beyond the rails; its supply, in steps of 100 V, drives that
     limit through the ``load`` [Ohm] of the coils, and what is left over slews the current. Without
-    it the controller ends at ``command``, 100 V for each ampere that it wants.
+    the output stage, the output of the controller is ``command``, with 100 V for each ampere of the
+    set current.
     """
     declared = declare_control(control, output=output)
     if control.form == "ideal":

@@ -188,7 +188,7 @@ class ResonatorPart(NumberedPart[KeysT]):
             ),
         )
 
-    # --- results ----------------------------------------------------------------------------
+    # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
         result, (plus, minus) = {}, self.ends

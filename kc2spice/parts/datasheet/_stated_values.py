@@ -33,7 +33,7 @@ Relation = Callable[[np.ndarray], float]
 
 @dataclass(frozen=True, eq=False)
 class StatedValues:
-    """Values of a data sheet by their keys, and what each of them is in terms of the unknowns.
+    """Values of a data sheet by their keys, and each value as a function of the unknowns.
 
     ``relations`` has the functions of all values that a sheet may state, of the unknowns
     ``start.size`` in SI. ``start`` is where the iteration begins. Values have the relative
@@ -71,7 +71,7 @@ class StatedValues:
         """``key = value unit``."""
         return f"{key} = {value:.5g} {self.units[key.partition('[')[0]]}".rstrip()
 
-    # --- equations --------------------------------------------------------------------------
+    # --- equations --------------------------------------------------------------------------------
 
     def _logarithm(self, key: str, x: np.ndarray) -> float:
         unknowns = np.exp(np.clip(x, -LARGEST, LARGEST))
@@ -93,7 +93,9 @@ class StatedValues:
         return self._fit_from(np.log(self.start))
 
     def _fit_from(self, start: np.ndarray) -> np.ndarray:
-        """Logarithms of the unknowns nearest to these."""
+        """Return the logarithms of the unknowns that fit the values best, from these starting
+        values.
+        """
         from scipy.optimize import least_squares  # loads slowly
 
         weights = np.array([1 / self.tolerance_of(key) for key in self.stated])
@@ -117,7 +119,7 @@ class StatedValues:
         rows = [self._gradient(key, x) for key in (*self.stated, *more)]
         return int(np.linalg.matrix_rank(np.array(rows), tol=RANK)) if rows else 0
 
-    # --- faults -----------------------------------------------------------------------------
+    # --- faults -----------------------------------------------------------------------------------
 
     def _require_computable(self) -> None:
         for key, value in self.stated.items():

@@ -1,5 +1,5 @@
-"""Parts whose netlist is a template of ``templates/``, the operational amplifier in them, and what
-all drivers share: electronics between a command and electrodes or coils.
+"""Parts whose netlist is a template of ``templates/``, the operational amplifier in them, and the
+common base of all drivers, which are the electronics between a command and electrodes or coils.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class InputNoise(Section):
 class TemplatePart(PartType[KeysT]):
     """A part whose cards are ``templates/TEMPLATE.j2``, with an amplifier of the level ``opamp``.
 
-    ``heading`` says in its library's first line what it is; ``fixed`` are its pins, ``constants``
-    numbers of the template that no key sets.
+    ``heading`` describes the part in the first line of its library; ``fixed`` are its pins,
+    ``constants`` numbers of the template that no key sets.
     """
 
     template: ClassVar[str]
@@ -167,7 +167,7 @@ class Load(NamedTuple):
 
     inductance: float  # H
     resistance: float  # Ohm
-    current: float = 1.0  # A, the largest that its controller asks for
+    current: float = 1.0  # A, the largest set current of its controller
 
 
 def pin_voltages(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vector]:

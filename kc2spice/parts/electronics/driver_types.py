@@ -1,4 +1,4 @@
-"""The drivers: what each is made of and what its keys are."""
+"""The drivers: the circuit and the keys of each type."""
 
 from __future__ import annotations
 

@@ -75,7 +75,8 @@ class Kind(NamedTuple):
 
 
 KINDS = {name: Kind(*place) for name, place in QUANTITIES.items()}
-SMOOTHED = ("voltage", "force")  # by inductance and mass; all others are what moves and flows
+# by inductance and mass; all other quantities are motions and flows
+SMOOTHED = ("voltage", "force")
 SHAPES = ("dc", "pulse", "sine", "pwl", "file")
 MAX_ROWS = 100_000  # rows of a file
 PER_PERIOD = 125  # points of a sine: 4e-4 of its amplitude lie between two of them

@@ -1,11 +1,11 @@
 """A gap between faces of a body and a fixed electrode: pull-in, contact, release, squeezed film.
 
-The face is one port or a row of them, each a patch with its own displacement; x is how far a patch
-has risen, ``d = gap - x`` what is left under an electrode above it, ``gap + x`` over one below. Of
-each patch of area A the coenergy is ``C v^2 / 2`` with ``C = permittivity eps0 A / d``; with
-``fringing`` that of a strip of width w and thickness t instead, per length ``eps0 permittivity (w/d
-+ 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T. Fokkema, Integration 2
-(1984) 85). The stop is that of ``_stop`` beyond ``travel``.
+The face is one port or a row of them, each a patch with its own displacement; x is the displacement
+of a patch upwards. The distance d is ``gap - x`` to an electrode above the patch, and ``gap + x``
+to an electrode below. Of each patch of area A the coenergy is ``C v^2 / 2`` with ``C = permittivity
+eps0 A / d``; with ``fringing`` that of a strip of width w and thickness t instead, per length
+``eps0 permittivity (w/d + 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T.
+Fokkema, Integration 2 (1984) 85). The stop is that of ``_stop`` beyond ``travel``.
 
 The film of gas is that of a rectangle vented on all sides (J. J. Blech, J. Lubr. Technol. 105
 (1983) 615). Its pressure is a series of ``sin(m pi x / l) sin(n pi y / w)``, m and n odd, and each
@@ -69,9 +69,10 @@ from kc2spice.scene.rows import Vector
 PATCH = "patch"  # begins the names of a body's ports that are one row of patches
 ROUNDED = 1e-9  # error of force over displacement at an operating point, by iterations
 UNSTABLE = 1e-5  # change of the capacitance, relative; above rounding errors of ngspice at rest
-TERMS = 99  # odd m and n up to this; what is left out damps 1e-4 less
+TERMS = 99  # odd m and n up to this number; the remaining terms contribute 1e-4 of the damping
 FINER = 2  # branches of the film in verify, of those in the netlist
-FEWEST, MOST = 3, 100  # branches that a scene sets: its motion may be faster than what drives it
+# number of branches that follows from the scene: the motion may be faster than the drive
+FEWEST, MOST = 3, 100
 
 
 class Fringing(Section):

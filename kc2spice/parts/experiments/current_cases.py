@@ -118,7 +118,10 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         }
 
     def law(self, part: Part[CurrentCasesKeys], build: Build) -> laws.Equations:
-        """Return the laws of the coils; a source prescribes the height and feels their forces."""
+        """Return the laws of the coils.
+
+        A source prescribes the height, and the forces of the coils act on it.
+        """
         n, pulled, fed = part.name, _sphere(part, build.scene), _coils(part, build.scene)
         table, height = build.model(fed, EMTable), [f"{n}.out"]
         result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant(0.0))]

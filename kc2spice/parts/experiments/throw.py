@@ -1,4 +1,4 @@
-"""A sphere's motion at t = 0, and what an impact is judged by (paper 2.2.2, Fig. 9)."""
+"""The motion of a sphere at t = 0, and the metrics of an impact (paper 2.2.2, Fig. 9)."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         yield Gate("separation time", "separation_time_s", time, "absolute", "s")
 
     def law(self, part: Part[ThrowKeys], build: Build) -> laws.Equations:
-        """None of its own: the sphere starts as it says."""
+        """No law: the part only sets the initial state of the sphere."""
         return laws.Equations()
 
     def notes(self, part: Part[ThrowKeys], scene: Scene) -> Iterator[str]:

@@ -271,7 +271,7 @@ class MovingBody(DeclaredPart[MovingT]):
                 label = f"{part.name}: coil {name}, {coil.turns:g} turns" if side > 0 else ""
                 yield Shape(side * coil.radius, coil.y, coil.width, coil.height, "coil", label)
 
-    # --- model ------------------------------------------------------------------------------
+    # --- model ------------------------------------------------------------------------------------
 
     def build(self, part: Part[MovingT], scene: Scene, clock: Clock, full: bool = False) -> Ladder:
         """Build the loops and couplings of the body.

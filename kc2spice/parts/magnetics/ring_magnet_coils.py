@@ -194,7 +194,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             yield part.wrong("y_min", "empty range of positions", got, "y_min < y_max")
         bodies: dict[str, Ring] = {item: getattr(keys, item) for item in ("ring", *COILS)}
         for body_name, body in bodies.items():
-            # what, its key, what it is, and whether less or more than what of whom is right
+            # part, key, meaning, and the limit of another part with the required order
             rules = (
                 ("no material left", "inner", body.inner < body.outer,
                  "less than outer", body.outer),

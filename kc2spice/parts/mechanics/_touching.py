@@ -200,7 +200,9 @@ class Pair:
 
     @cached_property
     def deepest_penetration(self) -> Penetration:
-        """The largest of what the parts of the scene can do, or the one that moves side ``b``."""
+        """The largest indentation that a part of the scene can cause, or that of the part that
+        moves side ``b``.
+        """
         parts, by = self.scene.parts, self.scene.movers.get(self.b.part)
         able = parts.values() if by is None else [parts[by]]
         result = [Penetration(0.0, "its weight")]
@@ -218,7 +220,7 @@ class Pair:
         """Return the recorded forces [N] of the ports (ports, n)."""
         return np.array([waves[f"{self.part.name}.force.{port}"] for port in self.ports])
 
-    # --- the law ----------------------------------------------------------------------------
+    # --- the law ----------------------------------------------------------------------------------
 
     @cached_property
     def normal(self) -> Normal:
@@ -274,7 +276,7 @@ class Pair:
             compliance += 1 / side.modulus
         return 1 / compliance
 
-    # --- pressure (kc2spice.bodies.pressure) ------------------------------------------------
+    # --- pressure (kc2spice.bodies.pressure) ------------------------------------------------------
 
     @cached_property
     def shape(self) -> PressureBasis:
@@ -317,8 +319,8 @@ class Pair:
     def basis_error(self) -> float:
         """Gate of the law against a full model with a finer basis, relative: 0 for rings.
 
-        By how much the force differs from that of a basis half as wide, at depths from half of
-        what the scene can reach on; the patch's own compliance is part of both.
+        The error is the difference to the force of a basis half as wide, at depths from half of the
+        largest depth of the scene. Both forces include the compliance of the patch.
         """
         from kc2spice.bodies.pressure import pressure_basis
 
@@ -334,7 +336,7 @@ class Pair:
             forces.append(law.force(np.linspace(0.5, 1.0, 50) * deepest))
         return REFINED * float(np.abs(forces[1] / forces[0] - 1).max())
 
-    # --- motion -----------------------------------------------------------------------------
+    # --- motion -----------------------------------------------------------------------------------
 
     def pushed_depth(self, waves: Waveforms) -> np.ndarray | None:
         """Indentation [m] by a part that pushes side ``b``; None if it moves freely."""

@@ -45,7 +45,8 @@ from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 # exceeds; what it is where there is no certificate; and the largest one. A pointwise error at a
 # sharp resonance may be any number, and runs warn of loads that are answered off by a hundredth.
 REDUCED, BEYOND, WORST_LAUNCH = 0.4, 1e-3, 1e-2
-MISSING = 1e-3  # energy that the springs may make or lose, of what went through them
+# energy that the springs may gain or lose, relative to the energy that passed through them
+MISSING = 1e-3
 CARRYING = 3.0  # basis functions across a contact's radius: 5e-3 off, half as many 3e-2
 COARSE_BASIS = 3e-2  # error estimate of the force by the pressure basis functions: see CARRYING
 OPEN = 0.95  # largest motion of an omitted ring, relative to its gap
@@ -61,7 +62,7 @@ CARRIED = "dent"  # pin that meets the port of an elastic sphere
 
 
 class Contact(DeclaredPart[ContactKeys]):
-    """Its physics is up to its keys and to what touches."""
+    """The physics of a contact depends on its keys and on the touching parts."""
 
     name = "contact"
     title = "unilateral penalty contact"
@@ -302,7 +303,7 @@ def _check_pressure(pair: Pair) -> Iterator[UsageError]:
             yield part.wrong(key, f"pressure has its own law, without {key}", got, hint=hint)
 
 
-# --- what the waveforms say -----------------------------------------------------------------------
+# --- checks of the waveforms ----------------------------------------------------------------------
 
 
 def _loaded_interval(force: np.ndarray) -> slice:
@@ -390,8 +391,8 @@ def _check_open_ports(
     Nothing records that port. Without contact it would rise with the outermost kept one and the
     dents that the recorded forces press into that one, ``u_K + sum_j S_Kj F_j``, and its own dent
     only takes it farther from the sphere. S is the static compliance: over one ring's spacing the
-    chip answers at once. Against models with all rings this lies 10 to 100 % above what the next
-    ring does at worst, and never more than 5 % of its gap below.
+    chip answers at once. Compared with models with all rings, the estimate is 10 to 100 % above the
+    largest motion of the next ring, and never more than 5 % of its gap below.
     """
     n, a, ports, action = pair.part.name, pair.a, pair.ports, pair.scene.checks.range
     if pair.b.radius is None or len(a.ports) < 2:

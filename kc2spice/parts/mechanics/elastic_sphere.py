@@ -128,7 +128,7 @@ elastic = true
         return Rom(tolerance=1e-3, band=(0.0, float(f"{BAND * _body(part, scene).oblate:.3g}")))
 
     def weights(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> StepWeights:
-        """Weights without free ringing, which no other part feels.
+        """Weights without free ringing, which has no effect on other parts.
 
         With 0.01 % of damping, eight times as many steps would resolve its megahertz in flight.
         """

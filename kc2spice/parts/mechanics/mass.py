@@ -37,9 +37,9 @@ _FRAME = "frame"  # pin of the acceleration of a frame; of a second one frame2
 
 class MassKeys(Section):
     """``F = m x''``, less ``m g`` with ``weight``. Joined to a body whose ``base`` is shaken with
-    an acceleration ``a``, ``x`` is relative to that frame and the force ``-m a`` acts besides.
-    Where something holds it, a transient begins in equilibrium, unless ``position`` or
-    ``velocity`` is given; where nothing does, it begins there.
+    an acceleration ``a``, ``x`` is relative to that frame and the force ``-m a`` acts besides. If
+    the mass has a support, a transient begins in equilibrium unless ``position`` or ``velocity`` is
+    given. Without a support, the transient begins at ``position`` with ``velocity``.
     """
 
     mass: Mass = Field(gt=0, description="Mass of the rigid body")

@@ -343,7 +343,7 @@ ROWS, PAGE = "rows.sqlite", "sweep.html"
 LOST = PointResult(failure="its worker process died, twice", interrupted=True)
 
 
-# --- what is asked ------------------------------------------------------------------------------
+# --- what is asked --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -508,7 +508,7 @@ def _find_study(name: str) -> _Study | None:
         raise UsageError(f"not a key of a study: {first['msg']}", where=where) from None
 
 
-# --- running it ---------------------------------------------------------------------------------
+# --- running it -----------------------------------------------------------------------------------
 
 
 def outcomes(

@@ -49,7 +49,7 @@ class RandomSample:
         return tuple((self.a + self.b * ndtri(share)).tolist())
 
 
-# --- one range ----------------------------------------------------------------------------------
+# --- one range ------------------------------------------------------------------------------------
 
 
 def _crosses_zero(text: str) -> UsageError:
@@ -197,7 +197,7 @@ def parse_value(text: str, unit: str, where: str) -> float:
         return quantity(text, unit, where=where)
 
 
-# --- all of them --------------------------------------------------------------------------------
+# --- all of them ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ class Xyce(Dialect):
     def element(self, part: Element) -> str:
         """Return a card without ``IC=`` if the analysis has no ``uic``.
 
-        ngspice ignores it there, Xyce does not.
+        ngspice ignores ``IC=`` without ``uic``, Xyce does not.
         """
         if not _from_states(self.analysis) and part.kind in "cl":
             parameters = {k: v for k, v in part.parameters.items() if k.lower() != "ic"}
