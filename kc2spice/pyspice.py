@@ -47,7 +47,7 @@ def subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
     >>> lamp.name, lamp.external_nodes
     ('lamp', ('plus', 'minus'))
     """
-    logging.getLogger(package).setLevel(logging.CRITICAL)  # what it says is in its output, too
+    logging.getLogger(package).setLevel(logging.CRITICAL)  # its output also contains the message
     parent = import_optional(f"{package}.Spice.Netlist", "pyspice.subcircuit").SubCircuit
 
     class Part(parent):  # type: ignore[misc,valid-type]

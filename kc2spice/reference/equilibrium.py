@@ -133,7 +133,7 @@ _DIRECT = 12  # Newton steps from a guess
 
 
 def solve_operating_point(system: System) -> dict[str, float]:
-    """Compute every wave at the equilibrium with the sources as they are at t = 0.
+    """Compute every wave at the equilibrium with the values of the sources at t = 0.
 
     Charges of floating nets are zero.
 

@@ -136,9 +136,9 @@ def integrate_steps(
 ) -> Steps:
     """Integrate ``count`` steps from ``first`` [s] on.
 
-    The laws begin in equilibrium, the bodies in that of t = 0, until ``first``.
-    ``start_from`` converts the unknowns there to those at ``first``, for laws that move before the
-    bodies do.
+    The laws begin in equilibrium, the bodies in that of t = 0, until ``first``. ``start_from``
+    converts the unknowns at the start to unknowns at ``first``, for laws that move before the
+    bodies move.
 
     Raises
     ------

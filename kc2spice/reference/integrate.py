@@ -236,7 +236,8 @@ class Segment:
 class EnergyBalance:
     """Error of a run's energy: energy [J] that came in, but was not stored or lost.
 
-    Its scale is the ``turnover``: all energy that came in, was lost, or was there at the start.
+    Its scale is the ``turnover``: the sum of the supplied energy, the lost energy and the energy at
+    the start.
     """
 
     residual: float

@@ -29,7 +29,7 @@ from kc2spice.reference.system import System, assemble_system
 _WORST_BASIS = 1e9  # condition of the eigenvectors beyond which modes say nothing
 _STILL = 1e-7  # a rate below this share of the largest is that of a body free to move
 ROUNDED = 1e-9  # remainder of cancelling terms of a wave, relative to the terms
-_FREE = 1e-7  # largest effect of the drives on such a body, relative to their total effect
+_FREE = 1e-7  # largest effect of the drives on a free body, relative to their total effect
 
 Warp = Callable[[np.ndarray], np.ndarray]
 
@@ -37,7 +37,7 @@ Warp = Callable[[np.ndarray], np.ndarray]
 class LinearisedSystem:
     """Equations ``d/dt (G X) = F X`` of deviations ``X = [z, s, s']`` from rest.
 
-    The outputs ``y = C0 X + d/dt C1 X`` have the names of the system's waves. ``exact`` tells
+    The outputs ``y = C0 X + d/dt C1 X`` have the names of the system's waves. ``exact`` states
     whether the system is linear: the equations then hold for motions of any size.
 
     Devices that depend on the frequency are linearised at the rate ``at``. ``point`` is a known

@@ -225,7 +225,8 @@ class _Assembly:
             self.sizes[self.body[b.name]] = MICRO / reach
         self.extra_sizes = np.array(extra)
 
-    # --- what stamps use --------------------------------------------------------------------------
+    # --- forms for the stamps
+    # --------------------------------------------------------------------------
 
     def form(self, law: L.Law, pin: str) -> np.ndarray:
         """Compute the displacement, voltage or signal of a pin as a form of the unknowns."""
@@ -301,7 +302,7 @@ class _Assembly:
         return sizes[:, None] * free, sizes[:, None] * R
 
     def reduce(self) -> System:
-        """Eliminate the constraints, split off what has no inertia, and scale."""
+        """Eliminate the constraints, separate unknowns without inertia, and scale."""
         nq, n = self.nq, self.size
         vel, vol, rest = slice(nq, 2 * nq), slice(2 * nq, 2 * nq + len(self.node)), self.extra_sizes
         Nq, Rq = self._constraint_basis(slice(0, nq), self.sizes)
@@ -387,8 +388,8 @@ class _Assembly:
     ) -> dict[str, Any]:
         """Compute across quantities ``NAME.pin``, flows ``.through`` pins, and states.
 
-        Mechanical pins have a wave ``.rate``, too. A source that prescribes a quantity exerts what
-        remains in the raw equations.
+        Mechanical pins have a wave ``.rate``, too. The residual of the raw equations is the flow of
+        a source that prescribes a quantity.
         """
         size, sources = expansion.shape[1], len(self.sources)
         rows: dict[str, tuple[Any, Any, Any, float]] = {}

@@ -1,6 +1,6 @@
 """``sweep.html``: metrics of all points of a sweep.
 
-The figures follow what was swept: curves over one key, maps over two crossed keys. For random or
+The figures depend on the swept keys: curves over one key, maps over two crossed keys. For random or
 more keys they are a histogram of each metric, and its values over each key.
 """
 

@@ -21,7 +21,8 @@ from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import explicit_pencil, largest_entry
 
-# Bounds of a decoupling transformation: the first costs three digits, others what is measured.
+# Bounds of a decoupling transformation: the first bound loses three digits; the loss of the others
+# is measured.
 GROWTH = 1e3
 MORE = 1e5, 1e7, 1e9
 WIDE = 4  # states of the largest block with which any bound is good enough

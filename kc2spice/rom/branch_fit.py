@@ -46,7 +46,7 @@ from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 MAX_ELEMENTS = 40
 GAIN = 0.1  # minimum relative reduction of the deviation per added element
 PATIENCE = 2  # successive elements below GAIN that end the search
-POOR_PATIENCE = 5  # such elements while the deviation is above POOR
+POOR_PATIENCE = 5  # elements of this kind while the deviation is above POOR
 POOR = 0.2  # relative deviation (rms) of a part of another form
 QUALITIES = (5.0, 30.0, 200.0, 1500.0)  # Q factors from which a resonance starts
 LEAD_SHARES = (1e-3, 0.03, 0.5)  # of the largest lead, from which one starts
@@ -117,7 +117,7 @@ def _network(elements: Elements) -> ParallelBranches:
 
 
 def fit_branches(samples: Samples) -> Elements:
-    """The elements whose sum describes the samples, as few as their noise asks for."""
+    """Return the fewest elements whose sum describes the samples within their noise."""
     elements: Elements = ()
     best, least, useless = elements, np.inf, 0
     patience = POOR_PATIENCE

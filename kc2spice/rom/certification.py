@@ -71,7 +71,7 @@ def with_full_order(rom: LinearModel, full: StabilityProof) -> LinearModel:
 
 
 def _evidence_text(basis: ReducedBasis, proof: StabilityProof) -> str:
-    """Text on what the error estimate and the proof of stability rest on."""
+    """Return a text on the evidence for the error estimate and for stability."""
     task = basis.task
     exact, estimator = task.intermediate, task.estimator
     count = exact.pencil.size

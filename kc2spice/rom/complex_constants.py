@@ -36,7 +36,7 @@ from kc2spice.rom.structural_damping import (
     relaxing_stiffness,
 )
 
-ERROR = 1e-3  # relative, of a response at its resonances: what relaxations may add
+ERROR = 1e-3  # largest relative change of a response at its resonances by relaxations
 DIELECTRIC_SHARE = 0.01  # error of the permittivity, over the loss tangent of at most 0.02
 BELOW = 0.7  # ratio to the lowest resonance; above, responses amplify errors of the stiffness
 GRID = 400  # frequencies of a band at which the error is measured
@@ -140,7 +140,9 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
     motional, clamped = shares.T @ shares, model.D[np.ix_(ports, ports)]
 
     def sensitivity(f: np.ndarray) -> np.ndarray:
-        """Q from the lowest resonance on, because stiffness shifts resonances; else 1."""
+        """The factor is Q from the lowest resonance on, because stiffness shifts resonances, and 1
+        below.
+        """
         lowest = BELOW * model.omega.min() / (2 * np.pi)
         return np.where(f > lowest, max(1.0, 1 / max(losses.loss_factor, 1e-12)), 1.0)
 

@@ -1,10 +1,10 @@
 """Scales of errors of a transfer function's entries, and entries that are zero.
 
 A structure with a mirror plane has entries that are zero by symmetry: a force along y moves nothing
-along z. Solutions leave rounding errors there, whose quotient means nothing. Errors of such an
-entry are relative to the geometric mean of the largest entries of its row and its column,
-``sqrt(|H_ii| |H_jj|)`` for two ports of a passive model. Rows and columns are balanced first, so
-that units of inputs and outputs do not matter: D. Ruiz, RAL-TR-2001-034 (2001).
+along z. Both solutions contain only rounding errors in this entry, so their quotient has no
+meaning. Errors of such an entry are relative to the geometric mean of the largest entries of its
+row and its column, ``sqrt(|H_ii| |H_jj|)`` for two ports of a passive model. Rows and columns are
+balanced first, so that units of inputs and outputs do not matter: D. Ruiz, RAL-TR-2001-034 (2001).
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import numpy as np
 # Errors of entries this far below their own peak count against this part of the peak.
 FLOOR = 1e-6
 # An entry this far below the geometric mean of its row and column is zero. Rounding leaves about
-# eps times the Q factor there, 2e-13 for a Q factor of a thousand.
+# eps times the Q factor of the resonance, 2e-13 for a Q factor of a thousand.
 ZERO = 1e-11
-BALANCING_STEPS = 40  # each halves the logarithm of what is missing
+BALANCING_STEPS = 40  # each iteration halves the logarithm of the remaining factor
 
 
 def share_of(norm: str) -> float:

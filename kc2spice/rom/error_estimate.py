@@ -33,7 +33,8 @@ NOTCHES = 60  # deepest minima that are refined in each round
 ZOOM = 9  # frequencies in an interval that is refined
 ROUNDS = 20  # rounds of refinement of notches
 SAME = 1e-12  # relative difference of two equal frequencies, by rounding errors
-STEEP = 1.5  # times a minimum: what is larger beside it, or smaller between, shows a deeper one
+# factor on a minimum: larger neighbours, or a smaller interpolated value, show a deeper minimum
+STEEP = 1.5
 PEAKS = 40  # largest errors that are refined in each round
 PEAK_ROUNDS = 3  # rounds of refinement of the largest errors
 SPREAD = 6  # frequencies at which a model is looked at first, and those at which others failed
@@ -129,7 +130,7 @@ class ErrorEstimator:
 
     @cached_property
     def reference(self) -> tuple[np.ndarray, Entries]:
-        """The exact response, and what is known of its entries."""
+        """The exact response, and the properties of its entries."""
         H = self.exact.transfer(2j * np.pi * self.frequency)
         return H, self.exact.entries(self.frequency, H)
 

@@ -34,7 +34,7 @@ STEPS = 12  # most steps of inverse iteration
 CONVERGED = 1e-14
 # Largest energy of a rigid-body mode, in random rounding errors of the entries of K. Free bodies
 # have up to 0.02, a chain of 1 400 masses with a support of 3e-14 of its stiffness has 1.5. Other
-# methods reduce bodies that lie above, and keep such supports.
+# methods reduce bodies above this value, and keep their soft supports.
 LARGEST_ENERGY = 1.0
 BLOCK, LARGEST_BLOCK = 8, 64  # vectors of inverse iteration: one body has six rigid-body modes
 

@@ -11,8 +11,8 @@ All poles of a large model take too long to compute, but one growing pole proves
   is the end of the band. The second is the median rate of single unknowns, from the diagonals of
   the matrices.
 
-Without such a finding a model may still be unstable, with growth of less than about a hundredth of
-a pole's size.
+Without a proof, a model may still be unstable with a slow growth, below about a hundredth of the
+magnitude of a pole.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from kc2spice.rom.stability import is_dissipative, is_semidefinite
 POLES, VECTORS, RESTARTS = 4, 40, 12  # settings of the Arnoldi method
 LANCZOS = 6  # restarts of the Lanczos method, of twenty vectors each
 COARSE = 1e-2  # relative error of the softest motion
-ROUNDING = 1e3  # times that of an energy: what is none
+ROUNDING = 1e3  # times the rounding error of an energy: smaller values count as zero
 GROWTH = 1e-4  # least real part of a growing pole, of its size
 BACKWARD = 1e-6  # residual of a pole, relative to the terms of its equation
 

@@ -117,7 +117,7 @@ def _read_array(rows: int, columns: int, symmetry: str, values: np.ndarray) -> M
     return upper.T - upper if skew else upper.T + np.triu(upper, 1)
 
 
-# --- what readers of other text formats use as well -----------------------------------------------
+# --- functions for readers of other text formats -----------------------------------------------
 
 
 def parse_numbers(text: bytes) -> np.ndarray:
@@ -127,7 +127,7 @@ def parse_numbers(text: bytes) -> np.ndarray:
 
     Raises
     ------
-    ValueError : something else stands among them.
+    ValueError : the text contains something else than numbers.
     """
     if not text.strip():
         return np.empty(0)

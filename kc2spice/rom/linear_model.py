@@ -47,8 +47,8 @@ class Port:
     * *input* and *output*: a signal in units of its own, in one direction. An input has no row of
       C, an output no column of B.
 
-    ``across`` and ``flow`` are what 1 V and 1 A on the netlist pin mean; those of its ``domain``
-    (:mod:`kc2spice.core.domains`) unless given. ``pins`` are the names of the netlist pins; empty
+    ``across`` and ``flow`` are the meaning of 1 V and 1 A on the netlist pin, by default those of
+    its ``domain`` (:mod:`kc2spice.core.domains`). ``pins`` are the names of the netlist pins; empty
     stands for ``(name,)``, or for ``(name, name_ret)`` of an electrical port.
     """
 
@@ -88,7 +88,7 @@ class Port:
 
     @property
     def charged(self) -> bool:
-        """Whether the port answers with what has flowed through its pin, such as a charge."""
+        """Whether the output is the integral of the flow through the pin, such as a charge."""
         return self.domain is not None and self.domain.charged
 
     @property
@@ -171,8 +171,8 @@ class LinearModel:
 
     A complex K is structural damping: K is its real part. ``loss_factor`` is eta of ``K (1 + j
     eta)``, and may be stated instead. ``loss`` is any other imaginary part, such as that of several
-    materials, symmetric and positive semi-definite. Such a model has a response, and only
-    :func:`kc2spice.reduce` makes a circuit of it.
+    materials, symmetric and positive semi-definite. A model with structural damping has a frequency
+    response; only :func:`kc2spice.reduce` converts it to a circuit.
 
     ``facts`` are characteristic numbers of the body (``mass_kg``, ``unknowns``,
     ``capacitance_free_f``, …). ``band`` [Hz] is the frequency range that the author of the model
@@ -625,7 +625,7 @@ def is_half_stored(matrix: Matrix) -> bool:
 
 
 def _require_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
-    """The pair as numbers, None as it is."""
+    """Return the pair as two floats, or None."""
     if pair is None:
         return None
     try:

@@ -76,9 +76,9 @@ def relaxing_oscillator(
     Parameters
     ----------
     s, stiffness : (n,) arrays
-        Laplace variable [1/s], and the dynamic stiffness there.
+        Laplace variable [1/s], and the dynamic stiffness at each value.
     weight : (n,) array
-        What a unit of difference counts.
+        Weight of the difference at each frequency.
     rates : (k,) array
         Rates ``r_l`` [1/s]; those that the fit does not use are left out.
     """

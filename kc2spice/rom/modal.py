@@ -227,13 +227,13 @@ def _modal_data_by_poles(
 
 AT_REST = 1e-3  # change of a response at the end of the band, over the static compliance
 # The same where the lowest mode that is left out would ring: its damping ratio is below RINGS. Such
-# modes are the mesh's, ring on for hundreds of periods, and are what the steps of a lightly damped
-# kick follow. Launches of a chip damped by 0.01 % move by 1.2e-3, a quarter of their distance to
-# the full model on finer rings and towards it; the time points become a third.
+# modes depend on the mesh, ring for hundreds of periods, and determine the steps of a lightly
+# damped kick follow. Launches of a chip damped by 0.01 % move by 1.2e-3, a quarter of their
+# distance to the full model on finer rings and towards it; the time points become a third.
 RINGING_SHARE, RINGS = 1e-2, 0.02
 FAR = 2.0  # times the band's end: no lower mode answers at once
 EQUAL = 1e-9  # relative difference of relaxation times that is none
-RANK = 1e-12  # zero singular value, relative: no port moves such a combination of modes
+RANK = 1e-12  # relative limit of a zero singular value: no port moves this combination of modes
 
 
 def without_inertia(model: Resonators, tolerance: float | None = None) -> Resonators:
@@ -336,9 +336,9 @@ def chip_response(
 
         x' = a x + r,    x(t + h) = e^(ah) x + h p1(ah) r + h p2(ah) (r(t + h) - r)
 
-    with ``p1 = (e^s - 1)/s`` and ``p2 = (e^s - 1 - s)/s^2``; then ``z = (x_a - x_b)/(a - b)``.
-    The formulas are exact for such loads at any step. A mode without inertia is a single state of
-    this form. The chip starts in equilibrium with ``load[0]``.
+    with ``p1 = (e^s - 1)/s`` and ``p2 = (e^s - 1 - s)/s^2``; then ``z = (x_a - x_b)/(a - b)``. The
+    formulas are exact for piecewise linear loads at any step. A mode without inertia is a single
+    state of this form. The chip starts in equilibrium with ``load[0]``.
     """
     drive, heavy = load @ model.gain.T, model.order - model.massless
     z = np.empty_like(drive)
@@ -414,7 +414,7 @@ def _oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, 
 def _step_propagators(
     roots: np.ndarray, t: np.ndarray, drive: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``e^(ah)`` and what the load adds in each step, both (steps, roots)."""
+    """Return ``e^(ah)`` and the contribution of the load in each step, both (steps, roots)."""
     h = np.diff(t)[:, None]
     s = h * roots
     small = np.abs(s) < 1e-2

@@ -49,7 +49,7 @@ GAIN, PATIENCE = 0.1, 2  # three poles more take that share of the deviation, or
 CLOSE = 1.2  # times the deviation without passivity: a passive fit as good as any
 POOR = 0.2  # deviation, relative to the largest value, of data without a rational fit
 ROUNDING = 1e-6  # rounding error of an optimum at the limit of passivity
-MOST_SHRUNK = 0.1  # by which a fit may exceed what is passive; its deviation decides
+MOST_SHRUNK = 0.1  # by which a fit may exceed the passive range; its deviation decides
 INSIDE = 1e-7  # below one, of the largest singular value that counts as passive
 
 
@@ -292,7 +292,7 @@ def refine_poles(
         return np.asarray(p)
 
     def project(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Orthonormal basis, coefficients of the columns, what they leave."""
+        """Return an orthonormal basis, the coefficients of the columns, and the residual."""
         columns, size = _scale_columns(s, unpack(x), real)
         Q, upper = np.linalg.qr(columns)
         coefficients = scipy.linalg.lstsq(upper, Q.T @ target)[0]

@@ -252,7 +252,7 @@ def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
 def modal_projection(model: LinearModel, top: float) -> Pencil:
     """Project a full model on its modes to twice the frequency ``top`` [Hz].
 
-    The basis contains what the modes lack of static responses, too.
+    The basis also contains the part of the static responses that the modes do not represent.
     """
     return model.pencil.project(
         _orthonormalise([_modes_and_statics(model.pencil, (0.0, top))], model.M)
@@ -300,7 +300,7 @@ def _require_symmetric(model: LinearModel, frame: LinearModel | None) -> LinearM
 
 
 def _modes_and_statics(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
-    """Compute modes to above the band, and what they lack of static responses."""
+    """Compute modes to above the band, and the remaining part of the static responses."""
     top, M = 2 * np.pi * band[1], pencil.coefficients[2]
     square = 0.0 if pencil.factorised else -((top / 3) ** 2)  # with a support, K itself
     inverse = pencil.pencil_solver(square)

@@ -411,11 +411,11 @@ class Pencil:
         return Pencil(flipped, self.C.T, self.B.T, self.D.T, free=self.free)
 
     def scaled(self, omega: float) -> Pencil:
-        """The same transfer function in unknowns whose energies at ``omega`` are alike."""
+        """The same transfer function in unknowns with similar energies at ``omega``."""
         return self.in_units(self.units(omega))
 
     def units(self, omega: float) -> np.ndarray:
-        """Units (n,) of the unknowns in which their energies at ``omega`` are alike."""
+        """Units (n,) of the unknowns, in which their energies at ``omega`` are similar."""
         size = np.zeros(self.size)
         for k, P in enumerate(self.coefficients):
             rows = absolute_entries(P).max(axis=1)
@@ -531,8 +531,9 @@ def eliminate_massless(pencil: Pencil) -> Pencil:
 
     The result is exact.
 
-    Potentials of a piezoelectric model, algebraic equations of a first-order one. Where their
-    block is singular (index two) or a complement is there already, the pencil stays as it is.
+    Potentials of a piezoelectric model, algebraic equations of a first-order one. If their block is
+    singular (index two), or if a coefficient is already a Schur complement, the pencil is returned
+    unchanged.
     """
     rest, *others = pencil.coefficients
     if isinstance(rest, Schur) or pencil.rayleigh is not None or pencil.size < 2:

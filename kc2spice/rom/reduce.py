@@ -112,8 +112,8 @@ def reduce_model(
     Raises
     ------
     UsageError : not one of tolerance and order, an empty band, an unknown norm, a tolerance below
-        rounding, an order beyond what the response has, a model too large for this machine, one
-        that answers to derivatives of its input.
+        rounding, an order above that of the response, a model too large for this machine, a model
+        whose output contains derivatives of its input.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
 
     Examples
@@ -147,7 +147,7 @@ def reduce_to(fom: LinearModel, target: Target) -> LinearModel:
 
 @dataclass(frozen=True)
 class Target:
-    """What a reduced-order model must meet, and by which method.
+    """Requirements on a reduced-order model, and the method of reduction.
 
     ``keep_form`` admits congruences only. ``exact`` requires that the intermediate model is
     accurate enough for the tolerance. ``space`` is the Krylov space of the model at zero, if it is

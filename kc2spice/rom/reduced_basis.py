@@ -26,8 +26,9 @@ from kc2spice.rom.state_space import to_hertz, to_schur_form
 
 # No estimate is smaller: direct solutions of the response are hardly more accurate.
 LEAST_ERROR = 1e-11
-# Factor on differences at samples for what lies between them. The estimates of 500 random models
-# are between one and three times their true errors: tests/physics/test_certificates.py.
+# Factor on differences at samples, for larger differences between the samples. The estimates of 500
+# random models are between one and three times their true errors:
+# tests/physics/test_certificates.py.
 SAFETY = 1.15
 
 Coordinates = Literal["intermediate", "first order", "full order"]
@@ -247,7 +248,7 @@ class ReducedBasis:
 
     @cached_property
     def responses(self) -> dict[int, Response]:
-        """Responses of models by their order, as far as they are computed."""
+        """Responses of models by their order, for all orders computed so far."""
         return {}
 
     def unknowns(self, order: int) -> np.ndarray | None:

@@ -76,7 +76,7 @@ def fit_outputs(basis: ReducedBasis, order: int, tolerance: float) -> tuple[Redu
 def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
     """Fit rates and gains of fewer states, with which any model is passive.
 
-    Models with rigid-body modes or with static responses of conservative ports stay as they are.
+    Models with rigid-body modes or with static responses of conservative ports are not changed.
     """
     estimator, ports = basis.task.estimator, basis.pencil.B.shape[1]
     if basis.fixed or basis.pencil.free:

@@ -44,7 +44,7 @@ def minimax(
     response : (n, ports, ports) array
         Response without its direct part, symmetric.
     base : (ports, ports) array
-        What errors are relative to.
+        Reference values of relative errors.
     enough : float
         Error at which the fit ends; it also ends where errors are far above this after some rounds.
 

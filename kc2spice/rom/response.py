@@ -14,7 +14,7 @@ from kc2spice.rom.entries import Entries
 from kc2spice.rom.pencil import INFINITE, Pencil, first_order, largest_entry
 from kc2spice.rom.rigid_body import free_part
 
-# A response this far below the sum of its terms is what their cancellation leaves: a zero.
+# A response this far below the sum of its terms is a rounding error of their cancellation: a zero.
 CANCELLED = 1e-13
 # Off-diagonal modal damping below this is rounding of damping that decouples.
 COUPLING = 1e-9
@@ -41,8 +41,8 @@ class Response:
     The coordinates must be well-conditioned.
 
     ``modes`` is None, or ``(T, L, diagonals)``: ``x = T diag(1 / sum_k s^k diagonals_k) L B``.
-    ``decoupled`` says that T is a real congruence (``L = T'``). A free motion that is detached is
-    solved apart, and all this is that of the ``core``, the others; else that is the whole pencil.
+    ``decoupled`` says that T is a real congruence (``L = T'``). An uncoupled free motion is solved
+    separately; ``core`` is then the pencil of the other unknowns, otherwise the whole pencil.
     ``zero`` (outputs, inputs) are entries known to be zero by symmetry.
     """
 
@@ -65,7 +65,7 @@ class Response:
 
     @cached_property
     def modes(self) -> Modes | None:
-        """See above; eigenvectors are computed when they are asked for."""
+        """Eigenvectors of the decoupled coordinates, computed at their first use."""
         pays = FEW < self.core.size <= MANY / self.core.degree
         return self._decoupling or (_compute_eigenvectors(self.core) if pays else None)
 
@@ -79,7 +79,9 @@ class Response:
 
     @property
     def diagonal(self) -> bool:
-        """Whether there are such coordinates, or so few unknowns that none are needed."""
+        """Whether decoupled coordinates exist, or the number of unknowns is so small that none are
+        needed.
+        """
         return self.modes is not None or self.core.size <= FEW
 
     def states(self, s: np.ndarray) -> np.ndarray:
@@ -126,7 +128,7 @@ class Response:
         return np.asarray(np.abs(H).max(axis=0))
 
     def entries(self, frequency: np.ndarray, H: np.ndarray | None = None) -> Entries:
-        """Entries of the response over ``frequency`` [Hz], there H, by :meth:`peaks`."""
+        """Properties of the entries of the response H at the frequencies [Hz], by :meth:`peaks`."""
         H = self.transfer(2j * np.pi * frequency) if H is None else H
         return Entries.of(H, self.peaks(frequency, H), self.zero)
 
@@ -291,7 +293,7 @@ def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
 
     The logarithmic ones cover at most four decades.
 
-    Zero is one of them if the band starts there and the static answer exists.
+    The grid contains zero if the band starts at zero and the static response exists.
     """
     low, high = band
     start = max(low, 1e-4 * high)

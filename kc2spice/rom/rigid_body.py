@@ -29,10 +29,11 @@ ROUNDING = 8.0  # times n eps of the largest: a stiffness, a damping or a coupli
 # Poles of a first-order model below these shares of the band's end: zero but for rounding, which
 # leaves half of the digits of a pair, and a free motion that something slows down.
 ZERO, SLOW = 1e-6, 1e-2
-RANDOM = 30.0  # times what rounding of the entries at random makes of an energy: an energy
+# times the change of an energy by random rounding of the entries: larger values are energies
+RANDOM = 30.0
 ABOVE_RANDOM = 4.0  # the same: an energy that is hardly rounding
-FAR = 100.0  # times the resonance of a support: a response changes by 1e-4 there
-SURELY = 10.0  # times what would be singular: a matrix that is not
+FAR = 100.0  # times the resonance of a support: at this frequency the response changes by 1e-4
+SURELY = 10.0  # times the limit of a singular matrix: larger values belong to regular matrices
 DEPENDENT = 1e-9  # rates per band's end: a chain of integrators in first order
 Rounding: TypeAlias = tuple[np.ndarray, ...]  # bounds on that of each coefficient's entries
 
@@ -59,9 +60,9 @@ def split_rigid_body(
     The result is the pencil itself if no motion is free.
 
     Where ``K X = 0`` and ``X'K = 0``, as in symmetric and dissipative models, the form is kept:
-    ``V'PV`` with the others orthogonal to X in the inertia. Damping may couple both. All other
-    models are turned to first order and split at their poles near zero (of ``omega``), by both
-    invariant subspaces. ``rounding`` is known of projections.
+    ``V'PV`` with the others orthogonal to X in the inertia. Damping may couple both groups of
+    coordinates. All other models are turned to first order and split at their poles near zero (of
+    ``omega``), by both invariant subspaces. ``rounding`` is known of projections.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     X = _compute_null_space(rest, (rounding or _bound_rounding(pencil))[0])
@@ -166,7 +167,7 @@ def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
     """Return the frequency [Hz] below which rounding hides the resonance of a support.
 
     A support of the rigid-body motions X (n, motions) is hidden if it is no stiffer than the
-    random rounding errors of K. The frequency is zero without such motions.
+    random rounding errors of K. The frequency is zero without rigid-body motions.
 
     The reduced model leaves out the stiffness of X. If it exceeds the rounding errors somewhat, X
     has a support of inaccurate stiffness. The function then warns, unless the band starts at
@@ -215,7 +216,8 @@ def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndar
     U, size, _ = np.linalg.svd(X.T @ pencil.B)
     K, momenta = pencil.coefficients[0], inertia @ X
     momenta *= np.sqrt(largest_entry(K)) / largest_entry(momenta)
-    # rounding of K turns X towards what it takes no force to move: inputs see their own answers
+    # rounding of K rotates X towards motions without force, so the inputs are compared with their
+    # own responses
     answer = np.linalg.solve(K + momenta @ momenta.T, pencil.B)
     input_rounding = ROUNDING * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
     noise = np.abs(X.T) @ (input_rounding + rounding[0] @ np.abs(answer))

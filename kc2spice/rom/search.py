@@ -13,8 +13,8 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.stability import FORM, StabilityProof, prove_stability
 
-# States up to which another method is tried only to state in the certificate what the form of the
-# matrices costs: a limit of the work, chosen by trial.
+# States up to which another method is tried only to state in the certificate how many states the
+# form of the matrices costs: a limit of the work, chosen by trial.
 CHEAP = 200
 # Definite matrices become resonators, which prove stability. A model without this form is used only
 # if it saves at least a tenth of their states: 10 instead of 11.
@@ -113,8 +113,8 @@ def _select_fewest(
 ) -> tuple[ReducedBasis, int] | None:
     """Basis and order of fewer than so many states, None if no reductor has one.
 
-    In the peak norm it is the best of all. In the pointwise norm it is the first one, as only a
-    balancing over the band sees notches.
+    In the peak norm it is the best of all. In the pointwise norm it is the first one, because only
+    balancing over the band represents notches.
     """
     best = None
     for reductor in reductors:

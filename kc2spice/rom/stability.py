@@ -30,11 +30,11 @@ DENSE = 1200  # first-order states up to which all poles of a full model are com
 
 @dataclass(frozen=True)
 class StabilityProof:
-    """Stability and passivity of a model, and what they follow from.
+    """Stability and passivity of a model, and the evidence for both.
 
     ``stable`` means that no pole is right of the imaginary axis, so that no motion grows
     exponentially; a free rigid body drifts. It is None if unknown. ``passive`` means that the ports
-    are proven to deliver no net energy. ``proof`` states the basis of both.
+    are proven to deliver no net energy. ``proof`` states the evidence for both properties.
     """
 
     stable: bool | None
@@ -104,7 +104,7 @@ def is_dissipative(pencil: Pencil) -> bool:
     order = pencil.elimination_order
     if not is_semidefinite(others[-1], order):
         return False
-    if pencil.rayleigh is None or min(pencil.rayleigh) < 0:  # else from mass and stiffness
+    if pencil.rayleigh is None or min(pencil.rayleigh) < 0:  # otherwise from mass and stiffness
         loss = others[0] if others[1:] else rest
         if not is_semidefinite(loss if isinstance(loss, Schur) else loss + loss.T, order):
             return False

@@ -185,7 +185,7 @@ def to_schur_form(pencil: Pencil, top: float) -> Pencil:
 
 
 def to_hertz(pencil: Pencil, top: float) -> Pencil:
-    """The inverse of what :func:`to_schur_form` does to time."""
+    """Invert the time scale of :func:`to_schur_form`."""
     omega = 2 * np.pi * top
     rest, one = pencil.coefficients
     return Pencil((omega * rest, one), omega * pencil.B, pencil.C, pencil.D, free=pencil.free)

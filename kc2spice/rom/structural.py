@@ -41,7 +41,7 @@ from kc2spice.rom.stability import is_semidefinite, prove_stability
 
 Reductor = Callable[[LinearModel, float, tuple[float, float]], LinearModel]
 
-SAFETY = 1.15  # on differences at samples, for what lies between them
+SAFETY = 1.15  # factor on differences at samples, for larger differences between the samples
 BASE_SHARE = 0.5  # share of the tolerance for the model with viscous damping
 LOWEST = 1e-10  # tolerances of a reduction
 DIRECT = 6  # direct solutions of the full model that check a causal model
@@ -191,7 +191,7 @@ class _Search:
         return float(np.clip(least, 0.0, 1.0))
 
     def model(self, modes: Sequence[Oscillator]) -> LinearModel:
-        """The passive model of such modes and the loss that couples them."""
+        """Return the passive model of these modes, with the loss that couples them."""
         rest = self.H - self._decoupled * np.diag(np.diag(self.H))
         pace = np.sqrt(np.where(self.squares > 0, self.squares, 1.0))
         rest = np.where(np.outer(self.squares, self.squares) > 0, rest, 0.0)
@@ -233,7 +233,7 @@ class _Search:
         return [trial if use else mode for trial, mode, use in both]
 
     def deviation(self, modes: Sequence[Oscillator]) -> float:
-        """Largest difference of the model of such modes to structural damping."""
+        """Return the largest difference of the model of these modes to structural damping."""
         frequency, exact = self._comparison_response(modes)
         ours = self.model(modes).transfer(frequency)
         return float(Entries.of(exact).relative(ours - exact, exact, share_of(self.norm)).max())
@@ -255,7 +255,9 @@ class _Search:
         return float(off.max())
 
     def _comparison_response(self, modes: Sequence[Oscillator]) -> tuple[np.ndarray, np.ndarray]:
-        """Frequencies [Hz] that show errors, and the structural response there."""
+        """Frequencies [Hz] at which errors are large, and the structural response at these
+        frequencies.
+        """
         response = Response(self.model(modes).pencil.dense())
         frequency = adaptive_frequencies(response, self.band, False, self.norm)
         frequency = frequency[frequency > 0]

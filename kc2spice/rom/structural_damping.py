@@ -109,7 +109,7 @@ def relaxing_stiffness(
     loss_factor : float
         ``eta``, the reciprocal of the Q factor.
     at : float
-        Frequency [Hz] at which the stiffness is as stated.
+        Frequency [Hz] at which the stated stiffness holds.
     band : pair of float
         Ends of the band [Hz]; a band from zero has the loss down to a ten-thousandth of its end.
     error : float

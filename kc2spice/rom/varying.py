@@ -48,7 +48,7 @@ STILL = 1e-6  # squared frequency of a motion without stiffness, relative to the
 SILENT = 1e-9  # zero share of a mode in a port, relative to the largest
 GRID = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # points along each axis by number of axes
 DEGREES = {0: 0, 1: 16, 2: 10, 3: 6, 4: 4}  # highest total degree
-# Logarithms of squared frequencies: what is nearer stays together.
+# Distance of logarithms of squared frequencies: closer modes stay in one block.
 GAPS = 0.03, 0.1, 0.3, 0.8, np.inf
 MOMENTS = 4  # blocks of static answers and their changes with frequency
 OVERLAP = 0.2  # least overlap of a frame with the frame of the middle
@@ -72,10 +72,10 @@ class Varying(ParameterPolynomials):
 
     With ``T`` (terms,) the products of polynomials, ``exp(T diagonal)`` (q,) is the diagonal of L
     and ``T below`` (q, q) what is below it, in blocks of the sizes ``blocks``; ``T gain`` (q,
-    ports) is g;
-    ``capacitance`` (the logarithms of the diagonal), and ``shared`` below it, make the Cholesky
-    factor of D among electrical ports alike. ``exp(T rayleigh)`` (2,), zero where ``damped`` says
-    so, times the powers of ``losses`` are alpha and beta. ``facts`` are polynomials too.
+    ports) is g; ``capacitance`` (the logarithms of the diagonal), and ``shared`` below it, make the
+    Cholesky factor of D among electrical ports in the same way. ``exp(T rayleigh)`` (2,), with
+    zeros according to ``damped``, times the powers of ``losses``, are alpha and beta. ``facts`` are
+    polynomials too.
     """
 
     ports: tuple[Port, ...]

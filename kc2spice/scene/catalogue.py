@@ -23,8 +23,8 @@ class CataloguePart:
 
     ``keys`` are lines of the part's table; ``band`` are the first and the last frequency of its
     scene, empty for a transient. ``redundant`` are values of the sheet that are no keys.
-    ``assumed`` states what the sheet does not contain. The ``scene`` of a part without keys is a
-    built-in one.
+    ``assumed`` states values that the sheet does not contain. The ``scene`` of a part without keys
+    is a built-in one.
     """
 
     number: str

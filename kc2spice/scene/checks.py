@@ -145,9 +145,9 @@ class Gate:
     * *largest*: by the largest value of all waves together;
     * *spectral*: each entry of a response by its size, at least 1e-6 of its peak.
 
-    ``share`` is the part of the scale, from its start on, that is looked at; ``leads`` says whether
-    it stands for the scene in ``errors``. In a transient, a gate of the ``discretisation`` of a
-    part compares with a finer one of this part alone.
+    ``share`` is the part of the scale, from its start on, that is looked at; ``leads`` states
+    whether its difference represents the scene in ``errors``. In a transient, a gate of the
+    ``discretisation`` of a part compares with a finer one of this part alone.
     """
 
     words: str

@@ -204,7 +204,8 @@ def metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 
     They are not on ground.
 
-    If the flow is a power, that at a reference pin, such as ``ambient``, is the sum of the others.
+    If the flow is a power, the flow at a reference pin, such as ``ambient``, is the sum of the
+    flows at the other pins.
     """
     result: dict[str, Domain] = {}
     for pin in scene.pins(part.name):
@@ -231,8 +232,8 @@ def _list_metered(scene: Scene) -> Iterator[Pin]:
     """Yield pins of subcircuits whose flow a probe reads from an ammeter.
 
     Probes read it as ``PART.power``, as ``PART.PIN.current`` or another flow such as
-    ``PART.PIN.force``, and as ``PART.current``, which is that of the first pin. ``PART.force`` is a
-    result of the part.
+    ``PART.PIN.force``, and as ``PART.current``, which is the flow through the first pin.
+    ``PART.force`` is a result of the part.
     """
     for of in scene.probed_results:
         name, _, quantity = of.partition(".")
@@ -253,7 +254,7 @@ def _list_metered(scene: Scene) -> Iterator[Pin]:
 
 
 def _is_result(body: Part, pin: str, scene: Scene) -> bool:
-    """Return whether a part at a pin of a body has the current there as a result."""
+    """Return whether a part has the current through the pin of a body as a result."""
     build = Build(scene, {})
     records = {}
     for name, _ in scene.joined(body.name, pin):
@@ -275,8 +276,8 @@ def _unjoined_error(
 ) -> UsageError:
     """Return the error of a required pin.
 
-    It suggests another pin that is not joined. Any other pin may have a potential, such as that of
-    a bias, which the new joint would short. Ground would clamp a motion.
+    It suggests another pin that is not joined. Any other pin may have a potential, such as a bias
+    voltage, which the new joint would short-circuit. Ground would clamp a motion.
     """
     fitting: list[Pin] = []
     waiting: list[Pin] = []

@@ -337,7 +337,7 @@ def _validate_table(
 def _complete_tables(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, Any]:
     """Return ``table`` with defaults of the schema in its inner tables.
 
-    ``ring = { outer = "6 mm" }`` changes the outer diameter of the usual ring and nothing else.
+    ``ring = { outer = "6 mm" }`` changes only the outer diameter of the default ring.
     """
     result = dict(table)
     for name, field_ in schema.model_fields.items():

@@ -319,7 +319,7 @@ class DeclaredScene:
 
     @property
     def checks(self) -> Checks:
-        """What happens if a check fails."""
+        """Actions if a check fails."""
         return self.frame.checks
 
     @property
@@ -546,11 +546,12 @@ class Build:
     the subcircuits. ``unjudged`` are parts whose parameters differ in the deck from their keys:
     they have neither checks nor an energy balance. ``largest`` is the largest step of a transient.
     ``records`` contains the answers of the parts by name
-    (:func:`kc2spice.scene.resolve.resolve_build`), ``results`` what netlist and probes read, and
-    ``dc_sweep`` and ``noise_output`` the sweep or the output of the analysis. ``laws`` are the laws
-    (:func:`kc2spice.equations.scene_laws.scene_laws`). ``linearised`` contains the motions about
-    rest in a transient (:func:`kc2spice.workflow.time_step.linearised_scene`). ``workspace``
-    contains large results of the latest run.
+    (:func:`kc2spice.scene.resolve.resolve_build`), ``results`` the quantities that netlist and
+    probes read, and ``dc_sweep`` and ``noise_output`` the sweep or the output of the analysis.
+    ``laws`` are the laws (:func:`kc2spice.equations.scene_laws.scene_laws`). ``linearised``
+    contains the motions about rest in a transient
+    (:func:`kc2spice.workflow.time_step.linearised_scene`). ``workspace`` contains large results of
+    the latest run.
     """
 
     scene: Scene
@@ -661,7 +662,7 @@ class PartType(Generic[KeysT]):
     #: dotted keys that divide it into finitely many pieces, or cut a series off: ``verify``
     #: compares with twice as many
     discretisations: ClassVar[tuple[str, ...]] = ()
-    #: what has noise: cards of its subcircuit that are resistors of the device, or words for it
+    #: sources of noise: resistors of the device in its subcircuit, or a description
     noise: tuple[str, ...] | str = ()
 
     # --- scene: keys, pins, further parts ---------------------------------------------------------
@@ -710,7 +711,7 @@ class PartType(Generic[KeysT]):
     def detail(self, part: Part[KeysT], scene: GovernedScene) -> object:
         """Return data for parts of the same package, in a class of that package.
 
-        It follows from keys and from what parts govern. Its :class:`Record` contains it.
+        It follows from keys and from the governed parts. Its :class:`Record` contains it.
         """
         return None
 
@@ -912,7 +913,7 @@ class PartType(Generic[KeysT]):
 def find_flows(vectors: Mapping[str, Vector], pin: str) -> dict[str, tuple[Vector, float]]:
     """Return the currents or forces at a pin among the results of a part, by name.
 
-    The second value is 1 if the flow leaves the part there, and -1 if the flow enters it.
+    The second value is 1 if the flow leaves the part at this pin, and -1 if the flow enters it.
     """
     result = {}
     for name, vector in vectors.items():

@@ -27,7 +27,7 @@ TABLE = "_types"  # ends the name of a module with several types
 
 
 def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
-    """Return the current into a pin, if it is a result of the only other part there.
+    """Return the current into a pin, if it is a result of the only other part at this pin.
 
     A source with further loads has the sum of their currents as its result.
     """

@@ -220,7 +220,7 @@ def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
 
 
 def check_periods(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of probes of the last periods, if a run has no such periods."""
+    """Yield errors of probes with ``periods``, if the run has no period or too few of them."""
     for name, probe in scene.probes.items():
         if probe.periods is not None:
             yield from _check_window(f"probes.{name}.periods", probe.periods, scene)

@@ -67,8 +67,8 @@ def collect_results(build: Build) -> SceneResults:
 def _collect_vectors(build: Build) -> dict[str, Vector]:
     """Return the vectors of all results but those of noise.
 
-    Parameters of devices such as ``@b1[i]`` are no results of an ac analysis: ngspice returns
-    their value at the operating point there, not a response.
+    Parameters of devices such as ``@b1[i]`` are no results of an ac analysis: ngspice returns their
+    value at the operating point, not a response.
     """
     result = build.vectors
     for name, metered in _collect_metered(build, result).items():

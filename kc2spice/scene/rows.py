@@ -159,7 +159,8 @@ class DcSweep(EqualByContent):
         First and last value in SI units.
     values : ndarray
         Values in SI units. ngspice sweeps in one direction only. Values of the return sweep are
-        therefore beyond the last one of ``ends``. The source has ``2 last - value`` there.
+        therefore beyond the last one of ``ends``. On the way back, the source has the value ``2
+        last - value``.
     """
 
     source: str

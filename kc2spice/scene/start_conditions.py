@@ -41,7 +41,7 @@ def find_floating_nets(scene: Scene, rests: Mapping[str, Rest]) -> tuple[Floatin
 def find_rigid_groups(scene: Scene, without: str = "") -> list[frozenset[str]]:
     """Return groups of nets whose displacements ideal sources tie together.
 
-    The source ``without`` is ignored. A net without such a source is a group alone.
+    The source ``without`` is ignored. A net without an ideal source is a group alone.
     """
     rests = scene.rests
     rests.pop(without, None)
@@ -51,8 +51,8 @@ def find_rigid_groups(scene: Scene, without: str = "") -> list[frozenset[str]]:
 def find_start_errors(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
     """Yield the reasons why the analysis cannot begin.
 
-    A net has no operating point, or a source makes the velocity of an inertia jump. Such a force
-    is an impulse: the result of a simulator would depend on its time step.
+    A net has no operating point, or a source makes the velocity of an inertia jump. The force of a
+    jump is an impulse: the result of a simulator would depend on its time step.
 
     Parts without a model count as clamps that yield.
     """
@@ -179,7 +179,7 @@ def _units_of_nets(scene: Scene) -> dict[str, str]:
 def _group_nets(scene: Scene, pairs_of_parts: Iterable[tuple[str, Pairs]]) -> list[frozenset[str]]:
     """Return nets that pairs of pins join, in groups.
 
-    Pairs on nets that need no path, such as those of voltages, have no effect.
+    Pairs of nets that need no path, such as electrical nets, have no effect.
     """
     union = Groups(units := _units_of_nets(scene))
     for name, pairs in pairs_of_parts:

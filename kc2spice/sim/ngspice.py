@@ -45,7 +45,7 @@ ANSWERS = 20.0  # s that ngspice may take to tell its version
 STALLED = 60.0  # s without processor time after which a run hangs
 LARGEST_RAW = 8_000_000_000  # bytes of one raw file
 SPARE = 1_000_000  # bytes; a disk with less is full
-POLL = 0.05  # s between two looks at the growing raw file
+POLL = 0.05  # s between two checks of the growing raw file
 Share = Callable[[float], None] | None  # receives the share of a transient that is done
 
 
@@ -133,9 +133,9 @@ def run_deck(
     ------
     MissingToolError : no ngspice.
     FailedRunError : ngspice failed, stopped early, or ignored or replaced something in a deck that
-        is not trusted. The message holds cause, node, time and part, and the directory with
-        ``NAME.log``; the error has the waveforms up to there.
-    UsageError : its largest step alone asks for more than ``LARGEST_RAW`` bytes.
+        is not trusted. The message states cause, node, time and part, and the directory with
+        ``NAME.log``. The error contains the waveforms up to the failure.
+    UsageError : a run with its largest step would write more than ``LARGEST_RAW`` bytes.
     SimulationError : no time left, or the raw file is not complete or too large. No failed run
         leaves a raw file.
     """
@@ -154,7 +154,7 @@ def run_deck(
         if failed is None:
             vectors = read_raw(unfinished)
             data, statistics = waves_by_name(deck, vectors), read_statistics(text)
-            waves = Waveforms(data, {**statistics, "reltol": deck.read_option("reltol", RELTOL)})
+            waves = Waveforms(data, {**statistics, "reltol": deck.read_option("reltol", _RELTOL)})
             last = float(vectors["time"][-1]) if "time" in vectors else math.nan
             failed = failed_run(deck, str(main), text, last=last)
             failed = failed or altered_run(deck, str(main), text)
@@ -291,7 +291,7 @@ def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np
     return data
 
 
-RELTOL, CHGTOL = 1e-3, 1e-14  # of ngspice if the deck has no such option
+_RELTOL, _CHGTOL = 1e-3, 1e-14  # defaults of ngspice for decks without these options
 
 
 @dataclass(frozen=True)
@@ -324,8 +324,8 @@ class RetrySetting:
         """Return ``deck`` with these settings instead of its own options."""
         options = dict(self.options)
         if self.factor != 1.0:
-            options["reltol"] = number(self.factor * deck.read_option("reltol", RELTOL))
-            options["chgtol"] = number(self.factor * deck.read_option("chgtol", CHGTOL))
+            options["reltol"] = number(self.factor * deck.read_option("reltol", _RELTOL))
+            options["chgtol"] = number(self.factor * deck.read_option("chgtol", _CHGTOL))
         if not options:
             return deck
         changed = deck.with_options(options, f"retry with {self.name}: {self.why}")
@@ -433,8 +433,9 @@ def run_with_retries(
 
     Raises
     ------
-    RetriesFailedError : the last attempt failed; names node, time, part, all settings, what to try.
-    SimulationError, MissingToolError : as :func:`run_deck`, for what no setting cures.
+    RetriesFailedError : the last attempt failed; the message names node, time, part, all settings
+        and possible remedies.
+    SimulationError, MissingToolError : as :func:`run_deck`, for failures that no setting prevents.
     """
     setting, left = FIRST, list(RETRIES)
     attempts: list[Attempt] = []
@@ -458,7 +459,7 @@ def run_with_retries(
                     farthest = failure
             elif violated:
                 first = violated[0]
-                # Outside of what is modelled no tolerance makes the result right.
+                # Outside of the range of a model, no tolerance makes the result correct.
                 kind: Kind | None = "coarse" if all(check.coarse for check in violated) else None
                 failure = Failure(f"{first.name}: {first.value:.3g} {first.unit}", kind=kind)
             else:

@@ -36,7 +36,7 @@ _FATAL = re.compile(
     r"not enough memory|out of memory|no space left|^\s*error\b|\bsyntax error\b",
     re.IGNORECASE,
 )
-# The operating point was not found straight away: a deck of ours must not need these.
+# ngspice did not find the operating point directly; exported decks must not need these steps.
 _STRUGGLE = re.compile(
     r"singular matrix|gmin step|gmin increment|trying gmin|source stepping|supplies reduced|"
     r"transient op|nodeset",
@@ -53,7 +53,7 @@ _ALTERED = re.compile(
     r"\bsetting\b.*\bto\b|\bis used\b|\bdisabled\b|\bskipped\b|\btreated as\b|\bobsolete\b",
     re.IGNORECASE,
 )
-# The same words where the result does not depend on it: what is printed, and a source without a
+# The same words if they do not affect the result: printed vectors, and a source without a
 # value, whose 0 V or 0 A the manual defines.
 _UNALTERED = re.compile(
     r"^\s*circuit:|line ignored since rawfile|has no value, DC 0 assumed|"
@@ -90,9 +90,9 @@ class Failure:
     """A failure as described in a log.
 
     ``cause`` is the line that names the failure, ``node``, ``time`` [s] and ``part`` what it
-    blames, ``kind`` what other settings might cure; None where the log does not tell.
-    ``struggles`` are lines of an operating point that was hard to find. ``partial`` has the
-    waveforms up to there, if any.
+    blames, ``kind`` what other settings might cure; None where the log does not tell. ``struggles``
+    are lines of an operating point that was hard to find. ``partial`` contains the waveforms up to
+    the failure, if any.
     """
 
     cause: str | None
@@ -165,7 +165,7 @@ def read_statistics(text: str) -> dict[str, float]:
 
 
 class FailedRunError(SimulationError):
-    """ngspice ended without a result; ``failure`` says why."""
+    """ngspice ended without a result; ``failure`` states the reason."""
 
     failure: Failure
 
@@ -279,7 +279,8 @@ class _Plot(NamedTuple):
     """One plot of a raw file.
 
     ``promised`` is the number of points in its header. ``table`` maps the complete points of the
-    file, one in each row. ``left`` bytes follow these. The next plot begins at the byte ``end``.
+    file, one in each row. ``left`` bytes follow the complete points. The next plot begins at the
+    byte ``end``.
     """
 
     names: tuple[str, ...]

@@ -107,16 +107,16 @@ def run_shared(
 ) -> Waveforms:
     """Run the transient ``deck`` in libngspice and return its results.
 
-    The ``sampled`` functions see the deck's saved node voltages in ngspice's names and set the
-    ``EXTERNAL`` sources that they name. ngspice gets a time point at both instants of each, also in
-    a deck that has no source with breakpoints there.
+    The ``sampled`` functions receive the saved node voltages of the deck by their names in ngspice,
+    and set the ``EXTERNAL`` sources that they name. ngspice places a time point at both instants of
+    each function, even if no source of the deck has a breakpoint at these instants.
 
     Raises
     ------
     UsageError : the deck has no end of a transient.
     MissingToolError : libngspice is not on this machine.
     FailedRunError : ngspice failed, stopped early, or ignored or replaced something in a deck that
-        is not trusted; has the waveforms up to there.
+        is not trusted; the error contains the waveforms up to the failure.
     SimulationError : a function failed.
     """
     if deck.stop is None:
@@ -168,8 +168,8 @@ class Library:
     """One copy of libngspice with one circuit at a time.
 
     ``log`` is the output of ngspice since :meth:`load`, standard output and error in order.
-    ``dead`` is true after ngspice has asked to be unloaded. ``broken`` is the first exception of a
-    callback, which cannot pass through C.
+    ``dead`` is true after ngspice has requested to be unloaded. ``broken`` is the first exception
+    of a callback, which cannot pass through C.
 
     Raises
     ------
@@ -224,7 +224,7 @@ class Library:
     def _command(self, text: str) -> bool:
         return not self.dead and self._library.ngSpice_Command(text.encode()) == 0
 
-    # -- what ngspice calls ------------------------------------------------------------------
+    # -- callbacks of ngspice ------------------------------------------------------------------
 
     def _guard_callback(self, name: str) -> Callable[..., int]:
         """Return a callback to the loop, without effect after a callback has failed."""
@@ -261,7 +261,8 @@ def _load_private_copy() -> ctypes.CDLL:
         )
     try:
         plain = ctypes.CDLL(result)
-        maps = Path("/proc/self/maps")  # Linux finds a name; what it has loaded has a path
+        # Linux finds the library by its name; a loaded library has a path
+        maps = Path("/proc/self/maps")
         loaded = maps.read_text("utf-8").split() if maps.is_file() else [result]
         path = next((word for word in loaded if result in word and Path(word).is_file()), None)
         if path is None:  # the system's one copy has to do

@@ -61,7 +61,7 @@ def circuit_error(
     Parameters
     ----------
     circuit, pins : the tree of the subcircuit and its pins.
-    model : what the circuit was made from, at these ``values`` of the netlist's parameters.
+    model : model of the circuit, at these ``values`` of the netlist's parameters.
     band : lowest and highest frequency [Hz].
     """
     emitted = EmittedResponse(NodalCircuit(circuit), tuple(pins), model, values or {})

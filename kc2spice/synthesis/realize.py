@@ -80,7 +80,7 @@ class StepWeights:
 
 RINGING = StepWeights(3.0, 2, 0.01)  # the body's own ringing is a result
 THROWING = StepWeights(3.0, 6, 0.01)  # until it has struck: fewer points, an equal launch
-COARSE = StepWeights(8.0, 6, 1e-6)  # only what a contact throws is: half the time points
+COARSE = StepWeights(8.0, 6, 1e-6)  # only the motion of thrown parts matters: half the time points
 _OUTWARDS = (
     "* Positive um are along a port's outward direction. A current into its pin is a force on the",
     "* body along that direction (rotations: right-hand rule of the port's axis).",
@@ -335,7 +335,7 @@ def subcircuit(
     header : Header, optional
         Origin of the netlist. The default names the model and a hash of its matrices.
     title : str, optional
-        What the device is, for the head of the library.
+        Description of the device for the head of the library.
     rating : str, optional
         Largest permitted load of the device, for the head of the library.
     ports : sequence of str, optional
@@ -647,8 +647,8 @@ def _require_distinct(pins: Iterable[Pin], inner: Iterable[str], name: str) -> N
 def reference_pin(ports: Sequence[Port]) -> Pin:
     """Return the last pin, the reference of all pins that are no pairs.
 
-    Displacements count from the base, and so do all other quantities of such a model. The base is
-    called ``ground`` if a port is called ``base``.
+    Displacements and all other quantities of a model with mechanical ports are relative to the
+    base. The base is called ``ground`` if a port is called ``base``.
     """
     domains = _port_domains(ports)
     others = list(filter(attrgetter("reference"), domains))

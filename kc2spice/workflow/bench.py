@@ -1,13 +1,13 @@
 """Error and CPU time of a scene over its numerical settings, and the recommended setting.
 
-The scene runs as it is, with one axis (:mod:`kc2spice.scene.axes`) moved at a time, and with all
+The scene runs unchanged, with one axis (:mod:`kc2spice.scene.axes`) moved at a time, and with all
 axes finer. The search then follows the axes to the cheapest settings within the error limit, and
 within the error of the scene itself.
 
 Errors are relative to a reference run with every axis at its finest value. A second, less fine run
 shows how well the reference has converged. A key that the scene sets to its finest value, such as a
 ``reltol`` of 1e-7, has no finer run. The change by a coarser value is then part of every error. The
-scene as it is also has the error estimate that its ``error_budget`` would state.
+unchanged scene also has the error estimate of an ``error_budget``.
 
 Times are medians of the simulator's CPU time. Each round runs all settings, so that a slower
 machine affects all settings equally.
@@ -114,7 +114,7 @@ class _Plane:
         return refine.coarser_changes(self.runs, {}, self.finest, self.names)
 
     def estimate(self) -> dict[str, Any] | None:
-        """Return the error estimate of the scene as it is, with its meshes and tables."""
+        """Return the error estimate of the unchanged scene, with its meshes and tables."""
         result = refine.estimate(self.runs, {})
         if result is None:
             return None
@@ -171,7 +171,7 @@ class _Plane:
     def search(self, limit: float, progress: Progress) -> None:
         """Run settings with one axis moved, then search those within two error limits.
 
-        The limits are ``limit`` and the error of the scene as it is.
+        The limits are ``limit`` and the error of the unchanged scene.
         """
         origin = (0.0,) * len(self.axes)
         star = [origin]
@@ -257,7 +257,7 @@ def bench(
     Raises
     ------
     UsageError : an unknown metric, or a scene with nothing to set.
-    SimulationError : the scene as it is, or its reference, does not run.
+    SimulationError : the unchanged scene, or its reference, does not run.
     MissingToolError : no ngspice.
     """
     simulator = find_ngspice()

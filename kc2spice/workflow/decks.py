@@ -113,7 +113,7 @@ def make_deck(build: Build) -> Deck:
 def _is_controller(part: Part, scene: Scene) -> bool:
     """Return whether a part measures a motion and sets a voltage or current.
 
-    Such a part may close a control loop.
+    A controller may close a control loop.
     """
     measures_motion = sets_output = False
     for pin in scene.pins(part.name):
@@ -232,8 +232,8 @@ def _card_texts(text: str, name: str) -> list[str]:
 def spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
     """Refuse to change a library that another deck in ``out`` includes.
 
-    A deck in ``out`` that is not among the ``files`` stays there, and would then simulate another
-    part.
+    A deck in ``out`` that is not among the ``files`` is not replaced, and would then simulate
+    another part.
 
     Raises
     ------

@@ -40,7 +40,7 @@ def export_scene(
 
     Raises
     ------
-    UsageError : an unknown dialect, or one that cannot say what the scene needs; see
+    UsageError : an unknown dialect, or a dialect that cannot represent the scene; see
         :func:`kc2spice.workflow.decks.spare_other_decks`.
     GateMissedError : the circuit of a body misses the tolerance of its reduction.
     """

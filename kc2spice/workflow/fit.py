@@ -464,7 +464,10 @@ class _Body:
 
 @dataclass(frozen=True, eq=False)
 class _DescentResult:
-    """Result of a descent: values, the linearised problem there, and the parameter range."""
+    """Result of a descent.
+
+    Values, the linearised problem at these values, and the parameter range.
+    """
 
     values: dict[str, float]
     solved: OptimizeResult
@@ -569,7 +572,8 @@ def _correct_end(descent: _Descent, end: _DescentResult) -> _DescentResult | Non
 def _refine_end(descent: _Descent, end: _DescentResult) -> _DescentResult:
     """Return the values that fit the full model.
 
-    If the derivatives of the reduced model do not lead there, models of narrower ranges follow.
+    If the derivatives of the reduced model do not lead to the solution, models of narrower ranges
+    follow.
 
     Raises
     ------

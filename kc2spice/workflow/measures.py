@@ -1,9 +1,9 @@
 """``.meas`` cards of a deck: the probes and main metrics of a scene, taken by the simulator itself.
 
-A card exists for what ngspice computes from one vector as the program does: extremes and their
-places, their difference, means, values at a place, crossings of a level and the last value. In
-``ac`` extremes are those of the computed points; the metric interpolates between them. An ``op``
-has no cards: its deck prints the vectors.
+A card exists for each quantity of one vector that ngspice computes in the same way as the program:
+extremes and their places, their difference, means, values at a place, crossings of a level and the
+last value. In ``ac`` extremes are those of the computed points; the metric interpolates between
+them. An ``op`` has no cards: its deck prints the vectors.
 
 Not among them, since no card of ngspice computes them: fits of an impedance (antiresonance, Q
 factor, capacitance), cycles of a frequency, and windows, whose ends lie between time points.

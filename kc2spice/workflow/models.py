@@ -111,8 +111,8 @@ def _netlist_texts(part: Part, build: Build, header: Header) -> tuple[str, ...]:
 def _number_subcircuits(build: Build) -> dict[str, str]:
     """Return the libraries of all parts, with different names for different subcircuits.
 
-    Bodies of one part number may have different subcircuits, such as those of other ports. The
-    first one has the part number as its name; the others are named after scene and part.
+    Bodies with one part number may have different subcircuits, for example with different ports.
+    The first one has the part number as its name; the others are named after scene and part.
     """
     scene, names = build.scene, dict(build.libraries)
     header = Header(scene.name, scene_hash(scene))

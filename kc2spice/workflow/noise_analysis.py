@@ -18,7 +18,7 @@ RESOLVED = 0.02  # largest relative change of the rms value with every second fr
 
 
 def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
-    """Density (nf,) of what each part adds, where the run tells it."""
+    """Return the noise density (nf,) of each part, as far as the run contains it."""
     power: dict[str, np.ndarray] = {}
     for name, density in waves.data.items():
         word, _, rest = name.partition(".")
@@ -29,7 +29,7 @@ def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
 
 
 def noise_metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
-    """Return rms values over the band: of the output, and of what each part adds to it."""
+    """Return rms values over the band: of the output, and of the contribution of each part."""
     f, parts = waves["frequency"].real, noise_by_part(waves)
     unit = build.results.units[NOISE_WAVE].removesuffix(DENSITY_UNIT)
     added = {part: Metric(_rms(f, result), unit) for part, result in parts.items()}
@@ -56,7 +56,7 @@ def checks(waves: Waveforms) -> Iterator[Check]:
 
 
 def noise_figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
-    """The spectral density, and what it adds up to from the lowest frequency on."""
+    """Plot the spectral density, and its integral from the lowest frequency on."""
     f, density = waves["frequency"].real, np.abs(waves[NOISE_WAVE])
     label, factor = scale_axis("frequency", f)
     log = bool(f[0] > 0 and f[-1] / f[0] > 20)

@@ -35,15 +35,16 @@ class OperatingPoint:
 def operating_point(build: Build, deck: Deck) -> OperatingPoint:
     """Find the operating point of small signals in a separate run.
 
-    Other analyses, edited decks and scenes of linear parts alone have none here: small signals of
-    a linear part are the same about every point. A warning replaces what is not found.
+    Other analyses, edited decks and scenes of linear parts alone have none here: small signals of a
+    linear part are the same about every point. A warning replaces the operating point if it is not
+    found.
     """
     scene = build.scene
     if not scene.analysis.small or deck.text is not None:
         return OperatingPoint()
     if is_linear(build):
         return OperatingPoint()
-    # Probes stay: what they read decides which pins a body has. Noise is no result of this run.
+    # The probes remain, because they determine the pins of a body. Noise is no result of this run.
     probes = {} if build.has_noise else scene.probes
     frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": probes})
     # Pins and models stay: films and eddy currents are resolved up to the same frequency.

@@ -70,11 +70,12 @@ class LargerOrder:
 
 
 def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
-    """Run the scene of ``run`` again with larger orders while its own loads ask for these.
+    """Run the scene of ``run`` again with larger orders until the error under the recorded loads is
+    small.
 
     Returns the run whose reduced bodies have the smallest error. The files of that run are in the
-    directory ``work``. Prints the orders and their errors as warnings, and what ended the search
-    where the error remains too large.
+    directory ``work``. Prints the orders and their errors as warnings, and the reason for the end
+    of the search if the error remains too large.
     """
     for _ in range(MOST_RISES):
         searches = list(_larger_orders(run, clock))
@@ -95,8 +96,9 @@ def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
 def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> Mapping[str, Any]:
     """Keys of the scene with which a failed run may succeed; empty if there are none.
 
-    These are what its checks suggest. Where a body is still too coarse although its order was
-    chosen so before, which is among the ``automatic`` keys, the order doubles once more.
+    The keys are those that the checks of the run suggest. Where a body is still too coarse although
+    its order was chosen so before, which is among the ``automatic`` keys, the order doubles once
+    more.
     """
     if error.suggested:
         return error.suggested
@@ -138,8 +140,8 @@ def _run_again(run: Run, chosen: Sequence[LargerOrder], work: Path, clock: Clock
 
 @dataclass(frozen=True)
 class _Search:
-    """The best larger order of a body, None where none is worth a run, and what ended the search in
-    words."""
+    """The best larger order of a body, None if none is worth a run, and the reason for the end of
+    the search."""
 
     best: LargerOrder | None
     end: str

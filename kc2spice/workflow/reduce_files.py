@@ -224,8 +224,8 @@ def _reduce_measured(
     shunt: str | float | None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """A measured part as the passive circuit that comes nearest: parallel branches of one port
-    where they do, else poles of any kind."""
+    """Convert a measurement to the nearest passive circuit: parallel branches for one port if they
+    fit, otherwise poles of any kind."""
     for option, value in options.items():
         if value is not None:
             raise UsageError(
@@ -265,7 +265,10 @@ def _reduce_measured(
 
 
 def _fit_passive_model(data: Measured, conductance: float | None, notes: list[str]) -> LinearModel:
-    """The passive model of the samples; ``notes`` gets what its form is if it is not the first."""
+    """The passive model of the samples.
+
+    ``notes`` receives a note on the form of the model if it does not consist of parallel branches.
+    """
     if data.Y.shape[1] == 1:
         nearest, left = fit_one_port(data.f, data.Y[:, 0, 0], data.noise, conductance)
         if nearest is not None:
@@ -279,13 +282,13 @@ def _fit_passive_model(data: Measured, conductance: float | None, notes: list[st
                 hint="leave out --dc: a general fit of poles then extrapolates this resistance",
             )
         notes.append(f"parallel branches leave a deviation of {left:.2g}: poles of any kind")
-    from kc2spice.rom.multiport import fit_multiport  # late: what few need
+    from kc2spice.rom.multiport import fit_multiport  # imported here, because few commands need it
 
     return fit_multiport(data.f, data.Y, data.noise, data.where)
 
 
 def _require_near(model: LinearModel, data: Measured) -> None:
-    """Refuse a model whose error exceeds what noise explains."""
+    """Refuse a model whose error exceeds the noise considerably."""
     certificate = model.certificate
     assert certificate is not None
     error, noise = certificate.error_estimate, data.relative_noise(certificate.norm)
@@ -305,7 +308,7 @@ def _require_near(model: LinearModel, data: Measured) -> None:
 
 
 def _conductance(dc: str | float) -> float:
-    """Conductance [S] at zero frequency of what ``--dc`` states."""
+    """Return the conductance [S] at zero frequency that ``--dc`` states."""
     if dc == "open":
         return 0.0
     resistance = quantity(dc, "Ohm", where="--dc")
@@ -322,7 +325,7 @@ def _write_reduced_model(
     out: Path | None,
     tolerance: float | None = None,
 ) -> dict[str, Any]:
-    """The files of the reduced model that is made, and what ``reduce --json`` says of it: the error
+    """Write the files of the reduced model, and return its record for ``reduce --json``. The error
     estimate is that of the emitted circuit.
 
     Raises

@@ -42,9 +42,9 @@ MOST_UNKNOWNS = 200_000  # unknowns of a refined mesh: minutes of one processor
 FREE_SHARE = 0.5  # share of free memory for one factor; matrices and modes need the rest
 PLANE_BYTES = 100.0  # for each unknown and doubling of their number: 145 000 took 0.2 GB
 MOST = 16  # runs besides the scene's own
-LIMIT = 1e-2  # error_budget where checks.reduction asks without one
-# A notch leaves half of an axis' error at most, as corners of a mesh do; what a metric changes by
-# is the other half at least.
+LIMIT = 1e-2  # error budget for checks.reduction without the key error_budget
+# A notch leaves at most half of the error of an axis, as corners of a mesh do; the change of a
+# metric by is the other half at least.
 REMAINDER = 2.0
 PER_NOTCH, FARTHEST = 4.0, 3  # by which an error falls at best, notches that are taken at once
 NEAR_ZERO = 0.1  # least size of a metric in errors, relative to the largest with its unit
@@ -60,8 +60,8 @@ Notches = Mapping[str, float]  # by how many notches an axis is moved, by its na
 class Runs:
     """Runs of the scene of ``start`` by notches of its axes, each made once.
 
-    Axes in ``finest`` can only be moved coarser. ``most`` is the largest number of runs besides
-    that of the scene as it is, for an estimate of the error.
+    Axes in ``finest`` can only be moved coarser. ``most`` is the largest number of further runs for
+    an error estimate, besides that of the unchanged scene.
     """
 
     def __init__(

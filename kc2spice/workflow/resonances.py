@@ -48,8 +48,8 @@ def with_resonances(deck: Deck, build: Build) -> Deck:
     where the scene's frequencies lie closer than a quarter of that. Undamped resonances have no
     largest response and get no further frequencies.
 
-    Warns where a part has no law, such as a user's netlist: its circuit then contributes the poles
-    of the reduced models alone.
+    Warns if a part has no law, such as a user's netlist: only the poles of the reduced models are
+    then known.
     """
     analysis = build.scene.analysis
     if not analysis.small or analysis.stop is None:

@@ -22,7 +22,7 @@ from kc2spice.rom.modal import resonators
 from kc2spice.scene.model import Build
 from kc2spice.sim.ngspice import RELTOL
 
-LASTING = math.log(1e3)  # of an amplitude that counts, over what is left of it at the end
+LASTING = math.log(1e3)  # ratio of a relevant amplitude to its value at the end of the ringing
 MANY = 3e5  # time points that are announced: half a minute for 24 states
 # CPU time of ngspice [s] for each time point, and in addition for each state. It was measured with
 # kick_and_catch of 24 and of 178 states on a processor of 2.5 GHz.

@@ -125,7 +125,7 @@ def run_scene(
 
     Raises
     ------
-    UsageError : ``deck`` does not save what the scene's metrics need.
+    UsageError : ``deck`` does not save the vectors of the scene's metrics.
     MissingToolError : no ngspice; noticed before any FE is computed.
     SimulationError : a stage failed. Nothing was written to ``out``; the deck and its log are kept
         beside it in ``<out>.failed`` until a run into ``out`` succeeds.

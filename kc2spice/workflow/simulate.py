@@ -56,7 +56,7 @@ class Run(Outcome):
 
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
-        """Metrics that are numbers or arrays of numbers by dotted name; what is missing is nan."""
+        """Metrics that are numbers or arrays of numbers by dotted name; missing values are nan."""
         result = {
             n: np.asarray(np.nan if v is None else v) for n, v in flatten_mapping(self.metrics)
         }
@@ -265,7 +265,7 @@ def simulator_cpu(*, shared: bool) -> float:
 @contextmanager
 def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
     """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``, until a later one
-    succeeds. No result is looked for there; ``failure.json`` says what the files are."""
+    succeeds. No command reads results from this directory; ``failure.json`` describes the files."""
     folder = None if out is None else _failure_folder(Path(out).absolute())
     try:
         yield
@@ -282,7 +282,7 @@ def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
 
 
 def _failure_folder(out: Path) -> Path:
-    """``<out>.failed``, or ``<out>.failed2`` and so on where something else has that name."""
+    """``<out>.failed``, or ``<out>.failed2`` and so on if this name exists."""
     name = f"{out.name}.failed"
     for number in ("", *range(2, 100)):
         result = out.with_name(f"{name}{number}")

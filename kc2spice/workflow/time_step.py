@@ -38,7 +38,7 @@ AMPLITUDE, SHAPE = 5e-4, 1e-3  # allowed error of a wave's rms; of the wave; ove
 MANY, MOST = 2e5, 4e6  # points that SHAPE and AMPLITUDE are worth
 CLOSE = 1.1  # ratio of two steps that are the same
 FEWEST = 1000  # points of any run
-UNKNOWN = 10e-6  # s, where the circuit is not linear: its error control sees what happens there
+UNKNOWN = 10e-6  # s, for nonlinear circuits, in which error control resolves the changes
 RESONANT = 2.0  # quality from which on errors of steps add up
 SAMPLES, WINDOWS = 2500, 16
 SEEN = 30_000  # points that a run is compared at
@@ -78,7 +78,8 @@ def largest_step(build: Build) -> StepLimit:
 def _relaxes(network: Network) -> bool:
     """Return whether all pins of a network are thermal.
 
-    Heat has no inertia. Such a network cannot ring, and error control resolves its time constants.
+    Heat has no inertia. A thermal network cannot ring, and error control resolves its time
+    constants.
     """
     kinds = set(pin_kinds(network.laws).values())
     return all(DOMAINS[kind].relaxes for kind in kinds)
@@ -250,7 +251,8 @@ def deviation(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float
     return float(rms.max(initial=0.0)), float(value.max(initial=0.0))
 
 
-# --- what a run did -------------------------------------------------------------------------------
+# --- checks of a run
+# -------------------------------------------------------------------------------
 
 
 def step_checks(build: Build, waves: Waveforms, balances: Mapping[str, Balance]) -> Iterator[Check]:
@@ -258,8 +260,8 @@ def step_checks(build: Build, waves: Waveforms, balances: Mapping[str, Balance])
 
     Waves of a linear circuit are compared with its exact motion, unless a contact sets the steps,
     which then do not resolve all ringing. In any other circuit the outputs of each linear body are
-    compared with its exact response to the recorded loads. With such a contact these checks only
-    warn.
+    compared with its exact response to the recorded loads. If a contact sets the steps, these
+    checks only warn.
     """
     scene = build.scene
     if scene.analysis.type != "transient" or "time" not in waves:
@@ -283,7 +285,9 @@ def step_checks(build: Build, waves: Waveforms, balances: Mapping[str, Balance])
 
 
 def _exact_motion(build: Build, waves: Waveforms) -> tuple[tuple[float, float, str], set[str]]:
-    """Return the largest deviation of all waves of linear circuits, and the parts of these."""
+    """Return the largest deviation of all waves of linear circuits, and the parts of these
+    circuits.
+    """
     exact, worst = set[str](), (0.0, 0.0, "")
     linearised = linearised_scene(build)
     for network, motion in zip(linearised.networks, linearised.motions, strict=True):

@@ -17,8 +17,8 @@ class Reductor(ABC):
     A subclass has a ``name``, a literature ``reference`` and the method :meth:`basis`. The choice
     of the order, the error estimate and the proofs of stability and passivity are the same for all
     methods. ``congruence`` states whether the projection is a Galerkin projection, which preserves
-    the form of the matrices: it is True by default. ``no_basis`` states what it means if
-    :meth:`basis` returns None.
+    the form of the matrices: it is True by default. ``no_basis`` states the reason if :meth:`basis`
+    returns None.
 
     Examples
     --------
@@ -79,7 +79,7 @@ class Reductor(ABC):
 
 
 def require_basis(reductor: Reductor, result: Any) -> ReducedBasis | None:
-    """Return what :meth:`Reductor.basis` returned, if it is a basis or None.
+    """Return the result of :meth:`Reductor.basis` if it is a basis or None.
 
     Raises
     ------

@@ -31,7 +31,7 @@ CANDIDATES = 101  # frequencies of each grid, linear and logarithmic, of which t
 
 
 class GreedyBasis:
-    """The basis as it grows, with what the residual estimate needs of it.
+    """A growing basis, with the projections that the residual estimate needs.
 
     It begins with the ``static`` responses if there are any.
     """

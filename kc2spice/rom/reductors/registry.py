@@ -114,8 +114,8 @@ def reductor_named(method: str | Reductor) -> Reductor:
 def suited_reductors(task: Task) -> list[Reductor]:
     """Return the default methods: response POD and balanced truncation.
 
-    Congruences come first. Balancing over the band sees notches, which count in the pointwise norm
-    only.
+    Congruences come first. Balancing over the band represents notches, which matter in the
+    pointwise norm only.
     """
     congruences: list[Reductor] = [POD] if task.collocated else [POD, TWO_SIDED_POD]
     if task.norm == "pointwise":

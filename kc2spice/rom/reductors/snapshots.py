@@ -1,7 +1,8 @@
 """Snapshots of a frequency response: frequencies and weights.
 
 A body that touches others is excited above the band too. A basis fitted to the band alone has large
-errors there, so mechanical ports add snapshots above the band, with a small weight: the *tail*.
+errors above the band, so mechanical ports add snapshots at higher frequencies with a small weight:
+the *tail*.
 """
 
 from __future__ import annotations

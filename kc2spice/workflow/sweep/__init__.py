@@ -1,1 +1,4 @@
-"""Sweeps: many decks of one scene, planned by what they share, on any pool of workers."""
+"""Sweeps.
+
+Many decks of one scene that share meshes, models and netlists, on any pool of workers.
+"""

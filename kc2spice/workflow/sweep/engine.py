@@ -1,8 +1,8 @@
 """Run a sweep: check it, share the models, run and record the points, write the table.
 
-Points run in processes of this machine or on a Dask scheduler's workers: both are an
-:class:`concurrent.futures.Executor`, and whatever else has that interface will do. Their rows go to
-a database that takes them in any order, then into one sorted table.
+Points run in processes of this machine or on a Dask scheduler's workers: both are a
+:class:`concurrent.futures.Executor`, and any other executor is accepted. Their rows go to a
+database that takes them in any order, then into one sorted table.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def local_workers(count: int) -> Workers:
 
 
 def _end_orphans(scratch: Path) -> None:
-    """Kill what killed workers leave running: an ngspice that would still write to ``scratch``."""
+    """Kill ngspice processes of killed workers, which would still write to ``scratch``."""
     for mark in scratch.glob("*" + _GROUP):
         with suppress(ProcessLookupError, PermissionError):  # its whole group has ended
             os.killpg(int(mark.stem), signal.SIGKILL)
@@ -208,13 +208,13 @@ _OUTCOME = TypeAdapter(PointResult)
 
 
 class RowStore:
-    """``outcomes`` by point, and an SQLite file where each is complete or not there at all.
+    """``outcomes`` by point, and an SQLite file in which each row is complete or missing.
 
     ``digest`` is that of the sweep; ``failed`` are the points that have no numbers.
 
     Raises
     ------
-    UsageError : another process writes to it, it holds another sweep or something else than rows.
+    UsageError : another process writes to it, or it contains another sweep or other data.
     """
 
     def __init__(self, path: Path, points: int, digest: str) -> None:
@@ -273,7 +273,9 @@ class RowStore:
 
 
 def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> None:
-    """Raise UsageError if a run of ``scene`` has no such numbers, or none at all to tabulate."""
+    """Raise UsageError if a run of ``scene`` lacks one of the metrics, or has no number for the
+    table.
+    """
     known = {**outcome.metrics, **outcome.facts}
     for name in names:
         if name not in known:
@@ -292,7 +294,7 @@ def columns(
 ) -> dict[str, list[Any]]:
     """The table: swept keys, ``metrics`` numbers (or every metric that a run has), ``status``.
 
-    A point without a number has None there.
+    A point without a number has None in this column.
     """
     rows = sorted(outcomes.items())
     names = metrics or dict.fromkeys(chain.from_iterable(item.metrics for _, item in rows))
@@ -343,15 +345,15 @@ ROWS, PAGE = "rows.sqlite", "sweep.html"
 LOST = PointResult(failure="its worker process died, twice", interrupted=True)
 
 
-# --- what is asked --------------------------------------------------------------------------------
+# --- planning --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep that was found good: points, what its workers need, and columns of the table.
+    """A checked sweep: points, settings of its workers, and columns of the table.
 
     ``scene`` is that of the first point, ``units`` those of the swept keys; ``metrics`` are the
-    columns that were asked for, none for all.
+    requested columns, empty for all.
     """
 
     scene: Scene
@@ -466,7 +468,7 @@ def studies() -> dict[str, Traversable]:
 
 
 def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
-    """The sweep of a scene, or of a study with ``sets`` and what is ``asked`` on top of it.
+    """Return the sweep of a scene, or of a study with further ``sets`` and options ``asked``.
 
     A range in ``sets`` replaces the study's of the same key; ``asked`` are options of
     :func:`make_sweep`.
@@ -497,7 +499,7 @@ def _find_study(name: str) -> _Study | None:
         data = builtin.read_bytes() if builtin else read_bounded(Path(name), MAX_BYTES)
         content = parse_toml(text_of(data))
     except (OSError, ValueError):
-        return None  # whoever loads it as a scene says what is wrong with it
+        return None  # the loader of scenes reports the mistake
     if not isinstance(content.get("scene"), str):
         return None
     try:
@@ -517,8 +519,8 @@ def outcomes(
     """Run ``points`` and give each with its outcome as it comes.
 
     Whoever needs a model first builds it into the cache, where all others wait for it. A point that
-    is interrupted, by the death of a worker or by what else happens to the machine, is run once
-    more after all others, alone: only the one that ends its worker again is given up.
+    is interrupted, by the death of a worker or another fault of the machine, is run once more after
+    all others. Only a point that ends its worker again fails.
 
     Raises
     ------
@@ -598,9 +600,9 @@ def run_sweep(
 ) -> dict[str, Any]:
     """Run all points of a sweep that are not finished, and write its table.
 
-    Rows go to ``out/rows.sqlite`` as they come; the table, its figures and ``sweep.html`` appear
-    when all are there. The same call continues a sweep that was interrupted. It repeats points that
-    failed because of the machine.
+    Each finished row is written to ``out/rows.sqlite``. The table, its figures and ``sweep.html``
+    appear after the last row. The same call continues a sweep that was interrupted. It repeats
+    points that failed because of the machine.
 
     Parameters
     ----------
@@ -626,7 +628,8 @@ def run_sweep(
 
     Raises
     ------
-    UsageError : ``out`` holds another sweep, another process writes there, or it cannot be written.
+    UsageError : ``out`` contains another sweep, another process writes to it, or it cannot be
+        written.
     MissingToolError : no workers, or no ngspice where they are; no pyarrow for Parquet.
 
     Examples
@@ -694,7 +697,7 @@ def _open_rows(definition: Sweep, out: Path, table_format: str) -> RowStore:
 
 
 def _publish(definition: Sweep, rows: RowStore, out: Path, table_format: str) -> dict[str, Any]:
-    """Write table, figures and page; what the summary says of them."""
+    """Write table, figures and page, and return their names for the summary."""
     from kc2spice.report.sweep_page import compute_yields, write_sweep
 
     table = columns(rows.outcomes, definition.plan, definition.metrics)

@@ -158,7 +158,7 @@ class PointResult:
 
     ``metrics`` by name; ``facts`` are all other numbers of ``result.json`` by dotted path.
     ``units`` are the SI units of both, where they have one.
-    ``interrupted``: for what happened to the machine, so that it is worth another try.
+    ``interrupted``: the cause was the machine, so that another attempt may succeed.
     """
 
     metrics: Mapping[str, Number] = field(default_factory=dict)
@@ -180,7 +180,7 @@ def subcircuit_parameters(values: Mapping[str, Any]) -> Parameters:
 
 
 def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
-    """Run one point. What goes wrong with it is its outcome; it never ends the sweep.
+    """Run one point. A failure is the outcome of the point, and never ends the sweep.
 
     Raises
     ------
@@ -209,7 +209,8 @@ def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str
     """Return ``build`` for metrics and checks of a ``deck`` with other parameter values.
 
     A part whose key has the name and the value of a parameter receives the new value. A part
-    without such a key no longer describes the deck. It has neither checks nor an energy balance.
+    without a key of this name no longer describes the deck. It has neither checks nor an energy
+    balance.
     """
     known, parts, unjudged = parameter_defaults(deck), dict(build.scene.parts), set[str]()
     for key, value in values:
@@ -236,7 +237,7 @@ _lock = threading.Lock()  # threads of one worker must not build the same model 
 
 
 def build_point(job: Job, values: Mapping[str, Any]) -> tuple[Build, Deck]:
-    """Models and deck; points that differ in subcircuit parameters alone share both."""
+    """Return models and deck. Points that differ only in subcircuit parameters share both."""
     with _lock:
         return _testbench(replace(job, fixed=(*job.fixed, *_overrides(values))))
 
@@ -258,7 +259,7 @@ def _metric_numbers(run: Run) -> PointResult:
 
 
 def _flatten_numbers(value: Mapping[str, Any]) -> dict[str, Number]:
-    """Numbers, yes or no, and what is missing, by their dotted names."""
+    """Return numbers, booleans and missing values by their dotted names."""
     result: dict[str, Number] = {}
     for name, item in flatten_mapping(value):
         item = item.item() if isinstance(item, np.generic) else item

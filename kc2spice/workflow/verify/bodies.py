@@ -35,7 +35,7 @@ from kc2spice.synthesis.realize import apply_unit_load
 FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole
 SMALL = 3000  # unknowns up to which all are affordable
 POINTS = 120  # frequencies of the netlist
-LEAKED = 2.0  # times what the leaks of the electrical ports explain
+LEAKED = 2.0  # times the effect of the leaks of the electrical ports
 ROUNDING = 1e-9  # largest difference of two direct solutions of a full model
 NETLIST_ROUNDING = 1e-9  # rounding error of a response that ngspice sums from modes
 OWN_ROUNDING = 1e-11  # rounding error of the reduced model's response
@@ -53,7 +53,8 @@ def verify_body(
     """Add both comparisons of one body to ``findings``.
 
     ``libraries`` are the subcircuits to test, those of a shipped deck or those just emitted. The
-    reduced model's limit is what its certificate says, thus the tolerance that was asked for.
+    limit of the reduced model is the error estimate of its certificate, which is within the
+    tolerance.
     """
     rom = build.model(part, LinearModel)
     band = verified_band(rom, build)
@@ -266,7 +267,7 @@ def verified_band(rom: LinearModel, build: Build) -> tuple[float, float]:
 
 
 def _error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
-    """Frequencies [Hz] where an error shows, such as resonances, ascending."""
+    """Return ascending frequencies [Hz] at which errors are large, such as resonances."""
     result = adaptive_frequencies(Response(rom.pencil.dense()), band, static=False)
     # four digits: models that differ by their ports alone share their samples
     return np.unique([float(f"{f:.4g}") for f in result if f > 0])

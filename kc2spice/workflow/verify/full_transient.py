@@ -28,7 +28,7 @@ from kc2spice.workflow.verify.bodies import verified_band
 from kc2spice.workflow.verify.law_solution import Reference
 
 PER_PERIOD = 80  # steps of a period of the highest frequency that a reduced model holds to
-FINEST = 800  # steps of such a period in a short scene
+FINEST = 800  # steps for each period of a resonance in a short scene
 WORK = 1e7  # largest product of unknowns and steps of a full model
 MOST = 4000  # largest number of steps; for small models the other laws need more time
 WHOLE = 100.0  # factor of the number of steps with --full

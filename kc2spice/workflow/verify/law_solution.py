@@ -49,7 +49,7 @@ def solve(
     """Solve the laws of a scene at the points of ``waves``, the results of ngspice.
 
     Sources on the nets ``replayed`` (:func:`kc2spice.equations.replay.replayed_nets`) have the
-    values of ngspice there.
+    values of ngspice on these nets.
 
     Raises
     ------

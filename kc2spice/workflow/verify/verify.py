@@ -48,7 +48,7 @@ FEW_UNKNOWNS = 30_000  # of a mesh half as wide as that of the run: seconds, wit
 LOADED = 1e-6  # least value with a meaningful relative error, over the largest value
 LONGER, SPARE = 5.0, 30.0  # times, and s, that a finer discretisation may take beside the run's
 STILL = 1e-9  # largest motion at rest, by rounding errors, relative to the size
-NOTHING = 1e-150  # its square is zero: what rounding leaves of no current
+NOTHING = 1e-150  # its square is zero: a rounding error of zero current
 SMALL = 1e-3  # least size of a metric in errors, relative to the largest wave of its unit
 
 
@@ -108,8 +108,8 @@ def gate_limits(
 def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
     """Return the difference that a gate limits.
 
-    It is nan if only one solution has a value. It is None if neither has one, such as the launch
-    velocity of a body that never leaves.
+    It is nan if only one solution has a value. It is None if neither solution has a value, such as
+    the launch velocity of a body that never leaves.
     """
     if gate.of in exact.metrics:
         a, b = ours.metrics.get(gate.of), exact.metrics[gate.of]
@@ -266,7 +266,7 @@ def _largest_of_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> f
 
 
 SOLUTIONS = {"ngspice": "netlist, ngspice", "rom": "laws", "fom": "full model"}
-METRICS, WAVES = 10.0, 200.0  # times solver.reltol: gates of a transient unless the scene says
+METRICS, WAVES = 10.0, 200.0  # times solver.reltol: default error limits of a transient
 ANY_WAVE = 0.05  # largest error with any reltol, relative to a wave's rms
 STEADY_METRICS, STEADY_WAVES = 5e-9, 3e-8  # the same for analyses without time steps
 NOISE = 1e-6  # the same of noise: Boltzmann's constant has seven digits in ngspice
@@ -475,7 +475,8 @@ class _Verification:
     def _compare_finer(
         self, waves: Waveforms, solutions: Mapping[str, Solution], seconds: float
     ) -> None:
-        """Compare the laws with those of finer discretisations of parts that have a gate for these.
+        """Compare the laws with laws of a finer discretisation, for parts with an error limit of
+        the discretisation.
 
         The integration takes at most ``seconds`` [s], unless the verification is thorough.
         """
@@ -510,7 +511,8 @@ class _Verification:
     def _gates_of_models(self) -> list[tuple[str, Gate]]:
         """Return the gates; in a transient without those of discretisations.
 
-        In a transient only a finer discretisation can meet such a gate.
+        In a transient, error limits of discretisations apply to the comparison with a finer
+        discretisation only.
         """
         gates = self.verdict.gates
         return [item for item in gates if not (self.timed and item[1].discretisation)]
