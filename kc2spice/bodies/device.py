@@ -116,7 +116,7 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     facts |= {} if volts is None else {"depoling_voltage_v": volts}
     answers = compute_undamped_responses(bare.model, bare.shift)
     facts |= answers.facts | estimate_mesh_errors(bare, answers, setup.sectors)
-    model = replace(bare.model, facts=facts)
+    model = bare.model.copy_with(facts=facts)
     return replace(bare, model=_add_damping(model, solid, bare.displacement, setup))
 
 
@@ -184,7 +184,7 @@ def add_rayleigh_damping(model: LinearModel, damping: Damping) -> LinearModel:
     """
     first = _damping_frequency(model, damping)
     rayleigh = damping.rayleigh(first) if first else (damping.alpha, 0.0)
-    return replace(model, E=None, rayleigh=rayleigh)
+    return model.copy_with(E=None, rayleigh=rayleigh)
 
 
 def _damping_frequency(model: LinearModel, damping: Damping) -> float | None:
@@ -229,7 +229,7 @@ def _add_damping(
     for number, beta in enumerate(loss):
         if beta > least:
             E = E + damp(beta - least, number)
-    return replace(model, E=sparse.csc_array(E), rayleigh=None)
+    return model.copy_with(E=sparse.csc_array(E), rayleigh=None)
 
 
 def node_shares(

@@ -65,7 +65,7 @@ def stack_device(
     facts["unknowns"] += 1  # as the paper counts them: with one anode
     for name in [name for name in facts if name.endswith("_m_per_v")]:
         facts[name.replace("_m_per_v", "_m_per_100v")] = 100 * facts.pop(name)  # as data sheets do
-    return replace(device, model=replace(device.model, facts=facts, name="piezo_stack"))
+    return replace(device, model=device.model.copy_with(facts=facts, name="piezo_stack"))
 
 
 def stack_setup(

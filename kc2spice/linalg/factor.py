@@ -19,6 +19,7 @@ from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.memory import available_bytes
 from kc2spice.linalg.processor import fast_kernels
+from kc2spice.linalg.quasidefinite import QuasiDefinite
 from kc2spice.linalg.solver import DirectSolver, factorise_by, solve_by, supplied_solver
 
 USABLE = 0.9
@@ -84,6 +85,8 @@ RESIDUAL_LIMIT = 1e-11
 REFINEMENTS = 3
 # Up to this half-bandwidth a banded factor costs no more than the search for a better order.
 NARROW = 600
+# From so many unknowns on a multifrontal factor in Python takes less time than SuperLU.
+QUASI_DEFINITE = 20_000
 # From so many unknowns on nested dissection repays its own time.
 LARGE = 5000
 _LINE = 1  # gmsh's number of the element type with two nodes
@@ -95,7 +98,8 @@ _orders: dict[bytes, np.ndarray | None] = {}
 class Factor:
     """A factorised matrix; ``solve`` refuses to return an inaccurate solution.
 
-    ``order`` (n,) is the order of elimination, None if the solver chose it.
+    ``order`` (n,) is the order of elimination, None if the solver chose it. ``negative`` is the
+    number of negative eigenvalues, None if it is unknown.
 
     A solution beyond ``RESIDUAL_LIMIT`` is refined first: ``x + A^-1 (rhs - A x)`` (Skeel 1980).
     """
@@ -103,6 +107,7 @@ class Factor:
     matrix: scipy.sparse.csc_array
     apply_inverse: Inverse
     order: np.ndarray | None = None
+    negative: int | None = None
 
     @cached_property
     def norm(self) -> float:
@@ -205,11 +210,11 @@ def factorise(
         if narrow:
             order, apply = None, _factor_banded(coo, bandwidth)
         else:
-            order = _find_order(matrix) if order is None else order
+            order = find_order(matrix) if order is None else order
             apply = supernodal(matrix, order)
     except (np.linalg.LinAlgError, RuntimeError) as error:
         raise _indefinite_error(str(error)) from error
-    return Factor(matrix, apply, order)
+    return Factor(matrix, apply, order, negative=0)
 
 
 def _indefinite_error(got: str) -> SimulationError:
@@ -231,7 +236,7 @@ def _factorise_definite_by(solver: DirectSolver, matrix: scipy.sparse.csc_array)
         return None
     if negative:
         raise _indefinite_error(f"{negative} negative eigenvalues")
-    return Factor(matrix, lambda rhs: solve_by(supplied, matrix, rhs))
+    return Factor(matrix, lambda rhs: solve_by(supplied, matrix, rhs), negative=0)
 
 
 def _factorise_both_by(
@@ -245,6 +250,31 @@ def _factorise_both_by(
     transpose = scipy.sparse.csc_array(matrix.T)
     dual = factorise_by(solver, transpose)
     return forward, Factor(transpose, lambda rhs: solve_by(dual, transpose, rhs))
+
+
+def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
+    """Factorise a large real symmetric matrix that may be quasi-definite.
+
+    It is if the block of rows with a positive diagonal is positive definite, and the block of the
+    others negative definite. Such a matrix gets a multifrontal factor without pivoting. Every other
+    one, and one of fewer than ``LARGE`` unknowns, gets the factor of :func:`two_sided`.
+
+    Raises
+    ------
+    SimulationError : the matrix is singular.
+    """
+    order = find_order(matrix) if supplied_solver() is None else None
+    if order is not None:
+        minus = matrix.diagonal() < 0
+        trial = np.random.default_rng(0).standard_normal(matrix.shape[0])
+        try:
+            apply = QuasiDefinite(matrix, minus, _group_unknowns(matrix)[0], order).solve
+            factor = Factor(matrix, apply, order, negative=int(minus.sum()))
+            factor.solve(trial)
+            return factor
+        except (RuntimeError, SimulationError):  # of other signs: pivots are needed
+            pass
+    return two_sided(matrix, symmetric=True)[0]
 
 
 def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> Pair:
@@ -291,7 +321,7 @@ def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inve
     """
     from scipy.sparse.linalg import splu
 
-    order = _find_order(matrix) if symmetric else None
+    order = find_order(matrix) if symmetric else None
     lu = splu(
         matrix if order is None else scipy.sparse.csc_array(matrix[order][:, order]),
         permc_spec="MMD_AT_PLUS_A" if order is None else "NATURAL",
@@ -310,7 +340,7 @@ def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inve
     return lambda rhs: solve(rhs, "N"), lambda rhs: solve(rhs, "T")
 
 
-def _find_order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
+def find_order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     """Find an order ``p`` (n,) in which factors of ``matrix[p][:, p]`` are sparse.
 
     It is that of nested dissection by METIS in gmsh. The result is None for small matrices and,

@@ -17,9 +17,9 @@ def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 
 
 def expects_cholesky(pencil: Pencil) -> bool:
-    """Whether a reduction needs a Cholesky factor alone if K is definite."""
-    form = has_definite_form(pencil, undamped_too=True)
-    return form and not isinstance(pencil.coefficients[0], Schur)
+    """Whether a reduction needs one factor without pivoting if K is definite."""
+    K, form = pencil.coefficients[0], has_definite_form(pencil, undamped_too=True)
+    return form and not (isinstance(K, Schur) and not K.is_large)
 
 
 def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:

@@ -105,11 +105,11 @@ def _build_definite_model(
 ) -> IntermediateModel | None:
     """Build the model of a definite pencil or of a free body; return None for all others.
 
-    With potentials, the search for rigid-body modes costs less than a factor of the stiffness, and
-    comes first.
+    With potentials, the search for rigid-body modes costs less than a factor of the stiffness. It
+    comes first if no such factor is known.
     """
     omega, body = 2 * np.pi * band[1], None
-    if deflated and isinstance(pencil.coefficients[0], Schur):
+    if deflated and isinstance(pencil.coefficients[0], Schur) and not pencil.factorised:
         body = find_free_body(pencil, omega)
     if body is None and not is_definite(pencil, undamped_too=True):
         body = find_free_body(pencil, omega) if deflated else None

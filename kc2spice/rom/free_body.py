@@ -111,8 +111,7 @@ def find_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
         if not modes.shape[1]:
             return None
         if isinstance(K, Schur):
-            matrix = scipy.sparse.csc_array(pencil.bordered(1.0, 0.0, shift))
-            factor = factorise(matrix, definite=False)
+            factor = pencil.pencil_solver(-shift)
     except (SimulationError, np.linalg.LinAlgError):
         return None
     return FreeBody(pencil, shift, factor, modes, M @ modes)

@@ -418,9 +418,12 @@ class LinearModel:
         columns = [self.inputs.index(n) for n in self.inputs if n in names]
         rows = [self.outputs.index(n) for n in self.outputs if n in names]
         ports = tuple(p for p in self.ports if p.name in names)
-        result = replace(
-            self, B=self.B[:, columns], C=self.C[rows], D=self.D[np.ix_(rows, columns)], ports=ports
-        )
+        B, C, D = self.B[:, columns], self.C[rows], self.D[np.ix_(rows, columns)]
+        return self.copy_with(B=B, C=C, D=D, ports=ports)
+
+    def copy_with(self, **changes: Any) -> LinearModel:
+        """Return a copy with other attributes but the same K, whose factors both models share."""
+        result = replace(self, **changes)
         self.pencil.share(result.pencil)
         return result
 

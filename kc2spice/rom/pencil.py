@@ -15,7 +15,13 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.exact import ExactMatrix
-from kc2spice.linalg.factor import Factor, factorise, two_sided
+from kc2spice.linalg.factor import (
+    QUASI_DEFINITE,
+    Factor,
+    factorise,
+    factorise_quasi_definite,
+    two_sided,
+)
 
 Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array or Schur; scipy brings no types
 
@@ -80,9 +86,27 @@ class Schur:
     @property
     def inner(self) -> Factor:
         """Factor of ``pp``."""
-        return self.factor.get(
-            lambda: two_sided(self.pp, symmetric=is_equal(self.pp, self.pp.T))[0]
-        )
+        return self.factor.get(self._factorise_inner)
+
+    def _factorise_inner(self) -> Factor:
+        is_symmetric = is_equal(self.pp, self.pp.T)
+        if is_symmetric and self.is_large:
+            return factorise_quasi_definite(self.pp)
+        return two_sided(self.pp, symmetric=is_symmetric)[0]
+
+    @property
+    def is_large(self) -> bool:
+        """Whether a multifrontal factor takes less time than one with pivoting."""
+        return bool(self.uu.shape[0] + self.pp.shape[0] >= QUASI_DEFINITE)
+
+    def is_proven_definite(self, factor: Factor | None) -> bool:
+        """Whether a ``factor`` of all four blocks proves that the complement is positive definite.
+
+        The inertia of all blocks is the sum of those of ``pp`` and of the complement (Haynsworth
+        1968). All negative eigenvalues must be those of ``pp``.
+        """
+        count = self.pp.shape[0]
+        return factor is not None and factor.negative == count == self.inner.negative
 
     @cached_property
     def T(self) -> Schur:
@@ -317,12 +341,18 @@ class Pencil:
         SimulationError : singular, or K not positive definite.
         """
         if square:
-            return factorise(self.bordered(1.0, 0.0, -square), definite=False)
+            matrix = scipy.sparse.csc_array(self.bordered(1.0, 0.0, -square))
+            K = self.coefficients[0]
+            if square < 0 and isinstance(K, Schur) and K.is_large:
+                return factorise_quasi_definite(matrix)
+            return factorise(matrix, definite=False)
         return self.factors.get(self._factorise_stiffness)
 
     def _factorise_stiffness(self) -> Factor:
-        K = scipy.sparse.csc_array(self.bordered(1.0, 0.0, 0.0))
-        return factorise(K, definite=not isinstance(self.coefficients[0], Schur))
+        matrix, K = scipy.sparse.csc_array(self.bordered(1.0, 0.0, 0.0)), self.coefficients[0]
+        if isinstance(K, Schur) and K.is_large and self.symmetric:
+            return factorise_quasi_definite(matrix)
+        return factorise(matrix, definite=not isinstance(K, Schur))
 
     @property
     def elimination_order(self) -> np.ndarray | None:

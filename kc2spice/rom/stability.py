@@ -109,7 +109,10 @@ def is_dissipative(pencil: Pencil) -> bool:
         if not is_semidefinite(loss if isinstance(loss, Schur) else loss + loss.T, order):
             return False
     # a factor of K that solutions were made with shows it as well
-    definite = pencil.factorised and pencil.symmetric and not isinstance(rest, Schur)
+    if isinstance(rest, Schur):
+        definite = rest.is_proven_definite(pencil.factors.known) and pencil.symmetric
+    else:
+        definite = pencil.factorised and pencil.symmetric
     return pencil.degree == 1 or definite or is_semidefinite(rest)
 
 

@@ -12,7 +12,9 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from skfem.helpers import ddot, dot, eye, grad, sym_grad, trace
 
+from kc2spice.linalg import factor as factors
 from kc2spice.rom import pencil as pencils
+from kc2spice.rom import stability
 from kc2spice.rom.free_body import find_free_body
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 from kc2spice.rom.reduce import reduce_model
@@ -118,6 +120,37 @@ def test_a_free_ceramic_block_needs_real_factors_only(ceramic, real_factors, nam
     full = with_potentials(ports=ports, rayleigh=(0.0, BETA), **blocks).select(names)
     rom = reduce_model(full, tolerance=1e-3, band=BAND)
     exact = exact[:, -len(names) :, -len(names) :]
+    error = np.abs(rom.transfer(frequency) - exact) / np.abs(exact)
+    assert error.max() <= rom.certificate.error_estimate <= 1e-3
+    assert rom.certificate.stable
+    assert rom.certificate.passive
+
+
+@pytest.mark.parametrize("clamped", [False, True])
+def test_large_ceramic_bodies_need_no_pivots(ceramic, monkeypatch, clamped):
+    """A clamped one is proven definite by the pivots of its factor, without another factor."""
+    monkeypatch.setattr(pencils, "QUASI_DEFINITE", 0)
+    monkeypatch.setattr(factors, "LARGE", 100)
+    blocks, frequency, exact = ceramic
+
+    def refuse(*_, **__):
+        pytest.fail("a matrix was factorised")
+
+    for module in (factors, pencils):
+        monkeypatch.setattr(module, "two_sided", refuse)
+    if clamped:
+        mobile = np.flatnonzero(np.arange(blocks["M"].shape[0]) >= 3 * 8)  # the edge y = z = 0
+        rows = {"M", "K_uu", "K_up", "k_uV", "B"}
+        blocks = {key: P[mobile] if key in rows else P for key, P in blocks.items()}
+        blocks |= {key: blocks[key][:, mobile] for key in ("M", "K_uu")}
+        exact = ceramic_response(blocks, frequency)
+        monkeypatch.setattr(stability, "FEW_UNKNOWNS", 0)  # the mass is proven by Lanczos steps
+        monkeypatch.setattr(stability, "factorise", refuse)
+    ports = [Port("face", "mechanical"), Port("anode", "electrical")]
+    full = with_potentials(ports=ports, rayleigh=(0.0, BETA), **blocks)
+    if clamped:
+        assert full.pencil.pencil_solver(0.0).negative == blocks["K_pp"].shape[0]
+    rom = reduce_model(full, tolerance=1e-3, band=BAND)
     error = np.abs(rom.transfer(frequency) - exact) / np.abs(exact)
     assert error.max() <= rom.certificate.error_estimate <= 1e-3
     assert rom.certificate.stable

@@ -320,7 +320,7 @@ def device(
     facts = dict(assembled.model.facts)
     for axis, side in sides:
         facts[f"extent_{axis}_mm"] = float(side)
-    return replace(assembled, model=replace(assembled.model, facts=facts))
+    return replace(assembled, model=assembled.model.copy_with(facts=facts))
 
 
 def _make_solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:

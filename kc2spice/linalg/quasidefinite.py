@@ -1,0 +1,308 @@
+"""Factors of large sparse quasi-definite matrices, such as those of piezoelectric solids.
+
+A quasi-definite matrix ``[A B; B' -C]`` has positive definite blocks A and C. In any order of its
+unknowns it has a factor ``L D L'`` without pivoting, D being 1 for unknowns of A and -1 for those
+of C. The signs are known beforehand, so the factor also proves that both blocks are definite.
+
+The method is multifrontal. The elimination tree is divided into supernodes: unknowns whose columns
+of L have nearly the same pattern. The front of a supernode is a dense matrix of these unknowns, the
+pivots, and of the unknowns behind them that they are coupled to. Dense Cholesky factors eliminate
+the pivots, first those of A and then those of C. The remainder is added to the next front.
+
+Sources: R. J. Vanderbei, SIAM J. Optim. 5 (1995) 100; I. S. Duff, J. K. Reid, ACM Trans. Math.
+Software 9 (1983) 302; J. W. H. Liu, SIAM Review 34 (1992) 82; C. Ashcraft, R. Grimes, ACM Trans.
+Math. Software 15 (1989) 291 (relaxed supernodes).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.lapack import dpotrf
+
+# Most zeros of a supernode, as a share of its entries, by its number of unknowns: zeros cost
+# operations, and supernodes cost time of Python. Chosen by trial.
+RELAXED = ((48, 1.0), (160, 0.4), (500, 0.12), (np.inf, 0.05))
+STRIP = 64  # columns of a remainder that are added to a front at once
+
+
+@dataclass(frozen=True, eq=False)
+class Supernode:
+    """Pivots ``begin`` to ``end``, the ``rows`` (m,) behind them, and the ``parent`` supernode.
+
+    Numbers are those in the order of elimination. The parent is -1 if there are no rows.
+    """
+
+    begin: int
+    end: int
+    rows: np.ndarray
+    parent: int
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Columns of L of a supernode with k pivots and m rows.
+
+    The pivots are those of ``turn`` (k,); the first ``positive`` of them have the sign 1.
+    ``triangle`` (k, k) is lower triangular, and ``below`` (m, k) belongs to the rows.
+    """
+
+    turn: np.ndarray
+    positive: int
+    triangle: np.ndarray
+    below: np.ndarray
+
+
+class QuasiDefinite:
+    """Factor ``L D L'`` of a quasi-definite matrix.
+
+    Parameters
+    ----------
+    matrix : (n, n) sparse array
+        Symmetric matrix.
+    negative : (n,) mask
+        Unknowns of the block -C.
+    group : (n,) array
+        Number of a group of each unknown; the columns of a group have one pattern.
+    order : (n,) array
+        Order of elimination in which L is sparse, groups one after another.
+
+    Raises
+    ------
+    RuntimeError : the matrix is not quasi-definite.
+    """
+
+    def __init__(
+        self,
+        matrix: scipy.sparse.csc_array,
+        negative: np.ndarray,
+        group: np.ndarray,
+        order: np.ndarray,
+    ) -> None:
+        self._order, self._supernodes = find_supernodes(matrix, group, order)
+        lower = scipy.sparse.tril(matrix[self._order][:, self._order], format="csc")
+        self._panels = list[Panel]()
+        place = np.zeros(len(order), dtype=np.intp)
+        updates: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in self._supernodes]
+        for node, parts in zip(self._supernodes, updates, strict=True):
+            panel, remainder = _assemble_front(lower, node, parts, place)
+            parts.clear()
+            minus = negative[self._order[node.begin : node.end]]
+            self._panels.append(_eliminate_pivots(panel, remainder, minus))
+            if node.rows.size:
+                updates[node.parent].append((node.rows, remainder))
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """Return the solution of one (n,) or several (n, k) right-hand sides."""
+        x = np.asarray(rhs, dtype=float).reshape(len(rhs), -1)[self._order]
+        steps = list(zip(self._supernodes, self._panels, strict=True))
+        for node, panel in steps:
+            pivots = x[node.begin : node.end][panel.turn]
+            pivots = dtrsm(1.0, panel.triangle, pivots, lower=1)
+            x[node.rows] -= panel.below @ pivots
+            pivots[panel.positive :] *= -1
+            x[node.begin : node.end] = pivots
+        for node, panel in reversed(steps):
+            pivots = x[node.begin : node.end] - panel.below.T @ x[node.rows]
+            pivots = dtrsm(1.0, panel.triangle, pivots, lower=1, trans_a=1)
+            x[node.begin + panel.turn] = pivots
+        result = np.empty_like(x)
+        result[self._order] = x
+        return result.reshape(rhs.shape)
+
+
+def _assemble_front(
+    lower: scipy.sparse.csc_array,
+    node: Supernode,
+    updates: Sequence[tuple[np.ndarray, np.ndarray]],
+    place: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Assemble a front from the matrix and from the remainders of other fronts.
+
+    The results are the columns of the pivots (k + m, k) and the matrix of the rows (m, m). Only
+    lower triangles are assembled. ``place`` (n,) is working memory.
+    """
+    count, rows = node.end - node.begin, node.rows
+    size = count + rows.size
+    place[node.begin : node.end] = np.arange(count)
+    place[rows] = np.arange(count, size)
+    panel, remainder = np.zeros((count, size)), np.zeros((rows.size,) * 2)  # both transposed
+    begin, end = lower.indptr[[node.begin, node.end]]
+    column = np.repeat(np.arange(count), np.diff(lower.indptr[node.begin : node.end + 1]))
+    panel[column, place[lower.indices[begin:end]]] = lower.data[begin:end]
+    for indices, update in updates:
+        at, transposed = place[indices], update.T
+        pivots = int(np.searchsorted(at, count))
+        for first in (*range(0, pivots, STRIP), *range(pivots, len(at), STRIP)):
+            target, skip = (panel, 0) if first < pivots else (remainder, count)
+            last = min(first + STRIP, pivots if first < pivots else len(at))
+            block = np.ix_(at[first:last] - skip, at[first:] - skip)
+            target[block] += transposed[first:last, first:]
+    return panel.T, remainder.T
+
+
+def _eliminate_pivots(panel: np.ndarray, remainder: np.ndarray, minus: np.ndarray) -> Panel:
+    """Eliminate the pivots of a front; ``remainder`` becomes the Schur complement.
+
+    Pivots ``minus`` (k,) have the sign -1. With ``[A b'; b -C]`` of the pivots and ``[F G]`` of the
+    rows, the factor has ``A = S S'``, ``W = b S'^-1``, ``C + W W' = T T'``, ``Y = F S'^-1``, ``Z =
+    (Y W' - G) T'^-1``.
+    """
+    count, positive = len(minus), int((~minus).sum())
+    turn = np.argsort(minus, kind="stable")
+    block = np.tril(panel[:count])
+    block += np.tril(block, -1).T
+    block = block[np.ix_(turn, turn)]
+    below = np.asfortranarray(panel[count:, turn])
+    triangle, head, tail = (
+        np.zeros((count, count), order="F"),
+        slice(positive),
+        slice(positive, None),
+    )
+    triangle[head, head] = S = _cholesky(block[head, head])
+    Y, Z = below[:, head], below[:, tail]
+    if positive:
+        Y[:] = dtrsm(1.0, S, Y, side=1, lower=1, trans_a=1)
+        _subtract_square(remainder, Y, 1.0)
+    if positive < count:
+        W = triangle[tail, head]
+        if positive:
+            W[:] = dtrsm(1.0, S, block[tail, head], side=1, lower=1, trans_a=1)
+        triangle[tail, tail] = T = _cholesky(W @ W.T - block[tail, tail])
+        Z[:] = dtrsm(1.0, T, Y @ W.T - Z, side=1, lower=1, trans_a=1)
+        _subtract_square(remainder, Z, -1.0)
+    return Panel(turn, positive, triangle, below)
+
+
+def _cholesky(matrix: np.ndarray) -> np.ndarray:
+    """Lower Cholesky factor of a dense matrix."""
+    if not matrix.size:
+        return matrix
+    factor, failure = dpotrf(matrix, lower=1, clean=1)
+    if failure:
+        raise RuntimeError("not quasi-definite")
+    return np.asarray(factor)
+
+
+def _subtract_square(matrix: np.ndarray, columns: np.ndarray, sign: float) -> None:
+    """Subtract ``sign columns columns'`` from the lower triangle of a matrix in place."""
+    if matrix.size and columns.size:
+        result = dsyrk(-sign, columns, beta=1.0, c=matrix, lower=1, overwrite_c=1)
+        if result.base is not matrix and result is not matrix:
+            matrix[:] = result
+
+
+def find_supernodes(
+    matrix: scipy.sparse.csc_array, group: np.ndarray, order: np.ndarray
+) -> tuple[np.ndarray, list[Supernode]]:
+    """Find the supernodes of a symmetric pattern, and the order (n,) of elimination with them.
+
+    The order has the same fill as the prescribed ``order``, but for zeros in supernodes.
+    """
+    sequence = group[order][np.r_[True, np.diff(group[order]) != 0]]  # of groups
+    rank = np.empty(len(sequence), dtype=np.intp)
+    rank[sequence] = np.arange(len(sequence))
+    numbers = rank[group]  # of the group of each unknown, in the order of elimination
+    weight = np.bincount(numbers)
+    below, above = _neighbours(matrix, numbers, order)
+    parent = _elimination_tree(above)
+    pivots, rows = _relaxed_supernodes(below, parent, weight)
+    return _number_supernodes(pivots, rows, parent, weight, numbers, order)
+
+
+def _neighbours(
+    matrix: scipy.sparse.csc_array, numbers: np.ndarray, order: np.ndarray
+) -> tuple[list[np.ndarray], list[list[int]]]:
+    """Neighbours of each group that are eliminated after it, and those before it."""
+    count = int(numbers.max()) + 1
+    first = np.full(count, -1)
+    first[numbers[order[::-1]]] = order[::-1]
+    columns = scipy.sparse.coo_array(matrix[:, first])
+    i, j = numbers[columns.row], columns.col
+    pairs = np.unique(j[i > j].astype(np.int64) * count + i[i > j])
+    column, row = np.divmod(pairs, count)
+    below = np.split(row, np.searchsorted(column, np.arange(1, count)))
+    turned = np.argsort(row, kind="stable")
+    above = np.split(column[turned], np.searchsorted(row[turned], np.arange(1, count)))
+    return below, [part.tolist() for part in above]
+
+
+def _elimination_tree(above: Sequence[Sequence[int]]) -> list[int]:
+    """Parent of each group in the elimination tree, -1 of a root (Liu, algorithm 4.2)."""
+    parent, ancestor = [-1] * len(above), [-1] * len(above)
+    for i, earlier in enumerate(above):
+        for k in earlier:
+            while (above_k := ancestor[k]) not in (-1, i):
+                ancestor[k], k = i, above_k
+            if above_k == -1:
+                ancestor[k] = parent[k] = i
+    return parent
+
+
+def _relaxed_supernodes(
+    below: Sequence[np.ndarray], parent: Sequence[int], weight: np.ndarray
+) -> tuple[dict[int, list[int]], dict[int, np.ndarray]]:
+    """Pivots and rows (groups) of the supernodes, by the last pivot of each."""
+    pivots, rows = dict[int, list[int]](), dict[int, np.ndarray]()
+    sizes = dict[int, tuple[int, int, int]]()  # unknowns of pivots, unknowns of rows, zeros
+    children: list[list[int]] = [[] for _ in below]
+    for j, neighbours in enumerate(below):
+        parts = [neighbours, *(rows[child] for child in children[j])]
+        rows[j] = np.unique(np.concatenate(parts))
+        rows[j] = rows[j][rows[j] > j]
+        pivots[j], count, zeros = [j], int(weight[j]), 0
+        behind = int(weight[rows[j]].sum())
+        for child in sorted(children[j], key=lambda k: -sizes[k][1]):
+            child_count, child_behind, child_zeros = sizes[child]
+            total = count + child_count
+            more = zeros + child_zeros + child_count * (count + behind - child_behind)
+            limit = next(share for most, share in RELAXED if total <= most)
+            if more <= limit * total * (0.5 * total + behind):
+                pivots[j] = pivots.pop(child) + pivots[j]
+                count, zeros = total, more
+                del rows[child], sizes[child]
+        sizes[j] = count, behind, zeros
+        if parent[j] >= 0:
+            children[parent[j]].append(j)
+    return pivots, rows
+
+
+def _number_supernodes(
+    pivots: dict[int, list[int]],
+    rows: dict[int, np.ndarray],
+    parent: Sequence[int],
+    weight: np.ndarray,
+    numbers: np.ndarray,
+    order: np.ndarray,
+) -> tuple[np.ndarray, list[Supernode]]:
+    """Order of elimination (n,) with the pivots of a supernode together, children first."""
+    owner = {group: last for last, groups in pivots.items() for group in groups}
+    parents = {last: owner.get(parent[last], -1) for last in pivots}
+    children = dict[int, list[int]]()
+    for last, above in parents.items():
+        children.setdefault(above, []).append(last)
+    postorder, stack = list[int](), list(children.get(-1, []))
+    while stack:
+        postorder.append(stack.pop())
+        stack += children.get(postorder[-1], [])
+    postorder.reverse()
+    sequence = np.concatenate([pivots[last] for last in postorder])
+    position = np.empty(len(sequence), dtype=np.intp)
+    position[sequence] = np.arange(len(sequence))
+    start = np.r_[0, np.cumsum(weight[sequence])]  # of each group, by its position
+    index = dict(zip(postorder, range(len(postorder)), strict=True)) | {-1: -1}
+    nodes, begin = list[Supernode](), 0
+    for last in postorder:
+        end = begin + int(weight[pivots[last]].sum())
+        at = np.sort(position[rows[last]])
+        counts = start[at + 1] - start[at]
+        offset = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        nodes.append(
+            Supernode(begin, end, np.repeat(start[at], counts) + offset, index[parents[last]])
+        )
+        begin = end
+    return order[np.argsort(position[numbers[order]], kind="stable")], nodes
