@@ -47,6 +47,7 @@ class Option:
         return Directive(".options", (word,), notes=(f"* {self.key}: {comment(self.reason)}",))
 
 
+RELTOL, CHGTOL = 1e-3, 1e-14  # of ngspice if a deck has no such option
 LEAST_STEP = 1e-12  # V or A of a dc sweep; ngspice ends it within 2.2e-13
 MOST_A_DECADE = 2**31 - 1  # points, which simulators count in 32 bits
 
@@ -381,6 +382,16 @@ class Deck:
         text = self.option(key)
         value = literal(text, where=self.main) if text else None
         return default if value is None else value
+
+    @property
+    def reltol(self) -> float:
+        """Relative error of a time step."""
+        return self.read_option("reltol", RELTOL)
+
+    @property
+    def chgtol(self) -> float:
+        """Error of a charge in a time step [C]."""
+        return self.read_option("chgtol", CHGTOL)
 
     def option(self, key: str) -> str | None:
         """Return the value of an option, None if the deck does not set it."""

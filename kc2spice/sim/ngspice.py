@@ -153,8 +153,8 @@ def run_deck(
         failed = failed_run(deck, str(main), text, code)
         if failed is None:
             vectors = read_raw(unfinished)
-            data, statistics = waves_by_name(deck, vectors), read_statistics(text)
-            waves = Waveforms(data, {**statistics, "reltol": deck.read_option("reltol", RELTOL)})
+            facts = {**read_statistics(text), "reltol": deck.reltol}
+            waves = Waveforms(waves_by_name(deck, vectors), facts)
             last = float(vectors["time"][-1]) if "time" in vectors else math.nan
             failed = failed_run(deck, str(main), text, last=last)
             failed = failed or altered_run(deck, str(main), text)
@@ -291,9 +291,6 @@ def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np
     return data
 
 
-RELTOL, CHGTOL = 1e-3, 1e-14  # defaults of ngspice for decks without these options
-
-
 @dataclass(frozen=True)
 class RetrySetting:
     """Settings of an attempt: options, and a factor on tolerances and steps.
@@ -324,8 +321,8 @@ class RetrySetting:
         """Return ``deck`` with these settings instead of its own options."""
         options = dict(self.options)
         if self.factor != 1.0:
-            options["reltol"] = number(self.factor * deck.read_option("reltol", RELTOL))
-            options["chgtol"] = number(self.factor * deck.read_option("chgtol", CHGTOL))
+            options["reltol"] = number(self.factor * deck.reltol)
+            options["chgtol"] = number(self.factor * deck.chgtol)
         if not options:
             return deck
         changed = deck.with_options(options, f"retry with {self.name}: {self.why}")

@@ -134,8 +134,8 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
     for name, probe in scene.probes.items():
         window = window_of(probe, scene)
         if not partial or _covers_probe(probe, waves, window):
-            value = evaluate_probe(probe, waves, name, window)
-            probed[name] = Metric(value, _probe_unit(probe, build, waves))
+            unit = _probe_unit(probe, build, waves)
+            probed[name] = Metric(evaluate_probe(probe, waves, name, window), unit)
     return {**probed, **{name: value for name, value in records.items() if name not in probed}}
 
 
@@ -202,10 +202,15 @@ def evaluate_probe(
         known = list(waves.data)[1:]
         raise unknown("no such result", probe.of, known, f"key probes.{name}.of")
     scale, values = waves.scale.real, waves[probe.of]
-    if probe.at is not None:
-        return _value(scale, values, probe.at, name)
-    if window is not None:
-        scale, values = _clip_to_window(scale, values, window, name)
+    if probe.at is None:
+        if window is not None:
+            scale, values = _clip_to_window(scale, values, window, name)
+        return _evaluate_range(probe, scale, values)
+    return _value(scale, values, probe.at, name)
+
+
+def _evaluate_range(probe: Probe, scale: np.ndarray, values: np.ndarray) -> float | None:
+    """Return the value of a probe over all points of a wave."""
     if np.iscomplexobj(values) and probe.take in ("max", "argmax"):
         place, largest = response_maximum(scale.real, np.abs(values))
         return largest if probe.take == "max" else place

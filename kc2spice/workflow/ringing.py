@@ -20,7 +20,6 @@ from kc2spice.report.html import format_quantity
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.model import Build
-from kc2spice.sim.ngspice import RELTOL
 
 LASTING = math.log(1e3)  # ratio of a relevant amplitude to its value at the end of the ringing
 MANY = 3e5  # time points that are announced: half a minute for 24 states
@@ -123,6 +122,6 @@ def _announce_ringing(build: Build, deck: Deck) -> None:
             continue
         drive = getattr(scene.parts[name].keys, "drive", None)
         span = scene.stop - min(getattr(drive, "start", 0.0), scene.stop)
-        result = expect_ringing(name, model, span, deck.read_option("reltol", RELTOL))
+        result = expect_ringing(name, model, span, deck.reltol)
         if result is not None and result.points > MANY and result.frequency:
             warnings.warn(str(result), stacklevel=3)

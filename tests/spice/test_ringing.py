@@ -34,8 +34,7 @@ def test_ngspice_takes_the_time_points_that_are_expected(damping, tmp_path):
     build = device.built(scene, model)
     deck = make_deck(build)
     taken = run_deck(deck, tmp_path)["time"].size
-    reltol = deck.read_option("reltol", 1.0)
-    expected = ringing.expect_ringing("kick", build.models["kick"], 59e-6, reltol)
+    expected = ringing.expect_ringing("kick", build.models["kick"], 59e-6, deck.reltol)
     assert 0.75 < expected.points / taken < 1.35
 
 

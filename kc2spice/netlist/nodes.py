@@ -1,0 +1,53 @@
+"""Nodes of a deck in words: the parts that contain them, and the pins next to them."""
+
+from __future__ import annotations
+
+from kc2spice.core.errors import UsageError
+from kc2spice.netlist.circuit import electrical_pins
+from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.scope import Scope, find_instance
+
+
+def describe_node(deck: Deck, node: str) -> str | None:
+    """Describe the part that contains a node, and the pins next to the node.
+
+    ``node`` is spelled as in ngspice: ``x1.x2.name``, ``b.x1.b2`` for a device, ``v1#branch`` for
+    the current of a source. The result is None if the deck has no such node.
+    """
+    *path, name = node.lower().partition("#")[0].split(".")
+    if path and len(path[0]) == 1:  # a device: its letter stands before the instance
+        del path[0]
+    try:
+        scope = find_instance(deck.scope, tuple(path))
+    except UsageError:
+        return None
+    if scope is None:
+        return None
+    if path:
+        return _describe_instance(deck, scope, path[-1], name)
+    if name in scope.elements_by_key:
+        return f"{name} in {deck.main}"
+    wired = []
+    for element in scope.elements:
+        called = scope.find(element.model) if element.kind == "x" else None
+        for position, end in enumerate(element.ends):
+            if end == name:
+                pin = f" ({called.name}) pin {called.pins[position]}" if called else ""
+                wired.append(f"{element.key}{pin}")
+    return f"node of {', '.join(wired)}" if wired else None
+
+
+def _describe_instance(deck: Deck, scope: Scope, instance: str, name: str) -> str:
+    """Describe an instance by its title, and the pin of an inner node.
+
+    The name of an inner node or element ends with its pin: ``fring0`` belongs to ring0.
+    """
+    part = next((part for part in deck.parts if part.name.lower() == scope.name.lower()), None)
+    pins = part.pins if part else electrical_pins(scope.pins)
+    matching = [pin for pin in pins if name.endswith(pin.key)]
+    what = f"part {instance} ({part.title if part else scope.name})"
+    if not matching:
+        return f"{what}, inside at {name}"
+    pin = max(matching, key=lambda pin: len(pin.name))
+    flow = "" if pin.flow == "-" else f", 1 A = 1 {pin.flow}"
+    return f"{what} at its pin {pin.name} (1 V = 1 {pin.unit}{flow})"
