@@ -306,6 +306,14 @@ class Device(ABC):
         k, m = len(self.states), len(e)
         return e[m - k :], np.eye(k, m, m - k)
 
+    def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
+        """``out`` (k,) without its derivative."""
+        return self.evaluate(e, mode)[0]
+
+    def evaluate_store(self, e: np.ndarray, mode: Any) -> np.ndarray:
+        """Stored quantities without their derivatives."""
+        return self.store(e, mode)[0]
+
     def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Compute derivatives for small signals ``exp(s t)`` about ``e``.
 

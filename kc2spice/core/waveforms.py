@@ -197,6 +197,12 @@ class Waveform:
         times, values = np.array(self.points, dtype=float).T
         return times, values
 
+    @cached_property
+    def _slopes(self) -> np.ndarray:
+        """Slopes before the first corner, between corners, and after the last one."""
+        times, values = self._corners
+        return np.concatenate(([0.0], np.diff(values) / np.diff(times), [0.0]))
+
     def _fold_time(self, t: Any) -> np.ndarray:
         """Map instants to the first period."""
         t, first = np.asarray(t, dtype=float), self.points[0][0]
@@ -218,10 +224,8 @@ class Waveform:
         """Compute time derivatives at ``t``, of the smooth pieces that contain ``within``."""
         if not self.straight:
             return self._evaluate_sine(t, within, order)
-        times, values = self._corners
-        slopes = np.concatenate(([0.0], np.diff(values) / np.diff(times), [0.0]))
-        piece = np.searchsorted(times, self._fold_time(within))
-        return slopes[piece] * (order == 1) + 0.0 * np.asarray(t)
+        piece = np.searchsorted(self._corners[0], self._fold_time(within))
+        return self._slopes[piece] * (order == 1) + 0.0 * np.asarray(t)
 
     def knots(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
         """List times [s] and values of all points in all periods.

@@ -181,21 +181,38 @@ class DeclaredLaw(Device):
         return compile_function(smooth, arguments, self.tables)
 
     @cached_property
-    def _flow_function(self) -> _Compiled:
+    def _flow_trees(self) -> tuple[Tree, ...]:
+        """Expressions of the outputs."""
         d = self.declaration
         flows = [Name(b.name) if b.flows else d.direct_flow(b) for b in d.acting_branches]
         rates = [minus(Name(_input_name(b)), d.direct_flow(b)) for b in self._through_branches]
         per_metre = _number(TRANSLATION.across.per_unit)
         outputs = map(partial(times, per_metre), d.output_trees.values())
-        trees = (*flows, *rates, *d.state_rates.values(), *outputs)
-        return self._compile_declared(trees, slopes=True)
+        return (*flows, *rates, *d.state_rates.values(), *outputs)
 
     @cached_property
-    def _storage_function(self) -> _Compiled:
+    def _flow_function(self) -> _Compiled:
+        return self._compile_declared(self._flow_trees, slopes=True)
+
+    @cached_property
+    def _output_function(self) -> _Compiled:
+        return self._compile_declared(self._flow_trees)
+
+    @cached_property
+    def _storage_trees(self) -> tuple[Tree, ...]:
+        """Expressions of the stored quantities."""
         d = self.declaration
         fluxes = map(d.stored_quantity, self._through_branches)
         charges = map(d.stored_quantity, self._charged_branches)
-        return self._compile_declared([*fluxes, *map(Name, d.states), *charges], slopes=True)
+        return (*fluxes, *map(Name, d.states), *charges)
+
+    @cached_property
+    def _storage_function(self) -> _Compiled:
+        return self._compile_declared(self._storage_trees, slopes=True)
+
+    @cached_property
+    def _store_function(self) -> _Compiled:
+        return self._compile_declared(self._storage_trees)
 
     @cached_property
     def _energy_function(self) -> _Compiled:
@@ -227,6 +244,12 @@ class DeclaredLaw(Device):
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Fluxes of the currents, the states, then charges of the voltages and momenta."""
         return self._values_and_slopes(self._storage_function, e, mode)
+
+    def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
+        return self._evaluate(self._output_function, e, mode)
+
+    def evaluate_store(self, e: np.ndarray, mode: Any) -> np.ndarray:
+        return self._evaluate(self._store_function, e, mode)
 
     def mode(self, e: np.ndarray) -> tuple[int, ...]:
         flags: tuple[int, ...] = (0,) * len(self._corners)

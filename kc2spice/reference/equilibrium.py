@@ -66,14 +66,14 @@ class Interval:
         g: np.ndarray = self.system.G @ X
         for device, mode in self.curved:
             if device.stores is not None:
-                g += device.stores @ _evaluate(device.law.store, device.inputs @ X, mode)
+                g += device.stores @ _evaluate(device.law.evaluate_store, device.inputs @ X, mode)
         return g
 
     def flow(self, X: np.ndarray) -> np.ndarray:
         """``f`` (n, nt)."""
         f: np.ndarray = self.F @ X + self.const[:, None]
         for device, mode in self.curved:
-            f += device.into @ _evaluate(device.law.evaluate, device.inputs @ X, mode)
+            f += device.into @ _evaluate(device.law.evaluate_outputs, device.inputs @ X, mode)
         return f
 
     def slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -116,10 +116,10 @@ class Interval:
 
 
 def _evaluate(
-    function: Callable[[np.ndarray, Any], tuple[np.ndarray, ...]], inputs: np.ndarray, mode: Any
+    function: Callable[[np.ndarray, Any], np.ndarray], inputs: np.ndarray, mode: Any
 ) -> np.ndarray:
-    """Values (k, nt) of a function of a law and its slopes, at ``inputs`` (m, nt)."""
-    return np.array([function(e, mode)[0] for e in inputs.T]).T
+    """Values (k, nt) of a function of a law at ``inputs`` (m, nt)."""
+    return np.array([function(e, mode) for e in inputs.T]).T
 
 
 def join_waves(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

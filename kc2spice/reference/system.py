@@ -42,7 +42,7 @@ class PlacedDevice:
 
         They contain the rates of charges.
         """
-        law, result = self.law, self.law.evaluate(e, mode)[0]
+        law, result = self.law, self.law.evaluate_outputs(e, mode)
         if law.charged:
             result = result.copy()
             result[list(law.charged)] += law.store(e, mode)[1][len(law.states) :] @ rate
