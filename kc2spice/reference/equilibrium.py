@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from operator import attrgetter
@@ -76,6 +76,18 @@ class Interval:
             f += device.into @ _evaluate(device.law.evaluate_outputs, device.inputs @ X, mode)
         return f
 
+    def term_sizes(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Sizes of the terms in ``f`` and ``g`` (n, nt), on which their rounding errors depend."""
+        F, G, sizes = map(np.abs, (self.F, self.system.G, X))
+        f, g = F @ sizes + np.abs(self.const)[:, None], G @ sizes
+        for device, mode in self.curved:
+            terms = np.abs(device.inputs) @ sizes
+            points = list(zip((device.inputs @ X).T, terms.T, strict=True))
+            f += np.abs(device.into) @ _add_terms(device.law.evaluate, points, mode)
+            if device.stores is not None:
+                g += np.abs(device.stores) @ _add_terms(device.law.store, points, mode)
+        return f, g
+
     def slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``dg/dz`` and ``df/dz`` (n, n)."""
         n, X = self.system.size, self.with_sources(t, z)
@@ -120,6 +132,19 @@ def _evaluate(
 ) -> np.ndarray:
     """Values (k, nt) of a function of a law at ``inputs`` (m, nt)."""
     return np.array([function(e, mode) for e in inputs.T]).T
+
+
+def _add_terms(
+    function: Callable[[np.ndarray, Any], tuple[np.ndarray, ...]],
+    points: Iterable[tuple[np.ndarray, np.ndarray]],
+    mode: Any,
+) -> np.ndarray:
+    """Sizes (k, nt) of the terms of a function of a law by its slopes and sizes of its inputs."""
+    result = []
+    for e, sizes in points:
+        out, slope = function(e, mode)
+        result.append(np.abs(out) + np.abs(slope) @ sizes)
+    return np.array(result).T
 
 
 def join_waves(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

@@ -37,6 +37,8 @@ _REAL, _PAIR = int(np.argmin(np.abs(_values.imag))), int(np.argmax(_values.imag)
 _ERROR = np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1.0]) / 3.0
 _MAX_NEWTON = 8
 _ROUNDING = 0.1  # over the tolerance; a controller's derivative amplifies rounding to 100 nV
+_EPS = float(np.finfo(float).eps)
+_SPREAD = 3.0  # of rounding errors about their estimate, which is that of one set of random signs
 # Polynomials through the start and the stages, and through the stages alone.
 _CUBIC = np.linalg.inv(NODES[:, None] ** _POWERS)
 _SQUARE = np.linalg.inv(NODES[:, None] ** (_POWERS - 1))
@@ -112,6 +114,7 @@ class Radau:
     def _linearise(self) -> None:
         self.M, self.J = self.interval.slopes(self.t, self.z)
         self.h_lu, self.lu = 0.0, tuple[Any, ...]()
+        self.rounding = 0.0  # of a change by Newton's method, over the tolerance; where it shows
 
     def guess(self, end: float) -> float:
         """Choose the first step: a hundredth of the time in which the state doubles."""
@@ -126,6 +129,22 @@ class Radau:
         if np.iscomplexobj(self.lu[which][0]):
             return np.asarray(lapack.zgetrs(*self.lu[which][:2], right)[0])
         return np.asarray(lapack.dgetrs(*self.lu[which][:2], right)[0])
+
+    def _newton_change(self, r: np.ndarray) -> np.ndarray:
+        """Compute the change (n, 3) of the stages for a residual ``r``."""
+        real = np.outer(self._solve(r @ _BACK[_REAL].real, 0), _vectors[:, _REAL].real)
+        pair = np.outer(self._solve(r @ _BACK[_PAIR], 1), _vectors[:, _PAIR])
+        return np.asarray(real + 2.0 * pair.real)
+
+    def _estimate_rounding(self, X: np.ndarray, h: float) -> np.ndarray:
+        """Estimate the change (n, 3) of the stages that rounding of the residual causes.
+
+        Each equation has a rounding error of its own, of the size of its largest terms.
+        """
+        flow, stored = self.interval.term_sizes(X)
+        sizes = flow + (stored + np.abs(self.g)[:, None]) @ np.abs(_INVERSE.T) / h
+        signs = np.random.default_rng(0).choice((-1.0, 1.0), sizes.shape)
+        return self._newton_change(_EPS * sizes * signs)
 
     def _factor(self, h: float) -> None:
         if h == self.h_lu:
@@ -158,16 +177,20 @@ class Radau:
         for k in range(_MAX_NEWTON):
             X = np.concatenate((self.z[:, None] + Z, sources))
             r = p.flow(X) - (p.stored(X) - self.g[:, None]) @ _INVERSE.T / h
-            real = np.outer(self._solve(r @ _BACK[_REAL].real, 0), _vectors[:, _REAL].real)
-            pair = np.outer(self._solve(r @ _BACK[_PAIR], 1), _vectors[:, _PAIR])
-            change = real + 2.0 * pair.real
+            change = self._newton_change(r)
             size = _norm(change / scale[:, None])
             rate = size / last if last > 0.0 else 0.0
-            if not np.isfinite(size) or (rate >= 1.0 and size > _ROUNDING):
+            if not np.isfinite(size):
                 return None
+            if rate >= 1.0 and size > max(_ROUNDING, self.rounding):
+                estimate = _norm(self._estimate_rounding(X, h) / scale[:, None])
+                self.rounding = _SPREAD * estimate
+                if size > self.rounding:
+                    return None
             Z += change
             done = size == 0.0 or (p.linear and k == 0)
             if last > 0.0:
+                done |= size <= self.rounding
                 done |= rate >= 1.0 or rate / (1 - min(rate, 0.9)) * size < self.newton_tol
             if done:
                 self.iterations = k + 1

@@ -6,10 +6,12 @@ from scipy.linalg import expm
 
 from kc2spice.core import laws as L
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import linear, sine
 from kc2spice.parts.electronics.two_terminal_types import element
 from kc2spice.parts.mechanics.mass import point_mass
 from kc2spice.physics.contact import Normal, declare_contact
+from kc2spice.physics.declaration import Declaration, measured, voltage
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.reference.equilibrium import solve_operating_point
 from kc2spice.reference.integrate import Trajectory, solve_transient
@@ -187,3 +189,26 @@ def test_what_rings_freely_under_a_falling_ball_is_followed() -> None:
     assert np.abs(result.waves["p.top"] - np.array(exact)).max() < 1e-14
     np.testing.assert_allclose(result.waves["ball.a"], 1e-2 - 9.81 / 2 * times**2, rtol=1e-9)
     assert balanced(result, 1e-8)
+
+
+def test_rounding_of_a_derivative_does_not_shorten_the_steps() -> None:
+    """A derivative of 1 kV whose rounding errors exceed the tolerance.
+
+    ``u = GAIN (v - followed)`` with ``followed' = (v - followed) / LAG`` is ``GAIN LAG v'``, and
+    ``x' = (u - x - 0.1 tanh(x)) / LAG`` follows it: ``x + 0.1 tanh(x) = GAIN LAG v'`` but for lags.
+    """
+    gain, lag = 2e5, 5e-9
+    branches = (measured(voltage("v", "p", "n")),)
+    states = {
+        "followed": f"(v - followed)/{lag!r}",
+        "x": f"({gain!r}*(v - followed) - x - 0.1*tanh(x))/{lag!r}",
+    }
+    declared = Declaration("follower", "derivative", Section, branches, states=states)
+    source = L.IdealSource("s", "voltage", sine(1e3, 0.5 / np.pi))
+    joins = {"net": ("s.out", "d.p"), L.GROUND: ("d.n",)}
+    system = assemble_system([source, DeclaredLaw("d", declared, ())], joins)
+    run = solve_transient(system, 1.0, 1.5e-9)
+    assert len(run.time) < 800
+    x = run.waves["d.x"][run.time > 0.1]
+    exact = gain * lag * 1e3 * np.cos(run.time[run.time > 0.1])
+    np.testing.assert_allclose(x + 0.1 * np.tanh(x), exact, atol=5e-8)
