@@ -10,7 +10,7 @@ electrode, and from the voltages of the driven electrodes. With shapes S of the 
 
 of which :func:`kc2spice.rom.linear_model.with_potentials` eliminates p exactly.
 
-:class:`Bonded` bodies consist of blocks that are bonded where they touch: layers, rings, beams.
+:class:`BondedBlocks` are blocks that are bonded where they touch: layers, rings, beams.
 Blocks are boxes along the axes, in a body of revolution in the plane (radius, height). They are on
 one grid of quadratic quadrilaterals or hexahedra. Its lines contain every edge of a block, an
 electrode, a support or a port. The potential exists in piezoelectric blocks only, conductors and
@@ -414,7 +414,7 @@ class Block:
 
 
 @dataclass(frozen=True, eq=False)
-class Bonded:
+class BondedBlocks:
     """Blocks of material that are bonded where they touch, with their supports.
 
     Where two blocks overlap, the later one counts.
@@ -443,7 +443,7 @@ class Bonded:
     grid: Sequence[np.ndarray] = ()
     size: float = np.inf
     refine: int = 1
-    like: Bonded | None = None
+    like: BondedBlocks | None = None
     damping: Damping = field(default_factory=Damping)
     where: str = "body"
 

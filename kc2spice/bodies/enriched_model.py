@@ -133,7 +133,7 @@ class EnrichedModel:
         if isinstance(K, Schur):  # K.pp is -K_pp
             load = K.pu @ z
             p = -K.inner.solve(load + lift if len(lift) else load)
-        (u, phi), more = self.device.nodal(z, voltages), self.operators
+        (u, phi), more = self.device.nodal_values(z, voltages), self.operators
         r_u = -(more.K_nodes @ u + more.C_nodes @ phi)
         r_p = -(more.D_nodes @ u - more.P_nodes @ phi)
         zeros = 0.0 * r_u, 0.0 * r_p

@@ -140,9 +140,9 @@ class FieldProbe:
         self.owner = np.repeat(solid.owner, self.basis.X.shape[-1])
         self._operators = list(strains(solid, self.basis))
 
-    def nodal(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return nodal displacements and potentials, see :meth:`FiniteElementModel.nodal`."""
-        return self.device.nodal(z, voltages)
+    def nodal_values(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return displacements and potentials at the nodes."""
+        return self.device.nodal_values(z, voltages)
 
     def stress(self, u: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute stress (points, 6, k) and field (points, 3, k) of nodal columns."""
@@ -166,7 +166,7 @@ class FieldProbe:
         return T.reshape(-1, *T.shape[2:]), E.reshape(-1, *E.shape[2:])
 
 
-def at_nodes(
+def evaluate_at_nodes(
     device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Evaluate all fields at the nodes of the elements, element by element.
@@ -176,7 +176,7 @@ def at_nodes(
     ``material`` is the number of the material.
     """
     probe = FieldProbe(device, gauss=False)
-    u, phi = probe.nodal(z[:, None], voltages[:, None])
+    u, phi = probe.nodal_values(z[:, None], voltages[:, None])
     T, E = probe.stress(u, phi)
     nodes, d = probe.basis.element_dofs.T.ravel(), device.solid.components
     moves = np.zeros((nodes.size, 3))
@@ -246,8 +246,8 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
     electrodes = motion.voltages.shape[1]
     still = np.zeros((motion.basis.shape[0], electrodes))
     shorted = np.zeros((electrodes, motion.basis.shape[1]))
-    T, E = probe.stress(*probe.nodal(motion.basis, shorted))
-    T_V, E_V = probe.stress(*probe.nodal(still, np.eye(electrodes)))
+    T, E = probe.stress(*probe.nodal_values(motion.basis, shorted))
+    T_V, E_V = probe.stress(*probe.nodal_values(still, np.eye(electrodes)))
     T, E = np.concatenate([T, T_V], -1), np.concatenate([E, E_V], -1)
     states = np.hstack([motion.states, motion.voltages])[selected]
     names = np.array([material.name for material in solid.materials])[probe.owner]
@@ -305,7 +305,11 @@ def write_vtu(path: Path, device: FiniteElementModel, z: np.ndarray, voltages: n
     import meshio
     from skfem.io.meshio import HEX_MAPPING
 
-    data, mesh, element = at_nodes(device, z, voltages), device.solid.mesh, device.solid.element
+    data, mesh, element = (
+        evaluate_at_nodes(device, z, voltages),
+        device.solid.mesh,
+        device.solid.element,
+    )
     where = np.moveaxis(mesh.mapping().F(element.doflocs.T), 0, -1).reshape(-1, mesh.dim())
     if mesh.dim() == 2:
         where = np.column_stack([where[:, 0], np.zeros(len(where)), where[:, 1]])

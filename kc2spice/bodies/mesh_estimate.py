@@ -92,7 +92,7 @@ def _estimate_by_recovery(
     z = np.hstack([answers.modes, answers.static, answers.pushed])
     voltages = np.zeros((volts, z.shape[1]))
     voltages[:, n : n + volts] = np.eye(volts)
-    products = energy_products(device.solid, *device.nodal(z, voltages))
+    products = energy_products(device.solid, *device.nodal_values(z, voltages))
     energy, error = np.diag(products.solution), np.diag(products.error)
     static = products.error[n:, n:].copy()
     if volts:

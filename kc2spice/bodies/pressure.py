@@ -200,7 +200,7 @@ def stresses_under(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[
     stack = _model_stack(chip, shape, CELLS)
     probe, model = FieldProbe(stack, gauss=True), stack.model
     z = model.pencil.pencil_solver(0.0).solve(-model.B[:, : len(force)] @ force)
-    T, _ = probe.stress(*probe.nodal(z[:, None], np.zeros((1, 1))))
+    T, _ = probe.stress(*probe.nodal_values(z[:, None], np.zeros((1, 1))))
     shear = (principal_stress(T[..., 0]) + principal_stress(-T[..., 0])) / 2
     height = np.asarray(probe.basis.global_coordinates())[1].ravel()
     return {

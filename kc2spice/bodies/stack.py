@@ -102,7 +102,7 @@ def stack_setup(
         if pressure is None
         else [_make_patch_force(solid, pressure)],
         graded=graded,
-        springs=springs(solid, kick),
+        springs=make_springs(solid, kick),
         sectors=SECTORS,
         damping=kick.damping,
     )
@@ -290,7 +290,7 @@ def _make_patch_force(solid: Solid, pressure: Profile) -> ForceShape:
     return ForceShape(Port(PATCH, TRANSLATION.port), spread(share / share.sum(), UP, solid))
 
 
-def springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
+def make_springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
     """Make the springs of one quarter under the bottom face and on the top face.
 
     The result is None without springs.

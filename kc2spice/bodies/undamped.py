@@ -44,7 +44,7 @@ class FiniteElementModel:
     shift: float
     mass: float
 
-    def nodal(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def nodal_values(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute displacements (d nodes, k) and potentials (nodes, k) at the nodes.
 
         The columns are those of z (n, k) and of voltages (e, k).
@@ -102,7 +102,7 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
     shifted, rest, pushed = shifted[:, : len(e)], rest[:, : len(e)], rest[:, len(e) :]
     weight = np.linalg.inv(model.D[np.ix_(e, e)] + load.T @ shifted)
 
-    def opened(f: np.ndarray) -> np.ndarray:
+    def solve_with_open_electrodes(f: np.ndarray) -> np.ndarray:
         """Apply ``(K + b C0^-1 b')^-1``: open electrodes float to ``V = -C0^-1 b'u``."""
         u = solve(f)
         return np.asarray(u - shifted @ (weight @ (load.T @ u)))
@@ -116,7 +116,7 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
         stroke = f"free_stroke_{model.ports[port].name}_m_per_v"
         stated[stroke] = float(model.B[:, port] @ rest[:, 0])
     stated["resonance_short_hz"], modes, rigid = _find_resonance(model, solve, e, shift)
-    stated["resonance_open_hz"], *_ = _find_resonance(model, opened, e, shift)
+    stated["resonance_open_hz"], *_ = _find_resonance(model, solve_with_open_electrodes, e, shift)
     facts = {name: value for name, value in stated.items() if value is not None}
     return UndampedResponses(facts, rest, pushed, modes, rigid, solve)
 

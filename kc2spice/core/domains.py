@@ -354,12 +354,12 @@ def across_of(unit: str) -> Quantity | None:
     return None
 
 
-def units_stated(units: Collection[str]) -> str:
+def describe_units(units: Collection[str]) -> str:
     """Describe 1 V and 1 A in the domains that have one of these units.
 
     Examples
     --------
-    >>> units_stated({"K/W", "V"})
+    >>> describe_units({"K/W", "V"})
     '1 V = 1 K (temperatures), 1 A = 1 W (heat flows)'
     """
     words: dict[str, None] = {}

@@ -293,7 +293,7 @@ class Device(ABC):
         return False
 
     @property
-    def storing(self) -> bool:
+    def stores_quantities(self) -> bool:
         """Whether the device stores other quantities than its states."""
         return type(self).store is not Device.store and bool(self.states or self.charged)
 
@@ -421,7 +421,7 @@ class PortBody(Device):
         return tuple(port.name for port in self.ports if port.kind == "output")
 
     @cached_property
-    def _maps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _port_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Matrices of ``a = load @ e``, ``charges = stored @ y`` and the outputs.
 
         The outputs are ``out = direct @ e + answered @ y``.
@@ -446,7 +446,7 @@ class PortBody(Device):
 
     def loads(self, e: np.ndarray) -> np.ndarray:
         """Compute the loads ``a`` (inputs,) from the inputs ``e`` of the device."""
-        return self._maps[0] @ e
+        return self._port_matrices[0] @ e
 
     @cached_property
     def at_rest(self) -> Relation:
@@ -472,19 +472,19 @@ class PortBody(Device):
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         slope = self._slope(mode.H)
-        return slope @ e + self._maps[3] @ mode.free, slope
+        return slope @ e + self._port_matrices[3] @ mode.free, slope
 
     def _slope(self, H: np.ndarray) -> np.ndarray:
-        load, _, direct, answered = self._maps
+        load, _, direct, answered = self._port_matrices
         return direct + answered @ H @ load
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        load, stored, _, _ = self._maps
+        load, stored, _, _ = self._port_matrices
         slope = stored @ mode.H @ load
         return slope @ e + stored @ mode.free, slope
 
     def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        load, stored, _, _ = self._maps
+        load, stored, _, _ = self._port_matrices
         H = self.transfer(s) if s else self.at_rest.H
         return self._slope(H), stored @ H @ load
 
@@ -497,7 +497,7 @@ class PortBody(Device):
         """
         if any(port.kind in ("input", "output", *HEATED) for port in self.ports):
             return None
-        _, stored, _, answered = self._maps
+        _, stored, _, answered = self._port_matrices
         Y = s * self.transfer(s)
         size = np.sqrt(np.abs(np.diagonal(Y)))
         powers, shapes = np.linalg.eigh((Y + Y.conj().T) / (2 * np.outer(size, size)))

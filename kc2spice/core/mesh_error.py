@@ -34,7 +34,7 @@ def mesh_facts(facts: Mapping[str, float]) -> dict[str, float]:
     return {name: float(facts[name]) for name in names}
 
 
-def mesh_words(facts: Mapping[str, float]) -> str:
+def describe_mesh_errors(facts: Mapping[str, float]) -> str:
     """Estimated errors of a mesh in words, empty without an estimate.
 
     Parameters
@@ -48,7 +48,7 @@ def mesh_words(facts: Mapping[str, float]) -> str:
 
     Examples
     --------
-    >>> mesh_words({"mesh_error_resonance": 0.0213, "mesh_error_stroke": 0.05, "mass_kg": 1.0})
+    >>> describe_mesh_errors({"mesh_error_resonance": 0.0213, "mesh_error_stroke": 0.05, "mass_kg": 1.0})
     'first resonance 2.1 %, stroke 5 %'
     """
     errors = mesh_errors(facts).items()

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import DEEPEST, LONGEST_KEY, MAX_BYTES, lines_of, parse_toml
+from kc2spice.core.untrusted_files import DEEPEST, LONGEST_KEY, MAX_BYTES, parse_toml, split_lines
 
 MOST_LINES = 40  # between an opening bracket and the line at which the parser stops
 LONGEST_LINE = 500  # characters of a line that are looked at
@@ -66,7 +66,7 @@ def invalid_toml(text: str, error: ValueError, label: str) -> UsageError:
             hint=f"delete from {label} what exceeds these limits",
         )
     # of long lines a part: patterns take time with the square of the length
-    lines = [line[:LONGEST_LINE] for line in lines_of(text)] or [""]
+    lines = [line[:LONGEST_LINE] for line in split_lines(text)] or [""]
     number = min(number, len(lines))
     known = _duplicate_name(lines, number, str(error), label) or _table_on_several_lines(
         lines, number, label
@@ -115,7 +115,7 @@ def _line_number(text: str, message: str) -> int | None:
     if match := re.search(r"at line (\d+), column", message):
         return int(match[1])
     if "end of document" in message:
-        return max(1, len(lines_of(text.rstrip())))
+        return max(1, len(split_lines(text.rstrip())))
     return None
 
 

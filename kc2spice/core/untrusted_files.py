@@ -77,7 +77,7 @@ def read_bounded(path: Path, limit: int) -> bytes:
     return data
 
 
-def text_of(data: bytes) -> str:
+def decode_text(data: bytes) -> str:
     """Decode UTF-8 text with or without a byte order mark.
 
     Anything else raises UnicodeDecodeError.
@@ -85,13 +85,13 @@ def text_of(data: bytes) -> str:
     return data.decode("utf-8-sig")
 
 
-def lines_of(text: str) -> list[str]:
+def split_lines(text: str) -> list[str]:
     r"""Split a text into lines, which end with ``\n``, ``\r\n`` or ``\r``.
 
     ``str.splitlines`` also breaks lines at form feeds and at U+0085, U+2028 and U+2029, so that the
     end of a comment would become a statement.
 
-    >>> lines_of("* a comment\u2028that goes on\nR1 a b 1k\n")
+    >>> split_lines("* a comment\u2028that goes on\nR1 a b 1k\n")
     ['* a comment\u2028that goes on', 'R1 a b 1k']
     """
     lines = re.split(r"\r\n|\r|\n", text)

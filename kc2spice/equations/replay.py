@@ -55,7 +55,7 @@ def _have_coils_on_body(laws: SceneLaws) -> bool:
     nonlinear = elastic = False
     for law in laws.laws.values():
         elastic |= isinstance(law, SecondOrderBody)
-        nonlinear |= isinstance(law, Device) and bool(law.storing) and not law.linear
+        nonlinear |= isinstance(law, Device) and bool(law.stores_quantities) and not law.linear
     return nonlinear and elastic
 
 

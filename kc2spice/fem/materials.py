@@ -554,7 +554,7 @@ def _library_names() -> dict[str, str]:
 
 
 @cache
-def _library_material(name: str) -> Material:
+def _load_material(name: str) -> Material:
     """Build a material of the library."""
     return MaterialTable.model_validate(_load_tables()[name]).build(name)
 
@@ -580,4 +580,4 @@ def material(
         hint = did_you_mean(name_or_table, names)
         hint = hint or 'write a table: { density = …, youngs_modulus = "… GPa", poisson_ratio = … }'
         raise wrong(where, "no such material", repr(name_or_table), expected, hint)
-    return _library_material(_library_names()[name_or_table.lower()])
+    return _load_material(_library_names()[name_or_table.lower()])

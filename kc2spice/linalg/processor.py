@@ -21,12 +21,12 @@ KERNELS = {
 _CPU_INFO = Path("/proc/cpuinfo")  # of Linux; elsewhere OpenBLAS decides
 
 
-def kernels_of(flags: set[str]) -> str | None:
+def select_kernels(flags: set[str]) -> str | None:
     """Return the fastest kernels for these instructions, None without any.
 
     Examples
     --------
-    >>> kernels_of({"sse2", "avx2", "fma"})
+    >>> select_kernels({"sse2", "avx2", "fma"})
     'Haswell'
     """
     return next((name for name, needed in KERNELS.items() if needed <= flags), None)
@@ -47,7 +47,7 @@ def fast_kernels() -> Iterator[None]:
 
     A choice of the user in the environment has priority.
     """
-    kernels = None if VARIABLE in os.environ else kernels_of(processor_flags())
+    kernels = None if VARIABLE in os.environ else select_kernels(processor_flags())
     if kernels is None:
         yield
         return

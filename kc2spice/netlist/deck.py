@@ -10,7 +10,7 @@ from itertools import chain
 from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
-from kc2spice.core.domains import Power, units_stated
+from kc2spice.core.domains import Power, describe_units
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Circuit, Directive, Element, Item, items_of
 from kc2spice.netlist.elements import Line, attach_comments
@@ -304,7 +304,7 @@ class Deck:
         yield f"* {comment(self.title)}"
         yield from self.notes or ("",)
         yield from usage
-        if stated := units_stated(self._pin_units):
+        if stated := describe_units(self._pin_units):
             yield f"* Units of the nodes: {stated}."
         for part in self.parts:
             yield Directive(".include", (part.filename,))
@@ -320,10 +320,10 @@ class Deck:
             yield Directive(".save", (vector,))
         if self.command.kind == "noise":
             yield Directive(".save", ("onoise_total",))  # vector of the second plot
-        yield from self._measured(
+        yield from self._measure_cards(
             "" if usage != self._usage else ", which ngspice prints without -r"
         )
-        yield from self._printed
+        yield from self._print_cards
         yield Directive(".end")
 
     @property
@@ -348,7 +348,7 @@ class Deck:
         """The measures of this kind of analysis."""
         return [measure for measure in self.measures if measure.kind == self.command.kind]
 
-    def _measured(self, printed: str) -> Iterator[Line]:
+    def _measure_cards(self, printed: str) -> Iterator[Line]:
         """Yield the cards of the measures, below a comment that ends with ``printed``."""
         cards = list(chain.from_iterable(map(attrgetter("cards"), self._available_measures)))
         if cards:
@@ -356,7 +356,7 @@ class Deck:
         yield from cards
 
     @property
-    def _printed(self) -> Iterator[Line]:
+    def _print_cards(self) -> Iterator[Line]:
         """Cards of the printed values: the measures of an ``op``, and two vectors."""
         columns = []
         for row in self._available_measures if self.command.kind == "op" else ():

@@ -25,7 +25,7 @@ from kc2spice.netlist.include_scan import (
     read_checked_circuit,
 )
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.read import Statement, tree_of
+from kc2spice.netlist.read import Statement, build_tree
 from kc2spice.netlist.scope import Scope, has_vector
 
 
@@ -99,7 +99,7 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
     deck = replace(
         original,
         text=result.text,
-        tree=tree_of(cards),
+        tree=build_tree(cards),
         parts=(),
         items=(),
         options=(),

@@ -15,7 +15,7 @@ from typing import Any
 
 from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import read_bounded, text_of
+from kc2spice.core.untrusted_files import decode_text, read_bounded
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin, electrical_pins, items_of
 from kc2spice.netlist.expression import literal
 from kc2spice.netlist.prefixes import with_prefix
@@ -184,7 +184,7 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
     """
     path = Path(path)
     try:
-        text = text_of(read_bounded(path, LARGEST))
+        text = decode_text(read_bounded(path, LARGEST))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise UsageError("this library cannot be read", where=str(path), got=reason) from None

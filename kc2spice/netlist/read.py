@@ -18,7 +18,7 @@ from operator import attrgetter
 from typing import Any
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import lines_of
+from kc2spice.core.untrusted_files import split_lines
 from kc2spice.netlist.circuit import (
     CONTROLS,
     MODELLED,
@@ -76,7 +76,7 @@ def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
     """
     result: list[tuple[int, list[str], list[str]]] = []  # first line, comments above, pieces
     pending: list[str] = []  # comment lines behind the newest statement
-    lines = lines_of(text)
+    lines = split_lines(text)
     for number, raw in enumerate(lines, 1):
         line = raw.strip()
         if not line or line.startswith("*") or (title and number == 1):
@@ -142,10 +142,10 @@ def read(text: str, file: str, *, title: bool = False) -> Circuit:
     ------
     UsageError : a broken card, a subcircuit that does not begin or end.
     """
-    return tree_of(statements(text, file, title=title))
+    return build_tree(statements(text, file, title=title))
 
 
-def tree_of(cards: Iterable[Statement]) -> Circuit:
+def build_tree(cards: Iterable[Statement]) -> Circuit:
     """Return the tree of cards up to ``.end``, in order.
 
     Raises

@@ -125,7 +125,7 @@ class DeclaredLaw(Device):
         return (*names_of(self._through_branches), *self.declaration.states)
 
     @property
-    def storing(self) -> bool:
+    def stores_quantities(self) -> bool:
         return bool(self._through_branches or self.charged)
 
     @cached_property
@@ -144,7 +144,7 @@ class DeclaredLaw(Device):
             slope = replace_kinks(derivative(tree, name), self._corners)
             if not names(slope).isdisjoint(self._inputs):
                 return False
-        return not self.storing
+        return not self.stores_quantities
 
     @property
     def linear(self) -> bool:

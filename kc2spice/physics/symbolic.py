@@ -124,7 +124,7 @@ class _Card(Writer):
             case "clip", (value,):
                 return f"max(-1, min(1, {self.write(value)}))"
             case "poly", (value, *series):
-                return f"({self.write(horner(value, series))})"
+                return f"({self.write(write_horner(value, series))})"
         return super().call(function, arguments)
 
 
@@ -242,7 +242,7 @@ def _sum(op: str, left: Tree, right: Tree) -> Tree:
     return left if right == ZERO else Binary(op, left, right)
 
 
-def horner(value: Tree, series: Iterable[Tree]) -> Tree:
+def write_horner(value: Tree, series: Iterable[Tree]) -> Tree:
     """The power series of ``value``, lowest power first, as nested products."""
     *lower, result = series
     for item in reversed(lower):
@@ -505,7 +505,7 @@ class _Python(Writer):
             f, x = arguments
             return f"integral(lambda {self.write(x)}: {self.write(f)}, {self.write(x)})"
         if function == "poly":
-            return f"({self.write(horner(arguments[0], arguments[1:]))})"
+            return f"({self.write(write_horner(arguments[0], arguments[1:]))})"
         if function == "clip":
             return f"clip({self.write(arguments[0])}, -1, 1)"
         return super().call(_python_name(function), arguments)
@@ -517,14 +517,14 @@ def _python_name(function: str) -> str:
     return _NUMPY.get(function, function) if known else f"table_{function}"
 
 
-def _integral(f: Callable[[Any], Any], x: Any) -> Any:
+def _integrate_from_zero(f: Callable[[Any], Any], x: Any) -> Any:
     """From zero to ``x``, by 30 points of Gauss."""
     half = 0.5 * x
     return sum(w * f(half * (1.0 + n)) for n, w in zip(_NODES, _WEIGHTS, strict=True)) * half
 
 
 _SCOPE = {name: getattr(np, _NUMPY.get(name, name)) for name in _CHAIN}
-_SCOPE |= {_NUMPY[name]: _SCOPE[name] for name in _NUMPY} | {"integral": _integral}
+_SCOPE |= {_NUMPY[name]: _SCOPE[name] for name in _NUMPY} | {"integral": _integrate_from_zero}
 _SCOPE |= {"max": np.maximum, "clip": np.clip, "where": np.where}
 
 

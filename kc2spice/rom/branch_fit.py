@@ -78,7 +78,7 @@ def fit_one_port(
     rms = samples.rms(elements) if elements else np.inf
     if rms > POOR:
         return None, rms
-    network = _network(elements)
+    network = _make_network(elements)
     deviation = np.abs(network.admittance(f) / Y - 1)
     largest = int(np.argmax(deviation))
     error, dc = float(deviation[largest]), network.conductance
@@ -94,7 +94,7 @@ def fit_one_port(
     return network.linear(certificate), rms
 
 
-def _network(elements: Elements) -> ParallelBranches:
+def _make_network(elements: Elements) -> ParallelBranches:
     """Make the circuit of a sum of elements.
 
     Resonances come first, by their frequency. Leads of a single branch are a part of this branch.

@@ -9,7 +9,7 @@ import numpy as np
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.entries import Entries
 from kc2spice.rom.error_estimate import errors_above_band
-from kc2spice.rom.linear_model import Certificate, LinearModel, model_of
+from kc2spice.rom.linear_model import Certificate, LinearModel, make_linear_model
 from kc2spice.rom.reduced_basis import LEAST_ERROR, ReducedBasis
 from kc2spice.rom.response import FLANK, SHARPEST
 from kc2spice.rom.stability import FORM, StabilityProof
@@ -51,7 +51,7 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
     )
     labels = {key: getattr(task.fom, key) for key in ("ports", "facts", "name")}
     labels["basis"] = basis.unknowns(order)
-    result = model_of(response.pencil, **labels, certificate=certificate, band=task.band)
+    result = make_linear_model(response.pencil, **labels, certificate=certificate, band=task.band)
     result.state_space()  # a model that no netlist can contain is an error
     return result
 

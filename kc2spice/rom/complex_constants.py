@@ -154,7 +154,7 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
         share = DIELECTRIC_SHARE * min(losses.tangent, 0.02)
         amplitude, rates, _ = fit_foster_network(losses.tangent, known.band_hz, share)
     D = model.D.copy()
-    sudden = amplitude[0] * (clamped + motional) - chi.instantaneous * motional
+    sudden = amplitude[0] * (clamped + motional) - chi.instantaneous_factor * motional
     if ports.size and np.linalg.eigvalsh(sudden)[0] < 0:
         raise UsageError(
             "losses too large for the coupling of the body",
@@ -168,7 +168,7 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
     elastic = add_structural_damping(lossless, chi)
     B = elastic.B.copy()
     # voltages act on the strain of every spring
-    factors = np.r_[chi.instantaneous, -np.sqrt(chi.amplitudes)]
+    factors = np.r_[chi.instantaneous_factor, -np.sqrt(chi.amplitudes)]
     B[:, ports] = np.kron(factors[:, None], model.gain[:, ports])
     used = amplitude[1:] > 0
     w, V = np.linalg.eigh(clamped + motional)

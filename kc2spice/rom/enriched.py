@@ -20,7 +20,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.definite import is_definite
 from kc2spice.rom.first_step import intermediate_model
-from kc2spice.rom.linear_model import LinearModel, Norm, model_of
+from kc2spice.rom.linear_model import LinearModel, Norm, make_linear_model
 from kc2spice.rom.modal import Resonators, chip_response, integrate_roots, resonators
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import Target, reduce_to
@@ -73,11 +73,11 @@ class Orders:
         pencil, ports = self._pencil, self.model.ports
         states = max(TIMES * order, order + MORE)
         if pencil.size <= states:
-            return model_of(pencil.dense(), ports)
+            return make_linear_model(pencil.dense(), ports)
         if self._space is not None:
-            return model_of(pencil.project(self._space.vectors(states)), ports)
+            return make_linear_model(pencil.project(self._space.vectors(states)), ports)
         wide = band[0], WIDER * band[1]
-        return model_of(intermediate_model(pencil, wide, TARGET, LIMIT).pencil, ports)
+        return make_linear_model(intermediate_model(pencil, wide, TARGET, LIMIT).pencil, ports)
 
 
 def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray | None:

@@ -76,7 +76,9 @@ class Entries:
         mean = _geometric_mean(np.abs(H), self.rows, self.columns)
         return np.asarray(np.abs(H) <= ZERO * np.maximum(mean, scale))
 
-    def relative(self, difference: np.ndarray, H: np.ndarray, share: float = FLOOR) -> np.ndarray:
+    def relative_sizes(
+        self, difference: np.ndarray, H: np.ndarray, share: float = FLOOR
+    ) -> np.ndarray:
         """Sizes of a ``difference`` to the response H, relative to :meth:`base`.
 
         Both are (..., outputs, inputs). The result is zero if the base is zero.

@@ -244,11 +244,11 @@ def relative_size(
 ) -> np.ndarray:
     """Errors (..., outputs, inputs) relative to entries.
 
-    See :meth:`kc2spice.rom.entries.Entries.relative`. The ``entries`` are those of the reference by
-    default.
+    By default, the ``entries`` are those of the reference. See
+    :meth:`kc2spice.rom.entries.Entries.relative_sizes`.
     """
     entries = entries or Entries.of(reference)
-    return entries.relative(difference, reference)
+    return entries.relative_sizes(difference, reference)
 
 
 def inaccuracy_error(message: str, got: str, limit: float, hint: str) -> SimulationError:

@@ -25,7 +25,7 @@ from scipy import io, sparse
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.mesh_error import mesh_facts
-from kc2spice.core.untrusted_files import read_archive, read_bounded, text_of
+from kc2spice.core.untrusted_files import decode_text, read_archive, read_bounded
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import Matrix
 
@@ -173,7 +173,7 @@ def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
     """
     if model.certificate is None:
         raise UsageError("is not a reduced model", where=model.name, expected="one of 'reduce'")
-    letters = _letters(model.first_order)
+    letters = _matrix_letters(model.first_order)
     matrices = {letter: getattr(model, letter) for letter in letters}
     content = {
         "ports": list(map(asdict, model.ports)),
@@ -242,7 +242,7 @@ def _read_family(path: Path) -> tuple[dict[str, np.ndarray], str]:
         file = Path(f"{base}.{letter}")
         if file.is_file():
             matrices[letter] = read_market(read_bounded(file, MAX_BYTES), _require_limits)
-    return matrices, text_of(read_bounded(record, MAX_BYTES))
+    return matrices, decode_text(read_bounded(record, MAX_BYTES))
 
 
 def _require_limits(shape: tuple[int, int], entries: int) -> None:
@@ -273,7 +273,7 @@ def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearMode
     low, high = certificate.band_hz
     if not 0 <= low <= high < np.inf:
         raise ValueError(f"band {low} … {high} Hz")
-    letters = _letters("A" in matrices)
+    letters = _matrix_letters("A" in matrices)
     arrays: dict[str, Any] = {letter: np.asarray(matrices[letter]) for letter in letters}
     if any(array.dtype.kind != "f" for array in arrays.values()):
         raise ValueError("a matrix that is not of real numbers")
@@ -285,5 +285,5 @@ def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearMode
     return LinearModel(ports=ports, certificate=certificate, facts=facts, **arrays)
 
 
-def _letters(first_order: bool) -> str:
+def _matrix_letters(first_order: bool) -> str:
     return "EABCD" if first_order else "MEKBCD"

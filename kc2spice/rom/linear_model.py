@@ -519,7 +519,7 @@ def with_potentials(
     return LinearModel(M=M, K=K, B=drive, D=D, ports=tuple(ports), **others)
 
 
-def model_of(pencil: Pencil, ports: Sequence[Port], **labels: Any) -> LinearModel:
+def make_linear_model(pencil: Pencil, ports: Sequence[Port], **labels: Any) -> LinearModel:
     """Return the linear model with the matrices of a pencil.
 
     ``labels`` are its other fields.

@@ -17,7 +17,7 @@ import scipy
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.intermediate import IntermediateModel
-from kc2spice.rom.linear_model import LinearModel, Norm, model_of
+from kc2spice.rom.linear_model import LinearModel, Norm, make_linear_model
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reductors.vectors import require_vectors, unit_scale
 from kc2spice.rom.response import Response
@@ -102,7 +102,7 @@ class Task:
     @cached_property
     def model(self) -> LinearModel:
         """The :attr:`core` as dense ``M E K B C D``, in first order ``A E B C D``."""
-        return model_of(self.core, ports=self.fom.ports, name=self.fom.name)
+        return make_linear_model(self.core, ports=self.fom.ports, name=self.fom.name)
 
     @cached_property
     def first_order(self) -> Response:

@@ -71,7 +71,7 @@ def select_fewest_states(
     congruences = [item for item in reductors if item.congruence]
     others = [] if keep_form else [item for item in reductors if not item.congruence]
     signals = default_norm(task.fom) == "peak" and not keep_form
-    form = _prove_form(task)
+    form = _prove_stability(task)
     share = FORM_SHARE if form and form.proof == FORM else 1.0
     other = None
     if signals and not (form and form.passive):
@@ -96,7 +96,7 @@ def select_fewest_states(
     return basis, order
 
 
-def _prove_form(task: Task) -> StabilityProof | None:
+def _prove_stability(task: Task) -> StabilityProof | None:
     """Prove stability and passivity of the intermediate model.
 
     The result is None if a congruence preserves nothing: the model is of first order and not

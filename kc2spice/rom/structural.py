@@ -236,7 +236,9 @@ class _Search:
         """Return the largest difference of the model of these modes to structural damping."""
         frequency, exact = self._comparison_response(modes)
         ours = self.model(modes).transfer(frequency)
-        return float(Entries.of(exact).relative(ours - exact, exact, share_of(self.norm)).max())
+        return float(
+            Entries.of(exact).relative_sizes(ours - exact, exact, share_of(self.norm)).max()
+        )
 
     def error(self, modes: Sequence[Oscillator]) -> float:
         """Its error estimate in the full model."""
@@ -251,7 +253,7 @@ class _Search:
         frequencies = np.r_[low + (high - low) * (np.arange(DIRECT) + 0.4) / DIRECT, sharp]
         full = self.full.transfer(frequencies)
         entries = Entries.of(self._comparison_response(self.viscous_modes)[1])
-        off = entries.relative(result.transfer(frequencies) - full, full, share_of(self.norm))
+        off = entries.relative_sizes(result.transfer(frequencies) - full, full, share_of(self.norm))
         return float(off.max())
 
     def _comparison_response(self, modes: Sequence[Oscillator]) -> tuple[np.ndarray, np.ndarray]:
@@ -348,7 +350,7 @@ def first_order_model(
     except SimulationError:
         return reduced_model
     share = share_of(norm)
-    mass = SAFETY * float(Entries.of(exact).relative(ours - exact, exact, share).max())
+    mass = SAFETY * float(Entries.of(exact).relative_sizes(ours - exact, exact, share).max())
     if mass > MASS_SHARE * tolerance:
         return reduced_model
     small = reduced(light, tolerance - mass, known.band_hz)

@@ -66,7 +66,7 @@ class RelaxingStiffness(EqualByContent):
         return np.asarray(self.constant + (self.amplitudes * s / (s + self.rates)).sum(axis=-1))
 
     @property
-    def instantaneous(self) -> float:
+    def instantaneous_factor(self) -> float:
         """Factor of a sudden displacement, ``c_0 + sum_k c_k``."""
         return float(self.constant + self.amplitudes.sum())
 
@@ -218,7 +218,7 @@ def _corner(inner: int) -> np.ndarray:
 
 def _springs(stiffness: RelaxingStiffness) -> np.ndarray:
     """Springs (1 + k, 1 + k) of unit stiffness to the inner displacements."""
-    result = np.diag(np.r_[stiffness.instantaneous, np.ones(stiffness.rates.size)])
+    result = np.diag(np.r_[stiffness.instantaneous_factor, np.ones(stiffness.rates.size)])
     result[0, 1:] = result[1:, 0] = -np.sqrt(stiffness.amplitudes)
     return result
 

@@ -23,7 +23,7 @@ from typing_extensions import TypeVar
 
 from kc2spice.core.domains import SIGNAL, Domain, Quantity, across_of, domain_of
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.mesh_error import mesh_words
+from kc2spice.core.mesh_error import describe_mesh_errors
 from kc2spice.core.quantities import Section
 from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.circuit import Element, Item
@@ -906,7 +906,7 @@ class PartType(Generic[KeysT]):
 
     def discretisation(self, part: Part[KeysT], build: Build) -> str:
         """Return the error estimate of its mesh in words; empty without a mesh."""
-        text = mesh_words(build.facts(part))
+        text = describe_mesh_errors(build.facts(part))
         return f"error estimate of its mesh: {text}" if text else ""
 
 

@@ -115,7 +115,7 @@ def type_names() -> tuple[str, ...]:
     for name, module in modules.items():
         if name.endswith(TABLE):
             import_module(module)
-    foreign = (entry.name for entry in _foreign())
+    foreign = (entry.name for entry in _external_entry_points())
     built_in = (name for name in modules if not name.endswith(TABLE))
     return tuple(sorted({*_types, *foreign, *built_in}))
 
@@ -132,7 +132,7 @@ def _modules() -> Mapping[str, str]:
 
 
 @cache
-def _foreign() -> tuple[EntryPoint, ...]:
+def _external_entry_points() -> tuple[EntryPoint, ...]:
     """Return entry points of part types in other installed distributions."""
     return tuple(entry_points(group=PACKAGE))
 
@@ -145,7 +145,7 @@ def part_type(name: str) -> PartType | None:
     if name not in _types and name in _modules():
         import_module(_modules()[name])
     if name not in _types and name in type_names():
-        for entry in _foreign():
+        for entry in _external_entry_points():
             result = entry.load() if entry.name == name else None
             if isinstance(result, PartType):
                 register(result)

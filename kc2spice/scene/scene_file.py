@@ -15,7 +15,7 @@ from typing import Any
 from kc2spice.core.errors import UsageError, candidates, did_you_mean
 from kc2spice.core.quantities import clip_text, join_path
 from kc2spice.core.toml_errors import parse_toml_file
-from kc2spice.core.untrusted_files import MAX_BYTES, lines_of, read_bounded, text_of
+from kc2spice.core.untrusted_files import MAX_BYTES, decode_text, read_bounded, split_lines
 from kc2spice.scene.catalogue import find_part, read_catalogue
 
 
@@ -71,7 +71,7 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
             else SceneFile(f"part {part.number}", part.stem, part.text, Path.cwd())
         )
     try:
-        text = text_of(read_bounded(path, MAX_BYTES))
+        text = decode_text(read_bounded(path, MAX_BYTES))
     except UnicodeDecodeError:
         raise UsageError("not a text file", where=name, expected="TOML in UTF-8") from None
     except (FileNotFoundError, IsADirectoryError):
@@ -117,7 +117,7 @@ def _find_line(text: str, path: tuple[str, ...]) -> int | None:
     table: tuple[str, ...] = ()
     counts: dict[tuple[str, ...], int] = {}  # of the entries of each list of tables
     best: tuple[int, int | None] = (0, None)
-    for number, line in enumerate(lines_of(text), start=1):
+    for number, line in enumerate(split_lines(text), start=1):
         line = line.strip()
         key = re.match(r"([\w.]+)\s*=", line)
         if line.startswith("["):

@@ -27,7 +27,7 @@ import numpy as np
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.packages import install_command
-from kc2spice.core.untrusted_files import lines_of
+from kc2spice.core.untrusted_files import split_lines
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
@@ -36,14 +36,16 @@ from kc2spice.sim.ngspice import partial_waves, waves_by_name
 from kc2spice.sim.output import altered_run, failed_run, read_raw, read_statistics
 
 
-def _structure(**fields: Any) -> Any:
+def _make_structure(**fields: Any) -> Any:
     """Return the class of a C structure with these fields."""
     return type("Structure", (ctypes.Structure,), {"_fields_": tuple(fields.items())})
 
 
 # vecvalues and vecvaluesall of sharedspice.h
-_Value = _structure(name=c_char_p, real=c_double, imag=c_double, is_scale=c_bool, is_complex=c_bool)
-_Values = _structure(count=c_int, index=c_int, vectors=POINTER(POINTER(_Value)))
+_Value = _make_structure(
+    name=c_char_p, real=c_double, imag=c_double, is_scale=c_bool, is_complex=c_bool
+)
+_Values = _make_structure(count=c_int, index=c_int, vectors=POINTER(POINTER(_Value)))
 
 _SEND_CHAR = CFUNCTYPE(c_int, c_char_p, c_int, c_void_p)
 _EXIT = CFUNCTYPE(c_int, c_int, c_bool, c_bool, c_int, c_void_p)
@@ -154,7 +156,7 @@ def _flatten_deck(deck: Deck, file: str) -> list[str]:
     """
     result: list[str] = []
     measures = False
-    for line in lines_of(deck.files[file]):
+    for line in split_lines(deck.files[file]):
         word, _, target = line.partition(" ")
         measures = word.lower().startswith(".meas") or (measures and word.startswith("+"))
         if word.lower() in INCLUDES:

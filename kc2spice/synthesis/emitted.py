@@ -195,7 +195,9 @@ class _RelativeError:
             peak[framed] = np.abs(expected[:, framed]).max(axis=0)
             self.entries = Entries.of(expected, peak, self.exact.zero)
         share = share_of(self.norm)
-        apart = self.entries.relative(self.emitted.transfer(frequency) - expected, expected, share)
+        apart = self.entries.relative_sizes(
+            self.emitted.transfer(frequency) - expected, expected, share
+        )
         return np.asarray(apart.max(axis=(1, 2)))
 
 
@@ -268,4 +270,4 @@ def rounding(model: LinearModel, frequency: float) -> float:
     except SimulationError:
         return np.inf
     entries = Entries.of(exact[None])
-    return float(max(entries.relative(item - exact, exact).max() for item in changed))
+    return float(max(entries.relative_sizes(item - exact, exact).max() for item in changed))

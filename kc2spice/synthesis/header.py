@@ -12,7 +12,7 @@ from operator import attrgetter
 from typing import Any
 
 from kc2spice.core.domains import TRANSLATION
-from kc2spice.core.mesh_error import NOT_ESTIMATED, mesh_words
+from kc2spice.core.mesh_error import NOT_ESTIMATED, describe_mesh_errors
 from kc2spice.netlist.circuit import Circuit, Param, Pin
 from kc2spice.netlist.library import (
     Header,
@@ -61,7 +61,7 @@ def rom_lines(reduction: ReductionFacts, certificate: Certificate) -> tuple[str,
 
 def mesh_entry(facts: Mapping[str, float]) -> str:
     """Return the error estimate of the mesh, or the reason why there is none."""
-    text = mesh_words(facts)
+    text = describe_mesh_errors(facts)
     return f"error estimate of the full model: {text}" if text else NOT_ESTIMATED
 
 

@@ -74,7 +74,7 @@ class _Point:
     def time(self) -> float:
         return statistics.median(self.times)
 
-    def beats(self, other: _Point) -> bool:
+    def dominates(self, other: _Point) -> bool:
         """Return whether it is better in error or time, and not worse in the other."""
         ours, theirs = (self.error, self.time), (other.error, other.time)
         return ours != theirs and ours[0] <= theirs[0] and ours[1] <= theirs[1]
@@ -109,9 +109,9 @@ class _Plane:
         return self.runs.run_at(self.notches((notch,) * len(self.axes)))
 
     @cached_property
-    def unrefined(self) -> Errors:
+    def unrefined_errors(self) -> Errors:
         """Error of each metric by settings whose value is the finest in all runs."""
-        return refine.coarser_changes(self.runs, {}, self.finest, self.names)
+        return refine.estimate_by_coarser_runs(self.runs, {}, self.finest, self.names)
 
     def estimate(self) -> dict[str, Any] | None:
         """Return the error estimate of the unchanged scene, with its meshes and tables."""
@@ -130,7 +130,7 @@ class _Plane:
         try:
             run = self.runs.run_at(self.notches(place))
             errors = run_errors(run, self.run_all_at(REFERENCE), self.names)
-            errors = {name: error + self.unrefined[name] for name, error in errors.items()}
+            errors = {name: error + self.unrefined_errors[name] for name, error in errors.items()}
         except (SimulationError, UsageError) as error:
             why = " ".join(f"{error.message} {error.got or ''}".split())
             self.failed[label] = {"label": label, "settings": settings, "why": why}
@@ -152,16 +152,16 @@ class _Plane:
             self.known[axis.name, notch] = {n: max(result[n], change[n]) for n in self.names}
         return self.known[axis.name, notch]
 
-    def bound(self, point: _Point) -> float:
+    def error_bound(self, point: _Point) -> float:
         """Return the largest sum of the errors that each value of a setting causes alone."""
-        errors = [*map(self.axis_errors, self.axes, point.place), self.unrefined]
+        errors = [*map(self.axis_errors, self.axes, point.place), self.unrefined_errors]
         return max(sum(map(itemgetter(name), errors)) for name in self.names)
 
     def safe_error(self, point: _Point) -> float:
         """Return the error of a setting, or its bound if errors of its values cancel."""
-        return max(point.error, self.bound(point))
+        return max(point.error, self.error_bound(point))
 
-    def cheapest(self, limit: float) -> _Point | None:
+    def find_cheapest(self, limit: float) -> _Point | None:
         """Return the fastest setting within ``limit``; of equally fast ones the most accurate."""
         accurate = [point for point in self.points.values() if self.safe_error(point) <= limit]
         least = min(map(attrgetter("time"), accurate), default=0.0)
@@ -198,7 +198,7 @@ class _Plane:
         known = 0
         while known < (count := len(self.points) + len(self.failed)) < MOST_POINTS:
             known = count
-            start = self.cheapest(limit)
+            start = self.find_cheapest(limit)
             step = 1 if start is None else -1
             start = start or min(self.points.values(), key=self.safe_error)
             progress("search", None, f"{known} settings, now {_describe_settings(start.settings)}")
@@ -222,9 +222,9 @@ class _Plane:
             "label": _describe_settings(point.settings),
             "settings": point.settings,
             "error": point.error,
-            "bound": self.bound(point),
+            "bound": self.error_bound(point),
             "time_s": point.time,
-            "front": not any(other.beats(point) for other in self.points.values()),
+            "front": not any(other.dominates(point) for other in self.points.values()),
             "own": not point.settings,
             "errors": point.errors,
             "time_low_s": min(point.times),
@@ -272,7 +272,7 @@ def bench(
         plane.measure_times(repeats, progress)
         progress("estimate", None, "all settings and meshes a notch finer")
         finest = move_axes(plane.axes, plane.notches((REFERENCE,) * len(plane.axes)))
-        best = plane.cheapest(error)
+        best = plane.find_cheapest(error)
         points = sorted(plane.points.values(), key=attrgetter("time"))
         record = {
             "scene": scene.name,
@@ -288,7 +288,7 @@ def bench(
                 "label": _describe_settings(finest),
                 "settings": finest,
                 "time_s": plane.run_all_at(REFERENCE).cpu_s,
-                "error": max(check[name] + plane.unrefined[name] for name in plane.names),
+                "error": max(check[name] + plane.unrefined_errors[name] for name in plane.names),
             },
             "estimate": plane.estimate(),
         }

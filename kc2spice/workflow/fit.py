@@ -21,7 +21,7 @@ from scipy.signal import find_peaks
 from scipy.stats import qmc
 
 from kc2spice.bodies.device import add_rayleigh_damping
-from kc2spice.bodies.readers.measured import Measured, read_measured, shunt_resistance
+from kc2spice.bodies.readers.measured import MeasuredAdmittance, read_measured, shunt_resistance
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, silent
@@ -79,7 +79,7 @@ Box = dict[str, ParameterAxis]
 def fit(
     scene: Scene | str | Path | Mapping[str, Any],
     part: str,
-    data: Path | str | Measured,
+    data: Path | str | MeasuredAdmittance,
     vary: Sequence[str] | Mapping[str, tuple[float, float] | None],
     out: Path | None = None,
     progress: Progress = silent,
@@ -147,10 +147,12 @@ def fit(
     loaded = load_scene(scene)
     loaded.part(part, "SCENE:PART")  # before the data: a misspelt part is the first mistake
     resistance = shunt_resistance(shunt)
-    if isinstance(data, Measured) and resistance is not None:
+    if isinstance(data, MeasuredAdmittance) and resistance is not None:
         problem = "applies to a file of gain and phase"
         raise UsageError(problem, where="shunt", got=shunt, expected="the path of a file as data")
-    measured = data if isinstance(data, Measured) else read_measured(Path(data), resistance)
+    measured = (
+        data if isinstance(data, MeasuredAdmittance) else read_measured(Path(data), resistance)
+    )
     if measured.Y.shape[1] != 1:
         got = f"{measured.Y.shape[1]} ports"
         hint = "measure the impedance between the electrodes, or save one port alone"
@@ -260,7 +262,7 @@ class _Body:
 
     scene: Scene
     part: str
-    data: Measured
+    data: MeasuredAdmittance
     keys: Sequence[VariedKey]
     progress: Progress
     like: Scene

@@ -46,7 +46,9 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
             else:
                 gates.append((name, row))
     checks += (
-        noise_analysis.checks(waves) if build.has_noise else step_checks(build, waves, balances)
+        noise_analysis.noise_checks(waves)
+        if build.has_noise
+        else step_checks(build, waves, balances)
     )
     if scene.checks.energy == "off":
         balances = {}
@@ -267,7 +269,7 @@ def frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
     """
     late = np.abs(scale - scale[0]) >= np.ptp(scale) / 2
     x, y = scale[late], values[late]
-    y = y - _mean(x, y)
+    y = y - _time_average(x, y)
     k = np.flatnonzero((y[:-1] < 0) & (y[1:] >= 0))
     if k.size < 2:
         return None
@@ -286,7 +288,7 @@ def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | Non
     return float(scale[k] + share * (scale[k + 1] - scale[k]))
 
 
-def _mean(scale: np.ndarray, values: np.ndarray) -> float:
+def _time_average(scale: np.ndarray, values: np.ndarray) -> float:
     span = scale[-1] - scale[0]  # as the integral below zero where the scale falls
     return float(
         np.trapezoid(values, scale) / span if span else values[0]
@@ -300,8 +302,8 @@ _TAKEN: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
     "min": lambda scale, values, _: values.min(),
     "final": lambda scale, values, _: values[-1],
     "peak_to_peak": lambda scale, values, _: np.ptp(values),
-    "mean": lambda scale, values, _: _mean(scale, values),
-    "rms": lambda scale, values, _: math.sqrt(_mean(scale, values**2)),
+    "mean": lambda scale, values, _: _time_average(scale, values),
+    "rms": lambda scale, values, _: math.sqrt(_time_average(scale, values**2)),
     "frequency": lambda scale, values, _: frequency(scale, values),
     "crossing": crossing,
 }

@@ -41,7 +41,7 @@ def _rms(f: np.ndarray, density: np.ndarray) -> float:
     return float(np.sqrt(np.trapezoid(np.abs(density) ** 2, f)))
 
 
-def checks(waves: Waveforms) -> Iterator[Check]:
+def noise_checks(waves: Waveforms) -> Iterator[Check]:
     """Check that the noise changes little if every second frequency is left out."""
     if (f := waves["frequency"].real).size > 4:
         even = f.size - (f.size + 1) % 2

@@ -30,7 +30,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part
 from kc2spice.sim.ngspice import RetriesFailedError
 from kc2spice.workflow.decks import prepare_deck
-from kc2spice.workflow.ringing import point_time
+from kc2spice.workflow.ringing import time_per_point
 from kc2spice.workflow.simulate import Run, simulate_deck
 
 # Factors of the order and of the highest frequency of the band, tried until the error is within its
@@ -220,7 +220,7 @@ def _expected_time(seconds: float, model: LinearModel, larger: LinearModel) -> f
     """
     points = list(map(_highest_natural_frequency, (model, larger)))
     more = points[1] / points[0] if all(points) else 1.0
-    return seconds * more * point_time(larger.order) / point_time(model.order)
+    return seconds * more * time_per_point(larger.order) / time_per_point(model.order)
 
 
 def _highest_natural_frequency(model: LinearModel) -> float:

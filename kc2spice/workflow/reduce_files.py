@@ -14,7 +14,7 @@ import numpy as np
 
 from kc2spice.bodies.readers import read_model
 from kc2spice.bodies.readers.measured import (
-    Measured,
+    MeasuredAdmittance,
     is_measured,
     read_measured,
     shunt_resistance,
@@ -264,7 +264,9 @@ def _reduce_measured(
     return result | record | {"quantity": data.quantity, "data": data.description}
 
 
-def _fit_passive_model(data: Measured, conductance: float | None, notes: list[str]) -> LinearModel:
+def _fit_passive_model(
+    data: MeasuredAdmittance, conductance: float | None, notes: list[str]
+) -> LinearModel:
     """The passive model of the samples.
 
     ``notes`` receives a note on the form of the model if it does not consist of parallel branches.
@@ -287,7 +289,7 @@ def _fit_passive_model(data: Measured, conductance: float | None, notes: list[st
     return fit_multiport(data.f, data.Y, data.noise, data.where)
 
 
-def _require_near(model: LinearModel, data: Measured) -> None:
+def _require_near(model: LinearModel, data: MeasuredAdmittance) -> None:
     """Refuse a model whose error exceeds the noise considerably."""
     certificate = model.certificate
     assert certificate is not None

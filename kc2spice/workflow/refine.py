@@ -139,7 +139,7 @@ class Runs:
         return None
 
     @property
-    def any_left(self) -> bool:
+    def has_runs_left(self) -> bool:
         """Whether a further run is within :attr:`most`."""
         return len(self.known) <= self.most
 
@@ -332,8 +332,8 @@ def converge(start: Run, clock: Clock) -> ConvergedRun | None:
             break
         last = now.error
         moved = _largest_share_moved(runs, now, shares, limit)
-        if moved is None or not runs.any_left:
-            why = "nothing more to refine" if runs.any_left else f"{MOST} runs do not suffice"
+        if moved is None or not runs.has_runs_left:
+            why = "nothing more to refine" if runs.has_runs_left else f"{MOST} runs do not suffice"
             break
         notches = moved
     final = tried[-1] if tried else Estimate({}, {}, start)
@@ -355,7 +355,7 @@ def estimate(runs: Runs, notches: Notches) -> Estimate | None:
 
     The refined run has all axes a notch finer. If that is too much for the machine, its meshes
     remain. The error of axes at their finest value follows from coarser runs
-    (:func:`coarser_changes`). An ``error_budget`` and ``bench`` report this estimate.
+    (:func:`estimate_by_coarser_runs`). An ``error_budget`` and ``bench`` report this estimate.
     """
     now = runs.run_at(notches)
     finest = tuple(map(attrgetter("name"), runs.finest))
@@ -367,14 +367,14 @@ def estimate(runs: Runs, notches: Notches) -> Estimate | None:
             settings = move_axes(runs.axes, notches)
             errors = _differences(now, finer)
             # errors that refined runs do not show
-            left = coarser_changes(runs, notches, unmoved, errors)
+            left = estimate_by_coarser_runs(runs, notches, unmoved, errors)
             fixed = max(left.values(), default=0.0)
             errors = {name: error + left[name] for name, error in errors.items()}
             return Estimate(notches, settings, now, errors, unmoved, fixed)
     return None
 
 
-def coarser_changes(
+def estimate_by_coarser_runs(
     runs: Runs, notches: Notches, unmoved: Sequence[str], metrics: Iterable[str]
 ) -> dict[str, float]:
     """Estimate the error of each of the ``metrics`` by ``unmoved`` axes.
@@ -435,7 +435,7 @@ def _move_axes(notches: Notches, moved: Sequence[Axis], by: int = 1) -> Notches:
 def _try_run(runs: Runs, notches: Notches) -> Run | None:
     """Return the run at ``notches``; None if it has no result, or if no runs are left."""
     try:
-        return runs.run_at(notches) if runs.any_left else None
+        return runs.run_at(notches) if runs.has_runs_left else None
     except (SimulationError, UsageError):
         return None
 

@@ -47,7 +47,7 @@ class Ringing:
         )
 
 
-def point_time(states: int) -> float:
+def time_per_point(states: int) -> float:
     """CPU time [s] of ngspice for a time point of a circuit with a body of so many states."""
     return PER_POINT + PER_STATE * states
 
@@ -85,7 +85,7 @@ def expect_ringing(part: str, rom: LinearModel, stop: float, reltol: float) -> R
     spans = np.diff(until, prepend=0.0)  # in which the mode is the fastest one
     points = float(omega @ spans) / (12 * reltol) ** (1 / 3)
     last = omega[lasts >= stop]
-    seconds = points * point_time(model.order)
+    seconds = points * time_per_point(model.order)
     return Ringing(part, points, seconds, float(last.max(initial=0.0)) / (2 * math.pi))
 
 
@@ -105,7 +105,7 @@ def announce_long_run(build: Build, deck: Deck) -> None:
     points = scene.stop / build.largest.step
     if points > MANY:
         models = [model for model in build.models.values() if isinstance(model, LinearModel)]
-        seconds = points * point_time(sum(model.order for model in models))
+        seconds = points * time_per_point(sum(model.order for model in models))
         step = format_quantity(build.largest.step, "s", 3)
         warnings.warn(
             f"this run takes at least {points:.2g} time points, {seconds:.2g} s of CPU: its "

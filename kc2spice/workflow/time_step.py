@@ -95,7 +95,7 @@ class LinearisedScene:
 
     build: Build
 
-    def describes(self, build: Build) -> bool:
+    def belongs_to(self, build: Build) -> bool:
         """Return whether ``build`` has the same scene and the same models."""
         return self.build.scene is build.scene and self.build.models is build.models
 
@@ -138,7 +138,7 @@ def linearised_scene(build: Build) -> LinearisedScene:
     A build of other keys or models than those of its record gets a new one.
     """
     known = build.linearised
-    if isinstance(known, LinearisedScene) and known.describes(build):
+    if isinstance(known, LinearisedScene) and known.belongs_to(build):
         return known
     return LinearisedScene(build)
 

@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import i0, i1, j0, j1
 
-from kc2spice.bodies.device import Block, Bonded, node_shares
+from kc2spice.bodies.device import Block, BondedBlocks, node_shares
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
@@ -33,7 +33,7 @@ def ceramic(radius, thickness, refine=1, size=None, electrode=None):
     electrodes = {"cathode": faces[:1], "anode": faces[1:]}
     block = Block(((0, radius), (0, thickness)), PZT)
     size = size or radius / 10
-    return Bonded([block], electrodes, size=size, refine=refine, damping=UNDAMPED).device()
+    return BondedBlocks([block], electrodes, size=size, refine=refine, damping=UNDAMPED).device()
 
 
 # -- patch tests ----------------------------------------------------------------------------------

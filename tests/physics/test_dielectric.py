@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import brentq
 
 import kc2spice as kc
-from kc2spice.bodies.readers.measured import Measured
+from kc2spice.bodies.readers.measured import MeasuredAdmittance
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, silent
 from kc2spice.netlist.deck import ac
@@ -138,7 +138,9 @@ def test_a_fit_tells_losses_of_the_dielectric_from_those_of_the_motion():
     charge = model.transfer(f)[:, 0, 0] + model.D[0, 0] * loss
     Y = 2j * np.pi * f * charge * (1 + 0.003 * (draw[0] + 1j * draw[1]))
     start = kc.load_scene(BUZZER, {"disc.damping.loss_tangent": 0.01})
-    found = kc.fit(start, "disc", Measured("part", "part.csv", f, Y[:, None, None]), list(true))
+    found = kc.fit(
+        start, "disc", MeasuredAdmittance("part", "part.csv", f, Y[:, None, None]), list(true)
+    )
     for key, value in true.items():
         row = found["parameters"][key]
         assert abs(row["value"] - value) < 3 * row["sigma"] < 0.1 * value

@@ -10,7 +10,7 @@ from skfem.mesh import MeshHex, MeshQuad, MeshTet, MeshTet2, MeshTri, MeshTri2
 from kc2spice.bodies.device import ForceShape, Setup, make_device, node_shares, spread
 from kc2spice.bodies.fields import (
     FieldProbe,
-    at_nodes,
+    evaluate_at_nodes,
     find_extremes,
     lowest_modes,
     principal_stress,
@@ -62,7 +62,7 @@ def pulled(solid, damping=None):
 
 
 def at_points(probe, z, voltages):
-    T, E = probe.stress(*probe.nodal(z[:, None], voltages[:, None]))
+    T, E = probe.stress(*probe.nodal_values(z[:, None], voltages[:, None]))
     return T[..., 0], E[..., 0]
 
 
@@ -84,7 +84,7 @@ def test_uniform_stress_and_field_are_exact(kind):
         assert np.abs(stress[:, 1:]).max() < 1e-6 * pressure
         assert field[:, 2] == pytest.approx(-voltage / SIZE[2], rel=1e-6)
     strain = np.linalg.inv(PZT.C)[0, 0] * pressure - PZT.d[2, 0] * voltage / SIZE[2]
-    stretched = at_nodes(device, *motion.at(1e-6))["displacement"][:, 0].max()
+    stretched = evaluate_at_nodes(device, *motion.at(1e-6))["displacement"][:, 0].max()
     assert stretched == pytest.approx(strain * SIZE[0], rel=1e-6)
     stress, field, opposing = find_extremes(motion)
     assert (stress.quantity, stress.unit, stress.limit) == ("principal_stress", "Pa", 76e6)
@@ -126,7 +126,7 @@ def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
         assert stress.value < 1e-4 * e33 * 30 / thick
         assert field.value == pytest.approx(30 / thick, rel=1e-6)
         assert opposing.value == pytest.approx(sign * 30 / thick, rel=1e-6)
-        top = at_nodes(device, *motion.at(0.0))["displacement"][:, 2]
+        top = evaluate_at_nodes(device, *motion.at(0.0))["displacement"][:, 2]
         m = device.solid.materials[0]
         d33 = abs(np.linalg.solve(m.C, m.e[2])[2])
         assert np.ptp(top) == pytest.approx(d33 * 30 / thick * height, rel=1e-4)

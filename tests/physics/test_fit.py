@@ -10,7 +10,7 @@ import pytest
 from scipy.special import jv
 
 import kc2spice as kc
-from kc2spice.bodies.readers.measured import Measured
+from kc2spice.bodies.readers.measured import MeasuredAdmittance
 from kc2spice.cli.main import app
 from kc2spice.rom.parametric import modal_transfer
 
@@ -45,7 +45,7 @@ def measured(scene, part, true, band, noise, seed, points=150):
     H = model.transfer(f) if model.order < 3000 else modal_transfer(model, f)
     draw = np.random.default_rng(seed).normal(size=(2, points))
     Y = 2j * np.pi * f * H[:, 0, 0] * (1 + noise * (draw[0] + 1j * draw[1]))
-    return Measured("part", "part.csv", f, Y[:, None, None])
+    return MeasuredAdmittance("part", "part.csv", f, Y[:, None, None])
 
 
 def found_and_off(name, noise):
@@ -138,7 +138,7 @@ def disc_data(noise=0.005, **losses):
     f, rng = np.linspace(60e3, 160e3, 400), np.random.default_rng(5)
     draw = rng.normal(size=(2, f.size))
     Z = thin_disc(f, losses) * (1 + noise * (draw[0] + 1j * draw[1]))
-    return Measured("part", "part.csv", f, (1 / Z)[:, None, None])
+    return MeasuredAdmittance("part", "part.csv", f, (1 / Z)[:, None, None])
 
 
 CAUSES = {
@@ -243,7 +243,7 @@ def test_the_command_writes_values_for_set_and_a_page(tmp_path, capsys, monkeypa
 )  # fmt: skip
 def test_keys_that_cannot_be_varied(vary):
     f = np.linspace(3e3, 8e3, 50)
-    data = Measured("part", "part.csv", f, (2e-9j * np.pi * f)[:, None, None])
+    data = MeasuredAdmittance("part", "part.csv", f, (2e-9j * np.pi * f)[:, None, None])
     with pytest.raises(
         kc.errors.UsageError,
         match=r"no number|no such number|not the range|not a range|to vary|twice",
@@ -266,6 +266,6 @@ def test_other_parts_and_several_ports_are_refused():
         kc.fit(BUZZER, "disc", data, ["layers[0].thickness"])
     with pytest.raises(kc.errors.UsageError, match="cannot have"):  # less than its electrodes
         kc.fit(BUZZER, "disc", data, ["layers[1].diameter"])
-    two = Measured("two", "two.s2p", data.f, np.tile(np.eye(2), (len(data.f), 1, 1)))
+    two = MeasuredAdmittance("two", "two.s2p", data.f, np.tile(np.eye(2), (len(data.f), 1, 1)))
     with pytest.raises(kc.errors.UsageError, match="impedance of one port"):
         kc.fit(BUZZER, "disc", two, ["layers[0].thickness"])

@@ -251,7 +251,7 @@ def test_matrices_have_no_parameters_and_a_box_no_matrices():
     ],
 )
 def test_bad_boxes_are_told_before_any_mesh(parameters, word, monkeypatch):
-    monkeypatch.setattr("kc2spice.bodies.device.Bonded.device", None)
+    monkeypatch.setattr("kc2spice.bodies.device.BondedBlocks.device", None)
     with pytest.raises(UsageError, match=word):
         kc.run(kc.load_scene(_with(parameters)))
 

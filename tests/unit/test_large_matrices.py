@@ -65,9 +65,9 @@ def test_a_singular_matrix_needs_its_factor():
 def test_kernels_follow_the_processor_and_the_user(monkeypatch):
     monkeypatch.delenv(processor.VARIABLE, raising=False)
     skylake = processor.KERNELS["SkylakeX"] | {"sse2"}
-    assert processor.kernels_of(skylake) == "SkylakeX"
-    assert processor.kernels_of(skylake - {"avx512vl"}) == "Haswell"
-    assert processor.kernels_of({"sse2"}) is None
+    assert processor.select_kernels(skylake) == "SkylakeX"
+    assert processor.select_kernels(skylake - {"avx512vl"}) == "Haswell"
+    assert processor.select_kernels({"sse2"}) is None
     monkeypatch.setattr(processor, "processor_flags", lambda: skylake)
     with processor.fast_kernels():
         assert os.environ[processor.VARIABLE] == "SkylakeX"

@@ -56,7 +56,7 @@ _MATRIX = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # NAME_K.txt
 
 
 @dataclass(frozen=True, eq=False)
-class Measured(EqualByContent):
+class MeasuredAdmittance(EqualByContent):
     """Admittance ``Y`` (n, ports, ports) [S] at frequencies ``f`` (n,) [Hz].
 
     ``samples`` (n, ports, ports) are the ``quantity`` that was measured, ``"S"``, ``"Z"`` or
@@ -146,7 +146,7 @@ def is_measured(path: Path) -> bool:
     return bool(by_suffix) and is_file(path)
 
 
-def read_measured(path: Path, shunt: float | None = None) -> Measured:
+def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     """The response in a Touchstone file, a table or a MATLAB file.
 
     ``shunt`` is the resistance [Ohm] in series with the part through which a gain was measured.
@@ -191,7 +191,7 @@ def read_measured(path: Path, shunt: float | None = None) -> Measured:
         raise unusable_file(
             path, f"{len(order)} frequencies", f"at least {FEWEST}", "measure more points"
         )
-    result = Measured(
+    result = MeasuredAdmittance(
         name=path.stem,
         where=str(path),
         f=response.f[order],
@@ -248,7 +248,7 @@ def _require_no_shunt(shunt: float | None, content: str) -> None:
     )
 
 
-def _require_conducting(data: Measured) -> None:
+def _require_conducting(data: MeasuredAdmittance) -> None:
     """Refuse an open circuit, because deviations are relative to the admittance.
 
     They are relative to each admittance of one port, and to the largest of several ports.
@@ -265,7 +265,7 @@ def _require_conducting(data: Measured) -> None:
     raise wrong(data.where, "is an open circuit", got, "admittances that are not zero", hint)
 
 
-def _require_passive(data: Measured) -> None:
+def _require_passive(data: MeasuredAdmittance) -> None:
     """Check that the real part of Y has no negative eigenvalue beyond noise."""
     size = np.linalg.norm(data.Y, 2, axis=(1, 2))
     least = np.linalg.eigvalsh(0.5 * (data.Y + data.Y.conj().swapaxes(1, 2)))[:, 0]

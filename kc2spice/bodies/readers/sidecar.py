@@ -85,7 +85,7 @@ from kc2spice.core.domains import (
 from kc2spice.core.errors import candidates, did_you_mean
 from kc2spice.core.quantities import Count, Section, invalid_value_error, validate
 from kc2spice.core.toml_errors import parse_toml_file
-from kc2spice.core.untrusted_files import MAX_BYTES, read_bounded, text_of
+from kc2spice.core.untrusted_files import MAX_BYTES, decode_text, read_bounded
 from kc2spice.rom.linear_model import PORT_KINDS, Port
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
@@ -398,7 +398,7 @@ def read_sidecar(path: Path) -> Sidecar:
     """
     expected = f"a TOML file of at most {MAX_BYTES} bytes"
     require_file(path, expected)
-    text = call_reader(path, expected, lambda: text_of(read_bounded(path, MAX_BYTES)))
+    text = call_reader(path, expected, lambda: decode_text(read_bounded(path, MAX_BYTES)))
     data = parse_toml_file(text, str(path))
     result = validate(Sidecar, data, f"{path}:", {"folder": path.parent})
     result._where = str(path)

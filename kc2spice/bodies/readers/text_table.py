@@ -20,7 +20,7 @@ import numpy as np
 from kc2spice.bodies.readers.meanings import COMPLEX_FORMATS, TRACE_COLUMN, TRACE_FORMAT
 from kc2spice.bodies.readers.titles import COMMENT, is_frequency, parse_units
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.untrusted_files import lines_of
+from kc2spice.core.untrusted_files import split_lines
 
 _REAL = r"(\d+\.?\d*|\.\d+)([eEdD][-+]?\d{1,3})?"
 _NUMBER = re.compile(rf"[-+]?{_REAL}")
@@ -79,7 +79,7 @@ def read_tables(text: str) -> list[TextTable]:
     count = max(text.count("\n"), text.count("\r"))
     if count > MOST_LINES:
         raise ValueError(f"{count} lines, more than {MOST_LINES}")
-    lines = lines_of(text)
+    lines = split_lines(text)
     runs, separator, most = list[_Run](), None, 0
     for candidate in (*SEPARATORS, None):
         trial = list(_find_runs(lines, candidate))

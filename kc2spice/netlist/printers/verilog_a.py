@@ -291,7 +291,7 @@ def _contribute(part: Element, names: VerilogNames) -> None:
         branch = names.branch(part.name)
         through = f"V({branch})"
         module.branches.append(f"branch ({a},{b}) {branch};")
-    right = names.law(part.law) if part.quantity else _contribution(part, names, across)
+    right = names.law(part.law) if part.quantity else _element_contribution(part, names, across)
     module.laws.append(f"{through} <+ {right};")
     if part.kind == "c" and "ic" in part.settings:
         # By the clock, because ngspice calls its first time step ``ic``, too.
@@ -301,7 +301,7 @@ def _contribute(part: Element, names: VerilogNames) -> None:
         module.laws.append(f"{through} <+ {clamp};")
 
 
-def _contribution(part: Element, names: VerilogNames, across: str) -> str:
+def _element_contribution(part: Element, names: VerilogNames, across: str) -> str:
     """Return the contribution of an element without an expression."""
     current = f"I({names.branch(part.name)})"
     match part.kind:

@@ -380,7 +380,7 @@ def reduction_target(part: Part, scene: Scene) -> Rom:
     return result
 
 
-def file_stamp(path: Path) -> str:
+def hash_file(path: Path) -> str:
     """Return a hash of the content of a file, which is the same for copies of the file."""
     try:
         result = path.stat()

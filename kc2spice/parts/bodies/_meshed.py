@@ -47,7 +47,7 @@ from kc2spice.scene.plausible import check_layers
 from kc2spice.scene.rows import Neglected
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.device import Bonded
+    from kc2spice.bodies.device import BondedBlocks
     from kc2spice.bodies.fields import Extreme, NodalMotion
     from kc2spice.bodies.undamped import FiniteElementModel
 
@@ -244,13 +244,13 @@ class BondedBody(MeshedBody[FieldKeysT]):
     """A body of blocks: a subclass gives their :meth:`structure` from its keys."""
 
     discretisations = ("mesh.refine",)
-    structure: Callable[[Any, str], Bonded]
+    structure: Callable[[Any, str], BondedBlocks]
 
     def is_clamped(self, part: Part[FieldKeysT]) -> bool:
         """Whether its rim is clamped, so that air cannot flow around it."""
         return False
 
-    def bonded(self, part: Part[FieldKeysT]) -> Bonded:
+    def bonded(self, part: Part[FieldKeysT]) -> BondedBlocks:
         """Blocks, electrodes, supports and ports of the body."""
         return _make_bonded(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
 
@@ -327,7 +327,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
 
 
 @lru_cache(maxsize=32)
-def _make_bonded(kind: BondedBody, keys: str, name: str) -> Bonded:
+def _make_bonded(kind: BondedBody, keys: str, name: str) -> BondedBlocks:
     return kind.structure(kind.schema.model_validate_json(keys), name)
 
 

@@ -128,9 +128,9 @@ def draw_deformed(
 
     The displacements are z (n,), the voltages (e,). Colours are the largest principal stress.
     """
-    from kc2spice.bodies.fields import at_nodes, principal_stress
+    from kc2spice.bodies.fields import evaluate_at_nodes, principal_stress
 
-    result = at_nodes(device, z, voltages)
+    result = evaluate_at_nodes(device, z, voltages)
     stress = 1e-6 * principal_stress(result["stress"])
     moved, factor = _enlarge(device, result["displacement"])
     at_rest = draw_edges("at rest", device.solid.mesh, ":", fine=0)
@@ -145,11 +145,11 @@ def draw_modes(
     device: FiniteElementModel, hertz: np.ndarray, columns: np.ndarray
 ) -> Iterator[Panel]:
     """Yield a panel for each mode, a column of ``columns`` (n, modes)."""
-    from kc2spice.bodies.fields import at_nodes
+    from kc2spice.bodies.fields import evaluate_at_nodes
 
     still = np.zeros(device.drive.shape[1])
     for f, z in zip(hertz, columns.T, strict=True):
-        result = at_nodes(device, z, still)["displacement"]
+        result = evaluate_at_nodes(device, z, still)["displacement"]
         moved, _ = _enlarge(device, result)
         size = np.linalg.norm(result, axis=1)
         colours = _map_surface(device, moved, size / size.max(), "of the largest")

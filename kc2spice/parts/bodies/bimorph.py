@@ -22,7 +22,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
-from kc2spice.bodies.device import Block, Bonded, Box
+from kc2spice.bodies.device import Block, BondedBlocks, Box
 from kc2spice.core.errors import wrong
 from kc2spice.core.quantities import (
     Count,
@@ -102,7 +102,7 @@ class BimorphKeys(FieldKeys):
         return self
 
 
-def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> Bonded:
+def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> BondedBlocks:
     """Make the layers with electrodes, support, ports and the mass at the tip.
 
     ``mesh.refine`` divides edges in the plane, and every second one through the thickness: one
@@ -176,7 +176,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     rows = pairwise(np.linspace(0, width, (beam.rows or 1) + 1).tolist())
     for k, (row, strip) in enumerate(product(rows, strips), 1):
         ports[f"patch{k}"] = (strip, row, (0.0, 0.0))
-    return Bonded(
+    return BondedBlocks(
         blocks,
         {pin: [*chain(*result)] for pin, result in electrodes.items()} if active else {},
         faces[1:-1] if series else (),

@@ -46,7 +46,7 @@ from kc2spice.fem import mesh_file
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import CylindricalAxes, Material, material
 from kc2spice.fem.solid import Solid
-from kc2spice.parts.bodies._body_model import file_stamp
+from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._linear_keys import FieldKeys
 from kc2spice.parts.bodies._meshed import MeshedBody
 from kc2spice.parts.bodies._neglected import Envelope, box_envelope
@@ -530,7 +530,7 @@ class Body(MeshedBody[BodyKeys]):
                 sides = mesh_file.length_unit(path, part.keys.unit) * mesh_file.measure_extent(path)
             return list(map(float, sides))
 
-        key = {"file": file_stamp(_mesh_path(part, scene)), "unit": part.keys.unit}
+        key = {"file": hash_file(_mesh_path(part, scene)), "unit": part.keys.unit}
         return load_or_build("extent", key, size, sources=self.sources())
 
     def envelope(self, part: Part[BodyKeys], scene: DeclaredScene) -> Envelope:
@@ -547,7 +547,7 @@ class Body(MeshedBody[BodyKeys]):
         return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
 
     def full_key(self, part: Part[BodyKeys], scene: GovernedScene) -> dict[str, Any]:
-        return {**super().full_key(part, scene), "file": file_stamp(_mesh_path(part, scene))}
+        return {**super().full_key(part, scene), "file": hash_file(_mesh_path(part, scene))}
 
     def figures(
         self, part: Part[BodyKeys], build: Build, waves: Waveforms

@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from kc2spice.bodies.device import Block, Bonded, Box
+from kc2spice.bodies.device import Block, BondedBlocks, Box
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, validate
@@ -129,7 +129,7 @@ class DiscKeys(FieldKeys):
         return self
 
 
-def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded:
+def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> BondedBlocks:
     """The layers with electrodes, support and port.
 
     Raises
@@ -148,7 +148,7 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
             electrodes.setdefault("feedback", []).append(ring)
     top, across = pieces[-1].box[1][1], disc.largest_diameter
     patch = disc.centre or min(top, disc.layers[-1].diameter)
-    return Bonded(
+    return BondedBlocks(
         pieces,
         electrodes,
         conductors[1:-1] if series else (),

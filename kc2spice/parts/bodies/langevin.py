@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from kc2spice.bodies.device import Block, Bonded, Box
+from kc2spice.bodies.device import Block, BondedBlocks, Box
 from kc2spice.core.errors import wrong
 from kc2spice.core.quantities import (
     Count,
@@ -135,7 +135,7 @@ class LangevinKeys(FieldKeys):
         return self
 
 
-def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -> Bonded:
+def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -> BondedBlocks:
     """Make the pieces with electrodes, support and ports.
 
     Raises
@@ -152,7 +152,7 @@ def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin
     fixed = body.support == "back"
     across = (rings.inner / 2, rings.outer / 2)
     planes = [(across, (i * rings.thickness,) * 2) for i in range(rings.count + 1)]
-    return Bonded(
+    return BondedBlocks(
         pieces,
         {"anode": planes[1::2], "cathode": planes[::2]},
         ports=ports if fixed else ports | {"back": back},

@@ -16,7 +16,7 @@ from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.figure import Shape
 from kc2spice.core.progress import Clock
 from kc2spice.core.untrusted_files import file_in_folder
-from kc2spice.parts.bodies._body_model import file_stamp
+from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_keys import LinearKeys
 from kc2spice.rom.linear_model import LinearModel, Port
@@ -71,7 +71,7 @@ class Matrices(LinearBody[MatricesKeys]):
 
     def _stamps(self, part: Part[MatricesKeys], scene: DeclaredScene) -> dict[str, str]:
         """Identification of the content of each file."""
-        return {name: file_stamp(scene.home / name) for name in self.files(part, scene)}
+        return {name: hash_file(scene.home / name) for name in self.files(part, scene)}
 
     def files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[str, ...]:
         result = source_files(*self._source(part, scene))

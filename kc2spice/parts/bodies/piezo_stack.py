@@ -26,7 +26,7 @@ from kc2spice.parts.bodies._meshed import MeshedBody
 from kc2spice.parts.bodies._neglected import Envelope, disc_air
 from kc2spice.parts.electronics.netlist import driver
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import Penetration, Surface, pair_of
+from kc2spice.parts.mechanics._touching import Penetration, Surface, make_pair
 from kc2spice.rom.linear_model import Port
 from kc2spice.scene.checks import Metric
 from kc2spice.scene.model import (
@@ -331,7 +331,7 @@ class PiezoStack(MeshedBody[Stack]):
             contacts = scene.of_schema("contact", ContactKeys)
             name = next(c.name for c in contacts if c.keys.shape == "pressure")
             if (most := float(waves[f"{name}.force"].max())) > 0:
-                forces = pair_of(scene.parts[name], scene).basis_forces(most)
+                forces = make_pair(scene.parts[name], scene).basis_forces(most)
                 inside = stresses_under(part.keys, shape, forces)
                 for key, value in inside.items():
                     result[f"{name}_{key}"] = Metric(value, UNITS[key])

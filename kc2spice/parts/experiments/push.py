@@ -13,7 +13,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.parts.mechanics._touching import Pair, Penetration, TouchablePart, pair_of
+from kc2spice.parts.mechanics._touching import Pair, Penetration, TouchablePart, make_pair
 from kc2spice.parts.mechanics.sphere import sphere_of
 from kc2spice.scene.checks import Gate, Measure, Metric
 from kc2spice.scene.model import (
@@ -127,7 +127,7 @@ class Push(TouchablePart[PushKeys]):
 
 def _pair(part: Part[PushKeys], scene: GovernedScene) -> Pair:
     """Contact pair of the sphere and the surface that it is pushed into."""
-    return pair_of(scene.partner(part, "contact"), scene)
+    return make_pair(scene.partner(part, "contact"), scene)
 
 
 register(Push())

@@ -81,7 +81,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         leave = _touching.find_separation(
             t, force, waves[f"{ball.name}.v"], power=pair.normal.power
         )
-        time, lowest = minimum(t, y)
+        time, lowest = find_minimum(t, y)
         return {
             "min_position_m": Metric(lowest, "m"),
             "time_of_min_s": Metric(time, "s"),
@@ -115,7 +115,7 @@ def _impact_speed(part: Part[ThrowKeys], scene: DeclaredScene) -> float:
     return math.sqrt(part.keys.velocity**2 + 2 * max(scene.gravity, 0.0) * part.keys.gap)
 
 
-def minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+def find_minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     """Time and value of the lowest point, by a parabola through the lowest three samples."""
     k = int(np.argmin(y))
     if k in (0, t.size - 1):

@@ -17,7 +17,7 @@ from typing_extensions import TypeVar
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
-from kc2spice.core.mesh_error import mesh_words
+from kc2spice.core.mesh_error import describe_mesh_errors
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import (
     MU_0,
@@ -443,7 +443,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
 
 def _ring_error(model: Ladder) -> str:
     """Error estimate of the rings that a body is divided into, in words; empty without rings."""
-    errors = mesh_words(model.facts)
+    errors = describe_mesh_errors(model.facts)
     return f"error estimate of its {model.rings} rings: {errors}" if errors else ""
 
 

@@ -22,7 +22,7 @@ from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
 from kc2spice.core.magnets import FORCE, POWERS, EMTable, cubic_spline
-from kc2spice.core.mesh_error import IN_PLANE, mesh_errors, mesh_words
+from kc2spice.core.mesh_error import IN_PLANE, describe_mesh_errors, mesh_errors
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
@@ -108,7 +108,7 @@ def rated_heating(keys: Coils) -> float:
     return float(keys.rated_rise * COPPER * section**2 / keys.resistivity)
 
 
-def _contributions(values: np.ndarray, current: float) -> np.ndarray:
+def _force_contributions(values: np.ndarray, current: float) -> np.ndarray:
     """Contributions of each of :data:`SERIES` to the force at ``current`` [A] (3, heights).
 
     ``values`` (heights, 6) are the coefficients of the table.
@@ -137,7 +137,7 @@ def coils_subcircuit(
     """
     declared = coils.declare_coils("y") if apart else coils.declare_resistive_coils("y")
     low, high = DISPLACEMENT.per_unit * table.y[[0, -1]]
-    errors = mesh_words(table.mesh_errors)
+    errors = describe_mesh_errors(table.mesh_errors)
     stated = replace(
         declared,
         given=tuple(
@@ -378,8 +378,8 @@ class RingMagnetCoils(TouchablePart[Coils]):
         fine = fine.scale_magnets(keys.remanence, keys.shift)
         step = (table.y.size - 1) // (fine.y.size - 1)
         current = largest_current(part, build.scene) or USUAL_CURRENT
-        pull = _contributions(fine.coefficients, current)
-        change = _contributions(table.coefficients[::step], current) - pull
+        pull = _force_contributions(fine.coefficients, current)
+        change = _force_contributions(table.coefficients[::step], current) - pull
         changed = np.abs(change).sum(axis=0).max() / np.abs(pull).sum(axis=0).max()
         yield Check(f"mesh of {part.name} half as wide, force", float(changed), COARSE)
         changed = np.abs(table.inductance[::step] - fine.inductance).max()
@@ -550,11 +550,11 @@ def interpolation_error(table: EMTable, current: float) -> float:
     or less of a fall where every fourth height shows less, and none where these are too few.
     """
     values = table.coefficients
-    largest = float(np.abs(_contributions(values, current)).sum(axis=0).max())
+    largest = float(np.abs(_force_contributions(values, current)).sum(axis=0).max())
 
     def interpolation_miss(step: int) -> float:
         result = cubic_spline(table.y[::step], values[::step])(table.y)
-        off = _contributions(result - values, current)
+        off = _force_contributions(result - values, current)
         return float(np.abs(off).sum(axis=0).max()) / largest
 
     half = interpolation_miss(2)

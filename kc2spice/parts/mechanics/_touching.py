@@ -111,7 +111,7 @@ class TouchablePart(PartType[KeysT]):
         return ()
 
 
-def surface_of(part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface | None:
+def find_surface(part: Part, scene: GovernedScene, ports: tuple[str, ...] = ()) -> Surface | None:
     """Surface of a part for a contact at these ports, or at ports that the part selects."""
     return part.type.surface(part, scene, ports) if isinstance(part.type, TouchablePart) else None
 
@@ -153,7 +153,7 @@ class Pair:
         if selected is None:
             offers = []
             for other in scene.parts.values():
-                surface = surface_of(other, scene)
+                surface = find_surface(other, scene)
                 if surface is not None and (surface.radius is not None) == spherical:
                     offers.append(surface)
             if len(offers) != 1:
@@ -174,7 +174,7 @@ class Pair:
             raise part.wrong(key, "one body on each side", ", ".join(sorted(names)))
         other = scene.part(names.pop(), f"{part.name}.{key}")
         ports = tuple(target.partition(".")[2] for target in targets if "." in target)
-        if (surface := surface_of(other, scene, ports)) is None:
+        if (surface := find_surface(other, scene, ports)) is None:
             problem = f"{other.type.name} offers nothing to touch"
             raise part.wrong(key, problem, repr(other.name), "a body, a sphere or a mass")
         return surface
@@ -296,7 +296,7 @@ class Pair:
         result = self.a.compliance(shape)
         if not self.b.elastic:
             return result, self.a.pace
-        surface = surface_of(self.scene.parts[self.b.elastic], self.scene, (PATCH,))
+        surface = find_surface(self.scene.parts[self.b.elastic], self.scene, (PATCH,))
         assert surface is not None
         assert surface.compliance is not None
         other = surface.compliance(shape)
@@ -352,7 +352,7 @@ class Pair:
         return None if dent is None else result + dent
 
 
-def pair_of(contact: Part, scene: GovernedScene) -> Pair:
+def make_pair(contact: Part, scene: GovernedScene) -> Pair:
     """Both sides of a contact, as its record has them."""
     record = scene.record(contact)
     if record is None or not isinstance(record.detail, Pair):
@@ -363,7 +363,7 @@ def pair_of(contact: Part, scene: GovernedScene) -> Pair:
 def single_pair(scene: GovernedScene) -> Pair | None:
     """The scene's contact, where it has one."""
     contact = scene.only("contact")
-    return None if contact is None else pair_of(contact, scene)
+    return None if contact is None else make_pair(contact, scene)
 
 
 def _indentation_law(shape: PressureBasis, compliance: np.ndarray, radius: float) -> IndentationLaw:
@@ -392,7 +392,7 @@ def impact_penetration(
     """
     energy = 0.5 * mass * speed**2
     for contact in scene.of("contact"):
-        pair = pair_of(contact, scene)
+        pair = make_pair(contact, scene)
         if pair.b.part == sphere.name and pair.b.radius and (modulus := pair.a.modulus):
             if pair.b.elastic:
                 assert pair.b.modulus is not None

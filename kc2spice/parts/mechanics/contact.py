@@ -20,7 +20,7 @@ from kc2spice.parts.mechanics._touching import (
     Pair,
     find_separation,
     last_source_change,
-    pair_of,
+    make_pair,
 )
 from kc2spice.physics import Declaration, DeclaredPart
 from kc2spice.physics.cards import force_node
@@ -74,13 +74,13 @@ class Contact(DeclaredPart[ContactKeys]):
         return Pair(part, scene)
 
     def declared(self, part: Part[ContactKeys], scene: GovernedScene) -> Declaration:
-        pair = pair_of(part, scene)
+        pair = make_pair(part, scene)
         radius, distance = pair.b.radius, pair.a.distance
         under = None if radius is None else (radius, tuple(map(float, distance)))
         return _declare(pair, pair.normal, under, part.keys.groove)
 
     def pins(self, part: Part[ContactKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        d = _declare(pair_of(part, scene), Normal(1.0, friction=part.keys.friction))
+        d = _declare(make_pair(part, scene), Normal(1.0, friction=part.keys.friction))
         ends = {"rail": "gnd", "base": "gnd"}
         return tuple(
             Terminal(p.name, p.unit, p.flow, ends.get(p.name), required=p.name == "slide")
@@ -88,14 +88,14 @@ class Contact(DeclaredPart[ContactKeys]):
         )
 
     def default_joins(self, part: Part[ContactKeys], scene: GovernedScene) -> Mapping[str, str]:
-        pair = pair_of(part, scene)
+        pair = make_pair(part, scene)
         joins = pair.a.joins(("va", "a") if pair.a.rigid else pair.ports, scene)
         joins |= pair.b.joins(("v", "bottom") if pair.b.rigid else ("b",), scene)
         return joins | ({CARRIED: f"{pair.b.elastic}.{PATCH}"} if pair.b.elastic else {})
 
     def at_rest(self, part: Part[ContactKeys], scene: WiredScene) -> Rest:
         """Return clamps, and paths through surfaces that touch at rest."""
-        pair = pair_of(part, scene)
+        pair = make_pair(part, scene)
         pins = ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)
         clamps = [*product(pins, (GROUND,))]
         if part.keys.gap <= 0.0 and not pair.a.rigid and not pair.b.rigid:
@@ -114,7 +114,7 @@ class Contact(DeclaredPart[ContactKeys]):
         yield Numerics(what, content=EXCITED, reltol=reltol)
 
     def problems(self, part: Part[ContactKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        pair = pair_of(part, scene)
+        pair = make_pair(part, scene)
         a, b = pair.a, pair.b
         if a.part == b.part != GROUND and set(a.force_pins) & set(b.force_pins):
             got, expected = f"{a.part} on both sides", "two parts, or two ports of a body"
@@ -132,7 +132,7 @@ class Contact(DeclaredPart[ContactKeys]):
             assert pair.normal  # says what it cannot know
 
     def vectors(self, part: Part[ContactKeys], build: Build) -> Mapping[str, Vector]:
-        n, pair, d = part.name, pair_of(part, build.scene), self.declared(part, build.scene)
+        n, pair, d = part.name, make_pair(part, build.scene), self.declared(part, build.scene)
         card = f"@b.x{n}.b{{}}[i]"
         item = {b.through: card.format(force_node(b)).lower() for b in d.branches}
         result = {}
@@ -151,7 +151,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def metrics(
         self, part: Part[ContactKeys], build: Build, waves: Waveforms
     ) -> Mapping[str, object]:
-        pair = pair_of(part, build.scene)
+        pair = make_pair(part, build.scene)
         v = waves.data.get(f"{pair.b.part}.v")
         if "time" not in waves or v is None or pair.starts_moving:
             return {}
@@ -165,7 +165,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def checks(
         self, part: Part[ContactKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance | Gate]:
-        pair, gates = pair_of(part, build.scene), build.scene.gates
+        pair, gates = make_pair(part, build.scene), build.scene.gates
         if "time" in waves and not pair.starts_moving:
             steps = motion_gate(build.scene.solver)
             certificate = getattr(build.models.get(pair.a.part), "certificate", None)
@@ -189,7 +189,7 @@ class Contact(DeclaredPart[ContactKeys]):
         force = waves.data.get(f"{part.name}.force")
         if force is None:
             return
-        pair = pair_of(part, build.scene)
+        pair = make_pair(part, build.scene)
         inside = _loaded_interval(force) if "time" in waves else slice(None)
         scale = next(iter(waves.data.values()))
         x, factor = time_axis(scale[inside])
@@ -207,7 +207,7 @@ class Contact(DeclaredPart[ContactKeys]):
         yield Figure(f"{part.name}_force", f"Contact of {sides}", caption, (panel,))
 
     def law(self, part: Part[ContactKeys], build: Build) -> laws.Equations:
-        n, pair, result = part.name, pair_of(part, build.scene), super().law(part, build)
+        n, pair, result = part.name, make_pair(part, build.scene), super().law(part, build)
         forces = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
         sums = {}
         for word, share in _sum_factors(pair).items():
@@ -220,13 +220,13 @@ class Contact(DeclaredPart[ContactKeys]):
         """Yield the change of the force with pressure basis functions half as wide."""
         if part.keys.shape == "pressure":
             name = f"force of {part.name}, pressure basis functions half as wide"
-            yield Check(name, pair_of(part, build.scene).basis_error(), COARSE_BASIS)
+            yield Check(name, make_pair(part, build.scene).basis_error(), COARSE_BASIS)
 
     def discretisation(self, part: Part[ContactKeys], build: Build) -> str:
         return f"mesh: {SPACED}" if part.keys.shape == "pressure" else ""
 
     def notes(self, part: Part[ContactKeys], scene: Scene) -> Iterator[str | Neglected]:
-        keys, pair = part.keys, pair_of(part, scene)
+        keys, pair = part.keys, make_pair(part, scene)
         normal = pair.normal
         if keys.shape == "pressure":
             detail = f"pressure under a sphere, up to {normal.depth:.3g} m deep; basis functions "

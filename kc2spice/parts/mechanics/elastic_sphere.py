@@ -16,7 +16,7 @@ from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_keys import LinearKeys
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import PATCH, Surface, pair_of
+from kc2spice.parts.mechanics._touching import PATCH, Surface, make_pair
 from kc2spice.parts.mechanics.sphere import SphereKeys, sphere_material
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.model import (
@@ -107,7 +107,7 @@ elastic = true
             "stiffness": body.material.C.tolist(),
             "rayleigh": body.rayleigh,
             "own": mesh,
-            "pressure_basis": pair_of(_contact(part, scene), scene).shape.nodes.tolist(),
+            "pressure_basis": make_pair(_contact(part, scene), scene).shape.nodes.tolist(),
         }
 
     def full(
@@ -115,7 +115,7 @@ elastic = true
     ) -> LinearModel:
         from kc2spice.bodies.pressure import sphere
 
-        shape = pair_of(_contact(part, scene), scene).shape
+        shape = make_pair(_contact(part, scene), scene).shape
         with clock.stage("assemble", f"mesh and matrices of {part.name}"):
             shares = self._compliance_of(part, scene, shape).shares
             return sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
@@ -140,7 +140,7 @@ elastic = true
 
     def notes(self, part: Part[ElasticSphereKeys], scene: Scene) -> Iterator[str | Neglected]:
         yield from super().notes(part, scene)
-        deep = pair_of(_contact(part, scene), scene).normal.depth / _body(part, scene).radius
+        deep = make_pair(_contact(part, scene), scene).normal.depth / _body(part, scene).radius
         yield Neglected(
             f"slope of {part.keys.of} under the contact",
             "pressure acts along the axis",
@@ -174,7 +174,7 @@ def _contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[Contac
     """The one contact of the sphere, by pressure."""
     owner = scene.parts[part.keys.of]
     pairs = (
-        (contact, pair_of(contact, scene)) for contact in scene.of_schema("contact", ContactKeys)
+        (contact, make_pair(contact, scene)) for contact in scene.of_schema("contact", ContactKeys)
     )
     result = [contact for contact, p in pairs if part.name in (p.a.elastic, p.b.elastic)]
     if len(result) != 1:

@@ -19,7 +19,7 @@ from kc2spice.fem.materials import Material, material
 from kc2spice.netlist.circuit import positive_parameter
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import Surface, TouchablePart, pair_of
+from kc2spice.parts.mechanics._touching import Surface, TouchablePart, make_pair
 from kc2spice.parts.mechanics.mass import point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import make_pins
@@ -381,7 +381,7 @@ def _sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | No
 def _elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
     """Size of the softer contact with an elastic sphere, by default of steel."""
     sphere_modulus = sphere_material(part).indentation_modulus
-    moduli = [pair_of(contact, scene).a.modulus for contact in scene.of("contact")]
+    moduli = [make_pair(contact, scene).a.modulus for contact in scene.of("contact")]
     stiffest = max(filter(None, moduli), default=0.0)
     if not stiffest:
         return "not estimated"

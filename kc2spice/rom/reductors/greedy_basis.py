@@ -137,7 +137,7 @@ class GreedyBasis:
         for side in self._sides:
             side.extend(fresh)
         self.turn = _modes(self.pencil.project(self.basis))
-        small = self.projected = self.pencil.project(self.modal)
+        small = self.projected = self.pencil.project(self.modal_basis)
         small, turn = self._split_rigid_body(small)
         self.turn = self.turn @ turn
         self._previous, self.response = self.response, Response(small)
@@ -151,7 +151,7 @@ class GreedyBasis:
         It is that within rounding errors of the full model's entries. If the model has a static
         response, no input excites this motion, and it is left out.
         """
-        V, coefficients = self.modal, self.pencil.coefficients
+        V, coefficients = self.modal_basis, self.pencil.coefficients
         sizes, eps = list(map(absolute_entries, coefficients)), np.finfo(float).eps
         bound = FREE * eps * (np.abs(V).T @ (sizes[0] @ np.abs(V)))
         energies = np.abs(np.diag(small.coefficients[0]))
@@ -171,7 +171,7 @@ class GreedyBasis:
         return tuple(float(abs(s) / (2 * np.pi)) for s in self._used)
 
     @property
-    def modal(self) -> np.ndarray:
+    def modal_basis(self) -> np.ndarray:
         """Basis of the same subspace whose columns are the modes of the projected model.
 
         Projected matrices of thin bodies are small differences of large numbers. A projection on

@@ -142,13 +142,13 @@ def rational_krylov_model(
     proof = f"checked against the full model at {search.points} frequencies"
     small = search.response.pencil
     floor = removed_stiffness(search.projected, small, band) if small.free else 0.0
-    hidden = hidden_support(pencil, search.modal[:, : small.free], band[0])
+    hidden = hidden_support(pencil, search.modal_basis[:, : small.free], band[0])
     static = search.static or small.free > 0
     result = IntermediateModel(
         search.response, worst, static, proof, floor, hidden=hidden,
         basis=search.basis @ search.turn, points=search.frequencies,
     )  # fmt: skip
-    result = with_rounding(pencil, search.modal, band, result)
+    result = with_rounding(pencil, search.modal_basis, band, result)
     if worst > max(limit, result.floor) or not np.isfinite(worst):
         raise no_convergence_error(search.response, band, worst, limit)
     return replace(result, error=min(worst, limit))

@@ -45,7 +45,7 @@ from kc2spice.core.errors import MissingToolError, UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, silent
-from kc2spice.core.untrusted_files import MAX_BYTES, parse_toml, read_bounded, text_of
+from kc2spice.core.untrusted_files import MAX_BYTES, decode_text, parse_toml, read_bounded
 from kc2spice.core.waveforms import plain_cell
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import list_scene_keys
@@ -54,7 +54,7 @@ from kc2spice.scene.overrides import format_toml
 from kc2spice.workflow.sweep.grid import (
     PARAMETER,
     Plan,
-    key_of,
+    find_swept_key,
     make_plan,
     parse_range,
     parse_value,
@@ -106,7 +106,7 @@ def local_workers(count: int) -> Workers:
     from multiprocessing import get_context
 
     @contextmanager
-    def opened() -> Iterator[tuple[Executor, int]]:
+    def open_executor() -> Iterator[tuple[Executor, int]]:
         with tempfile.TemporaryDirectory(
             prefix="kc2spice-sweep-", ignore_cleanup_errors=True
         ) as scratch:
@@ -117,7 +117,7 @@ def local_workers(count: int) -> Workers:
                 pool.shutdown(wait=True, cancel_futures=True)
                 _end_orphans(Path(scratch))
 
-    return opened
+    return open_executor
 
 
 def _end_orphans(scratch: Path) -> None:
@@ -160,7 +160,7 @@ def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
     limits = chain([patience], repeat(PATIENCE))
 
     @contextmanager
-    def opened() -> Iterator[tuple[Executor, int]]:
+    def open_executor() -> Iterator[tuple[Executor, int]]:
         distributed = import_optional("distributed", "--dask")
         # A scheduler that comes back is no reason for the tracebacks that Dask would print.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
@@ -185,7 +185,7 @@ def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
                 ) from None
             yield client.get_executor(pure=False, retries=0), sum(client.nthreads().values())
 
-    return opened
+    return open_executor
 
 
 def _disconnect(client: Any) -> None:
@@ -230,7 +230,7 @@ class RowStore:
             for point, text in self._rows.execute("select * from row") if stored == digest else ():
                 if point not in range(points):
                     raise ValueError(f"point {str(point)[:80]!r}")
-                self._keep(point, _OUTCOME.validate_json(text, strict=True))
+                self._write_row(point, _OUTCOME.validate_json(text, strict=True))
         except (sqlite3.Error, ValueError) as error:
             hint = "remove it: what it held is run again"
             message = "is damaged or cannot be written: not the rows of this sweep"
@@ -261,9 +261,9 @@ class RowStore:
             hint = "the rows so far are kept: make room and give the same command again"
             message = f"cannot be written: {error}"
             raise UsageError(message, where=str(self.path), hint=hint) from None
-        self._keep(point, outcome)
+        self._write_row(point, outcome)
 
-    def _keep(self, point: int, outcome: PointResult) -> None:
+    def _write_row(self, point: int, outcome: PointResult) -> None:
         self.outcomes[point] = outcome
         (self.failed.discard if outcome.failure is None else self.failed.add)(point)
 
@@ -383,7 +383,7 @@ class Sweep:
         """Numbers of decks and ngspice runs. Points that differ only in parameters of subcircuits
         share a deck."""
         keys = [key for key in self.plan.keys if not PARAMETER.fullmatch(key)]
-        return {"netlists": self.plan.distinct(keys), "ngspice": self.plan.size}
+        return {"netlists": self.plan.count_distinct(keys), "ngspice": self.plan.size}
 
     def describe(self) -> str:
         """The same in one line."""
@@ -428,7 +428,7 @@ def make_sweep(
         latin=latin,
         seed=seed,
     )
-    units = {key: key_of(key, keys).unit or "" for key in plan.keys}
+    units = {key: find_swept_key(key, keys).unit or "" for key in plan.keys}
     job = Job(scene, tuple(fixed), tuple(constants), timeout)
     return sweep_of_plan(job, plan, units, tuple(dict.fromkeys(metrics)))
 
@@ -497,7 +497,7 @@ def _find_study(name: str) -> _Study | None:
     builtin = studies().get(name)
     try:
         data = builtin.read_bytes() if builtin else read_bounded(Path(name), MAX_BYTES)
-        content = parse_toml(text_of(data))
+        content = parse_toml(decode_text(data))
     except (OSError, ValueError):
         return None  # the loader of scenes reports the mistake
     if not isinstance(content.get("scene"), str):

@@ -122,7 +122,7 @@ def _split_words(text: str, separator: str) -> list[str]:
     return list(map(str.strip, parts))
 
 
-def key_of(name: str, keys: Mapping[str, Key]) -> Key:
+def find_swept_key(name: str, keys: Mapping[str, Key]) -> Key:
     """Return unit, range and type of a key, list entry, table or subcircuit parameter."""
     plain = Key(name, "" if PARAMETER.fullmatch(name) else None, None, (), "")
     return keys.get(re.sub(r"\[-?\d+\]", "", name), plain)
@@ -135,7 +135,7 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Rando
     ------
     UsageError : an impossible range, or values that the key cannot have.
     """
-    key, (kind, words) = key_of(name, keys), split_range(text)
+    key, (kind, words) = find_swept_key(name, keys), split_range(text)
     where = f"--set '{name}={text}'"
     drawn = kind in ("normal", "uniform")
 
@@ -213,19 +213,19 @@ class Plan:
     random: tuple[str, ...] = ()
 
     @property
-    def lengths(self) -> tuple[int, ...]:
+    def block_sizes(self) -> tuple[int, ...]:
         """Number of steps of each block."""
         return tuple(len(next(iter(block.values()))) for block in self.blocks)
 
     @property
     def size(self) -> int:
         """Number of points."""
-        return prod(self.lengths)
+        return prod(self.block_sizes)
 
     def values(self, index: int) -> dict[str, Any]:
         """Return the values of all keys at point ``index``, 0 … size - 1."""
         result = dict[str, Any].fromkeys(self.keys)
-        for block, step in zip(self.blocks, np.unravel_index(index, self.lengths), strict=True):
+        for block, step in zip(self.blocks, np.unravel_index(index, self.block_sizes), strict=True):
             for key, values in block.items():
                 result[key] = values[step]
         return result
@@ -237,7 +237,7 @@ class Plan:
         """
         indices = [0]
         for k, block in enumerate(self.blocks):
-            stride = prod(self.lengths[k + 1 :])
+            stride = prod(self.block_sizes[k + 1 :])
             for values in block.values():
                 numbers = all(isinstance(value, (int, float)) for value in values)
                 extremes = (min(values), max(values)) if numbers else values
@@ -245,7 +245,7 @@ class Plan:
                 indices += [stride * step for step in sorted(steps)]
         return list(map(self.values, dict.fromkeys(indices)))
 
-    def distinct(self, keys: Sequence[str]) -> int:
+    def count_distinct(self, keys: Sequence[str]) -> int:
         """Return the number of combinations of values of the ``keys`` in all points."""
         count = 1
         for block in self.blocks:

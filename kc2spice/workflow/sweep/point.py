@@ -20,7 +20,7 @@ import numpy as np
 from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError
 from kc2spice.core.files import FULL
 from kc2spice.core.progress import Clock
-from kc2spice.core.untrusted_files import MAX_BYTES, read_bounded, text_of
+from kc2spice.core.untrusted_files import MAX_BYTES, decode_text, read_bounded
 from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import included_netlist
@@ -94,7 +94,7 @@ def scene_text(name_or_path: str) -> SceneText:
         return SceneText(name_or_path, None)
     path = Path(name_or_path)
     scene = load_scene(path)
-    text = text_of(read_bounded(path, MAX_BYTES))
+    text = decode_text(read_bounded(path, MAX_BYTES))
     return SceneText(scene.name, text, tuple(scene_files(scene).items()))
 
 
