@@ -48,7 +48,8 @@ def describe_mesh_errors(facts: Mapping[str, float]) -> str:
 
     Examples
     --------
-    >>> describe_mesh_errors({"mesh_error_resonance": 0.0213, "mesh_error_stroke": 0.05, "mass_kg": 1.0})
+    >>> facts = {"mesh_error_resonance": 0.0213, "mesh_error_stroke": 0.05, "mass_kg": 1.0}
+    >>> describe_mesh_errors(facts)
     'first resonance 2.1 %, stroke 5 %'
     """
     errors = mesh_errors(facts).items()
