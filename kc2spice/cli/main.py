@@ -15,6 +15,7 @@ import textwrap
 from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import resources
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -737,7 +738,7 @@ def _bench(
         front = [point for point in record["points"] if point["front"] or point["own"]]
         print_tables(format_bench({**record, "points": front}))
         if best is not None:
-            settings = [word for item in set_ or () for word in ("--set", item)]
+            settings = chain.from_iterable(("--set", item) for item in set_ or ())
             print("kc2spice run", shlex.join([scene, *settings, *best["set"]]))
         print(f"all of it: {out / 'bench.html'}")
     if best is None:

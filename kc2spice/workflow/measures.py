@@ -32,8 +32,11 @@ KINDS = {"transient": "tran", "dc": "dc", "ac": "ac", "op": "op"}
 
 
 class _Wave(NamedTuple):
-    """A vector of the simulator in a ``kind`` of analysis: the SI value of its unit, the volts or
-    amperes of a dc sweep for one SI unit of the scale, and the last place on that."""
+    """Vector of the simulator in a ``kind`` of analysis.
+
+    ``factor`` is the SI value of its unit, ``per_unit`` the volts or amperes of a dc sweep for one
+    SI unit of the scale. ``last`` is the last place on the scale.
+    """
 
     kind: str
     text: str
@@ -47,11 +50,16 @@ def measures(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
 
     ``sweep_scale`` is the volts or amperes of a dc sweep for one SI unit of the swept key.
     """
-    parts = [p for name, p in build.scene.parts.items() if name not in build.scene.movers]
-    rows = [row for part in parts for row in part.type.main_metrics(part, build).items()]
-    count = Counter(name for name, _ in rows)  # a name of two parts is none of a card
-    single = {name: probe for name, probe in rows if count[name] == 1}
-    return tuple(_measures(build, {**single, **build.scene.probes}, sweep_scale))
+    count, probes = Counter[str](), dict[str, Probe | LargestRealPart]()
+    for name, part in build.scene.parts.items():
+        if name not in build.scene.movers:
+            metrics = part.type.main_metrics(part, build)
+            count.update(metrics.keys())
+            probes |= metrics
+    for name in count:
+        if count[name] > 1:  # a name of two parts is none of a card
+            del probes[name]
+    return tuple(_measures(build, {**probes, **build.scene.probes}, sweep_scale))
 
 
 def _measures(
@@ -111,5 +119,5 @@ def _measure(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
 
 
 def _signed_extreme(word: str, factor: float) -> str:
-    """The word of an extreme of a vector whose unit may be negative."""
+    """Return the word of an extreme of a vector whose unit may be negative."""
     return _OPPOSITE.get(word, word) if factor < 0 else word

@@ -1,9 +1,8 @@
-"""Frequencies that a small-signal analysis needs: at resonances, at notches that probes read, and
-where probes read it.
+"""Further frequencies of a small-signal analysis: at resonances, at notches, and where probes read.
 
-In go a build and its deck; out comes the deck with further analyses about each resonance that the
-scene's own frequencies do not resolve. The resonances are the natural frequencies of the whole
-linear circuit, driver and load included; :mod:`kc2spice.reference.small_signal` states its
+A build and its deck go in. The deck with further analyses comes out: about each resonance that the
+frequencies of the scene do not resolve. The resonances are the natural frequencies of the whole
+linear circuit, driver and load included. :mod:`kc2spice.reference.small_signal` states its
 equations.
 """
 
@@ -39,7 +38,7 @@ MOST_RESONANCES = 100
 
 
 def with_resonances(deck: Deck, build: Build) -> Deck:
-    """``deck`` with further frequencies about resonances, and at the places of probes.
+    """Return ``deck`` with further frequencies about resonances, and at the places of probes.
 
     A probe reads a frequency, or the end of its window, at a point of the analysis: a straight line
     between two points of a response is no response.
@@ -72,15 +71,16 @@ def with_resonances(deck: Deck, build: Build) -> Deck:
 
 
 def _probe_frequencies(build: Build) -> list[float]:
-    """Frequencies [Hz] inside the scene's range that probes read, in rising order."""
-    analysis = build.scene.analysis
+    """Return frequencies [Hz] inside the scene's range that probes read, in rising order."""
+    analysis, result = build.scene.analysis, set[float]()
+    for probe in build.scene.probes.values():
+        result.update(probe.places.values())
     first, last = analysis.start, float(analysis.stop or 0.0)
-    result = {f for probe in build.scene.probes.values() for f in probe.places.values()}
     return sorted(f for f in result if first < f < last)
 
 
 def _refined_ranges(command: Command, f: float, width: float, build: Build) -> Iterator[Command]:
-    """Analyses about ``f`` [Hz] inside the scene's range, each wider than the one before."""
+    """Yield analyses about ``f`` [Hz] inside the scene's range, each wider than the last one."""
     analysis, reach = build.scene.analysis, HALF_WIDTHS * width
     while True:
         start, stop = max(f - reach, analysis.start), min(f + reach, float(analysis.stop or 0.0))
@@ -91,7 +91,7 @@ def _refined_ranges(command: Command, f: float, width: float, build: Build) -> I
 
 
 def _spacing(build: Build, f: float) -> float:
-    """Distance [Hz] of the scene's own frequencies at ``f``."""
+    """Return the distance [Hz] of the frequencies of the scene at ``f``."""
     analysis = build.scene.analysis
     stop = float(analysis.stop or 0.0)
     if analysis.scale == "linear":
@@ -100,8 +100,10 @@ def _spacing(build: Build, f: float) -> float:
 
 
 def _narrow_resonances(build: Build) -> list[tuple[float, float]]:
-    """Frequency and half-width [Hz] of each resonance and of each notch that a probe takes the
-    least value of, in the scene's range, in rising order."""
+    """Return frequency and half-width [Hz] of resonances and notches in rising order.
+
+    They are those in the range of the scene. A notch is one whose least value a probe reads.
+    """
     analysis, laws = build.scene.analysis, scene_laws(build)
     poles = np.concatenate([_poles(laws), _zeros(laws)])
     f, width = np.abs(poles.imag) / (2 * np.pi), np.abs(poles.real) / (2 * np.pi)
@@ -111,7 +113,10 @@ def _narrow_resonances(build: Build) -> list[tuple[float, float]]:
 
 
 def _poles(laws: SceneLaws) -> np.ndarray:
-    """Poles [1/s] of the scene's circuits, and of reduced models whose circuit has no equations."""
+    """Return the poles [1/s] of the scene's circuits.
+
+    A circuit without equations contributes the poles of its reduced models.
+    """
     try:
         solved = list(map(_network_poles, laws.networks))
     except UsageError:
@@ -131,7 +136,7 @@ def _poles(laws: SceneLaws) -> np.ndarray:
 
 
 def _zeros(laws: SceneLaws) -> np.ndarray:
-    """Zeros [1/s] of the responses whose least value a probe takes.
+    """Return the zeros [1/s] of the responses whose least value a probe takes.
 
     Warns where a circuit has no equations, is too large, or has no operating point.
     """
@@ -154,7 +159,7 @@ def _zeros(laws: SceneLaws) -> np.ndarray:
 
 
 def _network_zeros(network: Network, of: Iterable[str]) -> dict[str, np.ndarray]:
-    """Zeros of each response ``of`` a network; none of a large one."""
+    """Return the zeros of each response ``of`` a network; none of a large network."""
     system = assemble_system(network.laws, network.joins) if of else None
     if system is None or system.size > LARGEST_SYSTEM:
         return {}
@@ -164,7 +169,7 @@ def _network_zeros(network: Network, of: Iterable[str]) -> dict[str, np.ndarray]
 
 
 def _network_poles(network: Network) -> np.ndarray | None:
-    """None of a network that is too large or has no operating point."""
+    """Return the poles of a network, None if it is too large or has no operating point."""
     try:
         system = assemble_system(network.laws, network.joins)
         return LinearisedSystem(system).poles if system.size <= LARGEST_SYSTEM else None

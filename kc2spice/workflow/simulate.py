@@ -57,10 +57,12 @@ class Run(Outcome):
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
         """Metrics that are numbers or arrays of numbers by dotted name; missing values are nan."""
-        result = {
-            n: np.asarray(np.nan if v is None else v) for n, v in flatten_mapping(self.metrics)
-        }
-        return {name: value for name, value in result.items() if value.dtype.kind in "bif"}
+        result = {}
+        for name, item in flatten_mapping(self.metrics):
+            value = np.asarray(np.nan if item is None else item)
+            if value.dtype.kind in "bif":
+                result[name] = value
+        return result
 
     @property
     def small(self) -> bool:
@@ -184,17 +186,22 @@ def simulate_deck(
 
 
 def with_powers(waves: Waveforms, powers: Mapping[str, Sequence[PowerTerm]]) -> Waveforms:
-    """The waves and these powers: at every instant, or in ``ac`` the mean over a period."""
-    result = {
-        name: np.asarray(sum(_power(term, waves) for term in terms))
-        for name, terms in powers.items()
-    }
-    return replace(waves, data={**waves.data, **result})
+    """Return the waves and these powers.
+
+    A power is that of each instant, or in ``ac`` the mean over a period.
+    """
+    result = dict(waves.data)
+    for name, terms in powers.items():
+        result[name] = np.asarray(sum(_power(term, waves) for term in terms))
+    return replace(waves, data=result)
 
 
 def _power(term: PowerTerm, waves: Waveforms) -> np.ndarray:
-    """A power over the scale of the waves: zero as the mean of a heat flow over a period, and at
-    the operating points of a sweep, where nothing moves."""
+    """Return a power over the scale of the waves.
+
+    The mean of a heat flow over a period is zero. So is a mechanical power at the operating points
+    of a sweep, where nothing moves.
+    """
     through = waves[term.through]
     if term.law == "through":
         return np.zeros(through.size) if np.iscomplexobj(through) else through
@@ -234,7 +241,7 @@ def run_simulation(
 def _run_each_from_rest(
     deck: Deck, directory: Path, progress: Share, timeout: float | None
 ) -> Waveforms:
-    """The points of all analyses of ``deck``, each by a run of its own.
+    """Return the points of all analyses of ``deck``, each from a separate run.
 
     Within one run, ngspice begins the search for the next operating point at the response that the
     last analysis left. That leads to another operating point where there are several.
