@@ -184,7 +184,7 @@ class Radau:
                 return None
             if rate >= 1.0 and size > max(_ROUNDING, self.rounding):
                 estimate = _norm(self._estimate_rounding(X, h) / scale[:, None])
-                self.rounding = _SPREAD * estimate
+                self.rounding = min(1.0, _SPREAD * estimate)  # never beyond the tolerance
                 if size > self.rounding:
                     return None
             Z += change
