@@ -24,8 +24,8 @@ class Damping(Section):
 
     ``model = "rayleigh"`` is a viscous damping matrix E. With ``E = alpha M + beta K`` and ``beta =
     2 zeta / omega`` the ratio ``zeta`` (or the quality ``Q = 1/(2 zeta)``, or the loss factor ``2
-    zeta``) holds at ``at``. This is the body's first resonance by default. Two ratios at two
-    frequencies determine alpha and beta: ``zeta = alpha/(2 omega) + beta omega/2``. With
+    zeta``) holds at ``at``. The default of ``at`` is the first resonance of the body. Two ratios at
+    two frequencies determine alpha and beta: ``zeta = alpha/(2 omega) + beta omega/2``. With
     ``per_material`` E is the sum of ``K_i/(Q_i omega)`` over the materials i instead.
 
     ``model = "ieee176"`` is that of complex constants of IEEE Std 176. Q is the same for all modes,

@@ -180,7 +180,7 @@ def _make_rule(solid: Solid, cells: np.ndarray) -> skfem.Basis:
 def _conical_product(order: int) -> tuple[np.ndarray, np.ndarray]:
     """Points (3, points) and weights on a tetrahedron, by Gauss-Jacobi rules.
 
-    They are a product of these rules.
+    The points and weights are a product of these rules.
 
     The rules of scikit-fem for tetrahedra are exact up to order 4 only. Source: A. H. Stroud,
     Approximate Calculation of Multiple Integrals (1971), section 2.5.
@@ -301,8 +301,8 @@ def _element_matrices(
     """Compute the matrices S and M of elements of one material.
 
     S is (elements, more functions, fields, functions, fields), and M is (elements, more functions,
-    functions). Both are from products of gradients on the reference element. The n functions of
-    nodes are first.
+    functions). Both matrices follow from products of gradients on the reference element. The n
+    functions of nodes are first.
 
     Without coupling and permittivity the fields are the displacements only.
     """

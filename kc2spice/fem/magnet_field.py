@@ -280,7 +280,7 @@ def _assemble_mesh(
 def _make_basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:
     """Make a basis that integrates polynomials of degree 5 exactly.
 
-    This is the degree of the integrands on straight triangles.
+    The integration order is the degree of the integrands on straight triangles.
     """
     return Basis(mesh, ElementTriP2(), intorder=6, elements=elements)
 
@@ -312,7 +312,7 @@ def _remanence_load(v: Any, w: Any) -> np.ndarray:
 def _current_load(v: Any, w: Any) -> np.ndarray:
     """Load of 1 A/m^2, ``int A_phi 2 pi r dr dy``.
 
-    It is the flux linkage of one turn/m^2 as well.
+    The same vector gives the flux linkage of one turn/m^2.
     """
     return 2 * pi * w.x[0] ** 2 * v
 

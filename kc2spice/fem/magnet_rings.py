@@ -4,7 +4,7 @@ The body is divided into rings of rectangular section, which are thin below its 
 depth is small. For the currents i of the rings and j of the coils, ``L di/dt + R i = -d/dt m j``.
 L and R are constant in the body's frame. Only the mutual inductances m depend on its height y. With
 the modes of ``R v = rate L v``, ``v' L v = 1``, the body is a set of loops of 1 H and ``rate`` Ohm.
-Their coupling to the coils is ``v' m(y)``.
+The coupling of the loops to the coils is ``v' m(y)``.
 """
 
 from __future__ import annotations
@@ -28,14 +28,17 @@ POINTS = 16  # along it, for that with others
 SLIVER = 0.02  # share of a cell's section; a ring with less carries no current
 NEAR = 4  # cells from the axis
 GAUSS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points of a section, relative to its side
-FAR = 40.0  # longest sides of two sections, from where on their distance is that of their middles
+# number of longest sides between two sections from which their mean distance is that of their
+# centres
+FAR = 40.0
 USUAL = 400  # default number of rings per body, with LAYERS layers per skin depth
 LAYERS = 3.0  # layers of rings per skin depth at the surface, with USUAL rings
-GROWTH = 1.35  # thickness of a layer over that of the one above
+GROWTH = 1.35  # ratio of the thickness of a layer to that of the layer above
 # largest number of rings of a sphere, whose skin has no layers, if 400 rings are requested
 SKINNED = 1500
 MOST = 3000  # and with more: dense matrices of 70 MB each
-PLACES = 5  # heights and frequencies at which loops are compared with those of finer rings
+# numbers of heights and frequencies at which loops are compared with loops of finer rings
+PLACES = 5
 STEP = 1e-4  # step of a numerical slope, relative to the range of heights
 
 
@@ -125,7 +128,7 @@ def _mean_log(
 ) -> np.ndarray:
     """Compute the mean logarithm of the distance of two rectangles.
 
-    Their middles are the distances ``x`` and ``y`` apart.
+    The distances of the centres are ``x`` and ``y``.
 
     The rectangles are ``a`` times ``b`` and ``c`` times ``d``. The mean is the fourth difference of
     an integral of ``ln(x^2 + y^2) / 2``.
@@ -248,7 +251,7 @@ class Winding:
     def with_other(self, other: Winding) -> float:
         """Compute the mutual inductance [H] with another winding.
 
-        With itself it is the inductance.
+        With the winding itself, the result is the inductance.
 
         The inductance of a sheet without width: L. Lorenz, Ann. Phys. 7 (1879) 161.
         """

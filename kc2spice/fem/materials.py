@@ -83,7 +83,7 @@ class CylindricalAxes:
     def frames(self, places: np.ndarray) -> np.ndarray:
         """Rotations (n, 3, 3) to the cylindrical axes at ``places`` (n, 3) [m].
 
-        Their columns are the radial, hoop and axial unit vectors.
+        The columns of each rotation are the radial, hoop and axial unit vectors.
         """
         axial = np.asarray(self.axis, float) / np.linalg.norm(self.axis)
         arm = places - np.asarray(self.point)

@@ -1,8 +1,8 @@
 """Meshes and CAD files of the user, read by gmsh, with named groups.
 
 ``.msh`` files contain elements and physical groups. ``.step`` and ``.brep`` files are meshed here.
-Their solids are first modified to share faces. Their groups are the labels of the file, and the
-picks of :func:`read_mesh`.
+The solids of a CAD file are first modified to share faces. Their groups are the labels of the file,
+and the picks of :func:`read_mesh`.
 
 gmsh selects the format by extension and content of a file, and runs unknown files as scripts. No
 option of gmsh prevents scripts from starting programs. Therefore gmsh runs in a separate process
@@ -127,10 +127,10 @@ def read_mesh(
 
     ``unit`` is the file's unit of length [m]. ``size`` is the largest edge of the elements of a CAD
     file [m]. ``splits`` is the number of times that every edge is halved. ``picks`` are groups of a
-    CAD file by name: entities of a ``dimension`` (0 to 3: points, curves, faces, solids). They
-    contain one of the points ``at`` (n, 3), or lie in a ``box`` of two corners, all in the file's
-    unit. Nodes at most ``merge`` [m] apart become one; 0 accepts solids that touch and share no
-    nodes.
+    CAD file by name: entities of a ``dimension`` (0 to 3: points, curves, faces, solids). The
+    entities contain one of the points ``at`` (n, 3), or lie in a ``box`` of two corners, all in the
+    unit of the file. Nodes at most ``merge`` [m] apart become one; 0 accepts solids that touch and
+    share no nodes.
 
     Raises
     ------
@@ -328,7 +328,7 @@ def merge_nodes(
 ) -> np.ndarray:
     """Number the nodes (n,) so that nodes at most ``distance`` [m] apart are one.
 
-    They are the nodes of elements.
+    Only nodes of elements are numbered.
 
     Raises
     ------
@@ -581,7 +581,7 @@ def extract_mesh(
 def measure_box(file: str) -> dict[str, np.ndarray]:
     """Measure the lowest and highest coordinates, ``box`` (2, 3), of a file.
 
-    They are in the unit of the file.
+    The coordinates are in the unit of the file.
     """
     with gmsh_session() as gmsh:
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")

@@ -40,7 +40,7 @@ ELSEWHERE = 0.5  # squared distance from a patch's middle, in its own size, that
 class EnergyProducts:
     """Energy products (k, k) of k solutions and of their errors.
 
-    They are ``solution`` and ``error``.
+    ``solution`` contains the products of solutions, ``error`` those of their errors.
 
     ``spread`` sums the absolute contributions of the elements to ``error``.
     """

@@ -143,8 +143,8 @@ def strains(
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield values and strain operators at each point of ``basis``.
 
-    They are the values N (elements, l), the strain operator B (elements, 6, l d) and the gradient G
-    (elements, 3, l) of the l local shape functions.
+    The yielded arrays are the values N (elements, l), the strain operator B (elements, 6, l d) and
+    the gradient G (elements, 3, l) of the l local shape functions.
     """
     local = [function[0] for function in basis.basis]
     d = solid.components
@@ -171,7 +171,7 @@ def tensors(
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield stiffness, coupling and permittivity at each point of ``basis``.
 
-    They are those of the ``material`` in the axes of the solid, (elements or 1, …). The axes of an
+    The tensors of the ``material`` are in the axes of the solid, (elements or 1, …). The axes of an
     axisymmetric solid are cylindrical.
     """
     places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
@@ -238,7 +238,8 @@ def _stress_stiffness(
 ) -> np.ndarray:
     """Stiffness (elements, l d, l d) by a stress at rest: ``grad v . sigma0 grad u``.
 
-    It is that of each component. Rotation of the hoop direction adds ``sigma0_y v_r u_r / r^2``.
+    The same matrix applies to each component. Rotation of the hoop direction adds ``sigma0_y v_r
+    u_r / r^2``.
     """
     d, sigma = solid.components, np.array(material.residual_stress)
     item = G.transpose(0, 2, 1) @ (sigma[:, None] * G)

@@ -251,8 +251,8 @@ def bench(
     """Measure error and time of ``scene`` and write ``bench.json`` and ``bench.html`` into ``out``.
 
     Returns the record. The error of a setting is the largest relative error of the metrics
-    ``metric``. The default is those of the key ``bench.metric``, otherwise all scalars that
-    converge.
+    ``metric``. By default, the metrics are those of the key ``bench.metric``; without this key, all
+    scalars that converge.
 
     Raises
     ------

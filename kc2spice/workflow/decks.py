@@ -50,8 +50,8 @@ def prepare_deck(
 ) -> tuple[Build, Deck]:
     """Return the models and the deck of ``scene``, or its deck ``edited`` by hand.
 
-    Errors of the wiring name file and line before the simulator starts. ``functions`` are those of
-    controllers, by part. Raises as :func:`make_deck` and
+    Errors of the wiring name file and line before the simulator starts. ``functions`` are the
+    Python functions of controllers by part. Raises as :func:`make_deck` and
     :func:`kc2spice.netlist.edited_deck.read_edited_deck` do.
     """
     require_probed_results(Build(scene, {}, trust=trust, functions=functions or {}))

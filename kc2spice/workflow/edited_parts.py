@@ -1,6 +1,6 @@
 """Parts of a scene with the values that an edited netlist has.
 
-A part whose cards differ cannot be described by its keys. It has no checks.
+A part whose cards differ cannot be described by its keys. This part has no checks.
 """
 
 from __future__ import annotations

@@ -287,7 +287,7 @@ class _Body:
     def full(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
         """Return the full model at values of the keys, with its first electrical port.
 
-        Its mesh is a new one, or with ``moved`` that of ``like`` with displaced nodes.
+        The model has a new mesh, or with ``moved`` the mesh of ``like`` with displaced nodes.
 
         Raises
         ------
@@ -379,7 +379,7 @@ class _Body:
     ) -> np.ndarray:
         """Return the admittance (n,) [S] with damping in proportion to the stiffness.
 
-        Its Q factor at the lowest excited resonance is that of the values.
+        The Q factor at the lowest excited resonance follows from the values.
         """
         at = self.damping.frequency(self.modes(pencil)[2])
         assert at is not None
@@ -397,7 +397,7 @@ class _Body:
 
     @property
     def frequencies(self) -> np.ndarray:
-        """A frequency near zero, then those of the data (n + 1,) [Hz]."""
+        """Frequencies (n + 1,) [Hz]: one near zero, then those of the data."""
         return np.r_[AT_REST * self.data.f[0], self.data.f]
 
     def lossy(self, charge: np.ndarray, clamped: float, values: Mapping[str, float]) -> np.ndarray:

@@ -25,7 +25,7 @@ from kc2spice.workflow.time_step import step_checks
 BETWEEN_POINTS = 0.05  # correction of a peak between points; at half a half-width up to 3 %
 ROUNDED = 1e-9  # rounding error of the ends of the scale in the simulator, relative
 HEIGHT_PER_VELOCITY = 2.0  # relative change of the height of a flight per one of its velocity
-BUDGET_SHARE = 0.03  # share of a larger error_budget, a tenth of that of time steps
+BUDGET_SHARE = 0.03  # fraction of a larger error_budget, a tenth of the fraction for time steps
 
 
 def verdict(waves: Waveforms, build: Build) -> Verdict:
@@ -158,7 +158,10 @@ def _probe_unit(probe: Probe, build: Build, waves: Waveforms) -> str:
 
 
 def window_of(probe: Probe, scene: Scene) -> tuple[float, float] | None:
-    """First and last place on the scale that a probe reads; None where it reads all of it."""
+    """First and last place on the scale that a probe reads.
+
+    The result is None if the probe reads the whole scale.
+    """
     if probe.periods is not None:
         return scene.stop - probe.periods * (scene.period or 0.0), scene.stop
     if probe.from_ is None and probe.to is None:

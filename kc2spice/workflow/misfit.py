@@ -1,7 +1,7 @@
 """Standard errors of a fitted model, and the likely cause of a misfit.
 
-In go the residuals ``r`` of a fit in units of the noise, real parts before imaginary parts, and
-their Jacobian J. With n values, k keys and the misfit ``m = sqrt(r'r / (n - k))``:
+The input is the residuals ``r`` of a fit in units of the noise, real parts before imaginary parts,
+and their Jacobian J. With n values, k keys and the misfit ``m = sqrt(r'r / (n - k))``:
 
 - Residuals that are noise alone have m near 1. The covariance is ``max(1, m)^2 (J'J)^-1``.
 - Residuals of a model that does not describe its data are correlated over neighbouring

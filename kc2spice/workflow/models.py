@@ -81,8 +81,8 @@ def name_subcircuits(scene: Scene) -> dict[str, str]:
 def share_subcircuits(build: Build) -> Build:
     """Return ``build`` with one subcircuit for all parts of a type whose subcircuits are equal.
 
-    It has the name of the type if those of all its parts are equal. Otherwise each group of equal
-    subcircuits has the name of its first part's subcircuit.
+    The subcircuit has the name of the part type if the subcircuits of all parts of the type are
+    equal. Otherwise each group of equal subcircuits has the name of its first part's subcircuit.
     """
     header, names = Header(build.scene.name, scene_hash(build.scene)), _number_subcircuits(build)
     kinds: dict[str, list[Part]] = {}

@@ -1,10 +1,11 @@
 """A larger order of a reduced body, where a transient shows that its error is too large.
 
 A run compares each reduced body with a model of more states under the loads that it recorded (see
-:mod:`kc2spice.rom.enriched`). Those loads also judge larger orders, each by a reduction alone. The
-scene runs again with the least order whose error is within the limit, or with the one that has the
-smallest error. The new loads judge the new run, until its error is within the limit, or until more
-states are too many, do not help, or have been tried :data:`MOST_RISES` times.
+:mod:`kc2spice.rom.enriched`). The same loads give the error of larger orders, each from a reduction
+without a further run. The scene runs again with the least order whose error is within the limit, or
+with the one that has the smallest error. The new loads judge the new run, until its error is within
+the limit, or until more states are too many, do not help, or have been tried :data:`MOST_RISES`
+times.
 """
 
 from __future__ import annotations
@@ -96,9 +97,8 @@ def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
 def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> Mapping[str, Any]:
     """Keys of the scene with which a failed run may succeed; empty if there are none.
 
-    The keys are those that the checks of the run suggest. Where a body is still too coarse although
-    its order was chosen so before, which is among the ``automatic`` keys, the order doubles once
-    more.
+    The keys are those that the checks of the run suggest. If a body is still too coarse although
+    its order is among the ``automatic`` keys, the order is doubled once more.
     """
     if error.suggested:
         return error.suggested
@@ -215,8 +215,8 @@ def _larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _Search:
 def _expected_time(seconds: float, model: LinearModel, larger: LinearModel) -> float:
     """Expected CPU time [s] of a run with a ``larger`` model, from the ``seconds`` of the present.
 
-    It is in proportion to the time of a point, and to the highest frequency of a mode with inertia,
-    whose periods the time steps follow.
+    The time is proportional to the time of a point and to the highest frequency of a mode with
+    inertia, because the time steps resolve its periods.
     """
     points = list(map(_highest_natural_frequency, (model, larger)))
     more = points[1] / points[0] if all(points) else 1.0

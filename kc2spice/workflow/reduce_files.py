@@ -189,8 +189,8 @@ def _require_names(model: LinearModel, name: str) -> None:
 
 def _require_stable_full(model: LinearModel, band: tuple[float, float] | None) -> None:
     """Nothing, unless the poles of a model of moderate size, or few factorisations of a large one,
-    show that it is unstable. Its reduction would take minutes for nothing; a small one is reduced
-    first and judged afterwards.
+    show that it is unstable. The reduction of a large unstable model would waste minutes; a small
+    model is checked after its reduction.
 
     Raises
     ------

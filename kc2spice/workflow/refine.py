@@ -162,8 +162,8 @@ def _format_size(unknowns: float, memory: float) -> str:
 def factor_bytes(unknowns: float, dimensions: int) -> float:
     """Return the memory [B] of a factorised stiffness matrix.
 
-    Its fill grows as n^(4/3) in space and as n log n in a plane (A. George, SIAM J. Numer. Anal. 10
-    (1973) 345).
+    The number of nonzeros of the factor grows as n^(4/3) in space and as n log n in a plane (A.
+    George, SIAM J. Numer. Anal. 10 (1973) 345).
     """
     if dimensions == 3:
         from kc2spice.bodies.stack import SPARSE_BYTES  # which loads the finite elements
@@ -205,7 +205,7 @@ def metric_changes(run: Run, finer: Run) -> dict[str, float]:
     The change of a curve is relative to its largest value. The change of a number is relative to
     the number itself, but at least to a share of the largest metric with the same unit. The share
     is :data:`NEAR_ZERO`, or :data:`ROUNDING` for responses to small signals. Metrics without a unit
-    have no such lower limit. A curve over other points is interpolated to those of ``run``.
+    have no such lower limit. A curve over other points is interpolated to the points of ``run``.
     The change is infinite if ``run`` has no comparable metric.
     """
     share = ROUNDING if run.small else NEAR_ZERO
@@ -241,8 +241,8 @@ def metric_changes(run: Run, finer: Run) -> dict[str, float]:
 class Estimate:
     """Run with its axes moved by ``notches``, and the error estimate of each metric.
 
-    The estimates come from a refined run. It could not move the axes ``unmoved``, whose part of the
-    largest error is ``fixed``.
+    The estimates come from a refined run. The axes ``unmoved`` could not be moved; their part of
+    the largest error is ``fixed``.
     """
 
     notches: Notches
@@ -379,8 +379,9 @@ def estimate_by_coarser_runs(
 ) -> dict[str, float]:
     """Estimate the error of each of the ``metrics`` by ``unmoved`` axes.
 
-    It is that of a body's mesh, or the change of the metric by a coarser setting if that is larger.
-    A notch at least halves an error, so that the change is not less than the remaining error.
+    The estimate is the larger of two values: the error of the mesh of a body, and the change of the
+    metric by a coarser setting. A notch at least halves an error, so that the change is not less
+    than the remaining error.
     """
     now = runs.run_at(notches)
     result = dict.fromkeys(metrics, runs.mesh_error(unmoved, now))
@@ -402,8 +403,8 @@ def _largest_share_moved(
 ) -> Notches | None:
     """Move the axis that changes the metrics most, by several notches if the ``limit`` is far.
 
-    ``shares`` are the changes by single axes. A call adds missing ones, and deletes that of the
-    moved axis. Returns None if no axis can be moved.
+    ``shares`` are the changes by single axes. A call adds missing entries, and deletes the entry of
+    the moved axis. Returns None if no axis can be moved.
     """
     for axis in runs.axes:
         if axis.name not in shares and axis.name not in now.unmoved:

@@ -1,8 +1,8 @@
 """Further frequencies of a small-signal analysis: at resonances, at notches, and where probes read.
 
-A build and its deck go in. The deck with further analyses comes out: about each resonance that the
-frequencies of the scene do not resolve. The resonances are the natural frequencies of the whole
-linear circuit, driver and load included. :mod:`kc2spice.reference.small_signal` states its
+The input is a build and its deck. The output is the deck with further analyses about each resonance
+that the frequencies of the scene do not resolve. The resonances are the natural frequencies of the
+whole linear circuit, driver and load included; :mod:`kc2spice.reference.small_signal` states its
 equations.
 """
 
@@ -43,9 +43,9 @@ def with_resonances(deck: Deck, build: Build) -> Deck:
     A probe reads a frequency, or the end of its window, at a point of the analysis: a straight line
     between two points of a response is no response.
 
-    A resonance at ``f`` with the pole ``p`` has the half-width ``|Re p| / (2 pi)``. It is resolved
-    where the scene's frequencies lie closer than a quarter of that. Undamped resonances have no
-    largest response and get no further frequencies.
+    A resonance at ``f`` with the pole ``p`` has the half-width ``|Re p| / (2 pi)``. A resonance is
+    resolved if the frequencies of the scene lie closer than a quarter of its half-width. Undamped
+    resonances have no largest response and get no further frequencies.
 
     Warns if a part has no law, such as a user's netlist: only the poles of the reduced models are
     then known.

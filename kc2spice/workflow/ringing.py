@@ -3,7 +3,7 @@
 Error control follows every mode that rings, also far above the band of the reduction, where a
 contact excites modes. In a step ``h`` the trapezoidal rule has the error ``(w h)^3 / 12`` of the
 amplitude. A mode of the angular frequency ``w`` thus takes steps of ``(12 reltol)^(1/3) / w`` as
-long as it lasts. Without damping it lasts to the end of the run.
+long as it lasts. Without damping, the ringing lasts to the end of the run.
 """
 
 from __future__ import annotations

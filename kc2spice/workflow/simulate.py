@@ -66,7 +66,7 @@ class Run(Outcome):
 
     @property
     def small(self) -> bool:
-        """Whether its metrics are those of a response to small signals."""
+        """Whether the metrics are those of a response to small signals."""
         return self.build.scene.analysis.small
 
     @property

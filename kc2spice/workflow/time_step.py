@@ -52,8 +52,8 @@ SIZE = 600  # unknowns; larger circuits take minutes
 def largest_step(build: Build) -> StepLimit:
     """Return the largest time step of a transient.
 
-    It is ``solver.max_step`` if the scene sets that. Otherwise it is the smallest step that a part
-    or a resonance of a linear circuit requires.
+    The result is ``solver.max_step`` if the scene sets this key. Otherwise it is the smallest step
+    that a part or a resonance of a linear circuit requires.
     """
     scene = build.scene
     if scene.solver.max_step is not None:
@@ -238,7 +238,7 @@ def _describe_resonance(rate: complex, quality: float) -> str:
 def deviation(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
     """Return the largest errors of the rms in a window and of a value, of all waves (nt, waves).
 
-    They are relative to the largest rms of a wave in a window, and to its largest value.
+    The errors are relative to the largest rms of a wave in a window, and to its largest value.
     """
     edges = np.linspace(t[0], t[-1], WINDOWS + 1)[1:-1]
     cuts = np.unique([0, *np.searchsorted(t, edges)])
@@ -300,7 +300,7 @@ def _exact_motion(build: Build, waves: Waveforms) -> tuple[tuple[float, float, s
 
 
 def _step_check(name: str, largest: tuple[float, float, str]) -> Check:
-    """Return the check of a deviation: that of the rms, that of a value, and the wave."""
+    """Return the check of a deviation of a wave: the deviation of the rms and of a value."""
     amplitude, _, wave = largest
     advice = "the steps are too coarse for a resonance: leave solver.max_step out, or lower it"
     return Check(name, amplitude, FAIL, f"of the rms of {wave}", advice, coarse=True, wiring=True)

@@ -68,9 +68,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> Iterator[Check | Balance]:
         """Yield the checks of a reduced body after a run.
 
-        They are the error of the reduced model, the stability of the full model, the band and the
-        rating. After a transient, the energy balance, the band of the excitation and the charge of
-        floating electrodes follow.
+        The checks are the error of the reduced model, the stability of the full model, the band and
+        the rating. After a transient, the energy balance, the band of the excitation and the charge
+        of floating electrodes follow.
         """
         model = build.model(part, LinearModel)
         result = model.certificate
@@ -124,8 +124,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     ) -> Iterator[Check]:
         """Yield the check of the reduced model's error.
 
-        It is the error at the worst frequency of the band. In a transient it is the error under the
-        recorded loads, if the former is too large or a contact excites modes above the band.
+        The checked error is that at the worst frequency of the band. In a transient, the error
+        under the recorded loads replaces it if it is too large or a contact excites modes above the
+        band.
 
         A large pointwise error at a sharp resonance may have no effect under the recorded loads,
         and a small one says nothing about loads above the band. The error under load compares the

@@ -101,8 +101,9 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
         In ``ac``, the band ends 20 % above the last frequency. In a transient, it contains the
         excited frequencies (:meth:`PartType.numerics`), up to the first :data:`MOTIONS` natural
-        frequencies of the body. The tolerance of 1e-3 is a tenth of usual mesh errors. It is above
-        the effect of rounding on a free thin plate, some 1e-4 at its resonances.
+        frequencies of the body. The tolerance of 1e-3 is a tenth of usual mesh errors. This
+        tolerance exceeds the effect of rounding on a free thin plate, which is about 1e-4 at its
+        resonances.
         """
         specified, result = part.keys.rom, self._stated_reduction(part, scene)
         if result is None and scene.analysis.small:
@@ -256,7 +257,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def orders(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> Orders:
         """Return reductions of the full model to prescribed orders, with the ports of the scene.
 
-        They stay in the workspace, because the next scene often needs another order.
+        The reductions stay in the workspace, because the next scene often needs another order.
         """
         from kc2spice.rom.enriched import Orders
 
@@ -295,7 +296,7 @@ def damping_of(part: Part) -> Damping:
 def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
     """Return the complex constants of a body's damping.
 
-    They are those at the stated frequency, or at a resonance of its ``model``.
+    The constants hold at the stated frequency, or at a resonance of the ``model``.
 
     Raises
     ------
@@ -310,7 +311,8 @@ def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
 
 
 def _with_least_damping(part: Part, model: LinearModel, band: tuple[float, float]) -> LinearModel:
-    """Give ``model`` viscous damping that nowhere exceeds that of complex constants.
+    """Give ``model`` viscous damping that is at most the damping by complex constants at every
+    frequency.
 
     The error of a reduction is then no larger with complex constants.
     """

@@ -36,7 +36,7 @@ from kc2spice.synthesis.realize import (
 )
 
 RATED = "electrodes, as stated or by the field in its ceramic; the netlist itself has no limit"
-_LONGEST = 47  # letters of a scene's and a part's name in that of a library
+_LONGEST = 47  # largest number of letters of the names of scene and part in the name of a library
 
 
 class BodyNetlist(BodyModel[LinearKeysT]):

@@ -272,7 +272,8 @@ def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
 def measured_impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
     """``V / I`` (frequencies,) [Ohm] at the first electrical port, where both were recorded.
 
-    None as well where the body feeds the circuit, so that V / I is not its own impedance.
+    The result is also None if the body supplies the circuit, because V / I is then not its own
+    impedance.
     """
     voltage = waves.data.get(f"{part.name}.voltage")
     current = waves.data.get(f"{part.name}.current")

@@ -37,7 +37,7 @@ class Envelope:
     ----------
     air : mass [kg] of the air that moves with it, None where no formula knows its shape.
     mass : of the body [kg], None before its mesh is made.
-    surface : [m^2], that of its box where the shape is the user's own.
+    surface : [m^2], surface of its bounding box if the shape is a mesh of the user.
     layers : that are glued on one another, from the bottom up; a bolted or own body has none.
     length : [m] along which these layers are coupled: half the diameter of a disc.
     electrode : area [m^2] of one face.

@@ -212,7 +212,7 @@ def _map_surface(
 def _visible_edges(mesh: Any, fine: int) -> np.ndarray:
     """Return the vertices (2, edges) of the surface mesh.
 
-    Of more lines than ``fine``, only those remain where faces meet at an angle.
+    If there are more than ``fine`` lines, only edges between faces at an angle remain.
     """
     facets = mesh.boundary_facets()
     if mesh.dim() == 2:

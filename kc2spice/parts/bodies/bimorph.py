@@ -4,9 +4,10 @@ Unimorphs, series and parallel bimorphs, and beams of metal alone (then without 
 
 x runs along the length from the clamp, y along the width, z up. Every layer is a solid of quadratic
 hexahedra, so plate action, the lateral contraction at the clamp and the field inside the layers
-need no theory of beams. Both faces of a piezoelectric layer are electrodes all over; faces across a
-conductor, and between two piezoelectric layers, are one. A positive voltage at the anode bends the
-tip up: layers above the middle are poled to contract, those below to stretch.
+need no theory of beams. Both faces of a piezoelectric layer are completely covered by electrodes.
+Two faces are one electrode if they lie on one conductor, or if two piezoelectric layers touch at
+them. A positive voltage at the anode bends the tip up: layers above the middle are poled to
+contract, those below to stretch.
 
 * *series*: anode on top, cathode at the bottom, all between floating;
 * *parallel*: the levels of electrodes are anode and cathode by turns, the top one anode.

@@ -56,7 +56,10 @@ class Matrices(LinearBody[MatricesKeys]):
     def directions(
         self, part: Part[MatricesKeys], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Those that the sidecar states by ``dof`` or ``axis``; a column of B has none."""
+        """Directions that the sidecar states by ``dof`` or ``axis``.
+
+        A port by a column of B has none.
+        """
         *_, sidecar = locate_model(*self._source(part, scene))
         result = {}
         for entry in sidecar.ports:

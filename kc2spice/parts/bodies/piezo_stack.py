@@ -120,7 +120,9 @@ class Stack(Chip, FieldKeys):
     @model_validator(mode="before")
     @classmethod
     def _set_drive(cls, data: Any, info: ValidationInfo) -> Any:
-        """In a scene of the paper's tables the chip is driven, unless unit loads are its drive."""
+        """In a scene with the tables of the paper, the chip is driven unless unit loads are
+        applied.
+        """
         short = (info.context or {}).get("short", ())
         if not short or "harmonic" in short or data.get("electrical", "driven") != "driven":
             return data
@@ -230,8 +232,8 @@ class PiezoStack(MeshedBody[Stack]):
     def numerics(self, part: Part[Stack], scene: WiredScene) -> Iterator[Numerics]:
         """Yield tighter tolerances: the trapezoidal rule's phase error grows while a mode rings.
 
-        A low kick closes fewer rings and its launch depends more on every step: from 40 to 60 V
-        the relative error of one setting is ten times that at 100 V. It falls as reltol^0.55.
+        A low kick closes fewer rings and its launch depends more on every step: from 40 to 60 V the
+        relative error of one setting is ten times that at 100 V. This error falls as reltol^0.55.
         """
         if not scene.of("contact"):
             return
@@ -433,8 +435,8 @@ def ring_radii(keys: Chip) -> np.ndarray:
 def used_rings(part: Part[Stack], scene: JoinedScene) -> int:
     """Return the number of rings that are ports, ring0 first.
 
-    The last one is that of another part or of a probe. All rings are ports if the stack is the only
-    part.
+    The last ring is one that another part or a probe needs. All rings are ports if the stack is the
+    only part.
     """
     if len(scene.parts) == 1 or scene.ports == "all":
         return 1 + int(part.keys.mesh.rings)

@@ -114,7 +114,7 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def branch(self) -> Branch:
-        """Its only branch."""
+        """The only branch of the element."""
         return self.declaration.branches[0]
 
     @cached_property
@@ -178,8 +178,8 @@ class LinearElement(DeclaredPart[KeysT]):
     def _leak_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
         """Return a conductance that conserves the charge of a floating net.
 
-        It is in proportion to the capacitance, as that of a body's electrode. The currents
-        ``rate C v`` of a net then sum to zero if the charges ``C v`` do.
+        The conductance is proportional to the capacitance, as for an electrode of a body. The
+        currents ``rate C v`` of a net then sum to zero if the charges ``C v`` do.
         """
         value = LEAK_RATE * self._evaluate(part, times(self._unit, self.admittance_law[1]))
         return (Element.of(build.inner_name(part, f"G{part.name}", "leak"), a, b, a, b, value),)

@@ -169,7 +169,9 @@ class Gap(PatchedPart[GapKeys]):
     def build(
         self, part: Part[GapKeys], scene: Scene, clock: Clock, full: bool = False
     ) -> int | None:
-        """In ``full`` the branches of its film, :data:`FINER` times those of its netlist."""
+        """For a ``full`` model, the result is the film with :data:`FINER` times the branches of the
+        netlist.
+        """
         return FINER * count_film_branches(part, scene) or None if full else None
 
     def law(self, part: Part[GapKeys], build: Build) -> laws.Equations:
@@ -285,8 +287,8 @@ def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
 def truncation_error(film: Film, gap: float, branches: int, frequency: float) -> float:
     """Larger relative error of damping and force of a series with ``branches`` springs.
 
-    It is that at the ``frequency`` [Hz]. A term has the impedance ``z = j w c / (1 + j w c / k)``,
-    one without a spring ``j w c``. The damping is the imaginary part.
+    The error is computed at the ``frequency`` [Hz]. A term has the impedance ``z = j w c / (1 + j w
+    c / k)``, one without a spring ``j w c``. The damping is the imaginary part.
     """
     if not frequency:
         return 0.0
@@ -306,8 +308,8 @@ def _waves_of(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarr
 def _check_film(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
     """Yield checks of the film's series at the highest frequency of a run.
 
-    It is that of the response, or the one below which the velocity of the patches has 99.9 % of its
-    energy.
+    The frequency is that of the response. In a transient, the velocity of the patches has 99.9 % of
+    its energy below this frequency.
     """
     film, frequency = part.keys.film, 0.0
     if film is None:

@@ -104,7 +104,8 @@ class Push(TouchablePart[PushKeys]):
     def checks(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
         pair, gates = _pair(part, build.scene), build.scene.gates
         # The first depths are contacts of one basis function, which the law does not resolve: all
-        # errors are of the largest force then, and against the full model those of the basis.
+        # errors are then relative to the largest force; in the comparison with the full model they
+        # are those of the basis.
         law = pair.basis_error()
         limits = {
             "rom_vs_fom": max(gates.imprint_rom, law),

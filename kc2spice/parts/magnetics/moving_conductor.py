@@ -93,7 +93,7 @@ class Conduction(Section):
 
 class Moving(Section):
     """A body in the field of coils and magnets about one axis; y is the height of its centre of
-    mass. Its mass is a part ``mass`` at the pin ``a``."""
+    mass. A part ``mass`` at the pin ``a`` represents the mass of the body."""
 
     radius: Length = Field(gt=0, description="Outer radius of the body")
     inner: Length = Field(0.0, ge=0, description="Radius of the hole of a disc")
@@ -419,7 +419,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         """Return the loops with the error of their rings.
 
         The error is of second order in the size of a ring, in proportion to the reciprocal of their
-        number. So is the change by finer rings.
+        number. The change by finer rings is part of the error as well.
         """
         finer = _divide_body(keys, FINER * rings, ladder.frequency)
         changed = compare_rings(finer, ladder, windings(keys), fixed, keys.conductivity)

@@ -56,7 +56,7 @@ MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 
 UNRATED = "not known; compare the coils' currents with what their wire stands"
 USUAL_CURRENT = 0.1  # A, of forces that are shown and compared where a scene states no limit
-FINER = 2  # cells along each edge of the mesh in verify, of those of the table
+FINER = 2  # ratio of cells along each edge of the mesh in verify to cells of the table
 DENSER = 4  # heights of the table that the shipped one is compared with, per interval
 POINTS = 201  # points of each lookup; the error between them is 6e-6 of the largest force
 COARSE = 1e-2  # largest error of the spline between heights, relative to the largest force
@@ -102,7 +102,7 @@ SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *PLACE)
 def rated_heating(keys: Coils) -> float:
     """Integral of the squared current [A^2 s] that warms the wire by its rated rise.
 
-    Without cooling it is ``rise c A^2 / resistivity`` for any number of turns.
+    Without cooling, the integral is ``rise c A^2 / resistivity`` for any number of turns.
     """
     section = np.pi / 4 * keys.wire_diameter**2
     return float(keys.rated_rise * COPPER * section**2 / keys.resistivity)
@@ -534,7 +534,7 @@ def _is_driven(part: Part[Coils], scene: JoinedScene) -> bool:
 def largest_current(part: Part[Coils], scene: JoinedScene) -> float:
     """Largest coil current [A] of the controllers of the scene.
 
-    It is 1 A if another part drives the coils, and 0 if nothing drives them.
+    The current is 1 A if another part drives the coils, and 0 if nothing drives them.
     """
     limits = [pid.keys.current_limit for pid in scene.of_schema("pid", Control)]
     return float(max(limits, default=1.0 if _is_driven(part, scene) else 0.0))

@@ -80,7 +80,7 @@ class Surface:
         return {pin: f"{owner}.{end}" for pin, end in zip(pins, ends, strict=False)}
 
     def height(self, port: str, waves: Waveforms) -> np.ndarray | None:
-        """Its position [m] at a port, zero where it touches."""
+        """Position [m] of the surface at a port, zero where it touches."""
         if self.part == GROUND:
             return np.zeros(next(iter(waves.data.values())).size)
         if self.radius is not None and self.rigid:
@@ -291,7 +291,7 @@ class Pair:
         return self._compliance_of(self.shape)
 
     def _compliance_of(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
-        """Both sides follow the pressure within the mean of their times."""
+        """The response time of the pair is the mean of the times of both sides."""
         assert self.a.compliance is not None
         result = self.a.compliance(shape)
         if not self.b.elastic:
@@ -412,10 +412,10 @@ def find_separation(
     In contact, the force is proportional to ``overlap**power``.
 
     A gap is a flight if it lasts 20 us or until the data end. A body that rebounds and strikes
-    again later also leaves such an interval without contact. Of the flights that begin until 20
-    us after ``busy`` [s], when the drive stops moving, the launch is the first with at least
-    half of the largest speed. Without one it is the first of all. By default the drive is not
-    known and all flights count.
+    again later also leaves such an interval without contact. The launch is the first flight with at
+    least half of the largest speed among the flights that begin within 20 us after ``busy`` [s],
+    the end of the drive. Without such a flight, the launch is the first flight. By default the
+    drive is not known and all flights count.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
     force = np.maximum(force, 0.0) ** (1 / power)

@@ -329,7 +329,7 @@ def _balance_energy(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator
     closing = np.array(heights) - place  # as all of these (ports, n)
     force, p = pair.forces(waves), normal.power
     elastic, energy = force, force ** (1 + 1 / p) / ((p + 1) * normal.stiffness ** (1 / p))
-    if normal.damping or normal.radius:  # the force is not that of the depth alone
+    if normal.damping or normal.radius:  # the force does not depend on the depth alone
         x = closing - pair.gaps[: len(ports), None]
         elastic, energy = normal.force(x), normal.energy(x)
     resting, gained = float(energy.max()), energy - energy[:, :1]
@@ -388,11 +388,11 @@ def _check_open_ports(
 ) -> Iterator[Check]:
     """*outer_ring* or *ring_left_out*: the first port without a spring stays open.
 
-    Nothing records that port. Without contact it would rise with the outermost kept one and the
-    dents that the recorded forces press into that one, ``u_K + sum_j S_Kj F_j``, and its own dent
-    only takes it farther from the sphere. S is the static compliance: over one ring's spacing the
-    chip answers at once. Compared with models with all rings, the estimate is 10 to 100 % above the
-    largest motion of the next ring, and never more than 5 % of its gap below.
+    Nothing records that port. Without contact, the next port would rise with the outermost port of
+    the model and its indentation by the recorded forces, ``u_K + sum_j S_Kj F_j``. Its own
+    indentation only increases the distance to the sphere. S is the static compliance: over one
+    ring's spacing the chip answers at once. Compared with models with all rings, the estimate is 10
+    to 100 % above the largest motion of the next ring, and never more than 5 % of its gap below.
     """
     n, a, ports, action = pair.part.name, pair.a, pair.ports, pair.scene.checks.range
     if pair.b.radius is None or len(a.ports) < 2:

@@ -121,7 +121,11 @@ elastic = true
             return sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
 
     def reduction(self, part: Part[ElasticSphereKeys], scene: Scene) -> Rom:
-        """Its own, not the scene's: its modes lie above any band of an actuator."""
+        """Return the reduction of the sphere.
+
+        The settings of the scene do not apply, because the modes of a sphere lie above the band of
+        any actuator.
+        """
         specified: Rom | None = part.keys.rom
         if specified is not None:
             return specified

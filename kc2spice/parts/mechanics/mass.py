@@ -110,7 +110,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     follows_frames = True
 
     def default_joins(self, part: Part[MassKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Join its pins of a frame's accelerations to those of the body."""
+        """Join the acceleration pins of the mass to the acceleration pins of the body."""
         shakes = _frame_accelerations(part, scene)
         pins = zip(_frames(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
@@ -140,7 +140,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def initial_motion(self, part: Part[MassKeys], build: Build) -> tuple[float, float] | None:
         """Position [m] and velocity [m/s] at t = 0, None if it starts in equilibrium.
 
-        Of masses that are fixed to each other, the first one has the state.
+        If masses are fixed to each other, the first mass has the state.
 
         Raises
         ------

@@ -1,8 +1,8 @@
 """Run a sweep: check it, share the models, run and record the points, write the table.
 
 Points run in processes of this machine or on a Dask scheduler's workers: both are a
-:class:`concurrent.futures.Executor`, and any other executor is accepted. Their rows go to a
-database that takes them in any order, then into one sorted table.
+:class:`concurrent.futures.Executor`, and any other executor is accepted. The rows of the points are
+stored in a database in any order, and then written as one sorted table.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def is_lost(error: BaseException) -> bool:
 
 
 def local_workers(count: int) -> Workers:
-    """So many processes of this machine."""
+    """Return the workers: ``count`` processes of this machine."""
     from multiprocessing import get_context
 
     @contextmanager
@@ -551,7 +551,7 @@ def _complete_points(
 ) -> Iterator[tuple[int, PointResult]]:
     """Outcomes of ``points`` as they come, no more in flight than keeps all workers busy.
 
-    Where a worker dies, all that was in flight is ``LOST``, and the workers are opened again.
+    If a worker dies, all points that were running are ``LOST``, and the workers are started again.
     """
     left, pending = iter(points), dict[Future[PointResult], int]()
     with ExitStack() as opened:

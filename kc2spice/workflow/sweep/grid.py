@@ -233,7 +233,8 @@ class Plan:
     def ends(self) -> list[dict[str, Any]]:
         """Return the first point, and points that differ from it in one block.
 
-        In these a number of that block has its least or largest value, or a word occurs first.
+        In these points, a number of the block has its least or largest value, or a word occurs for
+        the first time.
         """
         indices = [0]
         for k, block in enumerate(self.blocks):

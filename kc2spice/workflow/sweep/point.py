@@ -132,8 +132,8 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
 class Job:
     """Settings that all points of a sweep have in common.
 
-    ``fixed`` are overrides of the scene, ``parameters`` those of subcircuits; ``timeout`` [s] is
-    that of one ngspice run. The scenes of points in one process share ``workspace``.
+    ``fixed`` are overrides of the scene, ``parameters`` those of subcircuits; ``timeout`` [s]
+    limits one ngspice run. The scenes of points in one process share ``workspace``.
     """
 
     scene: SceneText | Scene

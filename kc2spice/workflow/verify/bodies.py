@@ -92,9 +92,9 @@ def netlist_checks(
 ) -> list[Check]:
     """Checks of the netlist's response ``emitted`` (frequencies, outputs, inputs).
 
-    It is compared with that of the reduced model: all ports together, capacitance and charge for
-    each load at each electrical port by their own sizes. ``gate`` is the largest error. Other
-    checks are passivity and reciprocity.
+    The response is compared with that of the reduced model: all ports together, capacitance and
+    charge for each load at each electrical port by their own sizes. ``gate`` is the largest error.
+    Other checks are passivity and reciprocity.
     """
     exact = rom.transfer(frequency)
     electrical = [port.name for port in rom.ports if port.paired]
@@ -160,9 +160,9 @@ def structure_checks(
     ``Re H``.
 
     ``s H`` maps forces and voltages to velocities and currents, and H heat flows to temperatures; a
-    network is passive if its
-    Hermitian part has no negative eigenvalue at any frequency, relative to the largest entry of the
-    balanced response. Reciprocity is that of each pair by its own size; one port has no pair.
+    network is passive if its Hermitian part has no negative eigenvalue at any frequency, relative
+    to the largest entry of the balanced response. Reciprocity is checked for each pair of ports,
+    relative to its own size; a single port has no pair.
     """
     balance = np.sqrt(np.abs(np.diagonal(H, axis1=1, axis2=2)).max(axis=0))
     H = H / np.outer(balance, balance)

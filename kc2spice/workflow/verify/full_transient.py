@@ -82,8 +82,8 @@ class Difference:
     def has_equal_modes(self, time: np.ndarray) -> np.ndarray:
         """Whether both models are in the same mode at each ``time``.
 
-        They are not within the step of an event, nor beside a step at whose end only one of them
-        has changed its mode.
+        The result is false within the step of an event, and beside a step at whose end only one
+        model has changed its mode.
         """
         grid, result = self.time, np.ones(time.size, dtype=bool)
         last = grid.size - 1

@@ -1,7 +1,7 @@
 """Verification of scenes by independent solutions.
 
 :func:`verify_scenes` compares the solutions of each scene by the gates of its parts, their metrics
-and their waves. It writes one record and one page for all scenes.
+and their waves. The verification writes one record and one page for all scenes.
 """
 
 from __future__ import annotations
@@ -108,8 +108,8 @@ def gate_limits(
 def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
     """Return the difference that a gate limits.
 
-    It is nan if only one solution has a value. It is None if neither solution has a value, such as
-    the launch velocity of a body that never leaves.
+    The difference is nan if only one solution has a value. It is None if neither solution has a
+    value, such as the launch velocity of a body that never leaves.
     """
     if gate.of in exact.metrics:
         a, b = ours.metrics.get(gate.of), exact.metrics[gate.of]
@@ -207,7 +207,10 @@ def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputE
 
 
 def _integrate_square(values: np.ndarray, points: np.ndarray) -> float:
-    """Integrate the squared magnitude of ``values``; that of a single point is its square."""
+    """Integrate the squared magnitude of ``values``.
+
+    The integral of a single point is its square.
+    """
     if points.size > 1:
         return float(np.trapezoid(np.abs(values) ** 2, points))
     return float(np.abs(values).max() ** 2)
@@ -252,7 +255,8 @@ def metric_errors(
 def _largest_of_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
     """Return the largest value of all waves with a ``unit``; for seconds, the simulated time.
 
-    It is 0 without a unit: no wave is comparable with a number such as a coupling factor.
+    The result is 0 without a unit, because no wave is comparable with a number such as a coupling
+    factor.
     """
     if not unit:
         return 0.0
@@ -509,7 +513,7 @@ class _Verification:
         self.outcome.checks += gate_limits(finer_gates, "rom_vs_fom", solutions["rom"], exact)[0]
 
     def _gates_of_models(self) -> list[tuple[str, Gate]]:
-        """Return the gates; in a transient without those of discretisations.
+        """Return the error limits; in a transient without the limits of discretisations.
 
         In a transient, error limits of discretisations apply to the comparison with a finer
         discretisation only.
