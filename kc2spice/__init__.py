@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         sweep,
         verify,
     )
-    from kc2spice.bodies.readers import read_model
+    from kc2spice.bodies.readers import read_affine_model, read_model
     from kc2spice.core import errors
     from kc2spice.core.domains import Domain
     from kc2spice.core.quantities import Section
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from kc2spice.netlist.library import Subcircuit, read_lib
     from kc2spice.netlist.printers.dialect import Dialect
     from kc2spice.netlist.printers.dialect_registry import register_dialect
+    from kc2spice.rom.affine import AffineModel, ModelParameter
     from kc2spice.rom.linear_model import Certificate, LinearModel, Port
     from kc2spice.rom.reduction import Reduction
     from kc2spice.rom.reductors.base import Reductor
@@ -42,15 +43,18 @@ if TYPE_CHECKING:
     from kc2spice.rom.reductors.registry import register_reductor
     from kc2spice.scene.load import load_scene
     from kc2spice.scene.model import PartType, Scene, Terminal
+    from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
     from kc2spice.synthesis.realize import subcircuit
     from kc2spice.workflow.fit import fit
 
 __all__ = [
+    "AffineModel",
     "Certificate",
     "Deck",
     "Dialect",
     "Domain",
     "LinearModel",
+    "ModelParameter",
     "Param",
     "PartType",
     "Pin",
@@ -70,6 +74,8 @@ __all__ = [
     "export",
     "fit",
     "load_scene",
+    "parametric_subcircuit",
+    "read_affine_model",
     "read_lib",
     "read_model",
     "reduce",
@@ -84,6 +90,7 @@ __all__ = [
 ]
 _HOMES = {
     **dict.fromkeys(("LinearModel", "Port", "Certificate"), "rom.linear_model"),
+    **dict.fromkeys(("AffineModel", "ModelParameter"), "rom.affine"),
     **dict.fromkeys(("Pin", "Param"), "netlist.circuit"),
     **dict.fromkeys(("PartType", "Scene", "Terminal"), "scene.model"),
     "Deck": "netlist.deck",
@@ -93,12 +100,13 @@ _HOMES = {
     "fit": "workflow.fit",
     "load_scene": "scene.load",
     **dict.fromkeys(("Subcircuit", "read_lib"), "netlist.library"),
-    "read_model": "bodies.readers",
+    **dict.fromkeys(("read_affine_model", "read_model"), "bodies.readers"),
     "RationalKrylov": "rom.reductors.rational_krylov",
     "Reduction": "rom.reduction",
     "Reductor": "rom.reductors.base",
     "register_dialect": "netlist.printers.dialect_registry",
     "register_reductor": "rom.reductors.registry",
+    "parametric_subcircuit": "synthesis.parametric_resonators",
     "subcircuit": "synthesis.realize",
 }  # within the package; all others are of its module api
 

@@ -14,7 +14,7 @@ from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
@@ -39,7 +39,9 @@ from kc2spice.workflow.run import CompletedRun, complete, write_run_files
 
 if TYPE_CHECKING:
     from kc2spice.linalg.solver import DirectSolver
+    from kc2spice.rom.affine import AffineModel
     from kc2spice.rom.reductors.base import Reductor
+    from kc2spice.rom.varying import Varying
 
 __all__ = [
     "Result",
@@ -101,6 +103,18 @@ def build(scene: AnyScene) -> dict[str, LinearModel]:
     return models
 
 
+@overload
+def reduce(
+    model: AffineModel,
+    *,
+    tolerance: float,
+    band: tuple[float | str, float | str] | None = None,
+    norm: Norm | None = None,
+    solver: DirectSolver | str | None = None,
+) -> Varying: ...
+
+
+@overload
 def reduce(
     model: LinearModel,
     *,
@@ -112,7 +126,21 @@ def reduce(
     method: str | Reductor | None = None,
     parameters: Mapping[str, Any] | None = None,
     solver: DirectSolver | str | None = None,
-) -> LinearModel:
+) -> LinearModel: ...
+
+
+def reduce(
+    model: LinearModel | AffineModel,
+    *,
+    tolerance: float | None = None,
+    order: int | None = None,
+    band: tuple[float | str, float | str] | None = None,
+    norm: Norm | None = None,
+    contact: bool = False,
+    method: str | Reductor | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    solver: DirectSolver | str | None = None,
+) -> LinearModel | Varying:
     """Reduce a linear model to a tolerance or to a number of states.
 
     The result has the same ports in the same order. Its ``certificate`` states the largest error of
@@ -122,8 +150,9 @@ def reduce(
 
     Parameters
     ----------
-    model : LinearModel
-        Full model of n unknowns, in SI units.
+    model : LinearModel or AffineModel
+        Full model of n unknowns, in SI units. An affine model is reduced over the ranges of its
+        parameters within a ``tolerance``; ``order``, ``contact`` and ``method`` do not apply.
     tolerance : float, optional
         Largest relative error over the band. The result is the smallest model found within it.
     order : int, optional
@@ -145,7 +174,8 @@ def reduce(
         :func:`kc2spice.register_reductor`. By default response POD and the variants of balanced
         truncation that suit the model are tried.
     parameters : mapping, optional
-        Refused unless empty: matrices have no parameters, only bodies of a scene have them.
+        Refused unless empty: a :class:`kc2spice.AffineModel` contains the ranges of its parameters,
+        and bodies of a scene have ``rom.parameters``.
     solver : callable or "pardiso", optional
         Direct solver that replaces CHOLMOD and SuperLU. ``solver(matrix)`` factorises a sparse
         matrix, and ``solve(rhs)`` of its result solves for (n, k) right-hand sides, as
@@ -153,8 +183,10 @@ def reduce(
 
     Returns
     -------
-    LinearModel
-        Reduced model with the ports of ``model`` and with a ``certificate``.
+    LinearModel or Varying
+        Reduced model with the ports of ``model`` and with a ``certificate``. That of an affine
+        model is a :class:`kc2spice.rom.varying.Varying`: ``at(values)`` returns it at values of the
+        parameters, and :func:`kc2spice.parametric_subcircuit` writes its netlist.
 
     Raises
     ------
@@ -181,10 +213,26 @@ def reduce(
     >>> print(f"{small.transfer([0.0])[0, 0, 0].real:.5f} m/N")
     0.00200 m/N
     """
+    from kc2spice.linalg.solver import solving_with
+    from kc2spice.rom.affine import AffineModel, reduce_affine
     from kc2spice.rom.band import frequency_band
     from kc2spice.rom.error_estimate import default_norm
     from kc2spice.rom.reduce import reduce_model
 
+    if isinstance(model, AffineModel):
+        _refuse_with_parameters(
+            order=order, method=method, contact=contact or None, parameters=parameters or None
+        )
+        if tolerance is None:
+            raise UsageError(
+                "a model with parameters is reduced within a tolerance",
+                where="tolerance",
+                expected="the largest relative error over the ranges",
+                hint="add tolerance=1e-4",
+            )
+        tolerance = quantity(tolerance, "", where="tolerance")
+        with solving_with(solver):
+            return reduce_affine(model, tolerance=tolerance, band=band, norm=norm)
     if not isinstance(model, LinearModel):
         raise UsageError(
             "not a linear model",
@@ -198,7 +246,7 @@ def reduce(
             "matrices have no parameters to vary",
             where="parameters",
             got=", ".join(parameters),
-            expected="keys of a body in a scene, under its rom.parameters",
+            expected="a kc.AffineModel, or keys of a body in a scene, under its rom.parameters",
             hint='kc.deck(kc.load_scene(SCENE, {"PART.rom": {"parameters": {KEY: [LOW, HIGH]}}})), '
             "whose parts are the subcircuits",
         )
@@ -215,6 +263,19 @@ def reduce(
         method=method,
         solver=solver,
     )
+
+
+def _refuse_with_parameters(**options: object) -> None:
+    """Refuse options that have no meaning for a model with parameters."""
+    for name, value in options.items():
+        if value is not None:
+            raise UsageError(
+                "does not apply to a model with parameters",
+                where=name,
+                got=value,
+                expected="a tolerance alone, which determines order and method",
+                hint=f"leave {name} out",
+            )
 
 
 def deck(scene: AnyScene, *, trust: bool = False) -> Deck:

@@ -18,7 +18,7 @@ Theory for Linear Operators, II.4.)
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -76,6 +76,8 @@ class Varying(ParameterPolynomials):
     Cholesky factor of D among electrical ports in the same way. ``exp(T rayleigh)`` (2,), with
     zeros according to ``damped``, times the powers of ``losses``, are alpha and beta. ``facts`` are
     polynomials too.
+    ``defaults``, ``units`` and ``descriptions`` of the parameters are empty for a body of a scene,
+    whose keys state them.
     """
 
     ports: tuple[Port, ...]
@@ -90,6 +92,9 @@ class Varying(ParameterPolynomials):
     facts: Mapping[str, np.ndarray]
     name: str = "model"
     certificate: Certificate | None = None
+    defaults: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    descriptions: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def order(self) -> int:
@@ -357,9 +362,9 @@ class _ModesOverRanges:
                 raise UsageError(
                     "netlist parameters need a body with a support",
                     where=dense_model.frame.name,
-                    got="rom.parameters of a body that a port can move without any stiffness",
+                    got="parameters of a body that a port can move without any stiffness",
                     expected="a body with a support, or with electrical ports only",
-                    hint="remove the key rom.parameters of this body",
+                    hint="remove the parameters of this body (rom.parameters in a scene)",
                 )
         self.points = list(map(self._select_elastic, points))
         w2 = np.array([p.w2 for p in self.points])

@@ -20,8 +20,9 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Element, Param, Parameters
 from kc2spice.netlist.elements import Line
 from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.spelling import name as checked_name
 from kc2spice.netlist.spelling import number, require_distinct
-from kc2spice.rom.linear_model import LinearModel
+from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.varying import Varying
 from kc2spice.synthesis.emitted import MICRO
 from kc2spice.synthesis.header import mesh_entry
@@ -67,7 +68,7 @@ _DOMAINS = (ELECTRICAL, TRANSLATION, ROTATION)
 def parametric_subcircuit(
     model: Varying,
     name: str,
-    parameters: Sequence[Param],
+    parameters: Sequence[Param] | None = None,
     header: Header | None = None,
     *,
     title: str = "reduced linear model of the whole device",
@@ -76,24 +77,55 @@ def parametric_subcircuit(
 ) -> Subcircuit:
     """Return one ``.subckt`` with the pins of every port and with parameters.
 
-    ``parameters`` are those of ``model.box`` in its order, with their names in the netlist. States
-    are scaled by the model at the defaults.
+    States are scaled by the model at the defaults.
+
+    Parameters
+    ----------
+    model : Varying
+        Reduced model over ranges of parameters, such as :func:`kc2spice.reduce` returns for a
+        :class:`kc2spice.AffineModel`.
+    name : str
+        Name of the subcircuit and of its library file.
+    parameters : sequence of Param, optional
+        Parameters of ``model.box`` in its order, with their names in the netlist. The default are
+        the parameters that the model states.
+    header : Header, optional
+        Origin of the netlist.
+    title : str, optional
+        What the device is, for the head of the library.
+    rating : str, optional
+        Largest permitted load of the device, for the head of the library.
+    weights : StepWeights, optional
+        How closely the step control of the simulator follows the modes.
+
+    Returns
+    -------
+    Subcircuit
+        Pins, parameters and text of the library file.
 
     Raises
     ------
     UsageError : a name that the subcircuit has for itself, or a port of another domain.
+
+    Examples
+    --------
+    A mass of 10 g on a spring whose stiffness is a parameter of the netlist.
+
+    >>> import kc2spice as kc
+    >>> tip = kc.Port("tip", "mechanical")
+    >>> mass = kc.LinearModel(M=[[0.01]], K=[[0.0]], B=[[1.0]], ports=(tip,))
+    >>> stiffness = kc.ModelParameter("stiffness", 50.0, 25.0, 100.0, "N/m")
+    >>> terms = [("K", [[1.0]], lambda p: p["stiffness"])]
+    >>> spring = kc.AffineModel(mass, terms, [stiffness])
+    >>> reduced = kc.reduce(spring, tolerance=1e-3, band=(0, 30))
+    >>> kc.parametric_subcircuit(reduced, "spring").text.splitlines()[1]
+    '* use: X1 tip base spring stiffness=50'
     """
+    if parameters is None:
+        parameters = list_parameters(model)
     defaults = map(attrgetter("default"), parameters)
     rom = model.at(dict(zip(model.box, defaults, strict=True)))
-    unsupported = [port.name for port in model.ports if port.domain not in _DOMAINS]
-    if unsupported:
-        raise UsageError(
-            "parameters in the netlist need electrical, mechanical or rotational ports",
-            where=name,
-            got=", ".join(unsupported),
-            hint="leave rom.parameters out, or leave that port open",
-        )
-    require_distinct(list(map(attrgetter("name"), parameters)), _RESERVED, where=name)
+    require_parametric_form(model.ports, [item.name for item in parameters], name)
     terminals = model_terminals(rom, rom.D, name)
     pins, base = subcircuit_pins(terminals, name)
     body = [
@@ -109,6 +141,36 @@ def parametric_subcircuit(
     return make_subcircuit(
         rom, name, pins, base, params, head, ([_ABOUT], body), others=others, **words
     )
+
+
+def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], name: str) -> None:
+    """Check ports and names of parameters of the subcircuit ``name`` before a long reduction.
+
+    Raises
+    ------
+    UsageError : a port of another domain, or a name that the subcircuit has for itself.
+    """
+    unsupported = [port.name for port in ports if port.domain not in _DOMAINS]
+    if unsupported:
+        raise UsageError(
+            "parameters in the netlist need electrical, mechanical or rotational ports",
+            where=name,
+            got=", ".join(unsupported),
+            hint="leave rom.parameters out, or leave that port open",
+        )
+    for parameter in parameters:
+        checked_name(parameter, where=f"{name}: parameters")
+    require_distinct(parameters, _RESERVED, where=name)
+
+
+def list_parameters(model: Varying) -> list[Param]:
+    """List the parameters that a model states, in the order of ``model.box``."""
+    result = []
+    for name, axis in model.box.items():
+        default, unit = model.defaults.get(name, axis.middle), model.units.get(name, "-")
+        words = model.descriptions.get(name) or name
+        result.append(Param(name, default, unit, words, axis.low, axis.high))
+    return result
 
 
 def _sample_range(

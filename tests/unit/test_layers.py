@@ -16,7 +16,7 @@ MAY = {
     "linalg": "core",
     "rom": "core linalg",
     "fem": "core linalg",
-    "bodies": "core fem linalg rom",
+    "bodies": "core fem linalg netlist rom",
     "netlist": "core",
     "scene": "core netlist",
     "synthesis": "core netlist rom scene",

@@ -16,8 +16,10 @@ from kc2spice.bodies.readers import codes, raw
 from kc2spice.bodies.readers import sidecar as _sidecar
 from kc2spice.bodies.readers.assemble import Rows, assemble_model
 from kc2spice.bodies.readers.mesh import read_nodes
-from kc2spice.bodies.readers.sidecar import Sidecar, read_sidecar
+from kc2spice.bodies.readers.parameters import default_values, make_term, model_parameter
+from kc2spice.bodies.readers.sidecar import Sidecar, TermEntry, read_sidecar
 from kc2spice.core.errors import UsageError, wrong
+from kc2spice.rom.affine import AffineModel, AffineTerm, sum_terms
 from kc2spice.rom.io import BANNER, parse_numbers, read_market
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Matrix
@@ -50,6 +52,7 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     -------
     LinearModel
         Model in SI units. The TOML file defines the ports. Without it, all ports are signals.
+        Parameters of the TOML file have their defaults; :func:`read_affine_model` keeps them.
 
     Raises
     ------
@@ -71,6 +74,63 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     >>> print(f"{model.transfer([0.0])[0, 0, 0].real:.4f} m")
     0.0100 m
     """
+    rows, terms = _read_rows(path, sidecar)
+    return _assemble_at(rows, terms, default_values(rows.sidecar))
+
+
+def read_affine_model(path: Path | str, sidecar: Path | str | None = None) -> AffineModel | None:
+    """Read matrices that depend on parameters; None if the TOML file names no parameters.
+
+    Parameters
+    ----------
+    path : Path or str
+        As for :func:`read_model`.
+    sidecar : Path or str, optional
+        TOML file with the tables ``parameters`` and ``terms``, as for :func:`read_model`.
+
+    Returns
+    -------
+    AffineModel or None
+        Model in SI units for :func:`kc2spice.reduce`.
+
+    Raises
+    ------
+    UsageError : see :func:`read_model`; or a factor that is no expression of the parameters.
+
+    Examples
+    --------
+    A mass of 10 g on a spring of 100 N/m whose stiffness is a parameter.
+
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> np.savez("spring.npz", M=[[0.01]], K=[[100.0]], B=[[1.0]])
+    >>> parameter = "parameters.ratio = {default = 1.0, low = 0.5, high = 2.0}"
+    >>> term = '[[terms]]\\nmatrix = "K"\\nfactor = "ratio^2"'
+    >>> port = '[[ports]]\\nname = "tip"\\nkind = "mechanical"\\ncolumn = 1'
+    >>> text = "\\n".join([parameter, term, port])
+    >>> characters = Path("spring.toml").write_text(text)
+    >>> spring = kc.read_affine_model("spring.npz")
+    >>> float(spring.at({"ratio": 2.0}).K[0, 0])
+    400.0
+    """
+    rows, terms = _read_rows(path, sidecar)
+    settings = rows.sidecar
+    if not settings.parameters:
+        return None
+    parameters = [model_parameter(settings, name) for name in settings.parameters]
+    model = _assemble_at(rows, terms, default_values(settings))
+    return AffineModel(
+        model, parameters=parameters, assemble=lambda values: _assemble_at(rows, terms, values)
+    )
+
+
+def _assemble_at(rows: Rows, terms: list[AffineTerm], values: Mapping[str, float]) -> LinearModel:
+    """Assemble the model at values of the parameters, from the sums of its terms."""
+    return assemble_model(replace(rows, matrices=sum_terms(rows.matrices, terms, values)))
+
+
+def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list[AffineTerm]]:
+    """Read the constant matrices of a model and the terms that depend on parameters."""
     path, sidecar = Path(path), None if sidecar is None else Path(sidecar)
     if "\0" in str(path):
         raw.require_file(path)  # says that there is none
@@ -86,7 +146,44 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     if settings.dofs is not None:
         dofs = raw.parse_file(settings.dofs, "lines 'node,dof', one for each row", _parse_rows)
         result = replace(result, dofs=dofs)
-    return assemble_model(Rows(base.name, str(path), settings, result, sound))
+    terms = []
+    for number, entry in enumerate(settings.terms):
+        matrix = _read_term(entry, path, result, f"{settings.where}: terms[{number}]")
+        if matrix is None:
+            if entry.matrix not in sound:
+                where = f"{settings.where}: terms[{number}]"
+                hint = "add the key file or name, or the matrix to the model"
+                raise wrong(where, f"the model has no matrix {entry.matrix}", hint=hint)
+            matrix = sound.pop(entry.matrix)
+        terms.append(make_term(settings, number, matrix))
+    return Rows(base.name, str(path), settings, result, sound), terms
+
+
+def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matrix | None:
+    """Read the matrix of a term; None if it is the matrix of the model.
+
+    Raises
+    ------
+    UsageError : a file that cannot be used, or whose rows are not those of the model.
+    """
+    if entry.file is None and entry.name is None:
+        return None
+    letter, file = entry.matrix, entry.file or path
+    if entry.name is not None and file.suffix.lower() not in NAMED:
+        expected = f"a file whose name ends with {', '.join(NAMED)}"
+        hint = "write the matrix into a file of its own, and give file alone"
+        raise wrong(where, "this file has no names of matrices", file.name, expected, hint)
+    if file.suffix.lower() in READERS:
+        term = _read_files(file, {}, {letter: entry.name} if entry.name else {})
+    else:
+        term = _read_matrices({letter: file})
+    if letter not in term.matrices:
+        raise wrong(where, f"the file has no matrix {letter}", file.name, f"matrix {letter}")
+    rows, others = model.dofs, term.dofs
+    if rows and others and not np.array_equal(rows.keys(), others.keys()):
+        expected = "the degrees of freedom of the model, in the same order"
+        raise wrong(where, "the rows of this term are others", file.name, expected)
+    return raw.require_matrix(term.matrices[letter], letter, file)
 
 
 def mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
@@ -116,6 +213,7 @@ _ARRAYS = (
     "in a file of its own, NAME.K.mtx, by scipy.io.mmwrite"
 )
 _JOB = f"{', '.join(codes.SUFFIXES)} of one job"
+NAMED = (".npz", ".op4", ".pch")  # formats whose matrices have names
 # Formats of one file with all matrices, by suffix: description and reader. The reader receives the
 # names of the matrices in the sidecar.
 READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] = {
@@ -146,6 +244,7 @@ def source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
         *settings.files.values(),
         settings.mesh,
         settings.dofs,
+        *(entry.file for entry in settings.terms),
     ]
     paths += [*base.parent.glob(f"{base.name}.*"), *base.parent.glob(f"{base.name}_*")]
     return tuple(sorted(set(filter(Path.is_file, filter(None, paths)))))

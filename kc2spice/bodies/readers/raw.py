@@ -274,8 +274,10 @@ _STATE = {"E": ("Mc",), "A": ("MA", "A"), "B": ("MB", "B"), "C": ("C",), "D": ("
 _SECOND = {"M": ("Ec", "E"), "E": ("Dc", "D"), "K": ("Kc", "K"), "B": ("Lc", "L")}
 
 
-def read_matrix_archive(path: Path, _: object) -> Raw:
+def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> Raw:
     """Read the matrices of the archive at ``path``.
+
+    ``requested`` are names of matrices in the archive, by letter, that differ from the letters.
 
     Raises
     ------
@@ -283,16 +285,27 @@ def read_matrix_archive(path: Path, _: object) -> Raw:
         no matrix.
     """
 
+    letters = {name: letter for letter, name in requested.items()}
+    plain = set(LETTERS) - requested.keys()
+    known = {*plain, *letters, *_NAMES}
+
     def is_known(name: str) -> bool:
-        return name.split(".")[0] in (*LETTERS, *_NAMES)
+        return name.partition(".")[0] in known
 
     def largest(name: str) -> int:
-        return MAX_DENSE if name in LETTERS else MAX_ENTRIES
+        return MAX_DENSE if name in known else MAX_ENTRIES
 
-    total = unpacked_limit(path)
-    return _unpack_raw(
-        untrusted_files.read_archive(path, is_known, entries=largest, total=total), path
+    arrays = untrusted_files.read_archive(
+        path, is_known, entries=largest, total=unpacked_limit(path)
     )
+    for name in letters:
+        if not any(key.partition(".")[0] == name for key in arrays):
+            raise ValueError(f"it contains no matrix {name}")
+    result = {}
+    for key, array in arrays.items():
+        name, dot, part = key.partition(".")
+        result[f"{letters.get(name, name)}{dot}{part}"] = array
+    return _unpack_raw(result, path)
 
 
 def call_in_process(

@@ -17,6 +17,15 @@
     damping = { ratio = 0.01, at = 250e3 }    # or beta from a ratio at a frequency [Hz]
     damping = { loss_factor = 0.02 }          # structural damping K (1 + j eta)
 
+    [parameters]                  # of the subcircuit; names as in the factors below
+    thickness = { default = 1.0, low = 0.8, high = 1.25, unit = "mm" }
+
+    [[terms]]                     # K(p) = K + sum f_i(p) K_i, and M likewise
+    matrix = "K"                  # or "M"
+    file = "plate.K3.mtx"         # and its file; otherwise the file of the model
+    name = "K3"                   # its name inside a .npz, OP4 or punch file
+    factor = "(thickness / 1.0)^3"
+
     [[fixed]]                     # freedoms held at zero
     nodeset = "ROOT"              # or node = 7, nodes = [7, 8], at = [x, y, z]
     dof = ["ux", "uy", "uz"]      # one or several; all of the node unless given
@@ -333,6 +342,28 @@ class MatrixDamping(Section):
         return 0.0, self.ratio / (math.pi * self.at)
 
 
+class ParameterEntry(Section):
+    """A parameter of the subcircuit with its default, its range and its unit."""
+
+    default: Finite
+    low: Finite
+    high: Finite
+    unit: Unit = "-"
+    description: Annotated[str, Field(max_length=200), AfterValidator(_require_printable)] = ""
+
+
+class TermEntry(Section):
+    """One ``[[terms]]`` table: a matrix, its place, and the factor that multiplies it.
+
+    Without ``file`` and ``name`` the factor multiplies the matrix of the model.
+    """
+
+    matrix: Literal["M", "K"]
+    factor: Annotated[str, Field(min_length=1, max_length=200)]
+    file: File | None = None
+    name: Name | None = None
+
+
 class Sidecar(Section):
     """Content of ``NAME.toml``; the defaults are those of a model without a file."""
 
@@ -351,6 +382,8 @@ class Sidecar(Section):
     length: Literal["m", "cm", "mm", "um", "in", "ft"] = "m"
     force: Literal["N", "mN", "uN", "kN", "lbf"] = "N"
     damping: MatrixDamping = MatrixDamping()
+    parameters: Mapping[Name, ParameterEntry] = Field(default_factory=dict)
+    terms: tuple[TermEntry, ...] = Field((), max_length=50)
     _where: str = PrivateAttr("")
 
     @property
@@ -378,6 +411,13 @@ class Sidecar(Section):
             expected = 'outputs = "C" or damping_matrix = "C"'
             hint = "delete one of these two keys"
             raise invalid_value_error("outputs and damping_matrix are both C", expected, hint=hint)
+        if bool(self.terms) != bool(self.parameters):
+            lacking = "parameters" if self.terms else "terms"
+            raise invalid_value_error(
+                f"{lacking} are missing",
+                "[parameters] and [[terms]]",
+                hint=f"add the table {lacking}, or delete the other one",
+            )
         names = [port.name.lower() for port in self.ports]
         twice = [name for name, times in Counter(names).items() if times > 1]
         if twice:

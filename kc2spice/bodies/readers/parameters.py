@@ -1,0 +1,69 @@
+"""Parameters and factors of matrices, as the TOML file beside them states them.
+
+A factor is an expression of the parameters in the syntax of netlists, such as ``(t/1.0)^3``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from kc2spice.bodies.readers.sidecar import Sidecar
+from kc2spice.core.errors import UsageError, wrong
+from kc2spice.netlist.expression import Name, Tree, parameter_value, parse, walk
+from kc2spice.rom.affine import AffineTerm, ModelParameter
+from kc2spice.rom.pencil import Matrix
+
+
+def default_values(settings: Sidecar) -> dict[str, float]:
+    """Return the default of each parameter by its name."""
+    return {name: entry.default for name, entry in settings.parameters.items()}
+
+
+def model_parameter(settings: Sidecar, name: str) -> ModelParameter:
+    """Make a parameter of the TOML file.
+
+    Raises
+    ------
+    UsageError : a range that is none, or a default outside of it.
+    """
+    entry = settings.parameters[name]
+    try:
+        return ModelParameter(
+            name, entry.default, entry.low, entry.high, entry.unit, entry.description
+        )
+    except UsageError as error:
+        error.where = f"{settings.where}: parameters.{name}"
+        raise
+
+
+def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
+    """Make a term from the ``[[terms]]`` table of a number, counted from 0.
+
+    Raises
+    ------
+    UsageError : a factor that is no expression of the parameters.
+    """
+    entry, where = settings.terms[number], f"{settings.where}: terms[{number}].factor"
+    try:
+        tree = parse(entry.factor, where=where)
+    except RecursionError:
+        raise wrong(where, "too deep an expression", entry.factor, "fewer parentheses") from None
+    known = {name.lower() for name in settings.parameters}
+    for node in walk(tree):
+        if isinstance(node, Name) and node.text.lower() not in known:
+            expected = f"one of {', '.join(settings.parameters)}"
+            raise wrong(where, "no such parameter", node.text, expected)
+
+    def factor(values: Mapping[str, float]) -> float:
+        return _evaluate(tree, values, where)
+
+    return AffineTerm(entry.matrix, matrix, factor, where)
+
+
+def _evaluate(tree: Tree, values: Mapping[str, float], where: str) -> float:
+    """Value of a factor, with errors that name the key of the factor."""
+    try:
+        return parameter_value(tree, {name.lower(): value for name, value in values.items()})
+    except UsageError as error:
+        error.where = where
+        raise

@@ -1,0 +1,319 @@
+"""Models whose matrices are sums with factors that depend on parameters.
+
+A matrix is ``M(p) = sum_i f_i(p) M_i``. The terms M_i come from another program and the factors are
+functions of the parameters. The result of the reduction is a :class:`kc2spice.rom.varying.Varying`,
+as for a body of a scene whose keys are parameters of its netlist.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+import scipy
+
+from kc2spice.core.errors import UsageError, unknown
+from kc2spice.rom.band import frequency_band
+from kc2spice.rom.constraints import reduced_form
+from kc2spice.rom.error_estimate import default_norm
+from kc2spice.rom.linear_model import LinearModel, Norm
+from kc2spice.rom.parametric import ParameterAxis, Values
+from kc2spice.rom.pencil import Matrix
+from kc2spice.rom.reduce import Target, choose_band, require_valid
+from kc2spice.rom.stability import is_semidefinite
+from kc2spice.rom.varying import Varying, reduce_over_ranges
+
+MOST = 4  # parameters: more need hundreds of full-order models
+LETTERS = "MK"  # matrices that may depend on parameters
+Factor = Callable[[Values], float]
+
+
+@dataclass(frozen=True)
+class ModelParameter:
+    """Parameter of a model with its default, its range and its unit.
+
+    Raises
+    ------
+    UsageError : a range that contains zero or a single number, or a default outside of it.
+
+    Examples
+    --------
+    >>> ModelParameter("thickness", 1.0, 0.8, 1.25, "mm").axis.middle
+    1.0
+    """
+
+    name: str
+    default: float
+    low: float
+    high: float
+    unit: str = "-"
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier() or not self.name.isascii():
+            expected = "letters, digits and _, a letter first"
+            raise UsageError("is no name of a parameter", where=self.name, expected=expected)
+        if not self.axis.low <= self.default <= self.axis.high:
+            raise UsageError(
+                "the default is outside of the range",
+                where=self.name,
+                got=f"{self.default:g}",
+                expected=f"{self.low:g} to {self.high:g}",
+            )
+
+    @property
+    def axis(self) -> ParameterAxis:
+        """Range of the parameter, the lower end first."""
+        return ParameterAxis(self.name, *sorted((self.low, self.high)))
+
+
+@dataclass(frozen=True, eq=False)
+class AffineTerm:
+    """Term ``factor(p) matrix`` of the matrix ``letter``, which is M or K.
+
+    ``description`` is the text of the factor in errors.
+    """
+
+    letter: str
+    matrix: Matrix
+    factor: Factor
+    description: str = "factor"
+
+    def __post_init__(self) -> None:
+        if self.letter not in LETTERS:
+            raise unknown("this matrix cannot depend on parameters", self.letter, LETTERS, "terms")
+        object.__setattr__(self, "matrix", scipy.sparse.csc_array(self.matrix))
+
+    def at(self, values: Values) -> Matrix:
+        """The term at values of the parameters.
+
+        Raises
+        ------
+        UsageError : the factor is not a finite number.
+        """
+        try:
+            factor = float(self.factor(values))
+        except (ArithmeticError, ValueError, TypeError) as error:
+            raise self._factor_error(values, str(error)) from None
+        if not np.isfinite(factor):
+            raise self._factor_error(values, f"{factor}")
+        return factor * self.matrix
+
+    def _factor_error(self, values: Values, got: str) -> UsageError:
+        point = ", ".join(f"{name} = {value:g}" for name, value in values.items())
+        return UsageError(
+            f"the factor of matrix {self.letter} is not a number",
+            where=self.description,
+            got=f"{got} at {point}",
+            expected="a finite number over the ranges of all parameters",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class AffineModel:
+    """Second-order model with M and K that depend on parameters.
+
+    ``K(p) = K + sum f_i(p) K_i``, and M likewise.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Constant parts of all matrices, ports and damping. Damping is proportional to mass and
+        stiffness (``rayleigh``), or absent.
+    terms : sequence of tuples
+        Letter ``"K"`` or ``"M"``, matrix (n, n), and a function of the mapping of all parameters.
+    parameters : sequence of ModelParameter
+        One to four parameters with their ranges.
+    assemble : callable, optional
+        Function of the values of the parameters that returns the model, instead of ``terms``.
+
+    Raises
+    ------
+    UsageError : no parameter or more than four, two with one name, or a matrix that does not fit.
+
+    Examples
+    --------
+    A spring of 100 N/m with a second one of k in parallel carries 10 g.
+
+    >>> import kc2spice as kc
+    >>> tip = kc.Port("tip", "mechanical")
+    >>> fixed = kc.LinearModel(M=[[0.01]], K=[[100.0]], B=[[1.0]], ports=(tip,))
+    >>> stiffness = kc.ModelParameter("k", 50.0, 25.0, 100.0, "N/m")
+    >>> springs = kc.AffineModel(fixed, [("K", [[1.0]], lambda p: p["k"])], [stiffness])
+    >>> float(springs.at({"k": 100.0}).K[0, 0])
+    200.0
+    >>> reduced = kc.reduce(springs, tolerance=1e-3, band=(0, 30))
+    >>> reduced.certificate.error_estimate < 1e-3
+    True
+    """
+
+    model: LinearModel
+    terms: Sequence[AffineTerm | tuple[str, Matrix, Factor]] = ()
+    parameters: Sequence[ModelParameter] = ()
+    assemble: Callable[[Values], LinearModel] | None = None
+    _terms: tuple[AffineTerm, ...] = field(default=(), init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        names = [item.name.lower() for item in self.parameters]
+        if not 1 <= len(names) <= MOST or len(set(names)) < len(names):
+            raise UsageError(
+                "not the parameters of a model",
+                where=f"{self.model.name}: parameters",
+                got=", ".join(names) or "no parameter",
+                expected=f"1 to {MOST} parameters whose names differ in more than case",
+            )
+        terms = [t if isinstance(t, AffineTerm) else AffineTerm(*t) for t in self.terms]
+        object.__setattr__(self, "_terms", tuple(terms))
+        object.__setattr__(self, "parameters", tuple(self.parameters))
+
+    @property
+    def name(self) -> str:
+        """Name of the model."""
+        return self.model.name
+
+    @property
+    def axes(self) -> tuple[ParameterAxis, ...]:
+        """Ranges of all parameters."""
+        return tuple(item.axis for item in self.parameters)
+
+    @property
+    def defaults(self) -> dict[str, float]:
+        """Default of each parameter by its name."""
+        return {item.name: item.default for item in self.parameters}
+
+    def at(self, values: Values) -> LinearModel:
+        """The full-order model at values of the parameters; others have their defaults.
+
+        Raises
+        ------
+        UsageError : an unknown parameter, or a factor that is not a number.
+        """
+        for name in values:
+            if name not in self.defaults:
+                raise unknown("no such parameter", name, self.defaults, self.name)
+        point = self.defaults | dict(values)
+        if self.assemble is not None:
+            return self.assemble(point)
+        constant = {letter: getattr(self.model, letter) for letter in LETTERS}
+        return replace(self.model, **sum_terms(constant, self._terms, point))
+
+
+def sum_terms(
+    constant: Mapping[str, Matrix], terms: Iterable[AffineTerm], values: Values
+) -> dict[str, Matrix]:
+    """Add the terms at values of the parameters to constant matrices by letter.
+
+    Raises
+    ------
+    UsageError : a term of another size, or a factor that is not a number.
+    """
+    result = dict(constant)
+    for term in terms:
+        known, addition = result.get(term.letter), term.at(values)
+        if known is not None and known.shape != addition.shape:
+            raise UsageError(
+                f"a term of matrix {term.letter} does not fit",
+                where=term.description,
+                got=" x ".join(map(str, addition.shape)),
+                expected=" x ".join(map(str, known.shape)),
+            )
+        result[term.letter] = addition if known is None else known + addition
+    return result
+
+
+def reduce_affine(
+    affine: AffineModel,
+    *,
+    tolerance: float,
+    band: tuple[float | str, float | str] | None = None,
+    norm: Norm | None = None,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Varying:
+    """Reduce a model over the ranges of its parameters.
+
+    Parameters
+    ----------
+    affine : AffineModel
+        Full-order models, symmetric and with conservative ports only.
+    tolerance : float
+        Largest relative error over the band and over the ranges.
+    band : tuple of two floats or texts, optional
+        Lowest and highest frequency in Hz. By default it is the band of the model, otherwise it
+        ends a little above the fifth natural frequency in the middle of the ranges.
+    norm : "pointwise" or "peak", optional
+        Reference of the relative error, as for :func:`kc2spice.reduce`.
+    progress : callable, optional
+        Called with the number of full-order models that were solved, and of all models.
+
+    Returns
+    -------
+    Varying
+        Resonators over the ranges, with a certificate.
+
+    Raises
+    ------
+    UsageError : signal ports, general or structural damping, a matrix that is not positive definite
+        somewhere in the ranges, or a port that moves the body without stiffness.
+    SimulationError : the tolerance is not met.
+    """
+    middle = {axis.name: axis.middle for axis in affine.axes}
+    model = _proportional(affine.at(middle))
+    norm = norm or default_norm(model)
+    require_valid(Target(tolerance, None, frequency_band(band), norm, False, None))
+    try:
+        for ends in product(*((axis.low, axis.high) for axis in affine.axes)):
+            _require_semidefinite(affine, dict(zip(middle, ends, strict=True)))
+        limits = choose_band(model, reduced_form(model.pencil), frequency_band(band))
+        result = reduce_over_ranges(
+            lambda values: _proportional(affine.at(values)),
+            affine.axes,
+            limits,
+            tolerance,
+            progress,
+            norm,
+        )
+    except np.linalg.LinAlgError:
+        raise _indefinite(affine, "a value inside of the ranges") from None
+    units = {item.name: item.unit for item in affine.parameters}
+    words = {item.name: item.description for item in affine.parameters}
+    return replace(result, defaults=affine.defaults, units=units, descriptions=words)
+
+
+def _require_semidefinite(affine: AffineModel, values: Values) -> None:
+    """Check M and K at values of the parameters before the long work."""
+    model = affine.at(values)
+    for letter in LETTERS:
+        if not is_semidefinite(getattr(model, letter)):
+            point = ", ".join(f"{name} = {value:g}" for name, value in values.items())
+            raise _indefinite(affine, f"matrix {letter} at {point}")
+
+
+def _indefinite(affine: AffineModel, got: str) -> UsageError:
+    return UsageError(
+        "a matrix is not positive definite over the ranges of the parameters",
+        where=affine.name,
+        got=got,
+        expected="symmetric positive definite M and K at all values of the parameters",
+        hint="narrow the ranges, or check the factors and the signs of the terms",
+    )
+
+
+def _proportional(model: LinearModel) -> LinearModel:
+    """Return a model without damping as one with proportional damping of zero.
+
+    Raises
+    ------
+    UsageError : damping of another form.
+    """
+    if model.structural:
+        raise UsageError(
+            "parameters in the netlist need damping in proportion to mass and stiffness",
+            where=model.name,
+            got="structural damping",
+            expected="alpha and beta, or ratio and at",
+        )
+    if model.rayleigh is None and model.pencil.undamped:
+        return replace(model, E=None, rayleigh=(0.0, 0.0))
+    return model

@@ -1,0 +1,253 @@
+"""Matrices that depend on parameters, against direct solutions by numpy at fresh values."""
+
+import subprocess
+
+import numpy as np
+import pytest
+import scipy.io
+from scipy import sparse
+
+import kc2spice as kc
+from kc2spice.core.errors import UsageError
+
+ELEMENTS, BETA, BAND = 20, 1e-3, (0.0, 5.0)
+TIP = kc.Port("tip", "mechanical")
+
+
+def cantilever():
+    """Stiffness and mass of an Euler-Bernoulli cantilever of unit length, EI and mass.
+
+    Its unknowns are deflection and slope of each node. (Przemieniecki, Theory of Matrix Structural
+    Analysis, 1968, chapters 5 and 11.)
+    """
+    h = 1 / ELEMENTS
+    k = [[12, 6 * h, -12, 6 * h], [6 * h, 4 * h**2, -6 * h, 2 * h**2]]
+    k = np.array([*k, [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h**2, -6 * h, 4 * h**2]]) / h**3
+    m = [[156, 22 * h, 54, -13 * h], [22 * h, 4 * h**2, 13 * h, -3 * h**2]]
+    m = [*m, [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h**2, -22 * h, 4 * h**2]]
+    K, M = np.zeros((2, 2 * ELEMENTS + 2, 2 * ELEMENTS + 2))
+    for element in range(ELEMENTS):
+        rows = slice(2 * element, 2 * element + 4)
+        K[rows, rows] += k
+        M[rows, rows] += h / 420 * np.array(m)
+    return K[2:, 2:], M[2:, 2:]
+
+
+K, M = cantilever()
+LOAD = np.eye(2 * ELEMENTS)[-2]  # deflection of the tip
+PARAMETERS = (
+    kc.ModelParameter("thickness", 1.0, 0.8, 1.25, "mm", "thickness of the beam"),
+    kc.ModelParameter("tip_mass", 0.2, 0.1, 0.4, "kg"),
+)
+
+
+def loaded_beam(parameters=PARAMETERS, tip=TIP):
+    """A beam whose stiffness goes with the cube of its thickness, with a mass at its tip."""
+    zero = sparse.csc_array(K.shape)
+    fixed = kc.LinearModel(
+        M=zero, K=zero, B=LOAD[:, None], ports=(tip,) if tip else (), rayleigh=(0.0, BETA)
+    )
+    terms = [
+        ("K", K, lambda p: p["thickness"] ** 3),
+        ("M", M, lambda p: p["thickness"]),
+        ("M", np.outer(LOAD, LOAD), lambda p: p["tip_mass"]),
+    ]
+    return kc.AffineModel(fixed, terms, parameters)
+
+
+def tip_compliance(frequency, thickness, tip_mass):
+    """Deflection of the tip per unit force by direct solutions."""
+    stiffness, mass = thickness**3 * K, thickness * M + tip_mass * np.outer(LOAD, LOAD)
+    result = []
+    for s in 2j * np.pi * frequency:
+        dynamic = (1 + BETA * s) * stiffness + s**2 * mass
+        result.append(np.linalg.solve(dynamic, LOAD)[-2])
+    return np.array(result)
+
+
+@pytest.fixture(scope="module")
+def reduced():
+    return kc.reduce(loaded_beam(), tolerance=1e-4, band=BAND)
+
+
+def fresh_values():
+    """Corners of the ranges and random values between them."""
+    rng = np.random.default_rng(20)
+    corners = [(0.8, 0.1), (0.8, 0.4), (1.25, 0.1), (1.25, 0.4)]
+    inside = zip(rng.uniform(0.8, 1.25, 4), rng.uniform(0.1, 0.4, 4), strict=True)
+    return [*corners, *inside]
+
+
+def test_error_estimate_holds_at_corners_and_random_values(reduced):
+    estimate = reduced.certificate.error_estimate
+    frequency, errors = np.linspace(0.01, BAND[1], 200), []
+    for thickness, tip_mass in fresh_values():
+        model = reduced.at({"thickness": thickness, "tip_mass": tip_mass})
+        exact = tip_compliance(frequency, thickness, tip_mass)
+        errors.append(np.abs(model.transfer(frequency)[:, 0, 0] / exact - 1).max())
+    assert max(errors) <= estimate <= 1e-4
+    assert reduced.certificate.passive
+    assert reduced.order < 8
+
+
+def test_subcircuit_has_the_parameters_and_answers_as_direct_solutions(reduced, tmp_path):
+    library = kc.parametric_subcircuit(reduced, "beam")
+    thickness = next(item for item in library.params if item.name == "thickness")
+    assert (thickness.default, thickness.unit, thickness.low) == (1.0, "mm", pytest.approx(0.8))
+    frequency = np.array([0.1, 0.5, 2.0])
+    exact = tip_compliance(frequency, 0.9, 0.3)
+    lines = [
+        "beam",
+        library.text,
+        "X1 tip 0 beam thickness=0.9 tip_mass=0.3",
+        "I1 0 tip DC 0 AC 1",
+    ]
+    for f, value in zip(frequency, exact, strict=True):
+        got = _ngspice_response([*lines, f".ac lin 1 {f} {f}"], tmp_path)
+        assert got == pytest.approx(1e6 * value, rel=2e-4)
+
+
+def _ngspice_response(lines, folder):
+    """Voltage of the node ``tip`` in an analysis of one frequency."""
+    deck = folder / "deck.cir"
+    control = [".control", "run", "print real(v(tip)) imag(v(tip))", ".endc", ".end"]
+    deck.write_text("\n".join([*lines, *control]))
+    output = subprocess.run(["ngspice", "-b", str(deck)], capture_output=True, text=True).stdout
+    words = [line.split()[-1] for line in output.splitlines() if line.startswith(("real", "imag"))]
+    real, imaginary = map(float, words)
+    return complex(real, imaginary)
+
+
+def test_a_parameter_of_the_wrong_kind_is_refused():
+    with pytest.raises(UsageError, match="outside of the range"):
+        kc.ModelParameter("k", 3.0, 1.0, 2.0)
+    with pytest.raises(UsageError, match="not the range"):
+        kc.ModelParameter("k", 0.0, -1.0, 2.0)
+    with pytest.raises(UsageError, match="no name"):
+        kc.ModelParameter("2k", 1.0, 1.0, 2.0)
+    with pytest.raises(UsageError, match="not the parameters"):
+        loaded_beam(parameters=())
+    with pytest.raises(UsageError, match="not the parameters"):
+        loaded_beam(parameters=(PARAMETERS[0], PARAMETERS[0]))
+    with pytest.raises(UsageError, match="no such parameter"):
+        loaded_beam().at({"thick": 1.0})
+
+
+def test_wrong_terms_end_with_an_error_that_names_them():
+    beam = loaded_beam()
+    with pytest.raises(UsageError, match="cannot depend on parameters"):
+        kc.AffineModel(beam.model, [("E", K, lambda p: 1.0)], PARAMETERS)
+    small = kc.AffineModel(beam.model, [("K", np.eye(2), lambda p: 1.0)], PARAMETERS)
+    with pytest.raises(UsageError, match="does not fit"):
+        small.at({})
+    infinite = kc.AffineModel(
+        beam.model, [("K", K, lambda p: 1 / (p["thickness"] - 1))], PARAMETERS
+    )
+    with pytest.raises(UsageError, match="is not a number"):
+        infinite.at({})
+
+
+def test_a_negative_stiffness_in_the_ranges_is_refused():
+    terms = [("M", M, lambda p: 1.0), ("K", K, lambda p: p["thickness"] - 1.1)]
+    beam = kc.AffineModel(loaded_beam().model, terms, PARAMETERS[:1])
+    with pytest.raises(UsageError, match="not positive definite"):
+        kc.reduce(beam, tolerance=1e-3, band=BAND)
+
+
+def test_options_of_other_reductions_are_refused():
+    with pytest.raises(UsageError, match="does not apply"):
+        kc.reduce(loaded_beam(), tolerance=1e-3, order=4)
+    with pytest.raises(UsageError, match="within a tolerance"):
+        kc.reduce(loaded_beam())
+
+
+SIDECAR = """
+band = [0, 5]
+damping = { alpha = 0, beta = 1e-3 }
+
+[parameters]
+thickness = { default = 1.0, low = 0.8, high = 1.25, unit = "mm" }
+tip_mass = { default = 0.2, low = 0.1, high = 0.4, unit = "kg" }
+
+[[terms]]
+matrix = "K"
+factor = "thickness^3"
+
+[[terms]]
+matrix = "M"
+factor = "thickness"
+
+[[terms]]
+matrix = "M"
+name = "M_tip"
+factor = "tip_mass"
+
+[[ports]]
+name = "tip"
+kind = "mechanical"
+column = 1
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Files of the loaded beam: one archive and its TOML file."""
+    np.savez(tmp_path / "beam.npz", K=K, M=M, M_tip=np.outer(LOAD, LOAD), B=LOAD[:, None])
+    (tmp_path / "beam.toml").write_text(SIDECAR)
+    return tmp_path
+
+
+def test_files_give_the_matrices_at_any_values(folder):
+    beam, values = kc.read_affine_model(folder / "beam"), {"thickness": 0.9, "tip_mass": 0.3}
+    frequency = np.array([0.1, 2.0])
+    exact = tip_compliance(frequency, **values)
+    assert np.allclose(beam.at(values).transfer(frequency)[:, 0, 0], exact, rtol=1e-9)
+    default = kc.read_model(folder / "beam.npz")
+    exact = tip_compliance(frequency, 1.0, 0.2)
+    assert np.allclose(default.transfer(frequency)[:, 0, 0], exact, rtol=1e-9)
+    assert default.band == (0.0, 5.0)
+
+
+def test_terms_may_be_files_of_their_own(folder):
+    scipy.io.mmwrite(folder / "tip.mtx", sparse.csc_array(np.outer(LOAD, LOAD)))
+    text = SIDECAR.replace('name = "M_tip"', 'file = "tip.mtx"')
+    (folder / "beam.toml").write_text(text)
+    other = kc.read_affine_model(folder / "beam").at({"tip_mass": 0.35})
+    assert np.allclose(other.M.toarray(), M + 0.35 * np.outer(LOAD, LOAD))
+
+
+def test_files_without_parameters_are_no_affine_model(folder):
+    (folder / "beam.toml").unlink()
+    assert kc.read_affine_model(folder / "beam.npz") is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"thickness^3"', '"thickness^"', "not an expression"),
+        ('"thickness^3"', '"width^3"', "no such parameter"),
+        ('"thickness^3"', '"V(a)"', "not a number"),
+        ('factor = "thickness^3"', 'factor = "' + "(" * 199 + '"', "expression"),
+        ('"thickness^3"', '"1/(thickness-1)"', "is not a number"),
+        ('"M_tip"', '"M_top"', "cannot be read"),
+        ('name = "M_tip"', 'file = "other.mtx"', "does not exist"),
+        ('name = "M_tip"', 'file = "../beam.npz"', "not beside"),
+        ('matrix = "K"', 'matrix = "E"', "terms"),
+        ("default = 0.2", "default = 0.5", "outside of the range"),
+        ("low = 0.1", "low = -0.1", "not the range"),
+        ("tip_mass = {", "'tip mass' = {", "no such parameter|no name"),
+    ],
+)
+def test_wrong_keys_are_named(folder, old, new, message):
+    assert old in SIDECAR
+    (folder / "beam.toml").write_text(SIDECAR.replace(old, new))
+    with pytest.raises(UsageError, match=message) as error:
+        kc.read_affine_model(folder / "beam").at({})
+    assert "Traceback" not in str(error.value)
+
+
+def test_parameters_and_terms_need_each_other(folder):
+    text = "[[ports]]" + SIDECAR.partition("[[ports]]")[2]
+    (folder / "beam.toml").write_text('terms = [{ matrix = "K", factor = "2" }]\n' + text)
+    with pytest.raises(UsageError, match="parameters are missing"):
+        kc.read_affine_model(folder / "beam")
