@@ -473,6 +473,20 @@ class Declaration:
         return self._parse("stop", self.stops)
 
     @cached_property
+    def limit_variables(self) -> dict[str, frozenset[str]]:
+        """Variables of each limit."""
+        return {name: self._list_variables(tree) for name, tree in self.limit_trees.items()}
+
+    @cached_property
+    def stop_variables(self) -> dict[str, frozenset[str]]:
+        """Variables of each stop."""
+        return {name: self._list_variables(tree) for name, tree in self.stop_trees.items()}
+
+    def _list_variables(self, tree: Tree) -> frozenset[str]:
+        """Return the names in an expression that are no parameters."""
+        return names(tree).difference(self.parameters)
+
+    @cached_property
     def constant_trees(self) -> dict[str, Tree]:
         """The constants' expressions."""
         return self._parse("constant", self.constants)

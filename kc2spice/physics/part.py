@@ -198,7 +198,7 @@ class DeclaredPart(PartType[KeysT]):
         if small:
             yield from _check_limits(d, part, known, " at its operating point")
         for what, tree in d.stop_trees.items():
-            if names(tree) - set(d.parameters) <= set(known):
+            if d.stop_variables[what] <= known.keys():
                 depth = float(np.max(evaluate_tree(tree, d.values(part.keys) | known)))
                 name = f"{part.name} beyond {what} at its operating point"
                 advice = "it has pulled in: lower the bias, or stiffen what holds it"
@@ -227,7 +227,7 @@ def _check_limits(
 ) -> Iterator[Check]:
     """Yield checks of the limits that depend on ``known`` variables alone."""
     for what, tree in d.limit_trees.items():
-        if names(tree) - set(d.parameters) <= set(known):
+        if d.limit_variables[what] <= known.keys():
             value = float(np.min(evaluate_tree(tree, d.values(part.keys) | known)))
             advice = f"{d.limits[what]} must stay above zero"
             beyond = max(-value, 0.0)
