@@ -228,9 +228,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         whose force is not recorded are left out.
         """
         ports, result = self.used_ports(part, build.scene), dict[str, np.ndarray]()
+        names = [wave_name(part.name, ports, port) for port in ports]
         still, acting = np.zeros(waves["time"].size), compute_pin_forces(build, waves)
-        for port in ports:
-            name = wave_name(part.name, ports, port)
+        for name, port in zip(names, ports, strict=True):
             if not port.loaded:
                 wave = f"{name}.voltage" if port.paired else name
                 result[port.name] = waves.data.get(wave, still)
