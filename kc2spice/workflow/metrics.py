@@ -203,10 +203,20 @@ def evaluate_probe(
     ------
     UsageError : the run has no such vector.
     """
-    if probe.of not in waves:
-        known = list(waves.data)[1:]
-        raise unknown("no such result", probe.of, known, f"key probes.{name}.of")
-    scale, values = waves.scale.real, waves[probe.of]
+    if probe.of in waves:
+        return _evaluate_wave(probe, waves.scale.real, waves[probe.of], name, window)
+    known = list(waves.data)[1:]
+    raise unknown("no such result", probe.of, known, f"key probes.{name}.of")
+
+
+def _evaluate_wave(
+    probe: Probe,
+    scale: np.ndarray,
+    values: np.ndarray,
+    name: str,
+    window: tuple[float, float] | None,
+) -> float | None:
+    """Return the value of a probe at its place on the scale, or in its window."""
     if probe.at is None:
         if window is not None:
             scale, values = _clip_to_window(scale, values, window, name)
