@@ -659,6 +659,8 @@ class PartType(Generic[KeysT]):
     follows_frames: ClassVar[bool] = False
     #: whether files name the ports of its bodies
     ports_of_files: ClassVar[bool] = False
+    #: reason why parts of this type have no law, for ``verify``
+    without_law: ClassVar[str] = ""
     #: dotted keys that divide it into finitely many pieces, or cut a series off: ``verify``
     #: compares with twice as many
     discretisations: ClassVar[tuple[str, ...]] = ()

@@ -193,6 +193,7 @@ def test_a_signal_that_drives_a_load_is_taken_from_ngspice(tmp_path):
     record = verify_scenes([scene], tmp_path / "out")["scenes"]["heard"]
     assert record["passed"], failed(record)
     assert record["left_out"] == ["filter"]
+    assert "left out: filter (its signal drives a load, " in record["notes"][0]
 
 
 # --- every card of a body's subcircuit, changed by a little ---------------------------------------

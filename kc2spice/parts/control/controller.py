@@ -66,6 +66,7 @@ class Controller(PartType[ControllerKeys]):
     title = "controller that is a Python function, sampled"
     schema = ControllerKeys
     source = "Python function"
+    without_law = "its equations are a Python function"
     example = """
 [controller]
 part = "controller"

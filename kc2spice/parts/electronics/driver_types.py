@@ -191,6 +191,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
     name, title = "pwm_drive", "current source for coils, pulse-width modulated H-bridge"
     schema = PwmKeys
     template, heading = "driver_pwm", "H-bridge for the coils"
+    without_law = "its bridge switches twice in each period of the carrier"
     opamp = "pole"
     noise = "no noise: it switches, which an operating point knows nothing of"
     # V, peak of the triangle, and the controller's rails over it; Ohm, in the return, and V for

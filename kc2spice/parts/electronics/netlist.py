@@ -90,6 +90,7 @@ class Netlist(PartType[NetlistKeys]):
     title = "the user's own subcircuit"
     schema = NetlistKeys
     source = "yours"
+    without_law = "its equations are a netlist of the user"
 
     def pins(self, part: Part[NetlistKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         result = []

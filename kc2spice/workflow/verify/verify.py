@@ -405,7 +405,8 @@ class _Verification:
         result.left_out = laws.missing
         replayed = replayed_nets(laws) if result.left_out and self.timed else None
         if result.left_out:
-            note = f"parts without a law are left out: {', '.join(result.left_out)}"
+            rows = map(self._explain_missing_law, result.left_out)
+            note = f"parts without a law are left out: {', '.join(rows)}"
             if replayed is None:
                 note += "; the bodies are compared, the whole scene is not"
             elif replayed:
@@ -427,6 +428,13 @@ class _Verification:
         self._summarise()
         result.wall_s = {stage: time for stage, time in self.clock.wall_s.items() if time}
         return result
+
+    def _explain_missing_law(self, name: str) -> str:
+        """Return the name of a part without a law, and the reason if there is one to state."""
+        reason = self.build.scene.parts[name].type.without_law
+        if name in scene_laws(self.build).stated_equations:
+            reason = "its signal drives a load, and a law has signals without a current"
+        return f"{name} ({reason})" if reason else name
 
     def _simulate(self, deck: Deck) -> Waveforms:
         with self.clock.stage("simulate", f"ngspice, {self.build.scene.name}") as share:
