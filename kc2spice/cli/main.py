@@ -615,6 +615,7 @@ def _reduce(
             ("band", f"{low:g} … {high:g} Hz"),
             ("error estimate", f"{result['error_estimate']:.3g}, {result['norm']}"),
             *format_above_band(result),
+            *map(_parameter_row, result.get("parameters", {}).values()),
             ("stable", {True: "yes", False: "NO", None: "not known"}[result["stable"]]),
             ("passive", "yes" if result["passive"] else "not shown"),
             ("method", result["method"]),
@@ -627,6 +628,13 @@ def _reduce(
             for text in result.get(kind, ()):
                 print(f"{kind[:-1]}: {text}")
     require_stable(result)
+
+
+def _parameter_row(parameter: dict[str, Any]) -> tuple[str, str]:
+    """Range of a parameter of the reduced model."""
+    low, high = parameter["low"], parameter["high"]
+    unit = "" if parameter["unit"] == "-" else f" {parameter['unit']}"
+    return f"parameter {parameter['name']}", f"{low:g} … {high:g}{unit}"
 
 
 @contextmanager

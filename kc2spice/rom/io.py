@@ -162,7 +162,7 @@ MAX_BYTES = 1_000_000_000
 MAX_ENTRIES = 50_000_000  # entries of one matrix
 MAX_TEXT = 64  # characters of a name or unit
 _ROM_FILES = "the .npz file that kc2spice reduce wrote, or the .json file beside its matrices"
-_RECORD = "record"  # the JSON text beside the arrays
+RECORD = "record"  # the JSON text beside the arrays
 
 
 def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
@@ -181,7 +181,7 @@ def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
         "facts": mesh_facts(model.facts),
     }
     record = json.dumps(content, indent=2)
-    arrays = {**matrices, _RECORD: np.array(record)}
+    arrays = {**matrices, RECORD: np.array(record)}
     np.savez(directory / f"{name}.npz", **arrays)
     (directory / f"{name}.json").write_text(record + "\n", encoding="utf-8")
     for letter, matrix in matrices.items():
@@ -228,9 +228,9 @@ def read_rom(path: Path | str) -> LinearModel:
 
 
 def _read_npz(path: Path) -> tuple[dict[str, np.ndarray], str]:
-    known = {_RECORD, *"MEKABCD"}
+    known = {RECORD, *"MEKABCD"}
     arrays = read_archive(path, known.__contains__, entries=lambda _: MAX_ENTRIES, total=MAX_BYTES)
-    record = arrays.pop(_RECORD)
+    record = arrays.pop(RECORD)
     return arrays, str(record.item())
 
 
@@ -253,32 +253,57 @@ def _require_limits(shape: tuple[int, int], entries: int) -> None:
         )
 
 
-def _single_line(text: str, longest: int) -> str:
+def require_single_line(text: str, longest: int) -> str:
     """Text that can stand in a netlist's header, where a line break begins a card."""
     if not text.isprintable() or len(text) > longest:
         raise ValueError(f"not plain text: {text[:40]!r}")
     return text
 
 
-def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
+def parse_ports(records: object) -> tuple[Port, ...]:
+    """Make ports from their records, whose words can stand in a netlist.
+
+    Raises
+    ------
+    ValueError : not the records of ports, or a text that is not one word.
+    """
     from pydantic import TypeAdapter  # late: a run reads no such file
 
-    ports = TypeAdapter(tuple[Port, ...]).validate_python(record["ports"])
-    words = ((p["name"], p["across"], p["flow"], *p.get("pins", ())) for p in record["ports"])
+    ports = TypeAdapter(tuple[Port, ...]).validate_python(records)
+    words = ((port.name, port.across, port.flow, *port.pins) for port in ports)
     for text in chain.from_iterable(words):
-        if len(_single_line(text, MAX_TEXT).split()) != 1:
+        if len(require_single_line(text, MAX_TEXT).split()) != 1:
             raise ValueError(f"not one word: {text!r}")
-    certificate = TypeAdapter(Certificate).validate_python(record["certificate"])
-    _single_line(certificate.method, 1000)
+    return ports
+
+
+def parse_certificate(record: object) -> Certificate:
+    """Make a certificate from its record.
+
+    Raises
+    ------
+    ValueError : not the record of a certificate, or a number that is not finite.
+    """
+    from pydantic import TypeAdapter
+
+    certificate = TypeAdapter(Certificate).validate_python(record)
+    require_single_line(certificate.method, 1000)
     low, high = certificate.band_hz
     if not 0 <= low <= high < np.inf:
         raise ValueError(f"band {low} … {high} Hz")
+    if not np.isfinite([certificate.error_estimate, *chain(*certificate.above)]).all():
+        raise ValueError("the certificate is not finite")
+    return certificate
+
+
+def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
+    from pydantic import TypeAdapter  # late: a run reads no such file
+
+    ports, certificate = parse_ports(record["ports"]), parse_certificate(record["certificate"])
     letters = _matrix_letters("A" in matrices)
     arrays: dict[str, Any] = {letter: np.asarray(matrices[letter]) for letter in letters}
     if any(array.dtype.kind != "f" for array in arrays.values()):
         raise ValueError("a matrix that is not of real numbers")
-    if not np.isfinite([certificate.error_estimate, *chain(*certificate.above)]).all():
-        raise ValueError("the certificate is not finite")
     facts = mesh_facts(TypeAdapter(dict[str, float]).validate_python(record.get("facts", {})))
     if not np.isfinite([*facts.values()]).all():
         raise ValueError("the error estimate of the mesh is not finite")

@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kc2spice.bodies.readers import read_model
+from kc2spice.bodies.readers import read_any_model, read_model
 from kc2spice.bodies.readers.measured import (
     MeasuredAdmittance,
     is_measured,
@@ -32,6 +32,7 @@ from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.netlist.translate import dialect_files, symbol_files
 from kc2spice.parts.bodies._body_model import full_model_alone, scene_band
 from kc2spice.parts.bodies._linear_body import LinearBody
+from kc2spice.rom.affine import AffineModel, reduce_affine
 from kc2spice.rom.band import SMALL, natural_band
 from kc2spice.rom.branch_fit import fit_one_port
 from kc2spice.rom.constraints import reduced_form
@@ -41,10 +42,16 @@ from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear_model import PORT_KINDS, LinearModel
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.stability import DENSE, prove_stability
+from kc2spice.rom.varying_io import is_varying, read_varying, write_varying
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
 from kc2spice.synthesis.emitted import require_circuit
+from kc2spice.synthesis.parametric_resonators import (
+    list_parameters,
+    parametric_subcircuit,
+    require_parametric_form,
+)
 from kc2spice.synthesis.realize import apply_unit_load, subcircuit
 from kc2spice.workflow.decks import spare_other_decks
 
@@ -142,7 +149,11 @@ def reduce_file(
                 hint=f"leave out {option}",
             )
     progress("reduce", None, "reading matrices")
-    model = load_full_model(path)
+    model = _scene_body(str(path)) or read_any_model(path)
+    if isinstance(model, AffineModel):
+        options = {"--order": order, "--method": method}
+        settings = {"band": band, "tolerance": tolerance or TOLERANCE, "norm": norm}
+        return _reduce_affine(model, out, options, settings, progress)
     if tolerance is None and order is None:
         tolerance = TOLERANCE
     _require_names(model, identifier(f"{model.name}_rom", "rom"))
@@ -159,6 +170,46 @@ def reduce_file(
     )
     result = _write_reduced_model(model.name, model.order, reduced, out, tolerance)
     return result | {"full_form": form_of(model)}
+
+
+def _reduce_affine(
+    model: AffineModel,
+    out: Path | None,
+    options: dict[str, Any],
+    settings: dict[str, Any],
+    progress: Progress,
+) -> dict[str, Any]:
+    """Reduce matrices over the ranges of their parameters, and write the polynomials."""
+    for option, value in options.items():
+        if value is not None:
+            raise UsageError(
+                "does not apply to a model with parameters",
+                where=option,
+                got=value,
+                expected="a tolerance, which determines order and method",
+                hint=f"leave out {option}",
+            )
+    name, names = f"{model.name}_rom", list(model.defaults)
+    require_parametric_form(model.model.ports, names, identifier(name, "rom"))
+    _require_names(model.model, identifier(name, "rom"))
+    progress("reduce", None, f"{model.model.order} equations, parameters {', '.join(names)}")
+    directory = Path(name) if out is None else Path(out)
+    with stage_directory(directory) as work:
+        reduced = reduce_affine(
+            model, **settings, progress=lambda done, of: progress("reduce", done / of, "")
+        )
+        at_defaults = reduced.at(reduced.defaults)
+        part = parametric_subcircuit(reduced, identifier(name, "rom"))
+        require_circuit(part, at_defaults, settings["tolerance"])
+        files = write_varying(reduced, work, name)
+    parameters = {item.name: asdict(item) for item in model.parameters}
+    facts = _describe_reduced(model.name, model.model.order, at_defaults, part)
+    return facts | {
+        "full_form": form_of(model.model),
+        "parameters": parameters,
+        "rom": str(directory / files[0]),
+        "files": files,
+    }
 
 
 def form_of(model: LinearModel) -> str:
@@ -342,19 +393,24 @@ def _write_reduced_model(
         if tolerance is not None:
             require_circuit(part, reduced, tolerance)
         files = write_rom(reduced, work, name)
-    certificate = reduced.certificate
-    assert certificate is not None
+    facts = _describe_reduced(model_name, unknowns, reduced, part)
+    return facts | {"rom": str(directory / files[0]), "files": files}
+
+
+def _describe_reduced(
+    model_name: str, unknowns: int, reduced: LinearModel, part: Subcircuit
+) -> dict[str, Any]:
+    """Facts of a reduced model, with the error estimate of its circuit."""
+    assert reduced.certificate is not None
     assert part.reduction is not None
     return {
         "model": model_name,
         "unknowns": unknowns,
         "form": form_of(reduced),
         "order": reduced.order,
-        **certificate.record(),
+        **reduced.certificate.record(),
         "error_estimate": part.reduction.error_estimate,
         "ports": [port.name for port in reduced.ports],
-        "rom": str(directory / files[0]),
-        "files": files,
     }
 
 
@@ -412,18 +468,35 @@ def export_rom(
     if dialect not in dialect_names():
         raise unknown("unknown dialect", dialect, dialect_names(), "--dialect")
     path = Path(path)
-    reduced = read_rom(path)
-    name = identifier(path.stem, "rom")
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    part = subcircuit(reduced, name, Header(path.stem, digest), dense=dense)
+    reduced, part = _read_part(path, dense)
     deck = first_deck(reduced, part)
-    directory = Path(name) if out is None else Path(out)
+    directory = Path(part.name) if out is None else Path(out)
     files = dialect_files(deck, dialect) | symbol_files(deck, dialect)
     files |= plot_script(deck) if dialect == "ngspice" else {}
     with stage_directory(directory) as work:
         spare_other_decks(directory, files)
         write_files(files, work)
     return [directory / file for file in sorted(files)]
+
+
+def _read_part(path: Path, dense: bool) -> tuple[LinearModel, Subcircuit]:
+    """Read a reduced model and make its subcircuit; one with parameters is that of the defaults."""
+    name, digest = identifier(path.stem, "rom"), hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    header = Header(path.stem, digest)
+    if not is_varying(path):
+        reduced = read_rom(path)
+        return reduced, subcircuit(reduced, name, header, dense=dense)
+    if dense:
+        raise UsageError(
+            "a model with parameters consists of resonators",
+            where="--dense",
+            got=str(path),
+            expected="a model without parameters",
+            hint="leave out --dense",
+        )
+    varying = read_varying(path)
+    defaults = {item.name: item.default for item in list_parameters(varying)}
+    return varying.at(defaults), parametric_subcircuit(varying, name, None, header)
 
 
 def first_deck(model: LinearModel, part: Subcircuit) -> Deck:

@@ -1,6 +1,7 @@
 """Matrices that depend on parameters, against direct solutions by numpy at fresh values."""
 
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,9 @@ from scipy import sparse
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.printers.dialect_registry import dialect_names
+from kc2spice.rom.varying_io import read_varying
+from kc2spice.workflow.reduce_files import export_rom, reduce_file
 
 ELEMENTS, BETA, BAND = 20, 1e-3, (0.0, 5.0)
 TIP = kc.Port("tip", "mechanical")
@@ -109,13 +113,20 @@ def test_subcircuit_has_the_parameters_and_answers_as_direct_solutions(reduced, 
 
 def _ngspice_response(lines, folder):
     """Voltage of the node ``tip`` in an analysis of one frequency."""
+    (response,) = _ngspice_responses(lines, folder)
+    return response
+
+
+def _ngspice_responses(lines, folder, more=()):
+    """Voltages of the node ``tip``, also after more commands of ngspice."""
     deck = folder / "deck.cir"
-    control = [".control", "run", "print real(v(tip)) imag(v(tip))", ".endc", ".end"]
+    control = [".control", "run", "print real(v(tip)) imag(v(tip))", *more, ".endc", ".end"]
     deck.write_text("\n".join([*lines, *control]))
-    output = subprocess.run(["ngspice", "-b", str(deck)], capture_output=True, text=True).stdout
+    command = ["ngspice", "-b", deck.name]
+    output = subprocess.run(command, capture_output=True, text=True, cwd=folder).stdout
     words = [line.split()[-1] for line in output.splitlines() if line.startswith(("real", "imag"))]
-    real, imaginary = map(float, words)
-    return complex(real, imaginary)
+    numbers = np.array(words, dtype=float)
+    return list(numbers[::2] + 1j * numbers[1::2])
 
 
 def test_a_parameter_of_the_wrong_kind_is_refused():
@@ -251,3 +262,91 @@ def test_parameters_and_terms_need_each_other(folder):
     (folder / "beam.toml").write_text('terms = [{ matrix = "K", factor = "2" }]\n' + text)
     with pytest.raises(UsageError, match="parameters are missing"):
         kc.read_affine_model(folder / "beam")
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """The result of ``kc2spice reduce`` for the files of the loaded beam."""
+    place = tmp_path_factory.mktemp("affine")
+    np.savez(place / "beam.npz", K=K, M=M, M_tip=np.outer(LOAD, LOAD), B=LOAD[:, None])
+    (place / "beam.toml").write_text(SIDECAR)
+    return reduce_file(place / "beam", place / "out", tolerance=1e-3)
+
+
+def test_the_command_writes_a_model_that_comes_back(written):
+    assert written["files"] == ["beam_rom.npz", "beam_rom.json"]
+    assert written["error_estimate"] < 1e-3
+    assert written["parameters"]["tip_mass"]["unit"] == "kg"
+    varying = read_varying(written["rom"])
+    assert varying.certificate.band_hz == (0.0, 5.0)
+    frequency = np.array([0.1, 2.0])
+    values = {"thickness": 0.83, "tip_mass": 0.37}
+    exact = tip_compliance(frequency, **values)
+    assert varying.at(values).transfer(frequency)[:, 0, 0] == pytest.approx(exact, rel=1e-3)
+
+
+def test_every_dialect_has_the_parameters(written, tmp_path):
+    for dialect in dialect_names():
+        files = export_rom(written["rom"], tmp_path / dialect, dialect=dialect)
+        library = next(path for path in files if path.suffix in (".lib", ".va"))
+        text = library.read_text()
+        assert "tip_mass" in text
+        assert "0.1..0.4" in text
+    with pytest.raises(UsageError, match="consists of resonators"):
+        export_rom(written["rom"], tmp_path / "dense", dense=True)
+
+
+def test_alterparam_of_ngspice_changes_the_parameter(written, tmp_path):
+    export_rom(written["rom"], tmp_path)
+    lines = [
+        "beam",
+        ".include beam_rom.lib",
+        ".param mass=0.2",
+        "X1 tip 0 beam_rom tip_mass={mass}",
+        "I1 0 tip DC 0 AC 1",
+        ".ac lin 1 0.5 0.5",
+    ]
+    first, second = (1e6 * tip_compliance(np.array([0.5]), 1.0, mass)[0] for mass in (0.2, 0.4))
+    change = ["alterparam mass=0.4", "reset", "run", "print real(v(tip)) imag(v(tip))"]
+    got = _ngspice_responses(lines, tmp_path, change)
+    assert got == pytest.approx([first, second], rel=2e-3)
+    assert abs(first / second - 1) > 0.1
+
+
+def _damage(path, **changes):
+    arrays = dict(np.load(path)) | changes
+    np.savez(path, **arrays)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"diagonal": np.zeros((3, 2))},
+        {"gain": np.array(["a"])},
+        {"exponents": np.array([[1000, 0]])},
+        {"record": np.array("{}")},
+    ],
+)
+def test_damaged_files_are_refused(written, tmp_path, changes):
+    path = tmp_path / "beam_rom.npz"
+    path.write_bytes(Path(written["rom"]).read_bytes())
+    _damage(path, **changes)
+    with pytest.raises(UsageError, match="not a reduced model"):
+        export_rom(path, tmp_path / "out")
+
+
+def test_records_with_commands_are_refused(written, tmp_path):
+    path = tmp_path / "beam_rom.npz"
+    record = str(np.load(written["rom"])["record"]).replace('"kg"', '"kg\\n.control"')
+    path.write_bytes(Path(written["rom"]).read_bytes())
+    _damage(path, record=np.array(record))
+    with pytest.raises(UsageError, match="not plain text"):
+        export_rom(path, tmp_path / "out")
+
+
+def test_options_of_other_models_are_refused(folder):
+    with pytest.raises(UsageError, match="does not apply"):
+        reduce_file(folder / "beam", folder / "out", order=4)
+    (folder / "beam.toml").write_text(SIDECAR.partition("[[ports]]")[0])
+    with pytest.raises(UsageError, match="mechanical or rotational ports"):
+        reduce_file(folder / "beam", folder / "out")

@@ -74,8 +74,8 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     >>> print(f"{model.transfer([0.0])[0, 0, 0].real:.4f} m")
     0.0100 m
     """
-    rows, terms = _read_rows(path, sidecar)
-    return _assemble_at(rows, terms, default_values(rows.sidecar))
+    model = read_any_model(path, sidecar)
+    return model.model if isinstance(model, AffineModel) else model
 
 
 def read_affine_model(path: Path | str, sidecar: Path | str | None = None) -> AffineModel | None:
@@ -113,14 +113,23 @@ def read_affine_model(path: Path | str, sidecar: Path | str | None = None) -> Af
     >>> float(spring.at({"ratio": 2.0}).K[0, 0])
     400.0
     """
+    model = read_any_model(path, sidecar)
+    return model if isinstance(model, AffineModel) else None
+
+
+def read_any_model(
+    path: Path | str, sidecar: Path | str | None = None
+) -> LinearModel | AffineModel:
+    """Read a model with parameters as :func:`read_affine_model`, others as :func:`read_model`."""
     rows, terms = _read_rows(path, sidecar)
     settings = rows.sidecar
-    if not settings.parameters:
-        return None
-    parameters = [model_parameter(settings, name) for name in settings.parameters]
     model = _assemble_at(rows, terms, default_values(settings))
+    if not settings.parameters:
+        return model
     return AffineModel(
-        model, parameters=parameters, assemble=lambda values: _assemble_at(rows, terms, values)
+        model,
+        parameters=[model_parameter(settings, name) for name in settings.parameters],
+        assemble=lambda values: _assemble_at(rows, terms, values),
     )
 
 

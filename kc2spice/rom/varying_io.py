@@ -1,0 +1,136 @@
+"""Files of models over ranges of parameters: an ``.npz`` archive of polynomials."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.untrusted_files import read_archive
+from kc2spice.rom.io import (
+    MAX_BYTES,
+    MAX_ENTRIES,
+    RECORD,
+    parse_certificate,
+    parse_ports,
+    require_single_line,
+)
+from kc2spice.rom.parametric import Loss, ParameterAxis
+from kc2spice.rom.varying import Varying
+
+_ARRAYS = ("exponents", "diagonal", "below", "gain", "capacitance", "shared", "rayleigh")
+_HIGHEST = 30  # degree of a polynomial, more than any reduction uses
+
+
+def write_varying(model: Varying, directory: Path, name: str) -> list[str]:
+    """Write ``name.npz``, and ``name.json`` with ports, parameters and certificate for readers.
+
+    Returns the file names, the ``.npz`` first.
+    """
+    if model.certificate is None:
+        raise UsageError("is not a reduced model", where=model.name, expected="one of 'reduce'")
+    content = {
+        "ports": list(map(asdict, model.ports)),
+        "certificate": asdict(model.certificate),
+        "axes": list(map(asdict, model.axes)),
+        "losses": list(map(asdict, model.losses)),
+        "blocks": model.blocks,
+        "damped": model.damped,
+        "defaults": dict(model.defaults),
+        "units": dict(model.units),
+        "descriptions": dict(model.descriptions),
+    }
+    record = json.dumps(content, indent=2)
+    arrays = {key: getattr(model, key) for key in _ARRAYS}
+    arrays[RECORD] = np.array(record)
+    np.savez(directory / f"{name}.npz", **arrays)
+    (directory / f"{name}.json").write_text(record + "\n", encoding="utf-8")
+    return [f"{name}.npz", f"{name}.json"]
+
+
+def is_varying(path: Path) -> bool:
+    """Whether a file is an archive that :func:`write_varying` wrote."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "exponents.npy" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
+def read_varying(path: Path | str) -> Varying:
+    """Read a model over ranges of parameters that :func:`write_varying` wrote.
+
+    Raises
+    ------
+    UsageError : damaged, or not such a model.
+    """
+    path = Path(path)
+    try:
+        arrays = read_archive(
+            path,
+            {*_ARRAYS, RECORD}.__contains__,
+            entries=lambda _: MAX_ENTRIES,
+            total=MAX_BYTES,
+        )
+        record = json.loads(str(arrays.pop(RECORD).item()))
+        return _build(arrays, record, path.stem)
+    except Exception as error:  # damaged bytes make the parsers raise nearly anything
+        raise UsageError(
+            "is not a reduced model",
+            where=str(path),
+            got=" ".join(str(error).split())[:120] or type(error).__name__,
+            expected="a file that 'kc2spice reduce' wrote",
+        ) from None
+
+
+def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> Varying:
+    """Make the model from its arrays and its record, which are checked."""
+    from pydantic import TypeAdapter  # late: a run reads no such file
+
+    ports = parse_ports(record["ports"])
+    axes = TypeAdapter(tuple[ParameterAxis, ...]).validate_python(record["axes"])
+    losses = TypeAdapter(tuple[Loss, ...]).validate_python(record["losses"])
+    blocks = TypeAdapter(tuple[int, ...]).validate_python(record["blocks"])
+    texts = TypeAdapter(dict[str, str])
+    units, words = map(texts.validate_python, (record["units"], record["descriptions"]))
+    for text in (*units, *units.values(), *words, *words.values()):
+        require_single_line(text, 200)
+    terms, states = np.shape(arrays["diagonal"])
+    electrical = sum(port.electrical for port in ports)
+    shapes = {
+        "exponents": (terms, len(axes)),
+        "diagonal": (terms, states),
+        "below": (terms, states, states),
+        "gain": (terms, states, len(ports)),
+        "capacitance": (terms, electrical),
+        "shared": (terms, electrical, electrical),
+        "rayleigh": (terms, 2),
+    }
+    for key, shape in shapes.items():
+        array = arrays[key]
+        if array.shape != shape or array.dtype.kind not in "if" or not np.isfinite(array).all():
+            raise ValueError(f"{key} of shape {array.shape} instead of {shape}, or not finite")
+    exponents = arrays["exponents"]
+    if exponents.dtype.kind != "i" or (exponents.size and not exponents.min() >= 0):
+        raise ValueError("exponents that are no whole numbers from 0 on")
+    if exponents.max(initial=0) > _HIGHEST or sum(blocks) != states or min(blocks) < 1:
+        raise ValueError("exponents or blocks that are out of range")
+    return Varying(
+        ports=ports,
+        axes=axes,
+        losses=losses,
+        blocks=blocks,
+        damped=TypeAdapter(tuple[bool, bool]).validate_python(record["damped"]),
+        certificate=parse_certificate(record["certificate"]),
+        defaults=TypeAdapter(dict[str, float]).validate_python(record["defaults"]),
+        units=units,
+        descriptions=words,
+        facts={},
+        name=name,
+        **arrays,
+    )
