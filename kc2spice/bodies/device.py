@@ -10,9 +10,9 @@ electrode, and from the voltages of the driven electrodes. With shapes S of the 
 
 of which :func:`kc2spice.rom.linear_model.with_potentials` eliminates p exactly.
 
-:class:`BondedBlocks` are blocks that are bonded where they touch: layers, rings, beams.
-Blocks are boxes along the axes, in a body of revolution in the plane (radius, height). They are on
-one grid of quadratic quadrilaterals or hexahedra. Its lines contain every edge of a block, an
+:class:`BondedBlocks` are blocks that are bonded where they touch: layers, rings, beams. Blocks are
+boxes along the axes, in a body of revolution in the plane (radius, height). They are on one grid of
+quadratic quadrilaterals or hexahedra. The lines of the grid contain every edge of a block, an
 electrode, a support or a port. The potential exists in piezoelectric blocks only, conductors and
 electrodes are equipotentials, and other insulators carry no field (:mod:`kc2spice.fem.solid`).
 """
@@ -343,7 +343,7 @@ def _constrain_potentials(
 def _choose_shift(solid: Solid, setup: Setup) -> float:
     """Choose a shift [rad^2/s^2] that makes ``K + shift M`` regular.
 
-    It is 0 for a supported body.
+    The shift is 0 for a supported body.
     """
     constrained = (
         setup.fixed if setup.springs is None else setup.fixed | (setup.springs.diagonal() > 0)

@@ -49,7 +49,7 @@ class Corrections:
     products: np.ndarray
 
     def is_near(self, other: Corrections) -> bool:
-        """Whether frequencies and energies differ little from those of another."""
+        """Whether frequencies and energies differ little from those of other corrections."""
         pairs = (
             (self.frequencies, other.frequencies),
             (np.diag(self.products), np.diag(other.products)),
@@ -126,7 +126,7 @@ class EnrichedModel:
     def extend_responses(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
         """Extend responses z (n, k) under voltages (e, k), and compute their residuals.
 
-        The residuals are those of static responses.
+        The residuals belong to static responses.
         """
         K, lift = self.device.model.K, self.device.lift @ voltages
         p = np.zeros((self.P.mesh.shape[0], z.shape[1]))

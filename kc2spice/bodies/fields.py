@@ -171,9 +171,9 @@ def evaluate_at_nodes(
 ) -> dict[str, np.ndarray]:
     """Evaluate all fields at the nodes of the elements, element by element.
 
-    They are those under z (n,) and voltages (e,): ``displacement`` (points, 3) [m], ``potential``
-    (points,) [V], ``field`` (points, 3) [V/m] and ``stress`` (points, 6) [Pa] in Voigt order.
-    ``material`` is the number of the material.
+    The fields are those under z (n,) and voltages (e,): ``displacement`` (points, 3) [m],
+    ``potential`` (points,) [V], ``field`` (points, 3) [V/m] and ``stress`` (points, 6) [Pa] in
+    Voigt order. ``material`` is the number of the material.
     """
     probe = FieldProbe(device, gauss=False)
     u, phi = probe.nodal_values(z[:, None], voltages[:, None])
@@ -188,7 +188,7 @@ def evaluate_at_nodes(
 def principal_stress(stress: np.ndarray) -> np.ndarray:
     """Largest principal stress of Voigt stresses (..., 6).
 
-    It is the trigonometric root of the cubic.
+    The stress is the trigonometric root of the cubic characteristic equation.
     """
     xx, yy, zz, *shears = np.moveaxis(stress, -1, 0)
     mean = (xx + yy + zz) / 3
@@ -233,8 +233,8 @@ class Extreme(EqualByContent):
 def find_extremes(motion: NodalMotion) -> list[Extreme]:
     """Find the extreme values in each material.
 
-    They are the largest principal stress, and in piezoelectric materials the largest electric field
-    and the largest field against the poling.
+    The extremes are the largest principal stress, and in piezoelectric materials the largest
+    electric field and the largest field against the poling.
 
     Values are those at Gauss points: at re-entrant corners and edges of clamps the stress of
     linear elasticity grows without bound as the mesh is refined.

@@ -67,7 +67,7 @@ def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserValues:
     """Analyse the first resonance in samples of Z over f (increasing, Hz).
 
     ``capacitance_f`` is Im(Y)/w at 1 kHz or at a tenth of the resonance, whichever is lower. Below
-    the lowest sample it is that of the circuit.
+    the lowest sample, the value of the circuit is used.
 
     Raises
     ------
@@ -127,8 +127,8 @@ def _require_resonance(
 def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
     """Select the samples around a resonance and its antiresonance.
 
-    They begin half the width of the resonance's skirt below f_s. A resonance is a local maximum of
-    G/w that reaches a twentieth of the strongest one.
+    The window begins half the width of the resonance's skirt below f_s. A resonance is a local
+    maximum of G/w that reaches a twentieth of the strongest one.
     """
     G = Y.real / f
     inner = np.flatnonzero((G[1:-1] >= G[:-2]) & (G[1:-1] > G[2:])) + 1

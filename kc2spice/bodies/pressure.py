@@ -3,9 +3,9 @@
 A force on a circle of the mesh's nodes is a line load, whose indentation grows without limit as the
 mesh is refined. Here pressures are piecewise linear in the radius (P1), and displacements are
 averages by the same basis functions. The mesh of the whole stack is too coarse for these functions.
-Its port is a patch that is loaded as by a flat punch. With the static compliance S (n, n) of the
-basis functions their shares are ``w = S^-1 1 / (1' S^-1 1)``, and each function moves by the same
-``S w = s 1``. Then
+The port of this mesh is a patch that is loaded as by a flat punch. With the static compliance S
+(n, n) of the basis functions their shares are ``w = S^-1 1 / (1' S^-1 1)``, and each function moves
+by the same ``S w = s 1``. Then
 
     u_i = u_patch + sum_j (S - s_patch 1 1')_ij F_j,     F_patch = sum_j F_j,
 
@@ -28,11 +28,11 @@ the height above the pole. A grid of the angles x, along the surface, and y, alo
 right angles everywhere and, at the pole, the lines of the basis. The other pole is at infinity. The
 mesh of the sphere omits a pit of the radius ``R / 30`` at the pole, which has 1e-5 of the mass.
 
-Displacements of the sphere are relative to its centre of mass. Its motion along the axis is t (n,),
-its mass ``m = t' M t``. Forces F at the ports B act together with the inertia that balances them,
-``B - M t t' B / m``, and so do not move the centre. A spring ``(M t) (M t)' w^2 / m`` on the
-motion, as one unknown that is eliminated, makes K definite. No force moves this spring, and no
-output measures it. A uniform force, such as weight, has no effect.
+Displacements of the sphere are relative to its centre of mass. The rigid motion of the sphere along
+the axis is t (n,), its mass ``m = t' M t``. Forces F at the ports B act together with the inertia
+that balances them, ``B - M t t' B / m``, and so do not move the centre. A spring ``(M t) (M t)' w^2
+/ m`` on the motion, as one unknown that is eliminated, makes K definite. No force moves this
+spring, and no output measures it. A uniform force, such as weight, has no effect.
 """
 
 from __future__ import annotations
@@ -112,8 +112,8 @@ class PressureBasis(EqualByContent):
 def pressure_basis(spacing: float, patch: float) -> PressureBasis:
     """Choose the nodes of a basis on a patch of a radius ``patch`` [m].
 
-    They have the distance ``spacing`` [m] near the axis, and a distance in proportion to the radius
-    beyond a fifth of the patch. The functions then have similar shares of a sphere's force.
+    The nodes have the distance ``spacing`` [m] near the axis, and a distance in proportion to the
+    radius beyond a fifth of the patch. The functions then have similar shares of a sphere's force.
     """
     nodes = [0.0]
     while nodes[-1] + 1.5 * (step := spacing * max(1.0, nodes[-1] / (EVEN * patch))) < patch:
@@ -194,8 +194,9 @@ UNITS = {"pressure_pa": "Pa", "shear_pa": "Pa", "shear_depth_m": "m"}  # units o
 def stresses_under(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, float]:
     """Compute stresses under ``force`` (n,) [N] on the basis, on the graded mesh.
 
-    They are values at Gauss points: the largest ``pressure_pa``, and the largest ``shear_pa``, half
-    the difference of principal stresses, with its ``shear_depth_m`` below the top.
+    The results are values at Gauss points: the largest ``pressure_pa``, and the largest
+    ``shear_pa``, half the difference of principal stresses, with its ``shear_depth_m`` below the
+    top.
     """
     stack = _model_stack(chip, shape, CELLS)
     probe, model = FieldProbe(stack, gauss=True), stack.model
@@ -349,7 +350,7 @@ class TransverselyIsotropicSphere:
     def oblate(self) -> float:
         """Frequency [Hz] of the lowest mode, which makes the sphere oblong.
 
-        It depends on Poisson's ratio by 1 %.
+        The frequency depends on Poisson's ratio by 1 %.
         """
         sound = np.sqrt(self.material.C[5, 5] / self.material.density)
         return float(OBLATE * sound / (2 * np.pi * self.radius))

@@ -73,9 +73,9 @@ def stack_setup(
 ) -> tuple[Solid, Setup]:
     """Make mesh, materials and boundary conditions of one quarter of the stack.
 
-    It is ``0 <= x, y``, ``0 <= z`` with its bottom cap (paper 2.2.2, Fig. 3b). Nodes are numbered
-    plane by plane, in each the centre first, then ring by ring from the x to the y axis. Elements
-    are numbered from the bottom up.
+    The quarter is ``0 <= x, y``, ``0 <= z`` with its bottom cap (paper 2.2.2, Fig. 3b). Nodes are
+    numbered plane by plane, in each the centre first, then ring by ring from the x to the y axis.
+    Elements are numbered from the bottom up.
     """
     steps = kick.mesh.refine * kick.mesh.order
     (spans, heights), lattice = _divide_height(kick, steps), _place_nodes(kick, steps)
@@ -127,9 +127,9 @@ def _make_hexahedra(
 ) -> tuple[MeshHex1, np.ndarray]:
     """Make the mesh of hexahedra, and the numbers of their nodes.
 
-    A box in (ring, spoke, plane) coordinates gives regular hexahedra and their numbering. Its nodes
-    are then moved to their places. The nodes of its face ring = 0 become one node per plane, which
-    collapses these hexahedra into exact wedges.
+    A box in (ring, spoke, plane) coordinates gives regular hexahedra and their numbering. The nodes
+    of the grid are then moved to their places. The nodes of its face ring = 0 become one node per
+    plane, which collapses these hexahedra into exact wedges.
     """
     counts = (lattice.shape[0] - 1, lattice.shape[1] - 1, len(heights) - 1)
     box = MeshHex1.init_tensor(*(np.arange(n // order + 1) * 1.0 for n in counts))
@@ -145,8 +145,8 @@ def _make_hexahedra(
 def choose_level_spans(kick: Chip) -> np.ndarray:
     """Choose the number of layers in each level, from the bottom up.
 
-    It is at most ``layers_per_element``, and no level is thicker than :data:`GROWTH` of its depth
-    below the top.
+    The number is at most ``layers_per_element``, and no level is thicker than :data:`GROWTH` of its
+    depth below the top.
     """
     spans: list[int] = []
     while (left := kick.layers - sum(spans)) > 0:
@@ -158,7 +158,7 @@ def choose_level_spans(kick: Chip) -> np.ndarray:
 def cap_layers(kick: Chip, cap: Cap | None) -> int:
     """Choose the layers of cells in a cap.
 
-    They are about as thick as an active layer, and at most sixteen.
+    The layers are about as thick as an active layer; their number is at most sixteen.
     """
     if cap is None:
         return 0

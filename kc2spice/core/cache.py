@@ -1,8 +1,8 @@
 """Cache of expensive results on disk, by a hash of everything they depend on.
 
-An entry is an ``.npz`` archive: arrays without pickle, and one JSON text with their structure. It
-is written to a temporary name and renamed, so readers see complete entries only. Checksums of the
-members show that an entry is damaged, and the result is then built again.
+An entry is an ``.npz`` archive: arrays without pickle, and one JSON text with their structure. An
+entry is written under a temporary name and then renamed, so other processes read complete entries
+only. Checksums of the members show that an entry is damaged, and the result is then built again.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ class Element(Card):
         Parameters
         ----------
         name : str
-            Name of the element. Its first letter is its kind.
+            Name of the element. The first letter of the name is the kind of the element.
         *words : str or float
             Words behind the name. Numbers are spelled by :func:`kc2spice.netlist.spelling.number`.
         **parameters : str

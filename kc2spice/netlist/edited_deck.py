@@ -30,7 +30,10 @@ from kc2spice.netlist.scope import Scope, has_vector
 
 
 class ParameterEdit(NamedTuple):
-    """Parameter of an instance with its old and its new value; nan is that of an expression."""
+    """Parameter of an instance with its old and its new value.
+
+    The value of an expression is nan.
+    """
 
     name: str
     old: float

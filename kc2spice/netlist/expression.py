@@ -373,7 +373,7 @@ class Trace:
 def parse_vector(text: str) -> Trace | None:
     """Return the vector that a text names, None if it names none.
 
-    It may be ``v(node)``, ``v(a,b)``, a bare node, ``i(source)`` or ``@device[parameter]``.
+    The vector may be ``v(node)``, ``v(a,b)``, a bare node, ``i(source)`` or ``@device[parameter]``.
     """
     text = text.strip("\"'")
     head, _, inside = text.partition("(")

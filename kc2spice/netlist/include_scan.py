@@ -226,7 +226,7 @@ def check_deck_effects(cards: Iterable[Statement], *, part: bool) -> None:
     UsageError : a global node, or a built-in function or constant that is defined again; of a part
         an analysis, an output, a temperature, an option that is more than one of printing, or an
         element or initial condition outside of every subcircuit; of a deck results at interpolated
-        times. It names file and line.
+        times. The error names file and line.
     """
     depth, commands = 0, False
     for card in cards:
@@ -373,7 +373,7 @@ def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
 def read_untrusted(name: str, home: Path) -> Flat:
     """Return the file ``name`` unchanged, with its includes from ``home`` or below.
 
-    Its pins and nodes are needed before its user trusts the file.
+    The pins and nodes of the circuit are needed before its user trusts the file.
 
     Raises
     ------

@@ -70,8 +70,8 @@ def plan_lines(plan: Mapping[str, Any], without: Collection[str] = ()) -> tuple[
 class ReductionFacts:
     """Order, band and accuracy of the reduced model that a part was made from.
 
-    ``error_estimate`` is the relative error of the part's response in the ``norm``. A share of it,
-    ``circuit_error``, is that of the elements, at the frequency ``worst_hz``.
+    ``error_estimate`` is the relative error of the part's response in the ``norm``. The part
+    ``circuit_error`` of the error is due to the elements; it occurs at the frequency ``worst_hz``.
     """
 
     order: int

@@ -1,8 +1,8 @@
 """Nodal analysis of linear circuits: from a tree to its frequency response.
 
-The equations follow from the elements of the tree and the parameters of an instance alone. They
-do not depend on the model behind the circuit (C.-W. Ho, A. Ruehli, P. Brennan, IEEE Trans. Circuits
-Syst. 22 (1975) 504).
+The equations follow from the elements of the tree and the parameters of an instance alone. These
+equations do not depend on the model behind the circuit (C.-W. Ho, A. Ruehli, P. Brennan, IEEE
+Trans. Circuits Syst. 22 (1975) 504).
 """
 
 from __future__ import annotations

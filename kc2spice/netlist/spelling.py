@@ -25,8 +25,8 @@ _RESERVED = frozenset({"gnd", "time", "temper", "hertz", "temp", "dtemp", "pi", 
 def number(value: float) -> str:
     """Return the shortest decimal text that reads back as ``value``.
 
-    It has at most 17 digits and no suffix letters: SPICE reads ``M`` as milli, and simulators
-    disagree on further letters.
+    The number has at most 17 digits and no suffix letters: SPICE reads ``M`` as milli, and
+    simulators disagree on further letters.
 
     Raises
     ------

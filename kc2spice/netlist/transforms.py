@@ -210,8 +210,8 @@ def _inside_instance(expression: str, instance: str) -> str:
 def add_noise_sources(deck: Deck, output: str, owners: Iterable[str]) -> Deck:
     """Return the deck with the density of each noisy resistor as a result.
 
-    Its name is ``OUTPUT.OWNER.RESISTOR``. The ``output`` is the density of all noise, the owner the
-    part whose name the name of the card begins with.
+    The name of a vector is ``OUTPUT.OWNER.RESISTOR``. The ``output`` is the density of all noise,
+    the owner the part whose name the name of the card begins with.
     """
     parts = sorted(owners, key=len, reverse=True)
     _, factor = deck.vectors[output]

@@ -27,8 +27,8 @@ CLOSE = 1e-9  # relative error of eigenvalues of the shifted inverse
 def natural_band(pencil: Pencil) -> tuple[float, float]:
     """Choose the band ``(0, f)`` [Hz] from the fifth lowest natural frequency.
 
-    It ends a little above the undamped natural frequency (second order) or corner frequency (first
-    order) of the full model. Rigid-body modes do not count.
+    The band ends a little above the undamped natural frequency (second order) or corner frequency
+    (first order) of the full model. Rigid-body modes do not count.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def _rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
 def band_end(pencil: Pencil, count: int, high: float) -> float:
     """Frequency [Hz] of the ``count``-th lowest elastic mode, at most ``high``.
 
-    It is ``high`` if there are fewer modes, or if they cannot be computed.
+    The result is ``high`` if there are fewer modes, or if the modes cannot be computed.
     """
     pencil = reduced_form(pencil)
     if pencil.degree != 2 or not pencil.symmetric or pencil.size <= count + 2:

@@ -36,8 +36,9 @@ class BlockModel(EqualByContent):
     """Model ``z' = diag(blocks) z + B u + F w``, ``y = C z + D u + R w``.
 
     The real square blocks have any size. The ``coupled`` signals w have no states: ``0 = P z + Q u
-    + S w``. They close loops around blocks that have few entries without them, such as waves at the
-    ports of a measured multiport. ``loops`` is ``(F, P, Q, R, S)``, None without loops.
+    + S w``. These inputs close loops around blocks that have few entries without the loops, such as
+    waves at the ports of a measured multiport. ``loops`` is ``(F, P, Q, R, S)``, None without
+    loops.
     """
 
     blocks: tuple[np.ndarray, ...]

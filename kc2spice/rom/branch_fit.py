@@ -161,8 +161,8 @@ def _select_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
 def _limit_element(element: FitElement, slowest: float) -> FitElement:
     """Limit the time of an element to ``slowest``, and its Q to :data:`LARGEST_Q`.
 
-    ``slowest`` is the logarithm of a time in s. The samples do not determine larger values. They
-    determine the Y in the band, which remains.
+    ``slowest`` is the logarithm of a time in s. The samples do not determine larger values. The
+    samples determine Y in the band, which does not change.
     """
     amplitude, *others = element.logs
     excess = _log_time(element) - slowest if others else 0.0
@@ -285,7 +285,8 @@ def _propose_starts(samples: Samples, elements: Elements) -> list[Elements]:
 def _fit_peak(samples: Samples, elements: Elements) -> Elements:
     """Add a resonance at the largest conductance that the elements leave.
 
-    It has the height and the width at half of the height. A capacitance is added if there is none.
+    The resonance has the height of the peak and its width at half of the height. A capacitance is
+    added if there is none.
     """
     missing = samples.missing(elements)
     top = int(np.argmax(missing.real))

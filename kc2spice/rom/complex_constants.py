@@ -205,7 +205,7 @@ def _largest_error(
 ) -> float:
     """Largest relative difference of the model to the exact response in the band.
 
-    It is relative to at least :data:`FLOOR` of an entry's peak.
+    The error is relative to the entry, but at least to :data:`FLOOR` of its peak.
     """
     low, high = max(band[0], 1e-4 * band[1]), band[1]
     resonances = modes.omega / (2 * np.pi)

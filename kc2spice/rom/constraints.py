@@ -285,7 +285,8 @@ def _symmetrise(P: Matrix, symmetric: bool) -> Matrix:
 def reduced_form(pencil: Pencil) -> Pencil:
     """Transform a model to the equivalent form from which a reduction starts.
 
-    It is the model without constraints, infinite poles and unknowns without inertia and damping.
+    The result is the model without constraints, infinite poles and unknowns without inertia and
+    damping.
     """
     try:
         pencil = deflate_infinite_poles(eliminate_massless(eliminate_constraints(pencil)))

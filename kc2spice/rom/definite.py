@@ -23,7 +23,7 @@ def expects_cholesky(pencil: Pencil) -> bool:
 
 
 def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
-    """Of definite form (:func:`has_definite_form`), K positive definite."""
+    """Whether the model has a definite form (:func:`has_definite_form`) with a positive definite K."""
     if not has_definite_form(pencil, undamped_too=undamped_too):
         return False
     load = np.random.default_rng(0).standard_normal((pencil.size, 1))
@@ -47,7 +47,7 @@ def _is_free(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
     soft = bool(np.sum(y * load) < rounding)
     if not soft or isinstance(K, Schur):
         return soft
-    # the factor's own error may exceed that of the entries, by which a soft support is known
+    # the error of the factor may exceed that of the entries, from which a soft support follows
     y = y / np.linalg.norm(y)
     energy, noise = float(np.sum(y * (K @ y))), float(energy_rounding(K, y)[0, 0])
     return energy <= RANDOM * noise

@@ -5,9 +5,9 @@ Admittances ``Y_k`` of elements in parallel and impedances ``Z_l`` of leads make
     Y = 1 / (sum_l Z_l + 1 / Y_p),    Y_p = sum_k Y_k,
     dY / dY_k = (Y / Y_p)^2,    dY / dZ_l = -Y^2.
 
-:class:`Samples` contains frequencies and admittances. Its methods give the deviation of a sum of
-:class:`FitElement` from them, the best amplitudes, and the nearest minimum over all parameters. The
-search for elements is in :mod:`kc2spice.rom.branch_fit`.
+:class:`Samples` contains frequencies and admittances. The methods of the samples give the deviation
+of a sum of :class:`FitElement` from the samples, the best amplitudes, and the nearest minimum over
+all parameters. The search for elements is in :mod:`kc2spice.rom.branch_fit`.
 """
 
 from __future__ import annotations
@@ -96,14 +96,14 @@ SIMPLER = {
 class FitElement:
     """Summand of the admittance in parallel, or of the impedance of the leads.
 
-    It has a form and the logarithms of its parameters, the amplitude first.
+    An element has a form and the logarithms of its parameters, the amplitude first.
     """
 
     form: str
     logs: Logs
 
     def response(self, s: np.ndarray) -> Response:
-        """Its admittance, or impedance of a lead, and derivatives at ``s`` (n,)."""
+        """Admittance of the element, or impedance of a lead, and derivatives at ``s`` (n,)."""
         logs = np.clip(self.logs, -LARGEST_LOG, LARGEST_LOG)
         return FORMS[self.form](logs, s)
 
@@ -118,7 +118,7 @@ class FitElement:
 
     @property
     def amplitude(self) -> float:
-        """Its first parameter."""
+        """First parameter of the element."""
         return float(np.exp(min(self.logs[0], LARGEST_LOG)))
 
     @property
@@ -127,7 +127,7 @@ class FitElement:
         return self.amplitude if self.form in CONDUCTING else 0.0
 
     def branch(self) -> CircuitBranch:
-        """Its resistor, inductor and capacitor in series; not of a capacitance."""
+        """Resistor, inductor and capacitor in series of the element, which is no pure capacitance."""
         p = np.exp(self.logs).tolist()
         if self.form == "lead resistance":
             return CircuitBranch(p[0])
@@ -166,7 +166,8 @@ class Samples:
     def conducts_direct_current(self) -> bool:
         """Whether direct current flows: stated, or by the phase at low frequencies.
 
-        The mean phase at the lowest frequencies is then not that of a capacitor.
+        If direct current flows, the mean phase at the lowest frequencies differs from that of a
+        capacitor.
         """
         if self.conductance is not None:
             return self.conductance > 0
@@ -177,7 +178,7 @@ class Samples:
     def tolerance(self) -> np.ndarray:
         """Relative deviation (n,) below which there is no further element.
 
-        It is :data:`ENOUGH`, and the effect of frequencies that a file rounds.
+        The tolerance is :data:`ENOUGH`, plus the effect of rounded frequencies in a file.
         """
         by_frequency = np.abs(np.gradient(self.Y, self.f) / self.Y)
         return np.asarray(
@@ -328,8 +329,8 @@ class Samples:
 def frequency_rounding(f: np.ndarray) -> float:
     """Estimate the rounding error (rms) [Hz] of frequencies ``f`` (n,).
 
-    It is the difference to equal linear or logarithmic steps, if half of the last decimal digit
-    explains the difference, and otherwise 0.
+    The estimate is the difference to equal linear or logarithmic steps, if half of the last decimal
+    digit explains the difference, and otherwise 0.
 
     Examples
     --------

@@ -81,7 +81,7 @@ class Entries:
     ) -> np.ndarray:
         """Sizes of a ``difference`` to the response H, relative to :meth:`base`.
 
-        Both are (..., outputs, inputs). The result is zero if the base is zero.
+        Both arrays are (..., outputs, inputs). The result is zero if the base is zero.
         """
         base = self.base(H, share)
         return np.asarray(
@@ -92,7 +92,7 @@ class Entries:
 def balance(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute factors that scale the largest entry of each row and column to one.
 
-    They are those of ``size / (rows columns)``. Rows and columns of zeros are ignored.
+    The factors balance ``size / (rows columns)``. Rows and columns of zeros are ignored.
     """
     rows, columns = np.ones(size.shape[0]), np.ones(size.shape[1])
     for _ in range(BALANCING_STEPS if size.size > 1 else 1):

@@ -45,8 +45,8 @@ def adaptive_frequencies(
 ) -> np.ndarray:
     """Choose frequencies [Hz] at which relative errors are large.
 
-    They are a grid, every resonance with its flanks, and *pointwise* every deep notch of any entry,
-    which repeated refinement finds.
+    The frequencies are a grid, every resonance with its flanks, and *pointwise* every deep notch of
+    any entry, which repeated refinement finds.
     """
     near = 0.9 * band[0], 1.1 * band[1]
     at, ratio = response.within(near)
@@ -99,8 +99,8 @@ def _minima_near_zeros(H: np.ndarray) -> np.ndarray:
 def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Place ``ZOOM`` frequencies from each ``known[low]`` to ``known[high]``.
 
-    Frequencies that are ``known`` are left out, and each of the others occurs once. Of two that
-    differ by rounding, one would hide a maximum next to the other.
+    Frequencies that are ``known`` are left out, and each of the others occurs once. If two
+    frequencies differ by rounding only, one would hide a maximum next to the other.
     """
     points = np.unique(np.linspace(known[low], known[high], ZOOM))
     points = points[np.r_[True, np.diff(points) > SAME * points[1:]]]
@@ -207,8 +207,8 @@ def errors_above_band(
 ) -> tuple[tuple[float, float], ...]:
     """Errors ``above`` the band of a :class:`Certificate`.
 
-    They are the largest relative differences of any mechanical port's own response at ``ABOVE``
-    times the band's end. There are none without a mechanical port.
+    The errors are the largest relative differences of the driving-point response of any mechanical
+    port at ``ABOVE`` times the end of the band. There are none without a mechanical port.
     """
     columns = [port for port in ports if port.kind != "output"]
     rows = [port for port in ports if port.kind != "input"]
@@ -225,7 +225,7 @@ def errors_above_band(
 def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
     """Largest error of all entries and frequencies, relative to the entry.
 
-    It is relative to at least ``FLOOR`` of the entry's peak. See
+    The error is relative to the entry, but at least to ``FLOOR`` of its peak. See
     :class:`kc2spice.rom.entries.Entries` for entries that are zero.
 
     Arrays are (frequencies, outputs, inputs), or (frequencies,) and (frequencies, entries) of

@@ -105,8 +105,8 @@ def _build_definite_model(
 ) -> IntermediateModel | None:
     """Build the model of a definite pencil or of a free body; return None for all others.
 
-    With potentials, the search for rigid-body modes costs less than a factor of the stiffness. It
-    comes first if no such factor is known.
+    With potentials, the search for rigid-body modes costs less than a factor of the stiffness. The
+    search comes first if no factor of K is known.
     """
     omega, body = 2 * np.pi * band[1], None
     if deflated and isinstance(pencil.coefficients[0], Schur) and not pencil.factorised:
@@ -212,7 +212,7 @@ def _undamped_modes(full: Pencil) -> np.ndarray | None:
 
 
 def _solution_error(response: Response, band: tuple[float, float]) -> float:
-    """Compare direct solutions in two orders of elimination, and those of modes."""
+    """Compare direct solutions in two orders of elimination, and solutions by modes."""
     full = response.pencil
     at, ratio = response.select_visible(band)
     sharpest = at[np.argsort(ratio)[:1]] * (1 + FLANK * (ratio.min(initial=1.0) < FLANK))

@@ -2,8 +2,8 @@
 
 A free body has a singular stiffness K. The shifted stiffness ``K + sigma M`` is definite and is
 factorised once, with real numbers. Inverse iteration with this factor gives the rigid-body modes.
-With these modes deflated, its solutions serve Krylov subspaces near zero frequency as those of K
-serve a clamped body.
+With these modes deflated, solutions with this matrix replace solutions with K in Krylov subspaces
+near zero frequency.
 """
 
 from __future__ import annotations

@@ -3,13 +3,13 @@
 All poles of a large model take too long to compute, but one growing pole proves instability.
 
 * A symmetric model of definite mass is unstable if a motion x has negative energy ``x'Kx``. Then
-  ``s^2 M + s E + K`` is indefinite at s = 0 and definite for large real s. It is singular at some
-  s > 0 in between, which is a growing pole.
+  ``s^2 M + s E + K`` is indefinite at s = 0 and definite for large real s. The matrix is therefore
+  singular at some s > 0, which is a growing pole.
 * For other models, the Cayley transform ``(A + c E) (A - c E)^-1`` of the linear pencil maps
-  growing poles to the outside of the unit circle. Its largest eigenvalues need one real
-  factorisation (Y. Saad, Numerical Methods for Large Eigenvalue Problems, 2011, 8.1). The first c
-  is the end of the band. The second is the median rate of single unknowns, from the diagonals of
-  the matrices.
+  growing poles to the outside of the unit circle. The largest eigenvalues of this operator need one
+  real factorisation (Y. Saad, Numerical Methods for Large Eigenvalue Problems, 2011, 8.1). The
+  first c is the end of the band. The second is the median rate of single unknowns, from the
+  diagonals of the matrices.
 
 Without a proof, a model may still be unstable with a slow growth, below about a hundredth of the
 magnitude of a pole.
@@ -119,7 +119,7 @@ def _typical_rate(pencil: Pencil) -> float:
 def _find_growing_poles(pencil: Pencil, rate: float) -> np.ndarray:
     """Find growing poles [1/s] by the Cayley transform with c = ``rate``.
 
-    Their residuals prove them.
+    The residuals of the eigenpairs prove the poles.
     """
     solve = pencil.solver(rate)[0].solve
     n, degree = pencil.size, pencil.degree

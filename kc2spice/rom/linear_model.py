@@ -120,10 +120,10 @@ class Certificate:
     the ``norm`` *pointwise* it is relative to the entry at every frequency, or to at least a
     millionth of the entry's peak. In the norm *peak* it is relative to the entry's largest value in
     the band. ``method`` names the estimator. ``above`` states differences beyond the band, which
-    contact excites and nothing bounds. It contains the frequency [Hz] and the largest relative
-    difference of a mechanical port's own compliance to a larger model. ``stable`` holds for the
-    full model and the reduced one, None without a proof. ``passive`` means that both are proven
-    passive.
+    contact excites and nothing bounds. The dictionary contains frequencies [Hz] and the largest
+    relative difference of the compliance of a mechanical port to a larger model. ``stable`` holds
+    for the full model and the reduced one, None without a proof. ``passive`` means that both are
+    proven passive.
     """
 
     band_hz: tuple[float, float]
@@ -141,7 +141,7 @@ class Certificate:
         return f"{stability}, {'passive' if self.passive else 'passivity not shown'}"
 
     def record(self) -> dict[str, Any]:
-        """Its entries of ``result.json`` and of ``reduce --json``."""
+        """Entries of the certificate in ``result.json`` and in the output of ``reduce --json``."""
         result = asdict(self) | {"band_hz": list(self.band_hz)}
         del result["above"]
         if self.above:
@@ -567,7 +567,8 @@ def _set_structural(model: LinearModel) -> None:
 def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
     """Return the imaginary part of a stiffness and its loss factor.
 
-    The part is stored as K is. It is None if it is a multiple of K, which is the loss factor.
+    The part is stored as K is. The imaginary part is None if it is a multiple of K; the loss factor
+    describes it then.
     """
     if isinstance(K, Schur) or K is None or K.shape != loss.shape:
         raise _structural_loss_error(where, "a loss that does not belong to K")

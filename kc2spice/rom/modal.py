@@ -19,11 +19,11 @@ A constant loss tangent of the dielectric
 
     the frequency at which data sheets state permittivities. In a netlist it is Foster's sum ``a_0 +
     sum_k a_k / (1 + s t_k)``, all ``a_k >= 0``, of a capacitor and series R C, passive by its form,
-    whose amplitudes are non-negative least squares over the band. It multiplies the clamped
-    capacitances D. Data sheets state the tangent at 1 kHz of the free part, whose capacitance is
-    ``D + C_m`` with the motional capacitance ``C_m = sum_j gain_j^2 / omega_j^2``, which has no
-    loss so far below the resonances. With ``tan delta`` of the free part the clamped angle theta
-    follows from
+    whose amplitudes are non-negative least squares over the band. This factor multiplies the
+    clamped capacitances D. Data sheets state the tangent at 1 kHz of the free part, whose
+    capacitance is ``D + C_m`` with the motional capacitance ``C_m = sum_j gain_j^2 / omega_j^2``,
+    which has no loss so far below the resonances. With ``tan delta`` of the free part the clamped
+    angle theta follows from
 
         D sin theta = tan delta (D cos theta + C_m),   theta = delta + arcsin(C_m / D sin delta).
 
@@ -441,7 +441,7 @@ def permittivity(frequency: np.ndarray, tangent: float) -> np.ndarray:
 def clamped_tangent(tangent: float, ratio: float) -> float:
     """Loss tangent of a clamped body whose free capacitance has the ``tangent``.
 
-    Both hold at 1 kHz.
+    Both loss tangents hold at 1 kHz.
 
     Parameters
     ----------
@@ -476,7 +476,7 @@ def fit_foster_network(
     """Fit the fewest relaxations to :func:`permittivity` in the band.
 
     The results are amplitudes ``a`` (k + 1,), rates ``1/t`` (k,) [1/s], and the largest relative
-    difference. It is at most ``error``, or the least that is possible.
+    difference. The error is at most ``error``, or the smallest possible error.
     """
     low, high = max(band[0], band[1] / 10**DECADES), band[1]
     decades = np.log10(high / low) + 1e-9

@@ -94,8 +94,8 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
 def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
     """Best passive fit of those with few to many poles.
 
-    It is the one with the least deviation, or the first whose deviation equals that of the fits
-    before passivity was enforced.
+    The selected fit has the least deviation, or is the first whose deviation equals that of the
+    fits before passivity was enforced.
     """
     fits = _generate_fits(f, S, noise, where)
     result, least = None, np.inf
@@ -194,7 +194,9 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     count, order = triangle + m * (n + m), n + 2 * m
 
     def inequality(x: np.ndarray) -> np.ndarray:
-        """Its matrix for the lower triangle of P and the rows of (C, D), but for the ones."""
+        """Return the matrix of the inequality for the lower triangle of P and the rows of (C, D),
+        without the ones.
+        """
         P, CD = np.zeros((n, n)), x[triangle:count].reshape(m, n + m)
         P[pairs] = P.T[pairs] = x[:triangle]
         C, D, zero = CD[:, :n], CD[:, n:], np.zeros((m, m))
@@ -225,7 +227,7 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
 
 
 def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
-    """As near to the samples as a passive state space of the poles of a fit can be."""
+    """Return the passive state space with the poles of a fit that is nearest to the samples."""
     if (np.linalg.eigvals(fit[0]).real >= 0).any():
         return None
     if is_passive(*fit):
@@ -398,8 +400,8 @@ def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray)
 def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bool:
     """Whether a scattering state space is passive at every frequency.
 
-    It is stable, D is below one, and the Hamiltonian of a bound just above one has no eigenvalue on
-    the imaginary axis.
+    A passive model is stable, D is below one, and the Hamiltonian of a bound just above one has no
+    eigenvalue on the imaginary axis.
     """
     if (np.linalg.eigvals(A).real >= 0).any() or np.linalg.norm(D, 2) >= 1 + INSIDE:
         return False

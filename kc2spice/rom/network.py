@@ -119,7 +119,8 @@ def parallel_branches(model: LinearModel) -> ParallelBranches | None:
 def _common_value(matrix: np.ndarray) -> float | None:
     """Return the common value of all entries off the diagonal.
 
-    It is positive or zero, and at most each entry on the diagonal. Otherwise the result is None.
+    The value is positive or zero, and at most each entry on the diagonal. Otherwise the result is
+    None.
     """
     beside = matrix[~np.eye(len(matrix), dtype=bool)]
     shared = float(beside[0]) if beside.size else 0.0

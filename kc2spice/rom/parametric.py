@@ -3,10 +3,10 @@
 One basis V spans the modes and the static responses of full models at samples of the parameters.
 ``V'M V``, ``V'K V``, ``V'B`` and D are then smooth functions of the parameters: products of
 Chebyshev polynomials of their logarithms, exact at the samples. The projection keeps definiteness.
-It tracks no single mode, so modes may cross or repel each other inside the parameter ranges. The
-mesh has to move with the parameters and keep its topology. Parameters that scale the damping alone
-are exact and take no samples.
-(P. Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483, section 4: a global basis.)
+The method tracks no single mode, so modes may cross or repel each other inside the parameter
+ranges. The mesh has to move with the parameters and keep its topology. Parameters that scale the
+damping alone are exact and take no samples. (P. Benner, S. Gugercin, K. Willcox, SIAM Review 57
+(2015) 483, section 4: a global basis.)
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class ParameterPolynomials:
         return {axis.name: axis for axis in (*self.axes, *(item.axis for item in self.losses))}
 
     def products(self, values: Values) -> np.ndarray:
-        """Those polynomials (terms,) at ``values`` of all parameters.
+        """Return the products of polynomials (terms,) at ``values`` of all parameters.
 
         Raises
         ------
@@ -242,8 +242,8 @@ def higher_degree(model: Parametric) -> int | None:
 def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
     """Compute ``H(j 2 pi f)`` (frequencies, outputs, inputs) by modes.
 
-    They are the modes to twice the highest frequency, and the static remainder. This takes a second
-    for models whose direct solutions take minutes.
+    They are the modes to twice the highest frequency, and the static remainder. The modal response
+    takes a second for models whose direct solutions take minutes.
     """
     f = np.asarray(frequency, dtype=float)
     return modal_projection(model, float(f.max())).transfer(2j * np.pi * f)

@@ -58,7 +58,8 @@ class SharedValue(Generic[T]):
 class Schur:
     """Schur complement ``uu - up pp^-1 pu`` of a sparse matrix.
 
-    It is dense, so it is stored as its four sparse blocks. The unknowns of ``pp`` are eliminated.
+    The complement is dense, so it is stored as its four sparse blocks. The unknowns of ``pp`` are
+    eliminated.
 
     Raises
     ------
@@ -79,7 +80,9 @@ class Schur:
 
     @property
     def symmetric(self) -> bool:
-        """Both diagonal blocks are, and the others are transposes."""
+        """Whether both diagonal blocks are symmetric, and the other blocks are transposes of each
+        other.
+        """
         pairs = ((self.uu, self.uu.T), (self.pp, self.pp.T), (self.up, self.pu.T))
         return all(is_equal(a, b) for a, b in pairs)
 
@@ -158,12 +161,12 @@ def to_dense(matrix: Matrix) -> np.ndarray:
 
 
 def absolute_entries(matrix: Matrix) -> Matrix:
-    """Absolute values of the entries, of a :class:`Schur` those of its leading block."""
+    """Return the absolute values of the entries; for a :class:`Schur`, of its leading block."""
     return abs(matrix.uu if isinstance(matrix, Schur) else matrix)
 
 
 def largest_entry(matrix: Matrix) -> float:
-    """Largest absolute entry; of a :class:`Schur` that of its leading block."""
+    """Return the largest absolute entry; for a :class:`Schur`, of its leading block."""
     if isinstance(matrix, Schur):
         return largest_entry(matrix.uu)
     return float(abs(matrix).max()) if matrix.shape[0] and matrix.shape[1] else 0.0
@@ -358,7 +361,7 @@ class Pencil:
     def elimination_order(self) -> np.ndarray | None:
         """Order of elimination of the factor of K, None if there is none.
 
-        It serves other matrices of the same unknowns.
+        The order also suits other matrices of the same unknowns.
         """
         factor = self.factors.known
         order = None if factor is None else factor.order
@@ -430,7 +433,7 @@ class Pencil:
         return bool(r) and not any(P[:r, r:].any() or P[r:, :r].any() for P in self.coefficients)
 
     def joined(self, free: Pencil) -> Pencil:
-        """This pencil and in front of it the ``free`` motion, which adds to its answers."""
+        """Return this pencil with the uncoupled ``free`` motion as its first unknowns."""
         parts = tuple(map(scipy.linalg.block_diag, free.coefficients, self.coefficients))
         B, C = np.vstack([free.B, self.B]), np.hstack([free.C, self.C])
         return Pencil(parts, B, C, self.D, free=free.size)

@@ -118,7 +118,7 @@ class Task:
         ----------
         V : (n, k) array
             Real basis vectors, the most important first. The model of order q has the first q.
-            Their scale has no influence: columns are scaled to a norm near one.
+            The scale of the columns has no influence: they are scaled to a norm near one.
         W : (n, k) array, optional
             Real test vectors. By default they are V: a congruence, which preserves symmetry,
             stability and passivity of definite matrices.
@@ -292,7 +292,7 @@ class ReducedBasis:
     def is_acceptable(self, order: int, tolerance: float) -> bool:
         """Whether the model of this order meets the tolerance, and is stable enough.
 
-        It must be as stable as the intermediate model.
+        The model must be stable if the intermediate model is stable.
 
         Only a congruence may have a stability that is not known.
         """

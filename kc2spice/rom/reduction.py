@@ -136,7 +136,7 @@ class Reduction:
     def basis(self) -> np.ndarray | None:
         """Basis (n, k): full-order unknowns per unknown of the intermediate model.
 
-        It is None if constraints or massless unknowns are eliminated first.
+        The basis is None if constraints or massless unknowns are eliminated first.
         """
         return self._intermediate.basis if self._pencil.size == self.model.order else None
 

@@ -109,7 +109,7 @@ class Response:
     def cancelled_entries(self, s: np.ndarray) -> np.ndarray:
         """Mask (outputs, inputs) of entries that are only the rounding of their terms.
 
-        It holds at all ``s``.
+        The mask applies to all ``s``.
         """
         s = s[:: max(1, len(s) // 100)]
         x = self.states(s)
@@ -260,7 +260,7 @@ def _is_inside(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
 def _decouple(pencil: Pencil) -> Modes | None:
     """Decouple a pencil by ``M phi = mu K phi`` if K is definite.
 
-    This problem is better conditioned than that with M as divisor.
+    This eigenvalue problem is better conditioned than the problem with the inverse of M.
     """
     if not pencil.symmetric or not pencil.size:
         return None

@@ -1,8 +1,8 @@
 """Free motions of a model with their damping, and proofs from its form.
 
-Free motions are rigid-body modes and integrators. Their part of a response grows without bound
-towards zero frequency. It is found once,
-made exact, and kept apart from all other unknowns: a basis and a peak are those of the rest.
+Free motions are rigid-body modes and integrators. The response of these modes grows without bound
+towards zero frequency. The rigid-body motion is computed once, made exact, and separated from all
+other unknowns. A basis and a peak refer to the other unknowns.
 """
 
 from __future__ import annotations
@@ -35,15 +35,16 @@ ABOVE_RANDOM = 4.0  # the same: an energy that is hardly rounding
 FAR = 100.0  # times the resonance of a support: at this frequency the response changes by 1e-4
 SURELY = 10.0  # times the limit of a singular matrix: larger values belong to regular matrices
 DEPENDENT = 1e-9  # rates per band's end: a chain of integrators in first order
-Rounding: TypeAlias = tuple[np.ndarray, ...]  # bounds on that of each coefficient's entries
+# bounds on the rounding error of the entries of each coefficient
+Rounding: TypeAlias = tuple[np.ndarray, ...]
 
 
 class RigidBodySplit(NamedTuple):
     """A ``pencil`` whose first ``free`` coordinates are its rigid-body motion.
 
-    ``columns`` are those of all coordinates in the original. ``static`` states whether the other
-    coordinates have a static response. ``projected`` is the pencil before rounding noise was set to
-    zero, if its form is preserved.
+    ``columns`` are the columns of all coordinates in the original unknowns. ``static`` states
+    whether the other coordinates have a static response. ``projected`` is the pencil before
+    rounding noise was set to zero, if its form is preserved.
     """
 
     pencil: Pencil

@@ -55,7 +55,7 @@ def rounding_change(
 ) -> np.ndarray:
     """Change (frequencies, outputs, inputs) of a response by rounding of entries.
 
-    It is the root of the sum of squares of ``eps |y_i P_ij x_j|`` with states ``x``
+    The change is the root of the sum of squares of ``eps |y_i P_ij x_j|`` with states ``x``
     (frequencies, n, inputs), and ``y`` of the ``dual``.
     """
     s = 2j * np.pi * frequency
@@ -74,9 +74,9 @@ def zero_entries(
 ) -> np.ndarray | bool:
     """Find the entries (outputs, inputs) of a model that are zero by symmetry.
 
-    They are negligible nearly everywhere in the band in the ``response`` of the projection on V. On
-    sharp resonances of equal modes they may be larger, up to the effect of rounding of the model's
-    entries.
+    A zero entry is negligible nearly everywhere in the band in the ``response`` of the projection
+    on V. On sharp resonances of equal modes they may be larger, up to the effect of rounding of the
+    model's entries.
     """
     at, ratio = response.select_visible(band)
     chosen = np.union1d(np.argsort(at)[:RESONANCES], np.argsort(ratio)[:RESONANCES])
@@ -125,7 +125,7 @@ def uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
 def removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
     """Change of the response by rounding stiffness of a rigid-body motion.
 
-    It is evaluated at the lowest relevant frequency, where it is largest.
+    The change is evaluated at the lowest relevant frequency, where it is largest.
     """
     s = 2j * np.pi * grid(band, 2, False)[:1]
     H = free.transfer(s)

@@ -61,8 +61,8 @@ def select_fewest_states(
     Congruences are preferred.
 
     A congruence preserves the form of definite matrices, and with it passive resonators. Other
-    projections replace it only if all ports are signals and they save a tenth of the states. They
-    never do with ``keep_form``. ``tighten`` lets a reductor improve the basis of a congruence.
+    projections replace it only if all ports are signals and they save a tenth of the states. With
+    ``keep_form`` this never happens. ``tighten`` lets a reductor improve the basis of a congruence.
 
     Raises
     ------

@@ -1,6 +1,7 @@
 """Proofs of stability and passivity, from the form of matrices or all poles.
 
-They apply to full-order and reduced-order models and do not depend on the method of reduction.
+The proofs apply to full-order and reduced-order models and do not depend on the method of
+reduction.
 """
 
 from __future__ import annotations
@@ -33,8 +34,9 @@ class StabilityProof:
     """Stability and passivity of a model, and the evidence for both.
 
     ``stable`` means that no pole is right of the imaginary axis, so that no motion grows
-    exponentially; a free rigid body drifts. It is None if unknown. ``passive`` means that the ports
-    are proven to deliver no net energy. ``proof`` states the evidence for both properties.
+    exponentially; a free rigid body drifts. A property is None if it is unknown. ``passive`` means
+    that the ports are proven to deliver no net energy. ``proof`` states the evidence for both
+    properties.
     """
 
     stable: bool | None
@@ -86,7 +88,7 @@ def prove_stability(
 
 
 def _poles(pencil: Pencil, omega: float) -> np.ndarray:
-    """Compute all poles, those of a rigid-body motion separately.
+    """Compute all poles; the poles of a rigid-body motion are computed separately.
 
     Rounding changes the pair of poles of a rigid body by half of the digits.
     """
@@ -179,8 +181,9 @@ def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bo
 def _is_factorisable(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     """Whether a sparse matrix is semidefinite.
 
-    Its diagonal is scaled to one first. Either Lanczos steps show that all eigenvalues are above
-    zero, or the matrix has a Cholesky factor after rounding errors are added to its diagonal.
+    The diagonal of the matrix is scaled to one first. Either Lanczos steps show that all
+    eigenvalues are above zero, or the matrix has a Cholesky factor after rounding errors are added
+    to its diagonal.
     """
     if not largest_entry(matrix):
         return True

@@ -64,7 +64,7 @@ def _normalise_mass(pencil: Pencil) -> Pencil:
 def _modal_states(pencil: Pencil, omega: float) -> ABCD:
     """Compute states ``w z`` and ``z'`` of mass-normalised coordinates.
 
-    They are modes if K is symmetric.
+    The coordinates are modes if K is symmetric.
     """
     K, E, M = pencil.coefficients
     T, stiffness = _normalise_modes(M, K)

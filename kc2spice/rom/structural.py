@@ -241,7 +241,7 @@ class _Search:
         )
 
     def error(self, modes: Sequence[Oscillator]) -> float:
-        """Its error estimate in the full model."""
+        """Return the error estimate with respect to the full model."""
         known = self.small.certificate
         assert known is not None
         return max(self.raised, 1.0) * known.error_estimate + SAFETY * self.deviation(modes)
@@ -326,7 +326,7 @@ def first_order_model(
 ) -> LinearModel:
     """Return a passive model of first order, if the poles are real.
 
-    It needs fewer states than ``reduced_model``.
+    The model needs fewer states than ``reduced_model``.
     """
     known = reduced_model.certificate
     if known is None or any(port.domain is ACCELERATION for port in model.ports):

@@ -178,7 +178,8 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
     Parameters
     ----------
     model : LinearModel
-        Symmetric, of second order, small: its matrices become dense. Its own damping stays.
+        Symmetric, of second order, small: its matrices become dense. The damping of the model
+        itself is retained.
     stiffness : RelaxingStiffness
         Factor of K.
 

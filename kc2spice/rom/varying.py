@@ -5,14 +5,14 @@ The coefficients are frequencies, gains and capacitances over ranges of the para
 this module computes its modes up to above the band and, orthogonal to them, the Ritz vectors of
 other responses to the ports' loads.
 
-Modes that come close to each other anywhere in the ranges form a block. Its frame turns smoothly
-with the parameters, because it is the one nearest to that of the middle. Thus nothing jumps if
-frequencies cross or repel. All other modes are separate resonators. The stiffness of a block is ``L
-L'``. Polynomials give the logarithms of the diagonal of L, of the clamped capacitances' Cholesky
-factor and of the damping. Masses, stiffness and damping are therefore positive everywhere in the
-ranges, and the form of the model proves it passive. (Nearest frame: P. H. Schoenemann,
-Psychometrika 31 (1966) 1. Invariant subspaces are analytic where a gap stays: T. Kato, Perturbation
-Theory for Linear Operators, II.4.)
+Modes that come close to each other anywhere in the ranges form a block. The frame of a block
+rotates smoothly with the parameters, because it is the frame nearest to that at the middle of the
+range. Thus nothing jumps if frequencies cross or repel. All other modes are separate resonators.
+The stiffness of a block is ``L L'``. Polynomials give the logarithms of the diagonal of L, of the
+clamped capacitances' Cholesky factor and of the damping. Masses, stiffness and damping are
+therefore positive everywhere in the ranges, and the form of the model proves it passive. (Nearest
+frame: P. H. Schoenemann, Psychometrika 31 (1966) 1. Invariant subspaces are analytic where a gap
+stays: T. Kato, Perturbation Theory for Linear Operators, II.4.)
 """
 
 from __future__ import annotations
@@ -146,9 +146,9 @@ def reduce_over_ranges(
     """Reduce the models ``full(values)`` over the ranges of ``axes``.
 
     The certificate holds for all values in the ranges. Its error is the largest relative
-    difference, in the ``norm``, times :data:`SAFETY` for points in between. It is the difference to
-    full models at :data:`CHECKS` points and a corner that the model was not made from, and to the
-    dense model at other points. ``facts`` of the full models remain.
+    difference, in the ``norm``, times :data:`SAFETY` for points in between. The error is the
+    difference to full models at :data:`CHECKS` points and a corner that the model was not made
+    from, and to the dense model at other points. ``facts`` of the full models remain.
 
     Raises
     ------
@@ -240,7 +240,7 @@ def _interpolate_facts(
 ) -> dict[str, np.ndarray]:
     """Interpolate the common facts of full models by polynomials.
 
-    Their degree is the highest that the number of models allows.
+    The degree of the polynomials is the highest that the number of models allows.
     """
     x = [[axis.coordinate(values[axis.name]) for axis in model.axes] for values, _ in known]
     total = model.exponents.sum(axis=1, initial=0)
@@ -306,7 +306,7 @@ def _range_error(
 
 
 def _values_at(box: Mapping[str, ParameterAxis], x: np.ndarray) -> dict[str, float]:
-    """Those at coordinates of the first axes, the middle of the others."""
+    """Return the values at coordinates of the first axes, and at the middle of the other axes."""
     known = {axis.name: axis.value(float(v)) for axis, v in zip(box.values(), x, strict=False)}
     return {name: known.get(name, axis.middle) for name, axis in box.items()}
 
@@ -316,7 +316,8 @@ def _check_points(
 ) -> Iterator[tuple[np.ndarray, ErrorEstimator]]:
     """Yield points of the ranges with estimators by the dense model.
 
-    They are the middle, all corners, points of large polynomial deviations, and random points.
+    The points are the middle, all corners, points of large polynomial deviations, and random
+    points.
     """
     count = len(dense_model.box)
     draws = scipy.stats.qmc.Sobol(count, seed=3).random(DRAWS) * 2 - 1

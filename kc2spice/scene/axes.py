@@ -77,7 +77,7 @@ class Axis:
 def find_axes(build: Build) -> tuple[Axis, ...]:
     """Return the settings of a scene that trade time for error.
 
-    They include the largest time step, if it is known or set.
+    The axes include the largest time step, if it is known or set.
     """
     return tuple(axis for axis in _list_axes(build) if axis.at(1.0))
 
@@ -155,7 +155,7 @@ def _list_reductions(build: Build) -> Iterator[Axis]:
 
 
 def _is_common(part: Part, scene: Scene) -> bool:
-    """Return whether one key moves the reductions of all bodies, as that of ``part``."""
+    """Return whether one key changes the reductions of all bodies, including ``part``."""
     reduction = scene.records[part.name].reduction
     return all(record.reduction in (None, reduction) for record in scene.records.values())
 

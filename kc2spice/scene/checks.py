@@ -43,7 +43,7 @@ class Check:
 
     The value of a ``loaded`` check is the relative error of a reduced body under the recorded loads
     of a transient. ``distance`` is the distance of a motion from the limit, on either side.
-    ``travel`` is the range of this motion. Both have the unit of the check.
+    ``travel`` is the range of this motion. ``distance`` and ``travel`` have the unit of the check.
     """
 
     name: str
@@ -128,7 +128,8 @@ def require(checks: tuple[Check, ...], where: str) -> None:
 def motion_gate(solver: Solver) -> float:
     """Return the relative gate of motion between ngspice and the equations.
 
-    At the usual tolerances, errors are 1e-5 to 3e-5. They fall as ``(reltol chgtol)^0.55``.
+    At the usual tolerances, errors are 1e-5 to 3e-5. The differences fall as ``(reltol
+    chgtol)^0.55``.
     """
     return float(4e-5 * (solver.reltol * solver.chgtol / 1e-12) ** 0.55)
 

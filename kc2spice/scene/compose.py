@@ -202,7 +202,7 @@ def _with_inner_names(scene: Scene) -> Scene:
 def metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
     """Return pins of a part whose flow can be metered, with their domains.
 
-    They are not on ground.
+    The pins are not on ground.
 
     If the flow is a power, the flow at a reference pin, such as ``ambient``, is the sum of the
     flows at the other pins.
@@ -220,7 +220,8 @@ def metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 def powered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
     """Return the pins by which power enters a part in one domain.
 
-    This is the electrical domain if the part has such pins, otherwise that of the first pin.
+    The domain is the electrical one if the part has electrical pins, otherwise that of the first
+    pin.
     """
     pins = metered_pins(part, scene)
     domains = [*pins.values()]
@@ -276,8 +277,8 @@ def _unjoined_error(
 ) -> UsageError:
     """Return the error of a required pin.
 
-    It suggests another pin that is not joined. Any other pin may have a potential, such as a bias
-    voltage, which the new joint would short-circuit. Ground would clamp a motion.
+    The hint suggests another pin that is not joined. Any other pin may have a potential, such as a
+    bias voltage, which the new joint would short-circuit. Ground would clamp a motion.
     """
     fitting: list[Pin] = []
     waiting: list[Pin] = []

@@ -141,7 +141,7 @@ def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, ShakenFrame
 
 
 def _name_frame(frame: ShakenFrame | None) -> str:
-    """Return the frame in words; None is that of the ground."""
+    """Return the frame in words; None is the frame of the ground."""
     return "the frame of the ground" if frame is None else f"the frame that {frame.words} shakes"
 
 

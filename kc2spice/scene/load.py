@@ -106,7 +106,7 @@ def load_scene(
         result = _make_scene(data, source)
         return replace(result, workspace=scene.workspace) if isinstance(scene, Scene) else result
     except UsageError as problem:
-        # an absolute path is that of a file, not a key
+        # an absolute path belongs to a file, not to a key
         if problem.where is not None and not Path(problem.where).is_absolute():
             problem.where = source.where(problem.where)
         raise

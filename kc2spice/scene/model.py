@@ -529,7 +529,7 @@ def scene_hash(scene: Scene) -> str:
 class BuildRecord:
     """Answers of one part about a build; a part without cards has no results.
 
-    They are those of :meth:`PartType.rest_with_model`, :meth:`PartType.vectors` and
+    The answers are the results of :meth:`PartType.rest_with_model`, :meth:`PartType.vectors` and
     :meth:`PartType.settable`.
     """
 
@@ -634,7 +634,8 @@ class Build:
     def inner_name(self, part: Part, *words: str) -> str:
         """Return a name out of a part's :meth:`PartType.inner_names`.
 
-        It is the words joined by ``_``, or a similar name if that is not free.
+        The name consists of the words joined by ``_``; if this name is taken, a similar name is
+        used.
         """
         return self.scene.names[part.name, *words]
 
@@ -692,7 +693,7 @@ class PartType(Generic[KeysT]):
         return {}
 
     def files(self, part: Part[KeysT], scene: DeclaredScene) -> tuple[str, ...]:
-        """Return the files that it reads, by default that of its key ``file``."""
+        """Return the files that the part reads, by default the file of its key ``file``."""
         file = getattr(part.keys, "file", None)
         return () if file is None else (file,)
 
@@ -713,15 +714,16 @@ class PartType(Generic[KeysT]):
     def detail(self, part: Part[KeysT], scene: GovernedScene) -> object:
         """Return data for parts of the same package, in a class of that package.
 
-        It follows from keys and from the governed parts. Its :class:`Record` contains it.
+        The detail follows from keys and from the governed parts. The :class:`Record` of the part
+        contains the detail.
         """
         return None
 
     def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
         """Return constraints and loads of the part at rest, before its model is built.
 
-        They concern pins that need a path to their reference. By default the part clamps all of
-        these pins.
+        The constraints and loads concern pins that need a path to their reference. By default the
+        part clamps all of these pins.
         """
         return Rest(tuple((p.name, GROUND) for p in scene.pins(part.name) if p.needs_path))
 
@@ -816,7 +818,8 @@ class PartType(Generic[KeysT]):
     def highest_frequency(self, part: Part[KeysT], scene: DeclaredScene) -> HighestFrequency | None:
         """Return the frequency [Hz] below which its waves have nearly all energy.
 
-        It is a function of the time constant [s] behind which a voltage or force acts.
+        The result is a function of the time constant [s] of the filter through which a voltage or
+        force acts.
         """
         return None
 
@@ -863,16 +866,16 @@ class PartType(Generic[KeysT]):
     ) -> Iterable[Check | Balance | Gate]:
         """Return checks of a result.
 
-        They are physical laws that the netlist does not contain. If a transient saved all terms,
-        they include the energy balance. For ``verify`` they include the results of interest with
-        the largest difference between two solutions.
+        The checks are physical laws that the netlist does not contain. If a transient saved all
+        terms, they include the energy balance. For ``verify`` they include the results of interest
+        with the largest difference between two solutions.
         """
         return ()
 
     def finer_mesh(
         self, part: Part[KeysT], build: Build, clock: Clock, most: float
     ) -> Iterable[Check | str]:
-        """Compare its model with that of a mesh half as wide, of at most so many unknowns.
+        """Compare the model with that of a mesh half as wide, with a limited number of unknowns.
 
         Plane meshes may have :data:`kc2spice.core.mesh_error.IN_PLANE` times as many. The results
         are checks of the differences, or the reason for their absence. Keys that a ``full`` model

@@ -71,8 +71,8 @@ def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
 def _list_results(build: Build, waiting: Collection[str]) -> list[str]:
     """List all results that a probe may read.
 
-    They include motions at ports that are not joined, and currents and powers that have a meter
-    only if a probe reads them.
+    The list includes motions at ports that are not joined, and currents and powers that have a
+    meter only if a probe reads them.
     """
     scene = resolve(replace(build.scene, ports="all"))
     results = collect_results(with_vectors(replace(build, scene=scene), waiting))

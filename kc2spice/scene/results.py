@@ -139,7 +139,7 @@ def collect_powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
 def _find_part_power(part: Part, build: Build, known: Collection[str]) -> Powers:
     """Return the terms of the power of a part; none if a result is missing.
 
-    They are the powers at its pins, or products of its own results.
+    The terms are the powers at the pins of the part, or products of its results.
     """
     pins = powered_pins(part, build.scene)
     at_pins = tuple(_pin_power(part, pin, domain, build) for pin, domain in pins.items())

@@ -176,10 +176,10 @@ class DcSweep(EqualByContent):
 class SampledSource:
     """Function outside of the simulator that sets a source.
 
-    ``source`` is the name of its card in lower case.
-    ``call(time, values)`` receives the saved node voltages every ``period`` [s], first at zero. Its
-    result is the value of the source from ``delay`` [s] later on. A function with memory has
-    ``reload``, which returns the function in its state before the first call.
+    ``source`` is the name of its card in lower case. ``call(time, values)`` receives the saved node
+    voltages every ``period`` [s], first at zero. The result of the function is the value of the
+    source from ``delay`` [s] later on. A function with memory has ``reload``, which returns the
+    function in its state before the first call.
     """
 
     source: str

@@ -1,7 +1,7 @@
 """Settings of a scene outside of its parts.
 
-They are analysis, probes, reduction, solver, checks and gates. Each class is a table of the scene's
-file, with the default and the description of every key.
+The tables are analysis, probes, reduction, solver, checks and gates. Each class is a table of the
+scene's file, with the default and the description of every key.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ the rows. A freedom that a boundary condition of the step fixes has 1e36 on the 
 stiffness.
 
 CalculiX writes ``JOB.sti``, ``JOB.mas`` and ``JOB.dof`` of ``*FREQUENCY, SOLVER=MATRIXSTORAGE``.
-They contain ``row column value``, and one ``node.direction`` per row: 1 to 6, and 0 for
+The files contain ``row column value``, and one ``node.direction`` per row: 1 to 6, and 0 for
 temperature.
 
 Ansys writes the binary ``.full`` file, which the ansys-mapdl-reader of its makers reads. ``HBMAT``
@@ -20,8 +20,9 @@ stiffness, ``K4...`` its structural damping, ``M...`` the mass and ``B...`` the 
 sidecar's ``matrices`` may name others. DMIG: MSC Nastran Quick Reference Guide; large, small and
 free fields.
 
-Structural damping is the imaginary part H of a complex stiffness ``K + j H``. It is that of a
-complex matrix, or a matrix of its own: Nastran's ``K4...`` and Abaqus' ``JOB_DMPS2.mtx``.
+Structural damping is the imaginary part H of a complex stiffness ``K + j H``. The loss is the
+imaginary part of a complex matrix, or a separate matrix: Nastran's ``K4...`` and Abaqus'
+``JOB_DMPS2.mtx``.
 """
 
 from __future__ import annotations

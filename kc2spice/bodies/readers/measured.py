@@ -1,8 +1,8 @@
 """Measured responses from Touchstone files, tables and MATLAB files.
 
-A table has titles of its columns in any order (:mod:`kc2spice.bodies.readers.meanings`). It
-contains a frequency and the columns of one combination. Semicolons, tabs, commas or blanks separate
-fields. Commas are decimal if they do not separate.
+A table has titles of its columns in any order (:mod:`kc2spice.bodies.readers.meanings`). A measured
+file contains a frequency and the columns of one combination. Semicolons, tabs, commas or blanks
+separate fields. Commas are decimal if they do not separate.
 
 Variables of a MATLAB file have the same names as columns. A complex variable is ``z``, ``y`` or
 ``s``, of n frequencies or of the shape (ports, ports, n). ``z0`` is the resistance of ``s``.
@@ -84,8 +84,8 @@ class MeasuredAdmittance(EqualByContent):
     def measured_noise(self) -> float:
         """Standard deviation of one component of the measured quantity.
 
-        That of Z and Y is relative to each entry. It is the median size of third differences, which
-        a smooth response lacks. Entries that are zero have no noise.
+        That of Z and Y is relative to each entry. The estimate is the median size of third
+        differences, which vanish for a smooth response. Entries that are zero have no noise.
         """
         x = self.Y if self.samples is None else self.samples
         x = x.reshape(len(self.f), -1)
@@ -134,7 +134,7 @@ class MeasuredAdmittance(EqualByContent):
 
 
 def is_measured(path: Path) -> bool:
-    """Whether a path is that of a measured response."""
+    """Whether a path names a measured response."""
     by_suffix = _TOUCHSTONE.fullmatch(path.suffix) or (
         path.suffix.lower() in _TABLES and not _MATRIX.fullmatch(path.stem)
     )
@@ -251,7 +251,8 @@ def _require_no_shunt(shunt: float | None, content: str) -> None:
 def _require_conducting(data: MeasuredAdmittance) -> None:
     """Refuse an open circuit, because deviations are relative to the admittance.
 
-    They are relative to each admittance of one port, and to the largest of several ports.
+    Deviations are relative to each admittance of one port, and to the largest admittance of several
+    ports.
     """
     still = np.einsum("fii->fi", data.Y) == 0
     one = still.shape[1] == 1

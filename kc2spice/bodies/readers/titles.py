@@ -164,9 +164,9 @@ def _name_with_unit(meaning: ColumnKind) -> str:
 
 
 def is_frequency(text: str) -> bool:
-    """Whether a title, or the name of a variable, is that of the frequency.
+    """Whether a title, or the name of a variable, means the frequency.
 
-    It may have an ambiguous unit.
+    The title may have an ambiguous unit.
     """
     try:
         title = read_title(text)

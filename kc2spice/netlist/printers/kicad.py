@@ -1,8 +1,8 @@
 """KiCad: symbols of parts and elements, and decks as projects.
 
-Global labels join the nets. They have the node names of the deck, so that a curve has the same name
-in KiCad, in the deck and in the results. The formats are version 20231120 of symbol library and
-schematic (KiCad developer documentation), which releases 8, 9 and 10 read. Their text is
+Global labels join the nets. The nets have the node names of the deck, so that a curve has the same
+name in KiCad, in the deck and in the results. The formats are version 20231120 of symbol library
+and schematic (KiCad developer documentation), which releases 8, 9 and 10 read. Their text is
 ``templates/kicad.j2``.
 """
 

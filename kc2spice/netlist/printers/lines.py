@@ -91,7 +91,8 @@ def _last_within(places: Sequence[int], low: int, high: int) -> int:
 def _possible_ends(line: str) -> tuple[list[int], ...]:
     """Return the places where a line may end, the better kinds first.
 
-    These are blanks between words, blanks within brackets, and operators of sums and products.
+    The possible ends are blanks between words, blanks within brackets, and operators of sums and
+    products.
     """
     outer, inner, fixed, depth, quote = list[int](), list[int](), set[int](), 0, ""
     for place, ch in enumerate(line):

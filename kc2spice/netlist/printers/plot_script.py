@@ -13,8 +13,8 @@ _AXIS = {"tran": "", "ac": " xlog", "dc": "", "noise": " loglog"}
 def plot_script(deck: Deck) -> dict[str, str]:
     """Return ``{"NAME_plot.sp": text}`` with one window for each unit of the results.
 
-    It is empty if there are no curves. ngspice runs a file whose first line is ``*ng_script`` as
-    commands.
+    The script is empty if there are no curves. ngspice runs a file whose first line is
+    ``*ng_script`` as commands.
     """
     axis = _AXIS.get(deck.command.kind)
     windows: dict[str, list[str]] = {}

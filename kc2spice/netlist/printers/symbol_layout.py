@@ -19,7 +19,7 @@ _CONTROLLED = frozenset("egs")  # the last two nodes of these draw nothing
 class Place:
     """The free end of a pin at grid position ``(x, y)``, with y upwards.
 
-    It is ``length`` away from the body of the symbol.
+    The end of the pin is ``length`` away from the body of the symbol.
     """
 
     number: int

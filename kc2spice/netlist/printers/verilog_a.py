@@ -138,7 +138,7 @@ class VerilogNames(Writer):
     def write(self, tree: Tree, level: int = 0) -> str:
         """Return the spelling of ``tree``.
 
-        A power is that of the absolute value, as in ngspice. Real numbers have a point or an
+        A power is computed from the absolute value, as in ngspice. Real numbers have a point or an
         exponent, because integers divide differently.
         """
         match tree:
@@ -279,7 +279,8 @@ def _expand_instance(part: Element, outer: VerilogNames) -> None:
 def _contribute(part: Element, names: VerilogNames) -> None:
     """Add the contribution of one primitive element.
 
-    It is a current between the nodes of the element, or a voltage over a branch of its name.
+    The contribution is a current between the nodes of the element, or a voltage across a branch
+    with its name.
     """
     module = names.module
     if part.kind == "k":

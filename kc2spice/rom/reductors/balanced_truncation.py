@@ -80,8 +80,8 @@ class BalancedTruncation(Reductor):
 def hankel_singular_values(task: Task) -> np.ndarray | None:
     """Return the Hankel singular values in descending order.
 
-    They are those of the intermediate model. The result is None if the model is not strictly stable
-    or too large.
+    The values are those of the intermediate model. The result is None if the model is not strictly
+    stable or too large.
     """
     if not has_gramians(task):
         return None
@@ -95,8 +95,8 @@ def _gramian_roots(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Compute roots of both Gramians with scaled outputs and inputs.
 
-    They are divided by ``rows`` and ``columns``. The result is None if the model is not strictly
-    stable.
+    Outputs and inputs are divided by ``rows`` and ``columns``. The result is None if the model is
+    not strictly stable.
     """
     A = -model.coefficients[0]
     if np.linalg.eigvals(A).real.max() > -STRICTLY_STABLE:
@@ -150,7 +150,7 @@ def balanced_basis(
 def balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return scale factors of rows and columns whose products are closest to ``size``.
 
-    The size is (..., rows, columns), and the distance is that of logarithms.
+    The array ``size`` is (..., rows, columns), and the distance is measured in logarithms.
     """
     log = np.log(np.where(size > 0, size, size.max(initial=0.0) or 1.0))
     half = 0.5 * log.mean(axis=(-2, -1))[..., None]

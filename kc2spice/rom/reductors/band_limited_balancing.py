@@ -69,8 +69,8 @@ class BandLimitedBalancing(Reductor):
 def _weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Weights of inputs and outputs at each frequency.
 
-    They weight an integral over the band of errors relative to ``base`` (frequencies, outputs,
-    inputs).
+    The weights belong to an integral over the band of errors relative to ``base`` (frequencies,
+    outputs, inputs).
     """
     step = np.sqrt(np.gradient(frequency) if len(frequency) > 1 else np.ones(1))
     rows, columns = balancing_factors(base)

@@ -81,7 +81,7 @@ def krylov_space(pencil: Pencil) -> BlockArnoldi:
 def krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
     """Return so many block Krylov vectors of a definite model, or all that exist.
 
-    They are those at zero frequency.
+    The vectors belong to zero frequency.
     """
     return krylov_space(pencil).vectors(count)
 
@@ -91,7 +91,7 @@ def nested_model(
 ) -> IntermediateModel:
     """Return the Krylov model of two blocks more than ``order``.
 
-    It estimates the error.
+    The larger model is used to estimate the error.
 
     ``space`` is the Krylov space of the model, if it is known.
     """
@@ -108,7 +108,7 @@ def block_arnoldi(
 
     ``X = K^-1 B`` and ``A = K^-1 M``.
 
-    It has ``order`` columns, see :class:`BlockArnoldi`.
+    The basis has ``order`` columns, see :class:`BlockArnoldi`.
     """
     return BlockArnoldi(stiffness, solve, mass, B).vectors(order)
 

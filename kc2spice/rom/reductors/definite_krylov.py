@@ -42,8 +42,8 @@ def definite_krylov_model(
 ) -> IntermediateModel:
     """Return a definite model within ``target`` over ``band`` [Hz].
 
-    It is within ``limit`` if rounding prevents more. The error is the change by the last two
-    blocks.
+    The error is within ``limit`` if rounding prevents ``target``. The error is the change by the
+    last two blocks.
 
     A free ``body`` replaces the expansion at zero by one at a small negative shift, with its
     rigid-body modes deflated.

@@ -33,7 +33,7 @@ CANDIDATES = 101  # frequencies of each grid, linear and logarithmic, of which t
 class GreedyBasis:
     """A growing basis, with the projections that the residual estimate needs.
 
-    It begins with the ``static`` responses if there are any.
+    The basis begins with the ``static`` responses if there are any.
     """
 
     def __init__(self, pencil: Pencil, band: tuple[float, float], static: bool = True) -> None:
@@ -71,7 +71,7 @@ class GreedyBasis:
         return float(error.max()), self.basis.shape[1] > before
 
     def next_point(self) -> complex:
-        """Choose the next candidate: that of the largest residual.
+        """Choose the candidate with the largest residual as the next point.
 
         Every second time it is the one at which the last point changed the response most.
 
@@ -148,8 +148,8 @@ class GreedyBasis:
     def _split_rigid_body(self, small: Pencil) -> tuple[Pencil, np.ndarray]:
         """Split the rigid-body motion off the projected model.
 
-        It is that within rounding errors of the full model's entries. If the model has a static
-        response, no input excites this motion, and it is left out.
+        The motion is determined within rounding errors of the entries of the full model. If the
+        model has a static response, no input excites this motion, and it is left out.
         """
         V, coefficients = self.modal_basis, self.pencil.coefficients
         sizes, eps = list(map(absolute_entries, coefficients)), np.finfo(float).eps

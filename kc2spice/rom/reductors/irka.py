@@ -130,7 +130,7 @@ class OptimalModels(ReducedBasis):
 def residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return poles (q,), and left and right directions of residues.
 
-    They are (q, outputs) and (q, inputs).
+    The directions are (q, outputs) and (q, inputs).
     """
     poles, X = np.linalg.eig(-pencil.coefficients[0])
     return poles, (pencil.C @ X).T, np.linalg.solve(X, pencil.B.astype(complex))

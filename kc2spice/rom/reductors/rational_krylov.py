@@ -108,7 +108,8 @@ def rational_krylov_model(
 ) -> IntermediateModel:
     """Return a model within ``target`` over ``band`` [Hz].
 
-    It is within ``limit`` if rounding prevents more, and needs at most so many factorisations.
+    The error is within ``limit`` if rounding prevents ``target``. The reduction uses a limited
+    number of factorisations.
 
     The error is that of the projection at the last points, before they joined the basis.
 

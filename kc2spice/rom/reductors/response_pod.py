@@ -113,7 +113,7 @@ class ResponsePod(Reductor):
 def _has_loaded_port(task: Task) -> bool:
     """Whether a port has loads such as forces or heat.
 
-    Its static response then remains exact.
+    The static response of the port then remains exact.
     """
     return any(port.loaded for port in task.fom.ports)
 
