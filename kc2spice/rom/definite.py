@@ -23,7 +23,7 @@ def expects_cholesky(pencil: Pencil) -> bool:
 
 
 def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
-    """Whether the model has a definite form (:func:`has_definite_form`) with a positive definite K."""
+    """Whether K of a model with definite form is positive definite."""
     if not has_definite_form(pencil, undamped_too=undamped_too):
         return False
     load = np.random.default_rng(0).standard_normal((pencil.size, 1))

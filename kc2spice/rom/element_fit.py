@@ -127,7 +127,7 @@ class FitElement:
         return self.amplitude if self.form in CONDUCTING else 0.0
 
     def branch(self) -> CircuitBranch:
-        """Resistor, inductor and capacitor in series of the element, which is no pure capacitance."""
+        """Resistor, inductor and capacitor of the element in series; none for a capacitance."""
         p = np.exp(self.logs).tolist()
         if self.form == "lead resistance":
             return CircuitBranch(p[0])

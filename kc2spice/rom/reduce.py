@@ -184,7 +184,7 @@ def _reduce(fom: LinearModel, target: Target) -> LinearModel:
 def choose_band(
     fom: LinearModel, pencil: Pencil, band: tuple[float, float] | None
 ) -> tuple[float, float]:
-    """Return the prescribed band [Hz], otherwise the band of the model, otherwise the default band."""
+    """Return the prescribed band [Hz], that of the model, or the default, in this order."""
     if not pencil.B.any() or not pencil.C.any():
         raise UsageError("has no effective input or output", where=fom.name)
     band = band or fom.band or natural_band(pencil)
