@@ -335,7 +335,8 @@ def run(
     out : str or Path, optional
         Directory for the files that ``kc2spice run`` writes. By default no file is kept.
     deck : str or Path, optional
-        Netlist of this scene that was edited by hand. It is simulated instead of the scene's own.
+        Netlist of this scene that was edited by hand. The deck is simulated instead of that of the
+        scene.
     trust : bool, default False
         Whether files that the scene includes may run commands and write files on this machine.
     functions : mapping of str to callable, optional
@@ -498,7 +499,8 @@ def verify(
 ) -> dict[str, Any]:
     """Compare the netlist of a scene in ngspice with independent solutions.
 
-    These are the laws of its parts with reduced models, integrated in scipy, and the full models.
+    The independent solutions are the laws of the parts with reduced models, integrated in scipy,
+    and the full models.
 
     Parameters
     ----------
@@ -639,7 +641,7 @@ class Result:
         -------
         xarray.Dataset
             One variable for each wave in SI, with its unit in ``attrs["units"]``. The coordinate is
-            that of ``scale``. Complex waves stay complex.
+            the wave :attr:`scale`. Complex waves stay complex.
 
         Raises
         ------
@@ -663,8 +665,8 @@ class Result:
     def save(self, out: str | Path, *, png: bool = False) -> Path:
         """Write the files of ``kc2spice run`` into a directory and return its path.
 
-        These are deck, libraries, waveforms, ``result.json`` and, of a scene, ``report.html``. With
-        ``png`` they include its figures. The directory ``out`` gets all files or none.
+        The files are deck, libraries, waveforms, ``result.json`` and, for a scene, ``report.html``.
+        With ``png`` they include its figures. The directory ``out`` gets all files or none.
 
         Raises
         ------
@@ -819,7 +821,8 @@ def sweep(
 ) -> Table:
     """Run a scene at every combination of values; the last key varies fastest.
 
-    The points are those of ``kc2spice sweep``. Only the command can continue an interrupted sweep.
+    The points are the same as in ``kc2spice sweep``. Only the command can continue an interrupted
+    sweep.
 
     Parameters
     ----------

@@ -267,7 +267,8 @@ app = typer.Typer(
 def run_command_line() -> None:
     """Run the command line; ends the program."""
     # The matrices are sparse and small: threads of BLAS and of ngspice mostly wait for each other.
-    # It must be said before numpy is loaded; whoever set a number of threads keeps it.
+    # The variable must be set before numpy is loaded; a number of threads that the user has set is
+    # not changed.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # a search of all installed packages
@@ -303,8 +304,8 @@ def _common_options(
 def _command(function: Callable[..., None]) -> Callable[..., None]:
     """Make the command ``name`` of the function ``_name(caller, …)``.
 
-    Its options are those of ``PARAMETERS`` and the caller's ``--json`` and ``--quiet``. Its
-    exceptions are one message and an exit code.
+    The options of the command are those of ``PARAMETERS``, and ``--json`` and ``--quiet``. An
+    exception of the command becomes one message and an exit code.
     """
 
     def call(as_json: bool, quiet: bool, **words: Any) -> None:

@@ -58,7 +58,7 @@ def _print_limits(stage: str, done: float | None, text: str) -> None:
 
 @contextmanager
 def _progress_bars() -> Iterator[Progress]:
-    """One bar for each stage; that of an earlier one is full."""
+    """Show one progress bar for each stage; the bars of earlier stages are full."""
     from rich import progress as rich
     from rich.console import Console
 

@@ -45,7 +45,7 @@ class CheckedCommand(TyperCommand):
 
 
 class CheckedCommands(TyperGroup):
-    """All commands; a command or option that does not exist is reported as other errors are."""
+    """All commands. Errors of unknown commands or options have the form of all other errors."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
         try:

@@ -40,7 +40,7 @@ class Quantity:
 
     @property
     def plural(self) -> str:
-        """Its name in a sentence about several of it."""
+        """Plural of the name, for messages."""
         words = self.name.replace("_", " ")
         return f"{words.removesuffix('y')}ies" if words.endswith("y") else f"{words}s"
 
@@ -58,12 +58,12 @@ class Domain:
     ``power`` states the power that enters a part through a pin. ``rest`` describes an operating
     point.
 
-    ``port`` is the kind of a model's port. Its input is the ``driven`` quantity, its output has the
-    unit ``answer_unit`` and the short name ``word`` in results; ``response`` is the name of the
-    wave that answers in a first deck and ``compliance`` the unit of a static output for each input.
-    The value across a pin counts from the pin ``reference``; without one, ports are pairs of pins.
-    ``rate`` is a second quantity across pins, the rate of ``across``. ``frame`` is the domain whose
-    quantity shakes the frame that ``across`` is relative to.
+    ``port`` is the kind of a model's port. The input of a port is the ``driven`` quantity; its
+    output has the unit ``answer_unit`` and the short name ``word`` in results; ``response`` is the
+    name of the wave that answers in a first deck and ``compliance`` the unit of a static output for
+    each input. The value across a pin counts from the pin ``reference``; without one, ports are
+    pairs of pins. ``rate`` is a second quantity across pins, the rate of ``across``. ``frame`` is
+    the domain whose quantity shakes the frame that ``across`` is relative to.
 
     In a domain with a ``path`` every net needs a path to the reference: ``path`` describes it in
     words, and ``path_part`` is a part type that makes it. Without a path, the net has no operating
@@ -287,7 +287,7 @@ TABLE = (ELECTRICAL, TRANSLATION, ROTATION, ACCELERATION, THERMAL, ACOUSTIC, SIG
 DOMAINS = {domain.name: domain for domain in TABLE}
 PORTS = {domain.port: domain for domain in TABLE if domain.port}
 CONSERVATIVE = tuple(domain for domain in TABLE if domain.conservative)
-# Names of the pins that others count from; that of signals is ``ref``.
+# Names of the reference pins; the reference of signals is ``ref``.
 REFERENCES = frozenset({"ref", *(domain.reference for domain in TABLE if domain.reference)})
 
 

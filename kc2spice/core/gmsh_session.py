@@ -15,8 +15,8 @@ from kc2spice.core.errors import MissingToolError
 def gmsh_session() -> Iterator[ModuleType]:
     """Initialise gmsh with one empty model, yield the module, and finalise it.
 
-    gmsh keeps global state, so sessions do not nest. It neither reads the user's option files nor
-    takes over the signal handlers, hence the same input always gives the same mesh.
+    gmsh keeps global state, so sessions do not nest. The session neither reads the option files of
+    the user nor replaces the signal handlers, so the same input always gives the same mesh.
 
     Raises
     ------

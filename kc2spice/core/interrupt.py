@@ -1,8 +1,8 @@
 """Signals that end the program even within a long call of a numerical library.
 
 Python handles a signal between two of its own instructions, but the factorisation of a large matrix
-is one instruction of minutes. Therefore a separate thread waits for each signal. It ends a main
-thread that does not begin to handle the signal, and its child processes.
+is one instruction of minutes. Therefore a separate thread waits for each signal. The thread ends
+the process and its children if the main thread does not begin to handle the signal.
 """
 
 from __future__ import annotations

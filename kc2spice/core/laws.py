@@ -123,8 +123,8 @@ class LawPort:
 class SecondOrderBody:
     """Body ``M x'' + E x' + K x = B in``, ``out = C x + D in`` of a small model.
 
-    The ``model`` has a dense ``pencil`` of second order, or of first order without M. Its unknowns
-    are unknowns of the system of equations.
+    The ``model`` has a dense ``pencil`` of second order, or of first order without M. The unknowns
+    of the body are unknowns of the system of equations.
 
     A port with ``D`` must be electrical or acoustic or have an own positive compliance. Energy and
     loss of a heat model are those of a circuit of the same numbers: ``x' E x / 2``, ``x' K x``.
@@ -219,7 +219,7 @@ class Tap:
 class Flow:
     """Output of a device: a through quantity into the device at ``pin``.
 
-    It leaves the device at ``minus``, and the same quantity at ``less``.
+    The flow leaves the device at ``minus``; the same quantity leaves it at ``less``.
     """
 
     pin: str
@@ -317,10 +317,10 @@ class Device(ABC):
     def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Compute derivatives for small signals ``exp(s t)`` about ``e``.
 
-        They are the derivatives of ``out`` (k, m) and of the store (len(states), m).
+        The results are the derivatives of ``out`` (k, m) and of the store (len(states), m).
 
-        The derivatives of the store are (len(states), m). They are complex if they depend on the
-        frequency.
+        The derivatives of the store are (len(states), m). The derivatives are complex if they
+        depend on the frequency.
         """
         return self.evaluate(e, mode)[1], self.store(e, mode)[1]
 
@@ -365,8 +365,8 @@ GROWING = 1e3  # 1/s, of a load on a body that is free to move
 class Relation:
     """Relation ``y = H a + free`` of loads (inputs,) and outputs (outputs,).
 
-    It describes a linear body at rest, at one frequency, and within one stage of an implicit time
-    step, in which ``free`` is the effect of the past.
+    A relation describes a linear body at rest, at one frequency, or within one stage of an implicit
+    time step; ``free`` is then the effect of the past.
     """
 
     H: np.ndarray
@@ -377,13 +377,13 @@ class Relation:
 class PortBody(Device):
     """Linear model of any size as a relation at its ports.
 
-    Its mode is a :class:`Relation`. Loads are forces [N], voltages [V], accelerations and signals,
-    in the order of the ports with a column of B. Outputs are displacements [m], charges [C] and
-    signals, in the order of the rows of C. Forces and currents are unknowns of the device, with the
-    equations ``u = y(a)`` and ``dq(a)/dt = i``.
+    The mode of the body is a :class:`Relation`. Loads are forces [N], voltages [V], accelerations
+    and signals, in the order of the ports with a column of B. Outputs are displacements [m],
+    charges [C] and signals, in the order of the rows of C. Forces and currents are unknowns of the
+    device, with the equations ``u = y(a)`` and ``dq(a)/dt = i``.
 
     ``model`` has a ``pencil`` with ``transfer(s)``, which gives the relation at rest and that at a
-    frequency. An integrator makes those of time steps.
+    frequency. An integrator makes the relations of time steps.
     """
 
     name: str
@@ -491,7 +491,7 @@ class PortBody(Device):
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
         """Compute noise of the density ``4 k T (s H + (s H)^H) / (2 |s|^2)``.
 
-        It is that of the outputs.
+        The noise acts on the outputs.
 
         Loads times rates of outputs are power.
         """

@@ -162,7 +162,7 @@ def _current_hessian(p: np.ndarray) -> np.ndarray:
 class EMTable(EqualByContent):
     """Result of the magnetostatic FE sweep over heights.
 
-    It is exact in the currents because the materials are linear.
+    The table is exact in the currents because the materials are linear.
 
     With the currents ``i1`` (lower coil) and ``i2`` (upper coil) at position ``y``::
 
@@ -204,8 +204,8 @@ class EMTable(EqualByContent):
     def splines(self) -> Piecewise:
         """Not-a-knot cubic splines of the six coefficients (..., 6) through the nodes.
 
-        They keep the FE's accuracy between 41 nodes; other end conditions and monotone
-        interpolants do not.
+        These splines preserve the accuracy of the finite elements between 41 nodes; other end
+        conditions and monotone interpolants do not.
         """
         return cubic_spline(self.y, self.coefficients)
 
@@ -244,7 +244,7 @@ class EMTable(EqualByContent):
     def mesh_errors(self) -> dict[str, float]:
         """Estimated errors by the mesh: ``|f(2 h) - f(h)| / (2^p - 1)`` with p = 3.
 
-        They are relative to the largest force of :data:`CASES` and to the largest inductance.
+        The errors are relative to the largest force of :data:`CASES` and to the largest inductance.
         """
         if self.coarser is None:
             return {}
@@ -264,6 +264,6 @@ class EMTable(EqualByContent):
 def em_cases(table: EMTable, currents: np.ndarray) -> np.ndarray:
     """Compute forces (m, n) [N] at the nodes for ``currents`` (m, 2).
 
-    They are the curves of the paper's Fig. 6.
+    The forces are the curves of Fig. 6 of the paper.
     """
     return np.array([products(i1, i2) @ table.coefficients.T for i1, i2 in currents])

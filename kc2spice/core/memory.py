@@ -1,6 +1,6 @@
 """Memory that this process can still use.
 
-It is limited by the machine, by control groups, and by a shell or batch system.
+The machine, control groups, and a shell or batch system limit the memory of a process.
 
 Sources: Linux, Documentation/admin-guide/cgroup-v2.rst and cgroup-v1/memory.rst; proc(5);
 getrlimit(2).
@@ -19,7 +19,8 @@ UNLIMITED = 2**62  # bytes; control groups of version 1 write almost 2^63 for no
 def available_bytes(root: Path = Path("/")) -> float:
     """Determine the memory [B] that this process can use without swapping.
 
-    It is that of the machine if the system states no other limit. Files below ``root`` are read.
+    The result is the free memory of the machine if the system states no other limit. Files below
+    ``root`` are read.
     """
     known = [
         *_free_memory_of_machine(root),

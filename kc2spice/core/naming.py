@@ -11,7 +11,7 @@ class Named(Protocol):
 
     @property
     def name(self) -> str:
-        """Its name in a scene or in a netlist."""
+        """Name of the object in a scene or in a netlist."""
 
 
 def names_of(items: Iterable[Named]) -> list[str]:

@@ -1,8 +1,8 @@
 """Commands that install programs on the operating system of this machine.
 
-:func:`install_command` takes names of Debian packages. It returns a line for the shell, or a
-sentence if the package manager of a system is unknown. Commands for Fedora, macOS and Windows are
-not tested.
+:func:`install_command` takes names of Debian packages. The function returns a line for the shell,
+or a sentence if the package manager of the system is unknown. Commands for Fedora, macOS and
+Windows are not tested.
 """
 
 from __future__ import annotations

@@ -216,7 +216,7 @@ def _schema_at(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
 
 
 def list_keys(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
-    """Yield all keys of a schema in its order, those of its tables behind their names."""
+    """Yield all keys of a schema in order; the keys of a table follow its name."""
     for name, field in schema.model_fields.items():
         section, path = submodel(field.annotation), (field.alias or name,)
         if section is None:
@@ -247,7 +247,7 @@ def _metadata(field: FieldInfo) -> Iterator[Any]:
 def unit_of(field: FieldInfo) -> str | None:
     """Return the SI unit to which the validator of a number converts.
 
-    It may be that of each number of a list.
+    The unit may apply to each number of a list.
     """
     for meta in _metadata(field):
         if isinstance(meta, BeforeValidator) and isinstance(meta.func, partial):
@@ -334,8 +334,8 @@ def _look_up_unit(text: str) -> tuple[int, ...] | None:
 def _parse_unit(text: str) -> tuple[int, ...] | None:
     """Parse a unit such as ``"A/(m s)"``; None if the text is no unit.
 
-    It is one product over another one. Blanks separate factors, each with an optional one-digit
-    power.
+    A unit is a product divided by another product. Blanks separate factors, each with an optional
+    one-digit power.
     """
     top, slash, bottom = text.translate(_SPELLINGS).partition("/")
     if slash and not bottom.strip():

@@ -20,8 +20,9 @@ def energy_frequency(
 ) -> float:
     """Frequency [Hz] that bounds the ``share`` of the energy of a signal.
 
-    The energy is that of ``x(t) - x(0)``, of straight lines through the points, so a constant has
-    none. A signal that has not returned at its end returns as it came, without a jump.
+    The energy refers to ``x(t) - x(0)`` with straight lines between the points, so a constant
+    signal has no energy. A signal that has not returned at its end returns as it came, without a
+    jump.
 
     Parameters
     ----------

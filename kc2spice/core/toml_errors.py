@@ -292,7 +292,7 @@ def _duplicate_name(
 def _first_line(lines: Sequence[str], number: int, name: str) -> int | None:
     """Find the line above ``number`` with the first occurrence of ``name``.
 
-    It is a table, or a key within one table.
+    The name belongs to a table, or to a key within one table.
     """
     for at in range(number - 1, 0, -1):
         line = lines[at - 1].strip()

@@ -4,9 +4,10 @@ The TOML parser of the standard library takes time with the square of the length
 and calls itself once for every bracket; an archive unpacks to any size. The declared sizes in a
 file are therefore compared with limits before the file is parsed or unpacked.
 
-Parsers written in C can crash, fill the memory or execute commands in a file. They work in a
-process with a folder of their own, no output, no programs to start and a limit of memory. The child
-processes return arrays; any other outcome raises an error in the calling process.
+Parsers written in C can crash, fill the memory or execute commands in a file. The parsers run in a
+process with its own folder, without output, without permission to start programs, and with a limit
+of memory. The child processes return arrays; any other outcome raises an error in the calling
+process.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ def _split_columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[s
 def running_integral(values: np.ndarray, over: np.ndarray) -> np.ndarray:
     """Compute the running trapezoidal integral (..., n) of ``values`` d ``over``.
 
-    It is zero at the first point.
+    The integral is zero at the first point.
     """
     steps = (values[..., 1:] + values[..., :-1]) / 2 * np.diff(over)
     start = np.zeros((*np.shape(steps)[:-1], 1))
@@ -111,7 +111,8 @@ def slope(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
     Points of ``over`` may be equal.
 
-    It is that of the parabola through three points, of the second order in their distance.
+    The derivative is that of the parabola through three points, which is accurate to second order
+    in their distance.
     """
     first = np.r_[True, np.diff(over) > 0]
     if first.sum() < 3:
@@ -337,7 +338,7 @@ def pulse(
 class RecordedWave(EqualByContent):
     """Smooth curve through ``values`` at ``times`` (n,), constant outside.
 
-    It consists of cubics (Akima, J. ACM 17, 589, 1970).
+    The curve consists of cubics (Akima, J. ACM 17, 589, 1970).
 
     Every 16th sample is a corner: no step of an integrator is longer than 16 samples, so that it
     cannot miss an event after a long rest.

@@ -90,7 +90,7 @@ class Network:
 def _evaluate_reading(
     item: Reading, waves: Mapping[str, np.ndarray], scale: np.ndarray
 ) -> np.ndarray:
-    """Return the values of one result; those of small signals have no constant part."""
+    """Return the values of one result; the values of small signals have no constant part."""
     value = item.combine(waves)
     if not np.iscomplexobj(value):
         return np.asarray(value + item.constant)

@@ -33,8 +33,8 @@ def replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
 
     * No part has a law.
     * There is no source of the kind of one of the nets.
-    * Real coils follow an elastic body. Their flux is nonlinear, so every step of the body's
-      ringing needs Newton's method, which takes hours.
+    * Real coils follow an elastic body. The flux of real coils is nonlinear, so every step of the
+    ringing of a body needs Newton's method, which takes hours.
     """
     result: dict[str, str] = {}
     pins_joined: dict[str, tuple[str, ...]] = {}

@@ -1,7 +1,7 @@
 """Products and solutions of dense matrices beyond double precision, by BLAS.
 
 In a badly conditioned matrix, slow motions depend on small differences of large numbers.
-Residuals in extended precision find it, so that results are those of the matrix that was given.
+Residuals in extended precision reveal this difference, so the results belong to the given matrix.
 
 Sources: matrix products without error, Ozaki, Ogita, Oishi and Rump, Numer. Algorithms 59 (2012)
 95; iterative refinement, Skeel, Math. Comput. 35 (1980) 817.

@@ -50,8 +50,8 @@ def require_bytes(need: float, purpose: str, *, where: str, hint: str) -> None:
 def require_factors(matrix: scipy.sparse.sparray | np.ndarray, *, definite: bool = False) -> None:
     """Compare the factors of a reduction with the memory that is free now.
 
-    These are one real and one complex factorisation, estimated up to five times too large for
-    plates. A ``definite`` model needs a Cholesky factor only, with half of the entries. With a
+    The factorisations are one real and one complex one; the estimate is up to five times too large
+    for plates. A ``definite`` model needs a Cholesky factor only, with half of the entries. With a
     supplied solver nothing is compared, because its needs are not known.
 
     Raises
@@ -156,7 +156,7 @@ Pair: TypeAlias = tuple[Factor, Factor]  # of a matrix and of its transpose
 def supernodal(matrix: scipy.sparse.csc_array, order: np.ndarray | None = None) -> Inverse:
     """Factorise ``A[p][:, p] = L L'`` of a real matrix by CHOLMOD in cvxopt.
 
-    The order ``p`` is that of minimum degree if it is None.
+    If the order ``p`` is None, the minimum degree order is used.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Factors of sparse matrices by PARDISO of the Intel Math Kernel Library (package ``mkl``).
 
 PARDISO factorises symmetric indefinite and complex symmetric matrices in half of the memory of an
-LU factor, and in a fraction of its time. Its library is called directly.
+LU factor, and in a fraction of its time. The functions of the library are called directly.
 
 Source: O. Schenk, K. Gaertner, Future Generation Computer Systems 20 (2004) 475.
 """

@@ -102,7 +102,9 @@ def solve_by(factor: Factorisation, matrix: Any, rhs: np.ndarray) -> np.ndarray:
 
 
 def _call(function: Callable[[Any], Any], argument: Any) -> Any:
-    """The result of a user's function, its errors as those of kc2spice."""
+    """Return the result of a function of the user, and convert its exceptions to errors of
+    kc2spice.
+    """
     try:
         return function(argument)
     except Kc2spiceError:

@@ -1,7 +1,8 @@
 """Two coils and fixed magnets around a moving magnet: one coenergy of height and currents.
 
 Magnetic materials are linear, so at each height it is a quadratic function of the currents, of the
-powers in :data:`kc2spice.core.magnets.POWERS`. Its slopes are the force and the flux linkages.
+powers in :data:`kc2spice.core.magnets.POWERS`. The derivatives of the coenergy are the force and
+the flux linkages.
 """
 
 from __future__ import annotations

@@ -103,14 +103,14 @@ def declare_contact(
 ) -> Declaration:
     """Declare a contact with the overlap ``u - bottom - gap`` at each of the ``ports``.
 
-    ``law`` is that of a whole ring; each ring has one of the ``gaps`` [m]. ``under`` is the radius
-    of a sphere above the rings, with the radii of the rings [m]. The gaps then follow from the
-    parameter ``radius`` as ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. A
+    ``law`` is the law of a whole ring; each ring has one of the ``gaps`` [m]. ``under`` is the
+    radius of a sphere above the rings, with the radii of the rings [m]. The gaps then follow from
+    the parameter ``radius`` as ``r^2 / (R + sqrt(R^2 - r^2))``, and ``gaps`` are added to them. A
     ``rigid`` side has the pins ``v`` and ``bottom`` (the first side ``va`` and ``a``). An elastic
     side has its ports, or ``b``. The displacement of a pin that a rigid side has ``carried`` is
     added. With friction ``slide`` moves over ``rail``. ``groove`` is the opening angle in degrees.
 
-    A pressure is that of the overlap times ``share`` of the radius that it was computed for.
+    The pressure is computed from the overlap times ``share``, for the radius of its computation.
     """
     high, low = ("a",) if rigid[0] else ports, "bottom" if rigid[1] else "b"
     constants = {name: repr(value) for name, value in law.numbers.items() if name != "eps"}

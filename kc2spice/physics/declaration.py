@@ -520,8 +520,8 @@ class Declaration:
     def direct_flow(self, branch: Branch) -> Tree:
         """Instantaneous flow through a branch.
 
-        It is the force without that of inertia, or the current without that of the charge. For a
-        branch of kind current it is the voltage without that of the flux.
+        The result is the force without inertia, or the current without the current of the charge.
+        For a branch of the kind current, the result is the voltage without the voltage of the flux.
         """
         if not branch.moves:
             return self._slope("content", branch.name)
@@ -537,7 +537,7 @@ class Declaration:
     def loss_coefficient(self, branch: Branch) -> Tree:
         """Damping, conductance or resistance of a branch for small signals.
 
-        It is zero for a flow of heat, which has no noise of this kind.
+        The coefficient is zero for a flow of heat, which has no noise of this kind.
         """
         if branch.domain.power == "through":
             return ZERO

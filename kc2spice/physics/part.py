@@ -419,8 +419,8 @@ def _step_work(
 ) -> np.ndarray:
     """Work (nt - 1,) in each step of forces (nt,) on displacements (nt - 1,).
 
-    It is that of their means. With ``jumps`` it may be that of the values at the end of the step,
-    if this is nearer to ``near``.
+    The work is the mean force times the change of the displacement. With ``jumps`` it may be that
+    of the values at the end of the step, if this is nearer to ``near``.
     """
     means, ends = np.zeros_like(near), np.zeros_like(near)
     for force, displacement in forces:

@@ -40,7 +40,7 @@ SLOW = 3e-8  # rate of a free body that only drifts, relative to its fastest rat
 class _BodyIntegrator:
     """Integrator of ``sum_k P_k d^k x/dt^k = B a`` with steps of fixed length.
 
-    It starts from rest with the initial input ``a`` (inputs,).
+    The body starts from rest with the initial input ``a`` (inputs,).
 
     Raises
     ------
@@ -85,7 +85,7 @@ class _BodyIntegrator:
 def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
     """Return the product with ``P(s)^-1`` at a real ``s``.
 
-    It uses a Cholesky factor if there is one.
+    The solver uses a Cholesky factor if one exists.
     """
     if pencil.symmetric:
         matrix = sparse.csc_array(pencil.at(s))
@@ -136,9 +136,9 @@ def integrate_steps(
 ) -> Steps:
     """Integrate ``count`` steps from ``first`` [s] on.
 
-    The laws begin in equilibrium, the bodies in that of t = 0, until ``first``. ``start_from``
-    converts the unknowns at the start to unknowns at ``first``, for laws that move before the
-    bodies move.
+    The laws begin in equilibrium; the bodies are in their equilibrium at t = 0 until ``first``.
+    ``start_from`` converts the unknowns at the start to unknowns at ``first``, for laws that move
+    before the bodies move.
 
     Raises
     ------

@@ -2,9 +2,9 @@
 
 Steps are those of Radau IIA of order five for ``d/dt g(t, z) = f(t, z)`` (Hairer and Wanner 1996,
 IV.8). ``scipy.integrate.Radau`` accepts no mass matrix, so algebraic unknowns would have to be
-eliminated. This is possible for index 1 only. Two inductors in series, or one behind a current
-source, are of index 2, and their elimination is singular. This method needs no elimination. Its
-steps carry ``g``, which conserves charge, flux and momentum.
+eliminated. This elimination is possible for index 1 only. Two inductors in series, or one behind a
+current source, are of index 2, and their elimination is singular. The implicit method needs no
+elimination. The steps of the method integrate ``g``, which conserves charge, flux and momentum.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _ERROR = np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1.0]) / 3.0
 _MAX_NEWTON = 8
 _ROUNDING = 0.1  # over the tolerance; a controller's derivative amplifies rounding to 100 nV
 _EPS = float(np.finfo(float).eps)
-_SPREAD = 3.0  # of rounding errors about their estimate, which is that of one set of random signs
+_SPREAD = 3.0  # factor on the estimate of rounding errors, which uses one set of random signs
 # Polynomials through the start and the stages, and through the stages alone.
 _CUBIC = np.linalg.inv(NODES[:, None] ** _POWERS)
 _SQUARE = np.linalg.inv(NODES[:, None] ** (_POWERS - 1))

@@ -27,7 +27,8 @@ from kc2spice.reference.equilibrium import Interval, equilibrium
 from kc2spice.reference.system import System, assemble_system
 
 _WORST_BASIS = 1e9  # condition of the eigenvectors beyond which modes say nothing
-_STILL = 1e-7  # a rate below this share of the largest is that of a body free to move
+# a rate below this fraction of the largest rate belongs to a body that is free to move
+_STILL = 1e-7
 ROUNDED = 1e-9  # remainder of cancelling terms of a wave, relative to the terms
 _FREE = 1e-7  # largest effect of the drives on a free body, relative to their total effect
 
@@ -423,7 +424,7 @@ def solve_noise(
 ) -> np.ndarray:
     """Compute the spectral density (nf,) of a reading at frequencies ``f`` [Hz].
 
-    Its unit is that of the reading per root Hz.
+    The unit of the density is that of the reading per root Hz.
 
     ``joins`` are those of :func:`kc2spice.reference.system.assemble_system`.
     """

@@ -35,12 +35,12 @@ class PlacedDevice:
     into: np.ndarray  # (n, k)
     stores: np.ndarray | None  # (n, stored), where the stored quantities are not the states
     states: np.ndarray  # their places among the unknowns
-    first: int  # place of its outputs among those of all devices
+    first: int  # position of the outputs of the device among those of all devices
 
     def evaluate(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
         """Compute the outputs (k,) for inputs ``e`` and their rate.
 
-        They contain the rates of charges.
+        The outputs contain the rates of charges.
         """
         law, result = self.law, self.law.evaluate_outputs(e, mode)
         if law.charged:
@@ -95,9 +95,9 @@ class System:
     def source_values(self, t: np.ndarray | float, within: float, order: int = 0) -> np.ndarray:
         """Evaluate derivatives of the sources, (2 sources,) or (2 sources, nt).
 
-        They are the derivatives of the ``order`` and of the next one.
+        The results are the derivatives of the ``order`` and of the next order.
 
-        They are those of the smooth pieces of the sources that contain the time ``within``.
+        The derivatives belong to the smooth pieces of the sources that contain the time ``within``.
         """
         result = []
         for k in (order, order + 1):
@@ -246,7 +246,7 @@ class _Assembly:
     def rate(self, form: np.ndarray, needed: bool = True) -> np.ndarray:
         """Convert a form of displacements to velocities.
 
-        They may be missing if they are not ``needed``.
+        Velocities that are not ``needed`` may be missing.
         """
         row = np.zeros(self.size)
         row[self.nq : 2 * self.nq] = form[: self.nq]
@@ -276,7 +276,7 @@ class _Assembly:
     def _constraint_basis(self, where: slice, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute a basis of unconstrained motions, and R of ``y = R s``.
 
-        Both are in units of ``sizes``.
+        The basis and R are in units of ``sizes``.
         """
         pairs = [(f[where] * sizes, by) for f, by in self.constraints if f[where].any()]
         R = np.zeros((sizes.size, len(self.sources)))

@@ -342,7 +342,8 @@ def _encode_numbers(values: np.ndarray) -> str:
 def _separate_equal(x: np.ndarray) -> np.ndarray:
     """Replace equal ones of ascending float32 numbers by the next larger numbers.
 
-    The bits of positive floats are ordered as integers are; those of negative ones descend.
+    The bits of positive floats have the order of integers; the bits of negative floats have the
+    reverse order.
     """
     bits = x.view("<i4").astype(np.int64)
     rank = np.where(bits < 0, -(bits & 0x7FFFFFFF), bits)
@@ -371,7 +372,8 @@ def _selected_points(panel: Panel) -> list[np.ndarray]:
 def _thin_points(y: np.ndarray, count: int) -> np.ndarray:
     """Return the indices of about ``count`` points that show all peaks and corners.
 
-    These are the extremes of each stretch of points, and both sides of the largest jumps and gaps.
+    The selected points are the extremes of each group of points, and both sides of the largest
+    jumps and gaps.
     """
     if y.size <= count:
         return np.arange(y.size)

@@ -42,7 +42,7 @@ def compute_yields(table: Table, keys: Sequence[str]) -> dict[str, dict[str, flo
     """Return the share of true points of each flag, with its confidence interval.
 
     A failed point counts as false. The interval is exact (Clopper and Pearson, 1934): it covers at
-    least ``confidence``. It describes the population only if the keys were random.
+    least ``confidence``. The yield describes the population only if the keys were random.
     """
     result = {}
     for name, column in table.items():

@@ -269,8 +269,8 @@ def partial_waves(
 def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the results in SI by name, the scale first.
 
-    The scale is called ``time``, ``frequency`` or ``sweep``. It is in SI too: a swept displacement
-    is in metres, although its source counts um.
+    The scale is called ``time``, ``frequency`` or ``sweep``. The scale is in SI units as well: a
+    swept displacement is in metres, although the source uses um.
 
     Raises
     ------
@@ -400,7 +400,7 @@ class RetriesFailedError(SimulationError):
 
 
 def _join_suggestions(violated: Iterable[Check]) -> dict[str, Any]:
-    """Return the keys that cure the violated checks, except those of long steps.
+    """Return the keys that correct the violated checks, except checks of long steps.
 
     The result is empty if no keys cure one of these checks.
     """

@@ -247,7 +247,7 @@ class _Plot(NamedTuple):
     def finite(self) -> np.ndarray:
         """Mask of the rows with finite numbers only.
 
-        Of the scale, the first column, only the real part counts, because ngspice does not
+        In the first column, the scale, only the real part is used, because ngspice does not
         initialise the imaginary part of a frequency."""
         return np.isfinite(self.table[:, 0].real) & np.isfinite(self.table[:, 1:]).all(axis=1)
 

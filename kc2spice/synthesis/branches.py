@@ -11,7 +11,7 @@ from kc2spice.netlist.elements import Line
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
-# Current through the leak at the lowest frequency of the band, relative to that of the part.
+# Current through the leak at the lowest frequency of the band, relative to the current of the part.
 LEAK_SHARE = 1e-9
 ABOUT = (
     "* Passive one-port: every branch between the two pins is R, L and C in series.",

@@ -2,8 +2,8 @@
 
 The circuit is the tree of the library's own text, solved by nodal analysis
 (:mod:`kc2spice.netlist.nodal`) over the model's whole band: the lowest frequency, a grid, every
-resonance with its flanks, and again where the error is largest. The error estimate of a library
-is that of its model and this one together.
+resonance with its flanks, and again where the error is largest. The error estimate of a library is
+the sum of the error estimate of its model and this error.
 """
 
 from __future__ import annotations
@@ -160,8 +160,8 @@ def _mass(model: LinearModel, port: Port) -> float:
 def reaction_mass(model: LinearModel, port: Port) -> float:
     """Return the mass [kg] that an acceleration pin moves.
 
-    It is the mass of the body if the model contains it. Otherwise it is that of the states, by
-    ``y'' = C A B a`` at high frequency.
+    The result is the mass of the body if the model contains it. Otherwise the result is the mass of
+    the states, by ``y'' = C A B a`` at high frequency.
     """
     known = model.facts.get("mass_kg")
     if known is not None:
@@ -250,7 +250,8 @@ def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> N
 def rounding(model: LinearModel, frequency: float) -> float:
     """Return the relative change of a response by rounded matrices.
 
-    It is the largest change of any entry in :data:`PERTURBED` random roundings of the matrices.
+    The result is the largest change of any entry in :data:`PERTURBED` random roundings of the
+    matrices.
     """
     random = np.random.default_rng(0)
     unit = np.finfo(float).eps

@@ -45,8 +45,8 @@ def paragraph(text: str) -> list[str]:
 def rom_lines(reduction: ReductionFacts, certificate: Certificate) -> tuple[str, ...]:
     """Return comment lines about a reduced model and its error estimate.
 
-    The lines also give the error of the emitted circuit and the errors above the band. They state
-    stability and passivity if one of these is not proven.
+    The lines also give the error of the emitted circuit and the errors above the band. The lines
+    state stability and passivity if one of the two is not proven.
     """
     errors = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
     compliance = f", compliance off by {', '.join(errors)}" if errors else ""
@@ -79,7 +79,7 @@ def part_header(
 ) -> tuple[str, ...]:
     """Return all comment lines above ``.subckt``.
 
-    These are the title, an instance to copy, the origin, and facts of a reduced model. Sign,
+    The lines are the title, an instance to copy, the origin, and facts of a reduced model. Sign,
     validity and rating follow, then one line for each pin and each parameter. ``title`` is
     ``NAME: what it is``.
     ``mesh`` is the error estimate of the mesh in words. ``sign`` is for parts with mechanical pins.

@@ -48,8 +48,8 @@ class HeatModes:
     """Modes of a heat model.
 
     ``resistance`` [K/W] and ``capacity`` [J/K] (modes,) are thermal. ``share`` (modes, ports) is
-    the share of the mode's temperature in that of the port. ``direct`` (ports, ports) [K/W] are
-    resistances without a heat capacity.
+    the contribution of the temperature of the mode to the temperature of the port. ``direct``
+    (ports, ports) [K/W] are resistances without a heat capacity.
     """
 
     resistance: np.ndarray
@@ -67,9 +67,9 @@ def is_heat(model: LinearModel) -> bool:
 def heat_modes(model: LinearModel) -> HeatModes:
     """Return the modes of a heat model that a port excites, slowest first.
 
-    If K is positive definite, the modes are those of ``E x = t K x`` with the time constants t.
-    Their static shares determine a network at rest. Otherwise nothing leads the heat of some modes
-    away, and a leak replaces the resistance of these modes.
+    If K is positive definite, the modes are those of ``E x = t K x`` with the time constants t. The
+    static contributions of the modes determine a network at rest. Otherwise nothing leads the heat
+    of some modes away, and a leak replaces the resistance of these modes.
 
     Raises
     ------

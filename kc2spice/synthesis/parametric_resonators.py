@@ -1,7 +1,7 @@
 """Resonators that depend on parameters, as one subcircuit with these parameters.
 
-Their numbers are ``.param`` expressions. A simulator evaluates them once, when it expands the
-subcircuit, so that a run takes no longer than with other resonators.
+The numbers of the elements are ``.param`` expressions. A simulator evaluates them once, when it
+expands the subcircuit, so that a run takes no longer than with other resonators.
 """
 
 from __future__ import annotations
@@ -193,8 +193,8 @@ def _sample_range(
 def _range_stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
     """Yield resistors that stop the simulator if a parameter is out of range.
 
-    A resistor has an ohm within the range of its parameter, and no number outside. Its name is the
-    message.
+    A resistor has an ohm within the range of its parameter, and no number outside. The name of the
+    resistor is the message.
     """
     for k, p in enumerate(parameters, 1):
         words = f"{p.name}_must_be_{p.low:.6g}_to_{p.high:.6g}"
@@ -339,7 +339,7 @@ class _PortsAndModes:
         self.electrodes = list(filter(attrgetter("port.charged"), terminals))
 
     def lines(self) -> Iterator[Line]:
-        """Yield the elements of the ports, then those of the states."""
+        """Yield the elements of the ports, then the elements of the states."""
         ports = [self._connect(k, t) for k, t in enumerate(self.terminals)]
         yield from port_lines(ports, self.base, self.weights.share)
         at = 0

@@ -320,7 +320,7 @@ def subcircuit(
     ports, ``base`` (their reference) and the signal pins; a model of signals alone has ``ref``.
     A displacement or rotation pin is conservative: its value equals the sum over the states, and
     the force on that pin drives the states. An acceleration pin shakes the frame and draws the
-    force that this takes. Port laws and passivity are those of the model.
+    force that this takes. The subcircuit has the port laws and the passivity of the model.
 
     A measured one-port becomes its resistors, inductors and capacitors
     (:mod:`kc2spice.rom.network`). A symmetric definite model with modal damping becomes decoupled
@@ -523,7 +523,7 @@ def _decouple_states(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
 def _decouple_modes(rom: LinearModel) -> Resonators | None:
     """Return the model as resonators, or None if it has no such form.
 
-    It has none either if a port needs the velocity of a state without inertia.
+    The result is also None if a port needs the velocity of a state without inertia.
     """
     result = resonators(rom)
     if result is None or not _is_conservative(rom):
@@ -594,7 +594,7 @@ def _capacitance(domain: Domain | None, stored: Any) -> float:
 def _leak_conductance(rom: LinearModel, port: Port) -> float:
     """Return the conductance [S] across an electrode without a clamped capacitance.
 
-    It is ``LEAK_RATE`` times the least charge per volt of the electrode in the band.
+    The conductance is ``LEAK_RATE`` times the least charge per volt of the electrode in the band.
     """
     low, high = model_band(rom)
     frequency = np.geomspace(max(low, LOWEST * high), high, LEAK_POINTS)
