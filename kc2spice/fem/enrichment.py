@@ -34,8 +34,8 @@ from skfem.mesh import MeshQuad, MeshTet
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import FLAT, VOIGT, Solid, tensors
 
-ORDER = 7  # of integration: exact for the mass of straight cubic elements of revolution
-BYTES = 64e6  # of the element matrices that are handled at once
+ORDER = 7  # order of integration, exact for the mass of straight cubic elements of revolution
+BYTES = 64e6  # bytes of the element matrices that are computed at once
 AFFINE = 1e-9  # relative change of the derivatives within an element that counts as rounding
 
 

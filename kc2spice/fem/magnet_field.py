@@ -44,8 +44,8 @@ from kc2spice.core.quantities import MU_0
 from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.linalg.factor import Factor, supernodal
 
-COMPARED = 5  # heights at least that are solved on a mesh half as fine
-RING, SPHERE, LOWER, UPPER = range(4)  # columns of loads and of the fields that they make
+COMPARED = 5  # least number of heights that are also solved on a mesh half as fine
+RING, SPHERE, LOWER, UPPER = range(4)  # columns of loads and of their fields
 # Mesh sizes at refine = 1 as fractions of the sphere's radius, and growth per distance. They put
 # the force within 1e-5 of its maximum. The parts' surroundings matter most: an uneven mesh in the
 # far field of the sphere makes it push itself.
@@ -67,7 +67,7 @@ def catch_table(
     """
     positions = count_compared_positions(catch.positions)
     settings = {"refine": catch.refine / 2, "positions": positions}
-    rough = catch.model_copy(update=settings)  # whose fineness no key may have
+    rough = catch.model_copy(update=settings)  # finer than any key permits
     return replace(_sweep_heights(catch, radius, progress), coarser=_sweep_heights(rough, radius))
 
 

@@ -22,9 +22,9 @@ from kc2spice.core.errors import wrong
 from kc2spice.core.mesh_error import MESH_ERROR
 from kc2spice.core.quantities import MU_0
 
-NODES = 40  # heights at which the couplings are computed, Chebyshev's
+NODES = 40  # number of Chebyshev heights at which the couplings are computed
 FINE = 24  # divisions of a coil's longer side, for its own inductance
-POINTS = 16  # along it, for that with others
+POINTS = 16  # divisions along the longer side, for the mutual inductance
 SLIVER = 0.02  # share of a cell's section; a ring with less carries no current
 NEAR = 4  # cells from the axis
 GAUSS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points of a section, relative to its side
@@ -36,7 +36,7 @@ LAYERS = 3.0  # layers of rings per skin depth at the surface, with USUAL rings
 GROWTH = 1.35  # ratio of the thickness of a layer to that of the layer above
 # largest number of rings of a sphere, whose skin has no layers, if 400 rings are requested
 SKINNED = 1500
-MOST = 3000  # and with more: dense matrices of 70 MB each
+MOST = 3000  # largest number of rings, with dense matrices of 70 MB each
 # numbers of heights and frequencies at which loops are compared with loops of finer rings
 PLACES = 5
 STEP = 1e-4  # step of a numerical slope, relative to the range of heights
@@ -497,7 +497,7 @@ def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -
     ``tolerance``.
     """
     c = _chebyshev_fit(nodes, values)
-    order = np.arange(nodes.size)[:, None, None] ** 2  # slope of a Chebyshev polynomial, at most
+    order = np.arange(nodes.size)[:, None, None] ** 2  # largest slope of a Chebyshev polynomial
     size = np.abs(chebyshev.chebval(nodes, chebyshev.chebder(c))).max(axis=(1, 2))
     tails = np.cumsum((order * np.abs(c))[::-1], axis=0)[::-1].max(axis=2) / size
     degree = next(

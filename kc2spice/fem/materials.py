@@ -66,7 +66,8 @@ _FREE = {
     "orthotropic": ("11 12 13 22 23 33 44 55 66", "31 32 33 15 24"),
 }
 _DERIVED_66 = ("hexagonal", "trigonal")  # c66 = (c11 - c12)/2, s66 = 2 (s11 - s12)
-# Ways to state one thing; who states one of them takes no other from the material that it is like.
+# Groups of keys that state the same property; a table with one of them inherits no other key of the
+# group.
 _ALTERNATIVES = (
     (("youngs_modulus", "poisson_ratio", "shear_modulus"), ("stiffness",), ("compliance",)),
     (("stress_coupling",), ("strain_coupling",)),

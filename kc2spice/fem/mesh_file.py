@@ -33,7 +33,7 @@ from kc2spice.core.quantities import quantity
 from kc2spice.core.untrusted_files import call_in_child, read_bounded
 
 STEP = (".step", ".stp")
-# How each file must begin, and the name under which gmsh gets it.
+# First bytes of each format, and the file name that gmsh receives.
 FORMATS = {
     ".msh": (b"$MeshFormat", "mesh.msh"), ".brep": (b"DBRep_DrawableShape", "mesh.brep"),
     ".step": (b"ISO-10303-21;", "mesh.step"), ".stp": (b"ISO-10303-21;", "mesh.step"),
@@ -43,7 +43,8 @@ _HEAD = 200  # first bytes of a file, which identify its format
 LENGTHS = ("m", "cm", "mm", "um")  # units accepted for a file without a unit
 COINCIDENT = 1e-3  # distance of coincident nodes, relative to the shortest edge
 MILLIMETRE = 1e-3  # m; unit to which STEP files are converted
-# By corners of a cell: its meshes, and its edges in the order of gmsh's nodes in their middles.
+# By the number of corners of a cell: mesh classes, and edges in the order of the middle nodes in
+# gmsh.
 _CURVED = {
     4: (MeshTet, MeshTet2, ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1))),
     3: (MeshTri, MeshTri2, ((0, 1), (1, 2), (2, 0))),
@@ -334,7 +335,7 @@ def merge_nodes(
     ------
     UsageError : the distance collapses an edge of an element.
     """
-    from scipy.spatial import cKDTree  # late: few meshes need it
+    from scipy.spatial import cKDTree  # imported here, because few meshes need it
 
     used = np.unique(np.concatenate([*map(np.ravel, blocks)]))
     pairs = used[cKDTree(points[used]).query_pairs(distance, output_type="ndarray")]
@@ -382,7 +383,8 @@ def require_joined(
     ------
     UsageError : nodes at one place, or nodes of one piece on the surface of another.
     """
-    from scipy.spatial import cKDTree  # late: quick, yet nothing that a scene without mesh loads
+    # imported here, so that a scene without a mesh does not load it
+    from scipy.spatial import cKDTree
 
     near = COINCIDENT * _shortest_edge(points, blocks, corners)
     used = np.unique(np.concatenate([*map(np.ravel, blocks)]))

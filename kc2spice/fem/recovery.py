@@ -30,10 +30,13 @@ from scipy.sparse.csgraph import connected_components
 from kc2spice.fem.solid import Solid, strains, tensors
 
 CHUNK = 1000  # elements or corners handled at once: bounds the memory
-# Squared size, beside the mean of a fit's normal matrix, that a coefficient of first degree costs;
-# one of degree p costs p^2 times that. It decides where the points do not.
+# Penalty on the squared coefficients of first degree, relative to the mean of the normal matrix of
+# a fit; coefficients of degree p have p^2 times this penalty. It determines coefficients that the
+# points do not determine.
 RIDGE = 1e-6
-ELSEWHERE = 0.5  # squared distance from a patch's middle, in its own size, that a neighbour costs
+# squared distance from the middle of a patch, relative to its size, by which a neighbour is
+# penalised
+ELSEWHERE = 0.5
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,11 +16,11 @@ from kc2spice.rom.rounding import FREE
 
 MODES = 5
 SMALL = 200  # equations up to which all poles are computed
-BEYOND = 1.1  # the band ends a little past the mode, not on it
+BEYOND = 1.1  # the band ends a little above the mode
 SHIFT = 1e-6  # shift of models with massless unknowns, relative to the largest rate
-RIGID_SHIFT = 1e-9  # the same, where a Lanczos method separates elastic from rigid-body modes
+RIGID_SHIFT = 1e-9  # relative shift if a Lanczos method separates elastic from rigid-body modes
 MASSLESS = 1e-13  # inertia that is zero, relative to the largest
-BODY = 7  # rigid-body modes of one solid, and one more
+BODY = 7  # number of rigid-body modes of one solid, plus one
 CLOSE = 1e-9  # relative error of eigenvalues of the shifted inverse
 
 

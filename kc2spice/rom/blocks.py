@@ -27,7 +27,7 @@ GROWTH = 1e3
 MORE = 1e5, 1e7, 1e9
 WIDE = 4  # states of the largest block with which any bound is good enough
 KEPT, SHARE = 1e-9, 1e-2  # relative change of a response by a larger bound; of a certified error
-POINTS = 40  # frequencies at which that is looked for
+POINTS = 40  # number of frequencies at which the response is compared
 SAME = 1e-13
 
 

@@ -49,11 +49,11 @@ PATIENCE = 2  # successive elements below GAIN that end the search
 POOR_PATIENCE = 5  # elements of this kind while the deviation is above POOR
 POOR = 0.2  # relative deviation (rms) of a part of another form
 QUALITIES = (5.0, 30.0, 200.0, 1500.0)  # Q factors from which a resonance starts
-LEAD_SHARES = (1e-3, 0.03, 0.5)  # of the largest lead, from which one starts
+LEAD_SHARES = (1e-3, 0.03, 0.5)  # fractions of the largest lead resistance at which searches start
 PER_DECADE = 2  # time constants from which a relaxation or an inductance starts
 CHOSEN, FINAL = 100, 400  # most evaluations: for each sum of branches, and for the final fit
-AS_GOOD = 2.0  # difference of the criterion that decides nothing (Kass and Raftery, 1995)
-OUTSIDE = 3.0  # times the band's end: a frequency whose resonance is a simpler element in it
+AS_GOOD = 2.0  # difference of the criterion without significance (Kass and Raftery, 1995)
+OUTSIDE = 3.0  # factor on the end of the band: a resonance above is a simpler element in the band
 SLOWEST = 1e4  # longest time constant by the period, per radian, of the lowest frequency
 LARGEST_Q = 1e7  # Q factor of a resonance whose loss the samples do not show
 

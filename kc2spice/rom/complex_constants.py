@@ -122,7 +122,7 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
     UsageError : modes without inertia, or a loss so large that the instantaneous capacitance is not
         positive.
     """
-    from scipy.linalg import block_diag  # here, as the command line loads this module
+    from scipy.linalg import block_diag  # imported here, because the command line loads this module
 
     known, n = model.certificate, model.order
     assert known is not None

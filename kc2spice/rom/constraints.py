@@ -66,7 +66,7 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
         return pencil
     Z, rank = null_basis(G)
     if Z.shape[1] == 0 or _exceeds_rounding(Z.T @ L, L):
-        return pencil  # the multipliers push against other unknowns than they hold
+        return pencil  # the multipliers load other unknowns than those that they constrain
     observed = pencil.C[:, row].any()
     if observed and rank < len(row):
         return pencil

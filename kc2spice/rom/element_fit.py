@@ -23,14 +23,14 @@ from kc2spice.rom.network import CircuitBranch
 
 ENOUGH = 1e-5  # deviation (rms) below that of every instrument
 ABOVE_ROUNDING = 1.5  # times the effect of rounded frequencies
-HALF = 0.6  # of the last digit: a difference that rounding makes, from a fitted grid
+HALF = 0.6  # fraction of the last digit: largest rounding error relative to a fitted grid
 FLOOR = 1e-6  # relative deviation that no element has to describe
 TRIAL = 40  # evaluations of a sum of elements to choose one
 CONVERGED = 1e-12  # relative change of the least squares and of the parameters
 LARGEST_LOG = 150.0  # logarithm of a parameter: beyond every part, within the float range
-DC_WEIGHT = 1e4  # samples that one stated resistance at zero frequency counts as
+DC_WEIGHT = 1e4  # weight of a stated resistance at zero frequency, in samples
 CAPACITIVE = np.tan(np.deg2rad(45))  # B/G at the lowest frequencies of a part that blocks dc
-LOWEST = 5  # samples whose mean decides that
+LOWEST = 5  # number of lowest samples whose mean phase is used
 Logs = tuple[float, ...]
 Response = tuple[np.ndarray, list[np.ndarray]]  # Y (n,), dY / dlog p (n,) of every parameter
 
@@ -80,7 +80,7 @@ PARALLEL: dict[str, Callable[[np.ndarray, np.ndarray], Response]] = {
 LEADS = {"lead resistance": _resistor_response, "lead inductance": _capacitor_response}
 FORMS = PARALLEL | LEADS
 CONDUCTING = ("conductance", "inductive")
-# Forms that an element has where its time constants lie outside of the band.
+# Simpler forms of an element whose time constants lie outside of the band.
 SIMPLER = {
     "conductance": (),
     "capacitance": (),

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Errors of entries this far below their own peak count against this part of the peak.
+# Errors of entries this far below their own peak are relative to this part of the peak.
 FLOOR = 1e-6
 # An entry this far below the geometric mean of its row and column is zero. Rounding leaves about
 # eps times the Q factor of the resonance, 2e-13 for a Q factor of a thousand.

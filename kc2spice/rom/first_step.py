@@ -36,7 +36,7 @@ from kc2spice.rom.rounding import (
 )
 from kc2spice.rom.stability import is_dissipative
 
-# Unknowns up to which a model is turned into its modes with 19 digits: a limit of the work.
+# Unknowns up to which a model is converted to its modes with 19 digits: a limit of the work.
 EXTENDED = 500
 # Largest models that are used without samples: limits of the work. Chosen by trial.
 WHOLE_DECOUPLED = 1300  # unknowns of decoupled models
@@ -75,14 +75,14 @@ def intermediate_model(
             try:
                 return sampled_model(full, band, target, limit)
             except SimulationError:
-                pass  # free to move at zero frequency, or with too many resonances
+                pass  # the model is free to move at zero frequency, or has too many resonances
         if inaccurate is not None:
             raise inaccurate
         if complete is not None:
             return _restore_units(pencil, band, complete)
     if (result := _build_definite_model(pencil, band, target, limit, deflated)) is not None:
         return result
-    if expects_cholesky(pencil):  # its memory was checked for a Cholesky factor only
+    if expects_cholesky(pencil):  # the memory was checked for a Cholesky factor only
         require_factors(pencil.bordered(1.0, 1.0, 1.0))
     scaled = pencil.scaled(2 * np.pi * band[1])
     states = pencil.degree * pencil.size

@@ -218,7 +218,7 @@ def read_rom(path: Path | str) -> LinearModel:
     try:
         matrices, record = _read_npz(path) if path.suffix == ".npz" else _read_family(path)
         return _build_model(matrices, json.loads(record))
-    except Exception as error:  # damaged bytes make the parsers raise nearly anything
+    except Exception as error:  # damaged bytes cause nearly any exception in the parsers
         raise UsageError(
             "is not a reduced model",
             where=str(path),

@@ -203,7 +203,8 @@ class LinearModel:
     basis: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        put = object.__setattr__  # frozen: this is the constructor
+        # the dataclass is frozen, so the constructor sets attributes in this way
+        put = object.__setattr__
         _set_structural(self)
         if self.M is self.A is None and self.E is not None and self.K is not None:
             put(self, "A", negate(_require_matrix(self.K, "K", self.name))), put(self, "K", None)

@@ -137,7 +137,7 @@ def resonators(rom: LinearModel) -> Resonators | None:
     if (np.abs(damping - np.diag(damp)) > COUPLING_LIMIT * scale).any():
         return None
     gain = phi.T @ rom.B
-    # A mode has no sign of its own; this one makes the same model the same netlist everywhere.
+    # The sign of a mode is arbitrary; this choice gives the same netlist on every machine.
     gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
     return Resonators(1 / np.sqrt(mu), damp, gain, rom.D, rom.ports, rom.certificate)
 
@@ -231,8 +231,8 @@ AT_REST = 1e-3  # change of a response at the end of the band, over the static c
 # damped kick follow. Launches of a chip damped by 0.01 % move by 1.2e-3, a quarter of their
 # distance to the full model on finer rings and towards it; the time points become a third.
 RINGING_SHARE, RINGS = 1e-2, 0.02
-FAR = 2.0  # times the band's end: no lower mode answers at once
-EQUAL = 1e-9  # relative difference of relaxation times that is none
+FAR = 2.0  # factor on the end of the band: lower modes do not respond instantaneously
+EQUAL = 1e-9  # relative difference of equal relaxation times
 RANK = 1e-12  # relative limit of a zero singular value: no port moves this combination of modes
 
 
@@ -407,7 +407,7 @@ def _oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, 
     half = np.sqrt(damp.astype(complex) ** 2 / 4 - omega**2)
     half = np.where(np.abs(half) < 1e-4 * omega, 1e-4 * omega, half)
     fast = -damp / 2 - half
-    # their sum would lose the slow one of a mode damped hard
+    # the sum of both roots would lose the slow root of a strongly damped mode
     return np.where(fast.imag == 0, omega**2 / fast, fast.conj()), fast
 
 

@@ -44,13 +44,16 @@ MOST_DETERMINED = 0.25  # parameters by numbers in the samples; more describe th
 EDGE = 1e-3  # least distance of the start of least squares from a bound, relative
 MOST = 60  # poles, pairs counted once
 STATES = 48  # states of all poles; passivity enforcement needs time as their sixth power
-NOISE, ENOUGH = 1.2, 1e-5  # times the noise of the data, or of the largest: a good fit
-GAIN, PATIENCE = 0.1, 2  # three poles more take that share of the deviation, or two times not
-CLOSE = 1.2  # times the deviation without passivity: a passive fit as good as any
+# factor on the noise of the data, or fraction of the largest value: a good fit
+NOISE, ENOUGH = 1.2, 1e-5
+# least reduction of the deviation by three further poles, and number of smaller reductions that end
+# the search
+GAIN, PATIENCE = 0.1, 2
+CLOSE = 1.2  # ratio to the deviation without passivity below which a passive fit is accepted
 POOR = 0.2  # deviation, relative to the largest value, of data without a rational fit
 ROUNDING = 1e-6  # rounding error of an optimum at the limit of passivity
 MOST_SHRUNK = 0.1  # by which a fit may exceed the passive range; its deviation decides
-INSIDE = 1e-7  # below one, of the largest singular value that counts as passive
+INSIDE = 1e-7  # distance below one of the largest singular value of a passive model
 
 
 def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> LinearModel:
@@ -380,7 +383,7 @@ def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray)
         U, size, Vh = np.linalg.svd(residue)
         rank = int(np.sum(size > 1e-9 * size[0])) if size[0] > 0 else 0
         into, out = Vh, U * size
-        if rank == ports:  # each input its own states: the fewest entries
+        if rank == ports:  # each input has its own states, which gives the fewest entries
             into, out = np.eye(ports), residue
         for column in range(rank):
             c, b = out[:, column], into[column]

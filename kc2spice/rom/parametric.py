@@ -29,7 +29,7 @@ DENSE = 700  # unknowns up to which all modes are as fast as a few
 ABOVE = 2.0  # times the band, up to which modes are kept
 LEAST = 10  # modes
 DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # degree by number of parameters; 2 for more
-STEP = 2  # degrees more, once these are too few for the width of the ranges
+STEP = 2  # increase of the degree if it is too low for the width of the ranges
 HIGHEST = {1: 10, 2: 9, 3: 6}  # degree, of 11, 55 and 84 full models
 # A column is dropped if the square of its addition to the others is less than this share of the
 # largest. With 1e-12 a thin plate, whose stiff motions have 1e8 times the energy, has an error of
@@ -306,7 +306,8 @@ def _modes_and_statics(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
     inverse = pencil.pencil_solver(square)
     _, V = natural_modes(pencil, ABOVE * top, square, inverse)
     still = inverse.solve(pencil.B)
-    still = np.column_stack([still, inverse.solve(M @ still)])  # and how it changes with s^2
+    # and the derivative with respect to s^2
+    still = np.column_stack([still, inverse.solve(M @ still)])
     for _ in range(2):
         still = still - V @ (V.T @ (M @ still))
     return np.column_stack([V, still])

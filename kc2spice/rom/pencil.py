@@ -212,7 +212,8 @@ def congruence(
 
 # A pole this far beyond the reference frequency belongs to a massless or algebraic equation.
 INFINITE = 1e10
-REGULAR = 1e6  # condition of an inertia that may be divided by: ten times as fast as a pencil
+# largest condition of an inertia that is inverted, which is ten times as fast as a pencil
+REGULAR = 1e6
 BATCH_BYTES = 8e6  # size of the matrices that are solved at once
 
 
@@ -469,7 +470,8 @@ class Pencil:
         B = t[:, None] * self.B
         C = B.T.copy() if self.collocated else self.C * t
         result = Pencil(parts, B, C, self.D, self.rayleigh)
-        if self.symmetric:  # no scale of the unknowns changes it, and a test takes a transposition
+        # scaling of the unknowns preserves symmetry, and a test would need a transposition
+        if self.symmetric:
             result.symmetry.get(lambda: True)
         return result
 

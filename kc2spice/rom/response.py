@@ -24,7 +24,8 @@ SHARPEST = 1e-7
 FLANK = 1e-4
 VISIBLE = 1e-10  # least term of a visible pole, relative to the entry
 VISIBLE_GRID = 50  # frequencies that give the peaks of entries
-CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])  # half widths around a resonance
+# distances from a resonance in half-widths
+CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])
 GRID = 200  # frequencies of each grid of a band, linear and logarithmic. Chosen by trial.
 # Sizes between which eigenvectors are computed. Chosen by trial.
 FEW = 12  # unknowns
@@ -223,7 +224,7 @@ def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
         inner = np.linalg.solve(rest + shift * inertia, np.hstack([inertia, extended.B]))
         values, X = np.linalg.eig(shift * inner[:, : extended.size])
         inverse = np.linalg.inv(X)
-        with np.errstate(over="ignore"):  # of eigenvectors that are no basis
+        with np.errstate(over="ignore"):  # eigenvectors that form no basis cause overflow
             condition = np.linalg.norm(X) * np.linalg.norm(inverse)
         if not condition <= DEFECTIVE:
             return None

@@ -25,16 +25,17 @@ from kc2spice.rom.pencil import (
     largest_entry,
 )
 
-ROUNDING = 8.0  # times n eps of the largest: a stiffness, a damping or a coupling that is zero
+# factor on n eps of the largest entry: smaller stiffness, damping or coupling counts as zero
+ROUNDING = 8.0
 # Poles of a first-order model below these shares of the band's end: zero but for rounding, which
 # leaves half of the digits of a pair, and a free motion that something slows down.
 ZERO, SLOW = 1e-6, 1e-2
 # times the change of an energy by random rounding of the entries: larger values are energies
 RANDOM = 30.0
-ABOVE_RANDOM = 4.0  # the same: an energy that is hardly rounding
+ABOVE_RANDOM = 4.0  # factor on the random rounding: larger energies are no rounding errors
 FAR = 100.0  # times the resonance of a support: at this frequency the response changes by 1e-4
 SURELY = 10.0  # times the limit of a singular matrix: larger values belong to regular matrices
-DEPENDENT = 1e-9  # rates per band's end: a chain of integrators in first order
+DEPENDENT = 1e-9  # rates relative to the end of the band of a chain of integrators in first order
 # bounds on the rounding error of the entries of each coefficient
 Rounding: TypeAlias = tuple[np.ndarray, ...]
 

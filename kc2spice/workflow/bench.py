@@ -46,7 +46,7 @@ from kc2spice.workflow.simulate import Run
 
 ERROR = 1e-4
 NOTCHES = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)  # refinement steps of each axis, coarse to fine
-CHECK, REFERENCE = 1.5, 2.0  # notches of the run that checks the reference; of the reference
+CHECK, REFERENCE = 1.5, 2.0  # notches of the run that checks the reference, and of the reference
 MOST_POINTS = 80
 LARGEST_CHANGE = 1e-2  # largest relative change of a converged metric at the finest settings
 SLOW = 5.0  # times the CPU time of the scene's settings; a slower setting is timed once
@@ -88,7 +88,7 @@ class _Plane:
 
     def __init__(self, run: Run) -> None:
         finer, finest = find_axes(run.build), find_finest_axes(run.build)
-        # a mesh costs the simulator no time
+        # a finer mesh needs no time in the simulator
         self.axes = list(filterfalse(attrgetter("model"), (*finer, *finest)))
         self.finest = [axis.name for axis in finest if not axis.model]
         self.runs = Runs(run, finer, Clock(), finest=finest, retries=0, most=np.inf)

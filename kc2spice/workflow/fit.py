@@ -49,18 +49,21 @@ from kc2spice.workflow.sweep.grid import parse_value
 
 SPREAD, LOSSES = 1.3, 10.0  # range of a key over its value: ceramics vary by 30 %, losses by tens
 _LOSSY = re.compile(r"damping|quality|ratio|loss")
-LEAST_NOISE = 1e-3  # relative: the error of the mesh, which data may be better than
-DRAWS, STARTS = 64, 4  # points of the ranges that are looked at; descents, the scene's values first
+# least relative noise: the error of the mesh, which may exceed the noise of the data
+LEAST_NOISE = 1e-3
+# random points of the ranges that are evaluated; number of descents, the first from the values of
+# the scene
+DRAWS, STARTS = 64, 4
 NARROWER, NARROW = 0.25, 0.01  # ratio of successive widths of a range; least width, in logarithms
 DEGREE = 3  # degree of polynomials in a narrow range
 ROUNDS, CORRECTIONS = 8, 4  # successive ranges; mesh corrections in each range
-SETTLED = 0.1  # standard errors that the mesh would still move the values by
+SETTLED = 0.1  # largest remaining change of the values by the mesh, in standard errors
 STEP = 1e-5  # step of finite differences, in logarithms of values
 FAR = 0.5  # rms misfit relative to |Y|; above: another resonance matched, or another part
-APART = 2.0  # times the cost of the best end: another minimum
+APART = 2.0  # ratio to the least cost above which another minimum counts as worse
 PROMINENT, ABOVE_NOISE = 0.005, 8.0  # least peak, over the largest conductance; over the noise
 AT_REST = 1e-3  # static frequency, relative to the lowest frequency of the data
-TANGENT = "damping.loss_tangent"  # which no finite element model has
+TANGENT = "damping.loss_tangent"  # no finite-element model contains this key
 MECHANICAL = {f"damping.{key}" for key in ("quality", "ratio", "ratio[0]", "loss_factor")}
 LOSS_FACTORS: dict[str, Callable[[float], float]] = {
     "damping.quality": lambda value: 1 / value,
@@ -145,7 +148,8 @@ def fit(
     45.000
     """
     loaded = load_scene(scene)
-    loaded.part(part, "SCENE:PART")  # before the data: a misspelt part is the first mistake
+    # checked before the data, so that a misspelt part is reported first
+    loaded.part(part, "SCENE:PART")
     resistance = shunt_resistance(shunt)
     if isinstance(data, MeasuredAdmittance) and resistance is not None:
         problem = "applies to a file of gain and phase"

@@ -25,7 +25,7 @@ from kc2spice.scene.settings import Probe
 
 _TAKEN = {"max": "MAX", "min": "MIN", "peak_to_peak": "PP", "mean": "AVG", "rms": "RMS"}
 _OPPOSITE = {"MAX": "MIN", "MIN": "MAX", "MAX_AT": "MIN_AT"}
-# Takes of a magnitude that a card computes as the program does, but for points in between.
+# Probe functions of a magnitude that a card computes as the program does, without interpolation.
 _OF_MAGNITUDES = ("max", "argmax", "crossing")
 _NAME = re.compile(r"[A-Za-z]\w*")
 KINDS = {"transient": "tran", "dc": "dc", "ac": "ac", "op": "op"}
@@ -57,7 +57,7 @@ def measures(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
             count.update(metrics.keys())
             probes |= metrics
     for name in count:
-        if count[name] > 1:  # a name of two parts is none of a card
+        if count[name] > 1:  # a name that belongs to two parts gets no card
             del probes[name]
     return tuple(_measures(build, {**probes, **build.scene.probes}, sweep_scale))
 

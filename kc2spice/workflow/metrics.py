@@ -22,9 +22,11 @@ from kc2spice.scene.settings import Probe
 from kc2spice.workflow import noise_analysis
 from kc2spice.workflow.time_step import step_checks
 
-BETWEEN_POINTS = 0.05  # correction of a peak between points; at half a half-width up to 3 %
+# largest correction of a peak between points; 3 % at a distance of half a half-width
+BETWEEN_POINTS = 0.05
 ROUNDED = 1e-9  # rounding error of the ends of the scale in the simulator, relative
-HEIGHT_PER_VELOCITY = 2.0  # relative change of the height of a flight per one of its velocity
+# ratio of the relative change of the height of a flight to that of its velocity
+HEIGHT_PER_VELOCITY = 2.0
 BUDGET_SHARE = 0.03  # fraction of a larger error_budget, a tenth of the fraction for time steps
 
 
@@ -302,7 +304,7 @@ def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | Non
 
 
 def _time_average(scale: np.ndarray, values: np.ndarray) -> float:
-    span = scale[-1] - scale[0]  # as the integral below zero where the scale falls
+    span = scale[-1] - scale[0]  # negative if the scale falls, as is the integral below
     return float(
         np.trapezoid(values, scale) / span if span else values[0]
     )  # a single point is its own mean

@@ -18,11 +18,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-MODEL_ERROR = 1.5  # misfit that noise does not reach: 50 points scatter it by 10 %
+MODEL_ERROR = 1.5  # misfit that noise alone does not reach; with 50 points it scatters by 10 %
 BANDS = 8
 WARNED = 3.0  # misfit from which a fit warns
-AS_LIKELY = 1.1  # squares that a cause leaves, relative to the least: as likely as the best
-EXPLAINED = 0.5  # share of squared residuals that a likely cause removes at least
+# ratio of the remaining squares to the least ones, below which a cause is equally likely
+AS_LIKELY = 1.1
+EXPLAINED = 0.5  # least fraction of squared residuals that a likely cause removes
 
 
 def misfit_to_noise(residuals: np.ndarray, keys: int) -> float:

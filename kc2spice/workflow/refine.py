@@ -38,20 +38,24 @@ from kc2spice.workflow.simulate import (
     simulator_cpu,
 )
 
-MOST_UNKNOWNS = 200_000  # unknowns of a refined mesh: minutes of one processor
+# largest number of unknowns of a refined mesh, which takes minutes of CPU time
+MOST_UNKNOWNS = 200_000
 FREE_SHARE = 0.5  # share of free memory for one factor; matrices and modes need the rest
 PLANE_BYTES = 100.0  # for each unknown and doubling of their number: 145 000 took 0.2 GB
-MOST = 16  # runs besides the scene's own
+MOST = 16  # largest number of further runs besides that of the scene
 LIMIT = 1e-2  # error budget for checks.reduction without the key error_budget
 # A notch leaves at most half of the error of an axis, as corners of a mesh do; the change of a
 # metric by is the other half at least.
 REMAINDER = 2.0
-PER_NOTCH, FARTHEST = 4.0, 3  # by which an error falls at best, notches that are taken at once
+# largest reduction of an error per notch; largest number of notches in one step
+PER_NOTCH, FARTHEST = 4.0, 3
 NEAR_ZERO = 0.1  # least size of a metric in errors, relative to the largest with its unit
 ROUNDING = 1e-6  # NEAR_ZERO of small signals, whose metrics are not small differences
-SHRINKS, STALLS = 0.9, 2  # from one estimate to the next; so often not, the axes do not converge
+# ratio of successive estimates of a converging axis; number of exceptions after which the axes do
+# not converge
+SHRINKS, STALLS = 0.9, 2
 
-Notches = Mapping[str, float]  # by how many notches an axis is moved, by its name
+Notches = Mapping[str, float]  # number of notches by which each axis is moved, by its name
 
 
 # --- runs -----------------------------------------------------------------------------------------
@@ -417,7 +421,7 @@ def _largest_share_moved(
         far = int(math.log(max(shares[axis.name] / limit, 1.0)) / math.log(PER_NOTCH))
         most = 1 if axis.model else min(max(far, 1), FARTHEST)
         at = now.notches.get(axis.name, 0)
-        # one notch more must still change it
+        # one further notch must change the setting
         by = next((n for n in range(most, 0, -1) if axis.at(at + n) != axis.at(at + n + 1)), 0)
         if not by:
             return None  # axis at its limit: refining other axes does not reduce this error

@@ -30,7 +30,7 @@ LARGEST_SYSTEM = 600  # unknowns; eigenvalues of larger systems take seconds
 # pole change that by less than 1e-4 (tests/spice/test_resonant_maxima.py measures it). Wider ranges
 # follow, each WIDER times as wide with as many points, up to the distance of the scene's own
 # frequencies: the trapezoidal rule then integrates |y|^2 to 2 % (same tests, by equipartition).
-HALF_WIDTHS = 4.0  # on either side of a resonance, of the narrowest range
+HALF_WIDTHS = 4.0  # half-widths on either side of a resonance in the narrowest range
 POINTS = 33  # points of each range
 WIDER = 4.0
 # Each resonance takes a few analyses of 33 points, some 10 ms of the simulator.

@@ -22,7 +22,7 @@ from kc2spice.rom.modal import resonators
 from kc2spice.scene.model import Build
 
 LASTING = math.log(1e3)  # ratio of a relevant amplitude to its value at the end of the ringing
-MANY = 3e5  # time points that are announced: half a minute for 24 states
+MANY = 3e5  # number of time points above which a run is announced: half a minute for 24 states
 # CPU time of ngspice [s] for each time point, and in addition for each state. It was measured with
 # kick_and_catch of 24 and of 178 states on a processor of 2.5 GHz.
 PER_POINT, PER_STATE = 5e-5, 1.4e-6

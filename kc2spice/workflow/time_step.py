@@ -34,15 +34,17 @@ from kc2spice.scene.rows import StepLimit, Vector
 if TYPE_CHECKING:
     from kc2spice.reference.small_signal import ExponentialSolution
 
-AMPLITUDE, SHAPE = 5e-4, 1e-3  # allowed error of a wave's rms; of the wave; over its largest value
-MANY, MOST = 2e5, 4e6  # points that SHAPE and AMPLITUDE are worth
+# allowed errors of the rms of a wave and of the wave itself, relative to its largest value
+AMPLITUDE, SHAPE = 5e-4, 1e-3
+MANY, MOST = 2e5, 4e6  # largest numbers of points for the limits SHAPE and AMPLITUDE
 CLOSE = 1.1  # ratio of two steps that are the same
 FEWEST = 1000  # points of any run
 UNKNOWN = 10e-6  # s, for nonlinear circuits, in which error control resolves the changes
-RESONANT = 2.0  # quality from which on errors of steps add up
+RESONANT = 2.0  # Q factor above which errors of steps add up
 SAMPLES, WINDOWS = 2500, 16
-SEEN = 30_000  # points that a run is compared at
-BESIDE = 1e-5  # size of a wave below which ngspice does not iterate, over the largest of its unit
+SEEN = 30_000  # number of points at which a run is compared
+# size of a wave below which ngspice does not iterate, relative to the largest wave of its unit
+BESIDE = 1e-5
 LEAST = {"A": 1e-11, "V": 1e-6, "N": 1e-11, "m": 1e-12, "m/s": 1e-9}  # and there
 ASIDE = 1e-9  # relative to the duration of the run
 FAIL = 1e-2
@@ -321,7 +323,7 @@ def _largest_deviation(
     """Return the largest deviation of all waves, without those that are rounding errors."""
     time = waves["time"]
     pick = np.unique(np.linspace(0, time.size - 1, min(time.size, SEEN)).astype(int))
-    # where currents jump, and a point may lie on either side; an edge may begin at the end
+    # instants at which currents jump, with points on either side; an edge may begin at the end
     corners = np.append(motion.corners, motion.stop)
     near = np.searchsorted(corners, time[pick])
     neighbours = corners[np.clip([near - 1, near], 0, corners.size - 1)]

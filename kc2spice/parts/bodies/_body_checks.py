@@ -35,8 +35,8 @@ from kc2spice.synthesis.realize import COARSE
 
 BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 OUTSIDE = "the reduced model has no error estimate above its band: widen rom.band"
-TWICE = 2  # states of a reduced model that is advised, per state of one that is too coarse
-WRONG, COARSE_ROM = 0.1, 0.01  # certified relative errors that fail a run, or are warned of
+TWICE = 2  # ratio of the recommended number of states to that of a model that is too coarse
+WRONG, COARSE_ROM = 0.1, 0.01  # certified relative errors above which a run fails, or warns
 # Error of a port's compliance above the band. A body in contact with a larger one is judged by
 # the loads of the run. Measured: at most 0.20 for shipped kicks, whose error is below 0.3 % (rms);
 # at least 0.53 for chips of 7 to 12 states, whose error is 2 to 3 %.
@@ -53,7 +53,8 @@ GROWS = "the body has motions that grow by themselves: check signs and halves of
 LOST = "the full model has motions that grow by themselves, and the reduced one does not hold them"
 STEEP = "its current within an edge is off: widen rom.band, or give the drive the edge that it has"
 TOUCHED = "a contact excites modes of the body that the reduced model lacks: widen rom.band"
-RESONANT = 1.5  # times its lowest resonance: a kick whose band ended below that was 2 % off
+# factor on the lowest resonance; a band that ended below caused an error of 2 % in a kick
+RESONANT = 1.5
 STILL = 1e-9  # distance of equal time points, relative to the duration of a run
 KEPT = 1e-4  # share of a floating electrode's charge that a run may lose by the netlist's leak
 STORED = 0.1  # limit relative to the stored energy; after a pulse a chip rings at up to 30 MHz
@@ -82,7 +83,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 yield Check(f"stability of {part.name}", 1.0, 0.0, "", advice, then)  # type: ignore[arg-type]
         if result is not None and "frequency" in waves:
             highest = float(waves["frequency"].real.max())
-            limit = (1 + 1e-9) * result.band_hz[1]  # a last point that is rounded
+            limit = (1 + 1e-9) * result.band_hz[1]  # includes a last point with a rounding error
             yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE, "warn")
         yield from self._check_rating(part, build, waves)
         if "time" not in waves:

@@ -44,11 +44,11 @@ from kc2spice.scene.settings import Rom
 if TYPE_CHECKING:
     from kc2spice.rom.enriched import Orders
 
-UNASKED = 1e-4  # tolerance over a box of parameters where an order is the default
+UNASKED = 1e-4  # tolerance over parameter ranges for bodies whose default is an order
 # Hz, least upper end of the band of a transient, because switching in the circuit has unknown
 # frequencies
 LEAST = 10e3
-MOTIONS = 20  # natural frequencies that a band reaches unasked: above them the mesh decides
+MOTIONS = 20  # number of natural frequencies in the default band; higher ones depend on the mesh
 # Keys of a body that change no model of it.
 _NO_MODEL = {"rom", "fields", "rated_voltage", "number"}
 # Packages and modules that every full and reduced model depends on.
@@ -231,7 +231,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 else:
                     aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
                     small = reduce_model(selected, **aims, band=band, norm=norm, contact=True)
-            modal = resonators(small)  # whose later use needs no eigenvalues
+            modal = resonators(small)  # later uses of these resonators need no eigenvalues
             if modal is None and (tangent or constants):
                 got = "damping that couples its modes, or a motion that nothing holds"
                 problem, key = "a loss tangent needs a body of resonators", "loss_tangent"

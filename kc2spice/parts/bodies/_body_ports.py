@@ -31,7 +31,7 @@ from kc2spice.synthesis.realize import reference_pin
 
 # Kinds of ports with one pin against the common reference, and the short words of their waves.
 ANSWERS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
-# Symbols of the flows that charge a port, by its kind.
+# Symbols of the flows whose integral is the output of a port, by the kind of port.
 FLOWS = {row.port: row.through_variable.symbol for row in ANSWERS.values() if row.charged}
 WORDS = (*(domain.word for domain in ANSWERS.values()), *FLOWS.values())
 NO_ENERGY = 1e-13  # rounding error of an energy, relative to that of the stiffest motion

@@ -43,8 +43,8 @@ from kc2spice.scene.rows import LargestRealPart, Neglected
 from kc2spice.scene.settings import Probe
 from kc2spice.synthesis.realize import COARSE
 
-FEEDING = 1e-3  # negative share of an impedance that is no rounding of a lossless body
-STEP = 1e-2  # relative, of a parameter: its sensitivities are central differences
+FEEDING = 1e-3  # negative part of an impedance that exceeds rounding errors of a lossless body
+STEP = 1e-2  # relative step of a parameter for sensitivities by central differences
 # Relative error of a mesh above which a run warns and ``verify`` fails, by the fact of the model.
 # The limits are usual tolerances of data sheets.
 COARSE_MESH = {"first resonance": 0.03, "capacitance": 0.05, "stroke": 0.1}

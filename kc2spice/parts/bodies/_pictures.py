@@ -17,13 +17,13 @@ from kc2spice.rom.modal import Resonators
 if TYPE_CHECKING:
     from kc2spice.bodies.undamped import FiniteElementModel
 
-POINTS = 600  # frequencies of an impedance, besides those near resonances
-FINE = 4000  # lines of a surface mesh, from which only its edges are drawn
-BENT = 0.05  # share of the second direction among normals that makes an edge
+POINTS = 600  # number of frequencies of an impedance, in addition to those near resonances
+FINE = 4000  # number of lines of a surface mesh above which only its edges are drawn
+BENT = 0.05  # relative size of the second direction of normals at an edge
 SHOWN = 0.1  # largest displacement in the picture, relative to the body's size
 DOTS = 360  # pixels of a coloured picture along its longer side
 PEAKS = ": minimum at resonance, maximum at antiresonance."
-OBLIQUE = 0.35  # drawn shift of the depth, to the right and upwards, over the depth
+OBLIQUE = 0.35  # ratio of the drawn shift, to the right and upwards, to the depth
 
 
 def plot_impedances(
@@ -195,9 +195,10 @@ def _map_surface(
     x = low[0] + dot * (np.arange(count[0]) + 0.5)
     y = low[1] + dot * (np.arange(count[1]) + 0.5)
     wide = np.ptp(triangles[..., :2], axis=1).max(axis=1) / dot
-    steps = 2 ** np.ceil(np.log2(np.maximum(2 * wide, 1.0))).astype(int)  # two to a dot at least
+    # at least two points for each dot
+    steps = 2 ** np.ceil(np.log2(np.maximum(2 * wide, 1.0))).astype(int)
     result = []
-    for n in np.unique(steps):  # points of the triangles, so many along each side
+    for n in np.unique(steps):  # points of the triangles, with this number along each side
         a, b = np.indices((n + 1, n + 1)).reshape(2, -1) / n
         weights = np.column_stack([a, b, 1 - a - b])[a + b <= 1]
         result.append((weights @ triangles[steps == n]).reshape(-1, 4))

@@ -31,7 +31,7 @@ from kc2spice.parts.bodies._meshed import BondedBody
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register
 
-_CELLS = 20  # along the largest radius (or half the height) before refinement
+_CELLS = 20  # number of cells along the largest radius (or half the height) before refinement
 
 
 class Feedback(Section):

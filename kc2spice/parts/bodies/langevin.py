@@ -40,7 +40,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 
-_CELLS = 8  # along the largest radius before refinement
+_CELLS = 8  # number of cells along the largest radius before refinement
 
 
 class Piece(Section):

@@ -50,14 +50,15 @@ if TYPE_CHECKING:
     from kc2spice.bodies.undamped import FiniteElementModel
 
 USUAL = 250e3  # Hz, where the paper's chip is damped by 1 %
-# Damping ratio there below which modes ring on through a kick, so that the errors of steps add up:
+# Damping ratio at this frequency below which modes ring through a kick, so that the errors of steps
+# add up:
 # launches of chips damped by 0.01 to 0.1 % miss by up to 2.6e-4 at the reltol of those of 1 %.
 RINGING, UNDAMPED = 4e-3, 2e-4
 LOW_KICK = 0.03  # factor of reltol; kicks of 40 to 60 V are then as accurate as those of 100 V
 # The same of a kick downwards: the chip leaves the sphere, rings, and strikes it at a phase that
 # every step since has moved. -100 V: 1.2e-2 at reltol 1e-4, 6e-4 at 1e-6, 1.1e-4 at 1e-7.
 DOWNWARDS, SLOWER = 2e-3, 0.1
-SWING = 2.0  # an elastic body overshoots a step of its load by as much again
+SWING = 2.0  # a sudden load causes twice the static displacement of an elastic body
 FLIGHT = 10e-6  # s, the longest step: a kick, its contact and the flight after it are resolved
 
 
@@ -327,7 +328,8 @@ class PiezoStack(MeshedBody[Stack]):
         if pressed and centre in waves:
             result["kick_stroke_m"] = Metric(float(waves[centre].max()), "m")
         shape, scene = pressure_nodes(part, build.scene), build.scene
-        if part.keys.fields and shape is not None:  # which its own mesh does not resolve
+        # the mesh of the chip does not resolve these fields
+        if part.keys.fields and shape is not None:
             from kc2spice.bodies.pressure import UNITS, stresses_under
 
             contacts = scene.of_schema("contact", ContactKeys)

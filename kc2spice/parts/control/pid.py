@@ -45,8 +45,8 @@ COMMAND = 10.0  # V, largest command of the output stage, well within the signal
 SUPPLY = 400.0  # V, of the output stage; more where the coils need it
 HEADROOM = 1.2  # ratio of a supply voltage to the required output
 EDGE = 1e-8  # s, of the enabling signal
-EMPTYING = 1e-6  # s, in which the integral of a disabled controller dies out
-SATURATED = 0.9  # share of the time at the current limit; above it nothing is controlled
+EMPTYING = 1e-6  # s, time constant in which the integral of a disabled controller decays
+SATURATED = 0.9  # fraction of time at the current limit above which the controller has no effect
 
 
 # Gains of the netlist. A gain of zero has no stage, so a netlist cannot set it.

@@ -268,7 +268,7 @@ def _cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[Item]:
     yield Element.of("Vmeter", plus, "inner", "0")
     yield Element.of("C0", "inner", minus, "{c0}")
     for n in content.modes:
-        # The small resistance beside the small admittance of the capacitor would take its digits.
+        # The small resistance would cause rounding errors of the small admittance of the capacitor.
         inductor, capacitor = f"motion{n}", f"charge{n}"
         yield Element.of(f"Rm{n}", "inner", inductor, f"{{rm{n}}}")
         yield Element.of(f"Lm{n}", inductor, capacitor, f"{{lm{n}}}")

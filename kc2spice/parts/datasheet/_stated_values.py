@@ -19,12 +19,13 @@ import numpy as np
 
 from kc2spice.core.errors import MOST_CHOICES, UsageError
 
-ROUNDING = 0.005  # relative, of a value with three digits: half a unit of the third one at most
-STEP = 1e-5  # in logarithms, of central differences: their errors are 1e-10 and 1e-11
-RANK = 1e-7  # relative singular value of an undetermined unknown; far above those errors
+ROUNDING = 0.005  # largest relative rounding error of a value with three digits
+STEP = 1e-5  # step of central differences in logarithms, which have errors of 1e-10 and 1e-11
+# relative singular value of an undetermined unknown; far above the errors of the differences
+RANK = 1e-7
 EXACT = 1e-6  # relative error of an equation that counts as solved
-ELSEWHERE = 30.0  # factor of one unknown where the search for another circuit begins
-DISTINCT = 1e-3  # logarithm of an unknown by which two circuits are not the same
+ELSEWHERE = 30.0  # factor on one unknown at the start of the search for another circuit
+DISTINCT = 1e-3  # difference of the logarithm of an unknown above which two circuits differ
 SMALLEST = 1e-24  # SI, far below any value of a sheet; its inverse is far above
 LARGEST = 150.0  # logarithm of the largest unknown, far inside the range of a float
 

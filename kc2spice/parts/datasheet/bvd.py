@@ -36,12 +36,13 @@ from kc2spice.scene.parttype import register
 
 MOST_MODES = 8
 LOW = 1e3  # Hz, at which sheets state capacitances
-FREQUENCY_ROUNDING = 5e-4  # relative, of a frequency with four digits
+FREQUENCY_ROUNDING = 5e-4  # largest relative rounding error of a frequency with four digits
 # Elements relative to the clamped capacitance and the frequency, where the iteration begins: those
 # of a ceramic with a coupling of 0.22 and a Q factor of 100.
 START_RATIO, START_QUALITY = 0.05, 100.0
-SMALLEST_RATIO = 1e-9  # of a motional to the clamped capacitance, below that of any crystal
-FREQUENCY, CLAMPED = 1e4, 1e-9  # Hz and F, where it begins without a stated value
+# ratio of a motional to the clamped capacitance, below the ratio of any crystal
+SMALLEST_RATIO = 1e-9
+FREQUENCY, CLAMPED = 1e4, 1e-9  # Hz and F, start of the iteration without stated values
 
 
 def _wrap_in_list(value: object) -> object:

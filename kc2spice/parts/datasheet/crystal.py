@@ -24,7 +24,8 @@ from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register
 
-FREQUENCY_ROUNDING = 1e-6  # relative, of a crystal's frequency: a tenth of its usual tolerance
+# relative rounding error of the frequency of a crystal: a tenth of the usual tolerance
+FREQUENCY_ROUNDING = 1e-6
 START_RATIO, START_QUALITY = 1 / 300, 5e4  # c1 / c0 and Q of usual crystals
 SHUNT = 3e-12  # F, of usual crystals
 

@@ -22,7 +22,9 @@ from kc2spice.scene.model import GovernedScene, JoinedScene, Part, Scene, Termin
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected, Numerics
 
-SHARE = 0.9  # of the operate time by the current, where a sheet does not state the inductance
+# fraction of the operate time due to the rise of the current, if the sheet does not state the
+# inductance
+SHARE = 0.9
 HALF = math.log(2)  # time constants from one end of the armature's way to its middle
 
 

@@ -174,7 +174,7 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
         }
 
 
-RIPPLE = 3  # harmonics of the carrier with 99.9 % of the energy of a triangular current ripple
+RIPPLE = 3  # number of carrier harmonics with 99.9 % of the energy of a triangular current ripple
 
 
 class PwmKeys(Section):

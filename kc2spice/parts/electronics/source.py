@@ -79,11 +79,12 @@ KINDS = {name: Kind(*place) for name, place in QUANTITIES.items()}
 SMOOTHED = ("voltage", "force")
 SHAPES = ("dc", "pulse", "sine", "pwl", "file")
 MAX_ROWS = 100_000  # rows of a file
-PER_PERIOD = 125  # points of a sine: 4e-4 of its amplitude lie between two of them
-EDGE = 0.5  # over its time: where the spectrum of an edge has fallen so far that 1e-4 is left
+# points per period of a sine: linear interpolation has an error of 4e-4 of the amplitude
+PER_PERIOD = 125
+EDGE = 0.5  # factor on the reciprocal of the edge time, above which 1e-4 of the spectrum remains
 # times the frequency of a sine that is switched on; at 3 a mode above the band missed 1.3 %
 HARMONICS = 8.0
-DEVIATION = 1e-3  # largest deviation of an ideal source from its definition, over the swing
+DEVIATION = 1e-3  # largest deviation of an ideal source from its definition, relative to its swing
 
 
 class SourceKeys(Section):

@@ -67,10 +67,10 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 
 PATCH = "patch"  # begins the names of a body's ports that are one row of patches
-ROUNDED = 1e-9  # error of force over displacement at an operating point, by iterations
+ROUNDED = 1e-9  # error of the force over the displacement at an operating point, due to iterations
 UNSTABLE = 1e-5  # change of the capacitance, relative; above rounding errors of ngspice at rest
 TERMS = 99  # odd m and n up to this number; the remaining terms contribute 1e-4 of the damping
-FINER = 2  # branches of the film in verify, of those in the netlist
+FINER = 2  # ratio of the branches of the film in verify to those in the netlist
 # number of branches that follows from the scene: the motion may be faster than the drive
 FEWEST, MOST = 3, 100
 

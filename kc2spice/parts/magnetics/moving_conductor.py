@@ -57,13 +57,15 @@ SWING = 0.05
 MOST_TURNS = 5
 FINER = 2  # ratio of rings and of frequency, full to reduced model
 CIRCLES = "closed form of coaxial circles"  # source of the couplings without rings
-LEAST = 1e3  # Hz, up to which eddy currents are resolved whatever drives the scene
+LEAST = 1e3  # Hz, frequency up to which eddy currents are always resolved
 SCREENED = 0.5  # inductance of a coil over a conductor, relative to that without it
 BEYOND = 2.0  # largest frequency of a run's currents, relative to the resolved frequency
-SEEN = 0.99  # share of energy below that frequency; a sine of few periods has some above its own
+# fraction of energy below the highest frequency; a short sine has energy above its own frequency
+SEEN = 0.99
 ROUGH = 0.02  # largest relative error of flux, force and loss by the rings
-MOVED = 1e-3  # largest change of the way of a magnet by a field of a tenth of its tolerance
-LEAST_CHANGE = 0.1  # part of the error of the rings that finer ones are taken to show at least
+# largest change of the path of a magnet if the tolerance of its field is ten times smaller
+MOVED = 1e-3
+LEAST_CHANGE = 0.1  # least part of the error of the rings that finer rings are assumed to show
 
 
 class CoilKeys(Section):
@@ -300,7 +302,7 @@ class MovingBody(DeclaredPart[MovingT]):
         sources = (*SOURCES, type(self).__module__)
         try:
             return load_or_build(self.name, key, build, classes=(Ladder,), sources=sources)
-        except UsageError as error:  # the range of heights is the cause
+        except UsageError as error:  # the range of heights causes this error
             details = str(error.message), error.got, error.expected, error.hint
             raise part.wrong("y_max", *details) from None
 

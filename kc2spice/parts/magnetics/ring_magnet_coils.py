@@ -57,7 +57,8 @@ MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 UNRATED = "not known; compare the coils' currents with what their wire stands"
 USUAL_CURRENT = 0.1  # A, of forces that are shown and compared where a scene states no limit
 FINER = 2  # ratio of cells along each edge of the mesh in verify to cells of the table
-DENSER = 4  # heights of the table that the shipped one is compared with, per interval
+# heights per interval of the denser table that the table of the netlist is compared with
+DENSER = 4
 POINTS = 201  # points of each lookup; the error between them is 6e-6 of the largest force
 COARSE = 1e-2  # largest error of the spline between heights, relative to the largest force
 COPPER = 3.45e6  # J/(m3 K), of volume: 385 J/(kg K) at 8960 kg/m3

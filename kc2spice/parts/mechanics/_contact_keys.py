@@ -18,7 +18,8 @@ from kc2spice.core.quantities import (
     si,
 )
 
-STIFFEST = 1e15  # N/m; a gram on it rings at 160 GHz, which no simulator ends to follow
+# N/m; a mass of one gram on this spring rings at 160 GHz, which no simulator can resolve
+STIFFEST = 1e15
 
 
 class ContactKeys(Section):

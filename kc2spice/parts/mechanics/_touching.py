@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 FLOOR = "floor"  # port of a rigid plane
 PATCH = "patch"  # port of an elastic sphere
-# Error of the pressure basis in units of what one half as wide changes: measured is 1.8, against
-# one a quarter as wide.
+# Ratio of the error of the pressure basis to the change by a basis half as wide. The measured ratio
+# is 1.8, from a basis a quarter as wide.
 REFINED = 3.0
 _FLIGHT = 20e-6  # several periods of the chip: a shorter gap is a bounce within the kick
 _SPARE = 1.25  # margin of an indentation: a body is no half-space, and few rings carry the force

@@ -55,9 +55,9 @@ OPEN = 0.95  # largest motion of an omitted ring, relative to its gap
 # errors of 9e-4.
 EVENTS = 4e-3
 ALOFT = 1e-8  # m over the body at t = 0 that a sphere at rest on it may have
-EXCITED = 500e3  # Hz that a contact excites bodies at
+EXCITED = 500e3  # Hz, frequency at which a contact excites bodies
 CURVED, DAMPED = 0.1, 0.01  # factors of solver.reltol for Hertzian and for damped contacts
-FEW = 20  # events that are not too many for any reltol
+FEW = 20  # number of events that any reltol resolves
 CARRIED = "dent"  # pin that meets the port of an elastic sphere
 
 
@@ -129,7 +129,7 @@ class Contact(DeclaredPart[ContactKeys]):
         if part.keys.shape == "pressure":
             yield from _check_pressure(pair)
         else:
-            assert pair.normal  # says what it cannot know
+            assert pair.normal  # the type checker cannot infer this
 
     def vectors(self, part: Part[ContactKeys], build: Build) -> Mapping[str, Vector]:
         n, pair, d = part.name, make_pair(part, build.scene), self.declared(part, build.scene)

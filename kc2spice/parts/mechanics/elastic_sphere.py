@@ -71,7 +71,7 @@ elastic = true
 
     def problems(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
-        _contact(part, scene)  # says what it cannot be
+        _contact(part, scene)  # raises the errors of impossible contacts
         owner = scene.parts[part.keys.of].with_schema(SphereKeys)
         stuff = sphere_material(owner)
         if stuff.piezoelectric:

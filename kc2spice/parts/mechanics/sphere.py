@@ -45,7 +45,7 @@ AIR_VISCOSITY = 1.825e-5  # Pa s
 STEEL_DENSITY = 7850.0  # kg/m^3
 AT_REST = State(0.0, 0.0)
 SETTLING_BAND = 0.05  # relative to the step from rest to set point
-WORK = 1e-4  # share of the work that may be unexplained; then a launch is wrong by about 1e-3
+WORK = 1e-4  # largest missing fraction of the work; a launch then has an error of about 1e-3
 
 
 def _default_density(keys: dict[str, Any]) -> float:

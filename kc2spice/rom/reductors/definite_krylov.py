@@ -24,9 +24,9 @@ from kc2spice.rom.response import GRID, Response, sample_band
 from kc2spice.rom.rigid_body import hidden_support
 from kc2spice.rom.rounding import removed_stiffness, with_rounding, zero_entries
 
-# Blocks before a new point is considered. The factor at zero is a Cholesky factor, and that of a
-# shift is an indefinite one of several times its time and memory. Blocks at zero are therefore
-# the cheapest vectors as long as they converge. Both numbers are chosen by trial.
+# Number of blocks before a new point is considered. The factor at zero is a Cholesky factor, and
+# that of a shift is an indefinite one of several times its time and memory. Blocks at zero are
+# therefore the cheapest vectors as long as they converge. Both numbers are chosen by trial.
 BLOCKS_AT_ZERO = 60
 BLOCKS_AT_SHIFT = 3
 GAIN = 3.0  # factor by which a further block must reduce the change, otherwise a point follows

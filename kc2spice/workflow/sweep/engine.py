@@ -71,7 +71,8 @@ from kc2spice.workflow.sweep.point import (
     subcircuit_parameters,
 )
 
-# Opens an executor, and again after it was lost; gives it with the number of its workers.
+# Opens an executor, also after the loss of an executor, and yields it with the number of its
+# workers.
 Workers = Callable[[], AbstractContextManager[tuple[Executor, int]]]
 PATIENCE = 60.0  # s that a lost scheduler may take to come back
 # Exceptions for lost workers and schedulers. Names suffice, so that Dask need not be imported.
@@ -142,7 +143,8 @@ def _worker_starts(scratch: str) -> None:
         if parent is None:
             return
         connection.wait([parent.sentinel])
-        if group:  # files go after all who might still write one, hence by another process
+        # another process deletes the files after all processes that might write them have ended
+        if group:
             clean = 'kill -9 "-$0"; sleep 0.1; rm -rf -- "$1"'
             words = ["sh", "-c", clean, str(os.getpgrp()), scratch]
             subprocess.Popen(words, start_new_session=True)
@@ -420,7 +422,7 @@ def make_sweep(
             constants.append((parameter[1], parse_value(value, "", f"--set {text!r}")))
         else:
             fixed.append(text)
-    # A range may make a part that the scene does not have without it.
+    # A range may create a part that the scene lacks without this range.
     keys = list_scene_keys(scene.load((*fixed, *firsts)))
     plan = make_plan(
         {name: parse_range(name, value, keys) for name, value in ranges.items()},
@@ -657,7 +659,7 @@ def run_sweep(
             rows.record(index, outcome)
             begin = time.monotonic() if count == 1 else begin
             text = f"{count} of {len(missing)} points, {len(rows.failed)} failed"
-            if count > 1:  # the first one may have built models for all others
+            if count > 1:  # the first point may have built models for all others
                 rate = (count - 1) / max(time.monotonic() - begin, 1e-9)
                 left = timedelta(seconds=round((len(missing) - count) / rate))
                 text = f"{text}, {rate:.3g}/s, {left} left"

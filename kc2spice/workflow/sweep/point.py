@@ -67,7 +67,7 @@ class SceneText:
         home = Path(_unpack(self).name)
         try:
             return load_scene(home / f"{self.name}.toml", overrides)
-        except UsageError as error:  # rows say the same wherever they are run
+        except UsageError as error:  # the text of a row does not depend on the machine
             error.where = error.where and str(error.where).replace(f"{home}{os.sep}", "")
             raise
 

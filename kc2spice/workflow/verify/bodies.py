@@ -33,7 +33,7 @@ from kc2spice.synthesis.heat import is_heat
 from kc2spice.synthesis.realize import apply_unit_load
 
 FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole
-SMALL = 3000  # unknowns up to which all are affordable
+SMALL = 3000  # unknowns up to which a solution at all frequencies is affordable
 POINTS = 120  # frequencies of the netlist
 LEAKED = 2.0  # times the effect of the leaks of the electrical ports
 ROUNDING = 1e-9  # largest difference of two direct solutions of a full model
@@ -205,7 +205,7 @@ def netlist_response(
         row = rom.outputs.index(port.name) if port.kind != "input" else -1
         if port.charged:
             H[:, row] /= s
-        elif accelerates_frame(port):  # its pin draws the force m a - s^2 y
+        elif accelerates_frame(port):  # the force m a - s^2 y flows into the pin
             mass = reaction_mass(rom, port) * (np.array(rom.inputs) == port.name)
             H[:, row] = (mass - H[:, row]) / s**2
     return frequency, H
@@ -279,7 +279,7 @@ def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndar
         return at
     size = np.abs(rom.transfer(at))
     top = size.max(axis=0)
-    peak = (size / np.where(top > 0, top, 1.0)).max(axis=(1, 2))  # a pair that answers nothing is 0
+    peak = (size / np.where(top > 0, top, 1.0)).max(axis=(1, 2))  # a pair without a response is 0
     tall = list(at[np.argsort(-peak, kind="stable")[: (count + 1) // 2]])
     spread = at[np.linspace(0, at.size - 1, count + 2).astype(int)[1:-1]]
     return np.array(sorted(dict.fromkeys([*tall, *spread][:count])))

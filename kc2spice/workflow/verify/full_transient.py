@@ -27,10 +27,10 @@ from kc2spice.scene.model import Build
 from kc2spice.workflow.verify.bodies import verified_band
 from kc2spice.workflow.verify.law_solution import Reference
 
-PER_PERIOD = 80  # steps of a period of the highest frequency that a reduced model holds to
+PER_PERIOD = 80  # steps per period of the highest frequency in the band of a reduced model
 FINEST = 800  # steps for each period of a resonance in a short scene
 WORK = 1e7  # largest product of unknowns and steps of a full model
-MOST = 4000  # largest number of steps; for small models the other laws need more time
+MOST = 4000  # largest number of steps; for small models, the laws of other parts need more time
 WHOLE = 100.0  # factor of the number of steps with --full
 STILL = 1e-9  # largest motion of a port of a body at rest, relative to its swing
 

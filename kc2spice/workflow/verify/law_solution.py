@@ -23,7 +23,8 @@ from kc2spice.reference.system import assemble_system
 from kc2spice.scene.model import Build
 from kc2spice.scene.results import NOISE_WAVE
 
-RTOL = 1.5e-9  # integrator; at 1e-8 a sphere ringing at megahertz loses 5e-7 of its energy
+# tolerance of the integrator; at 1e-8, a sphere that rings at megahertz loses 5e-7 of its energy
+RTOL = 1.5e-9
 
 
 @dataclass(frozen=True)

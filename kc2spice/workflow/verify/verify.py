@@ -44,9 +44,11 @@ from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.full_models import finer_build, full_build, full_solution
 from kc2spice.workflow.verify.law_solution import solve
 
-FEW_UNKNOWNS = 30_000  # of a mesh half as wide as that of the run: seconds, with little memory
+# unknowns of a mesh half as wide as that of the run, which takes seconds and little memory
+FEW_UNKNOWNS = 30_000
 LOADED = 1e-6  # least value with a meaningful relative error, over the largest value
-LONGER, SPARE = 5.0, 30.0  # times, and s, that a finer discretisation may take beside the run's
+# factor on the time of the run, and s, that a finer discretisation may take
+LONGER, SPARE = 5.0, 30.0
 STILL = 1e-9  # largest motion at rest, by rounding errors, relative to the size
 NOTHING = 1e-150  # its square is zero: a rounding error of zero current
 SMALL = 1e-3  # least size of a metric in errors, relative to the largest wave of its unit
@@ -272,8 +274,8 @@ def _largest_of_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> f
 SOLUTIONS = {"ngspice": "netlist, ngspice", "rom": "laws", "fom": "full model"}
 METRICS, WAVES = 10.0, 200.0  # times solver.reltol: default error limits of a transient
 ANY_WAVE = 0.05  # largest error with any reltol, relative to a wave's rms
-STEADY_METRICS, STEADY_WAVES = 5e-9, 3e-8  # the same for analyses without time steps
-NOISE = 1e-6  # the same of noise: Boltzmann's constant has seven digits in ngspice
+STEADY_METRICS, STEADY_WAVES = 5e-9, 3e-8  # default error limits of analyses without time steps
+NOISE = 1e-6  # default error limit of noise: Boltzmann's constant has seven digits in ngspice
 # A source that replays samples of ngspice has an error of about 1e-3 in its slope, which is the
 # current into a capacitance (2.5e-3 at the edges of a half-bridge). Its work is off by 5e-6.
 RECORDED, RECORDED_BALANCE = 5.0, 1e-5
@@ -656,7 +658,8 @@ def _most_unknowns() -> float:
     Free memory and :data:`MOST_UNKNOWNS` limit the number.
     """
     share = FREE_SHARE * available_bytes() / factor_bytes(1.0, 3)
-    return min(MOST_UNKNOWNS, share**0.75)  # the memory grows by the power 4/3
+    # the memory is proportional to the unknowns to the power 4/3
+    return min(MOST_UNKNOWNS, share**0.75)
 
 
 class _TooLongError(Exception):
