@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel
-from kc2spice.report.html import format_quantity
+from kc2spice.core.prefix import format_quantity
 
 Record = Mapping[str, Any]
 RATIOS = ("figure", "value", "target", "", "taken at error", "what it is")

@@ -1,10 +1,15 @@
-"""SI prefixes of printed numbers."""
+"""Numbers as people read them: SI prefixes, percent, and 0 for rounding errors."""
 
 from __future__ import annotations
 
 import math
 
 PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+# Units that contain a prefix: the unit without it, and the factor of the prefix.
+_PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
+_SHOWN_UNITS = {"Ohm": "Ω"}
+_RATIOS = "of ", "relative"  # words with which the unit of a ratio begins
+ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a number
 
 
 def prefix_power(value: float) -> int:
@@ -17,3 +22,74 @@ def prefix_power(value: float) -> int:
     """
     power = 3 * math.floor(math.log10(abs(value)) / 3) if value else 0
     return power if power in PREFIXES else 0
+
+
+def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
+    """Return a number with an SI prefix: ``505.7 µs`` for 5.0573e-4 and ``s``."""
+    if value is None:
+        return "—"
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g} {unit}".strip()
+    if not _takes_prefix(unit):
+        return f"{value:.{digits}g} {unit}".strip()
+    if unit in _PREFIXED_UNITS:
+        plain, factor = _PREFIXED_UNITS[unit]
+        return format_quantity(factor * value, plain, digits)
+    return _with_prefix(value, unit, digits, prefix_power(value))
+
+
+def _takes_prefix(unit: str) -> bool:
+    """Return False for an empty unit and for a phrase such as ``of the peak``."""
+    return bool(unit) and (" " not in unit or " per " in unit)
+
+
+def _with_prefix(value: float, unit: str, digits: int, power: int) -> str:
+    sign = "−" if value < 0.0 else ""
+    digits_text = f"{abs(value) / 10.0**power:.{digits}g}"
+    return f"{sign}{digits_text} {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
+
+
+def format_ratio(value: float | None) -> str:
+    """Return a ratio with two digits; a rounding error prints 0.
+
+    Examples
+    --------
+    >>> format_ratio(1.234e-5), format_ratio(1.2e-23), format_ratio(None)
+    ('1.2e-05', '0', '—')
+    """
+    small = value is not None and abs(value) < ROUNDING_NOISE
+    return format_quantity(0.0 if small else value, "", 2)
+
+
+def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
+    """Return both with one prefix: 406 kHz and 500 kHz for 4.06e5, 5e5 and ``Hz``.
+
+    A limit of another order of magnitude has its own prefix. Rounding errors, relative to the
+    limit, or to 1 for ratios, are printed as 0. Ratios, whose unit is ``of …`` or ``relative …``,
+    are printed in percent.
+
+    Examples
+    --------
+    >>> format_value_and_limit(4.06e5, 5e5, "Hz")
+    ('406 kHz', '500 kHz')
+    >>> format_value_and_limit(2.93e-4, 0.1, "of the energy exchanged")
+    ('0.0293 % of the energy exchanged', '10 %')
+    """
+    prefixed = _takes_prefix(unit)
+    if abs(value) < ROUNDING_NOISE * max(abs(limit), 0.0 if prefixed else 1.0):
+        value = 0.0
+    if unit.startswith(_RATIOS):
+        words = unit.removeprefix("relative")
+        joint = "" if words.startswith(",") else " "
+        return f"{100 * value:.3g} %{joint}{words}".rstrip(), f"{100 * limit:.3g} %"
+    if value == 0.0 and prefixed and unit not in _PREFIXED_UNITS and math.isfinite(limit):
+        power = prefix_power(limit)
+        return f"0 {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}", format_quantity(limit, unit, 3)
+    near = value and limit and 1e-3 < abs(limit / value) < 1e4
+    plain = prefixed and unit not in _PREFIXED_UNITS
+    if not plain or not near or not math.isfinite(value + limit):
+        return format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
+    power = prefix_power(value)
+    digits_text = f"{abs(limit) / 10.0**power:.10g}"
+    digits = max(3, len(digits_text.partition(".")[0]))
+    return _with_prefix(value, unit, 3, power), _with_prefix(limit, unit, digits, power)

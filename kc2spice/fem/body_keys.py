@@ -83,8 +83,8 @@ class Damping(Section):
             raise ValueError("ratios are at least 0, frequencies greater than 0")
         if (values >= 1).any() or (self.quality is not None and self.quality <= 0.5):
             raise ValueError(
-                "a ratio of 1 or more (Q of one half or less) leaves nothing that oscillates: "
-                "1 % is ratio = 0.01, a Q factor of 50"
+                "with a ratio of 1 or more, or a Q of one half or less, nothing oscillates: "
+                "write ratio = 0.01 for 1 %, a Q factor of 50"
             )
         if two[0] and (self.at[0] == self.at[1] or min(self._solve_two_ratios()) < 0 or self.alpha):  # type: ignore[index]
             raise ValueError(

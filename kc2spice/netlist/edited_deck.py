@@ -130,7 +130,9 @@ def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) ->
     analyses = [card for card in cards if card.keyword in ANALYSES]
     if list(map(attrgetter("keyword"), analyses)) != [f".{original.command.kind}"]:
         raise UsageError(
-            "not the scene's analysis",
+            "another analysis than that of the scene"
+            if analyses
+            else "this file contains no analysis of the scene",
             where=str(path),
             got=" and ".join(map(attrgetter("written"), analyses)) or "none",
             expected=original.command.card,

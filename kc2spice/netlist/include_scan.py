@@ -160,12 +160,21 @@ class _Reader:
             return text.replace("\r\n", "\n").replace("\r", "\n")
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
-            if isinstance(error, FileNotFoundError) and where == str(self.main):
-                message = "this file does not exist"
-                raise UsageError(message, where=where, expected="the path of a netlist") from None
+            missing = isinstance(error, FileNotFoundError)
+            if where == str(self.main) and (missing or isinstance(error, IsADirectoryError)):
+                raise UsageError(
+                    "this file does not exist" if missing else "is a directory",
+                    where=where,
+                    expected="the path of a netlist",
+                    hint="give the path of a netlist that kc2spice export or kc2spice run wrote",
+                ) from None
             expected = f"a text file, at most {MOST_BYTES} bytes with all that it includes"
             raise UsageError(
-                "cannot include this", where=where, got=f"{name}: {reason}", expected=expected
+                "cannot include this",
+                where=where,
+                got=f"{name}: {reason}",
+                expected=expected,
+                hint=f"copy {name} to {real.parent}, or correct its name" if missing else None,
             ) from None
 
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel
-from kc2spice.report.html import PageSection, format_quantity, write_page
+from kc2spice.core.prefix import format_quantity
+from kc2spice.report.html import PageSection, write_page
 
 SMALLEST_ERROR = 1e-16  # place of an error of zero on the logarithmic axis
 

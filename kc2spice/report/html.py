@@ -6,7 +6,6 @@ script ``plots.js``. Numbers have SI prefixes, and keys of ``result.json`` becom
 
 from __future__ import annotations
 
-import math
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,12 +16,10 @@ from typing import Any
 
 from kc2spice.core import __version__
 from kc2spice.core.figure import Figure
-from kc2spice.core.prefix import PREFIXES, prefix_power
+from kc2spice.core.prefix import format_quantity
 from kc2spice.netlist.spelling import templates
 from kc2spice.report.charts import render_figure
 
-# Units that contain a prefix: the unit without it, and the factor of the prefix.
-_PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
 # Parts of keys that differ from the words of a label.
 _LABEL_WORDS = {
     "bvd": "equivalent circuit",
@@ -44,53 +41,7 @@ _UNIT_SUFFIXES = {
     "m per 100 V": "_m_per_100v", "m/V": "_m_per_v", "m/s": "_m_s", "V/m": "_v_m", "N/m": "_n_m",
     "N s/m": "_n_s_m", "Ohm": "_ohm",
 }  # fmt: skip
-_SHOWN_UNITS = {"Ohm": "Ω"}
-ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a number
 FEW = 8  # values of a list that one row contains
-
-
-def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
-    """Return a number with an SI prefix: ``505.7 µs`` for 5.0573e-4 and ``s``."""
-    if value is None:
-        return "—"
-    if value == 0.0 or not math.isfinite(value):
-        return f"{value:g} {unit}".strip()
-    if not _takes_prefix(unit):
-        return f"{value:.{digits}g} {unit}".strip()
-    if unit in _PREFIXED_UNITS:
-        plain, factor = _PREFIXED_UNITS[unit]
-        return format_quantity(factor * value, plain, digits)
-    return _with_prefix(value, unit, digits, prefix_power(value))
-
-
-def _takes_prefix(unit: str) -> bool:
-    """Return False for an empty unit and for a phrase such as ``of the peak``."""
-    return bool(unit) and (" " not in unit or " per " in unit)
-
-
-def _with_prefix(value: float, unit: str, digits: int, power: int) -> str:
-    sign = "−" if value < 0.0 else ""
-    digits_text = f"{abs(value) / 10.0**power:.{digits}g}"
-    return f"{sign}{digits_text} {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
-
-
-def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
-    """Return both with one prefix: 406 kHz and 500 kHz for 4.06e5, 5e5 and ``Hz``.
-
-    A limit of another order of magnitude has its own prefix. Rounding errors, relative to the
-    limit, or to 1 for ratios, are printed as 0.
-    """
-    prefixed = _takes_prefix(unit)
-    if abs(value) < ROUNDING_NOISE * max(abs(limit), 0.0 if prefixed else 1.0):
-        value = 0.0
-    near = value and limit and 1e-3 < abs(limit / value) < 1e4
-    plain = prefixed and unit not in _PREFIXED_UNITS
-    if not plain or not near or not math.isfinite(value + limit):
-        return format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
-    power = prefix_power(value)
-    digits_text = f"{abs(limit) / 10.0**power:.10g}"
-    digits = max(3, len(digits_text.partition(".")[0]))
-    return _with_prefix(value, unit, 3, power), _with_prefix(limit, unit, digits, power)
 
 
 def format_times(seconds: Mapping[str, float]) -> list[tuple[str, str]]:

@@ -11,18 +11,16 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel, label_axis, scale_axis
+from kc2spice.core.prefix import ROUNDING_NOISE, format_quantity, format_value_and_limit
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.drawings import draw_circuit, draw_devices
 from kc2spice.report.html import (
     FEW,
-    ROUNDING_NOISE,
     PageSection,
     flatten_mapping,
     format_fact,
-    format_quantity,
     format_times,
     format_value,
-    format_value_and_limit,
     write_page,
 )
 from kc2spice.scene.model import Scene, scene_hash
@@ -252,7 +250,8 @@ def format_above_band(certificate: Mapping[str, Any]) -> Rows:
     errors = certificate.get("above_band_compliance_error", ())
     rows = []
     for frequency, error in zip(frequencies, errors, strict=True):
-        rows.append((f"compliance at {frequency:g} Hz", f"{error:.2g} off, above the band"))
+        name = f"compliance at {format_quantity(frequency, 'Hz')}"
+        rows.append((name, f"error {100 * error:.2g} %, above the band"))
     return rows
 
 
@@ -369,7 +368,7 @@ def plot_probes(
         if probe.of in waves:
             group[name] = probe
     panels = tuple(_plot_unit(unit, group, waves, scale) for unit, group in by_unit.items())
-    caption = "What the scene's probes look at, over the whole run."
+    caption = "Results that the probes of the scene select, over the whole run."
     yield Figure("probes", "Probed results", caption, panels, main=True)
 
 

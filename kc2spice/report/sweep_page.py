@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from kc2spice.core.figure import Curve, Figure, Map, Panel, label_axis
+from kc2spice.core.prefix import format_quantity
 from kc2spice.report.html import PageSection, format_value, label_key, write_page
 from kc2spice.scene.model import Scene
 
@@ -109,7 +110,7 @@ def _key_row(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple
     distinct = list(dict(zip(map(repr, column), column, strict=True)).values())
     text = ", ".join(map(str, distinct[:POINTS_PER_KEY]))
     if _belongs_to(column, *NUMBERS):
-        text = f"{min(distinct):g} … {max(distinct):g} {units[key]}".rstrip()
+        text = " … ".join(format_quantity(end(distinct), units[key]) for end in (min, max))
     return key, f"{len(distinct)} values, {text}"
 
 

@@ -11,15 +11,9 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel, label_axis, scale_axis
+from kc2spice.core.prefix import format_quantity, format_ratio, format_value_and_limit
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.html import (
-    PageSection,
-    format_fact,
-    format_quantity,
-    format_times,
-    format_value_and_limit,
-    write_page,
-)
+from kc2spice.report.html import PageSection, format_fact, format_times, write_page
 from kc2spice.scene.checks import PAIRS, Check
 
 OUTCOMES = {True: "ok", False: "MISSED"}
@@ -78,7 +72,7 @@ def write_verify(path: Path, findings_by_scene: Mapping[str, Findings]) -> Path:
 
 def _summary_row(scene: str, findings: Findings) -> tuple[str, ...]:
     """Return the row of a scene: its verdict and the errors between solutions."""
-    errors = (format_quantity(findings.errors.get(pair), "", 2) for pair in PAIRS)
+    errors = map(format_ratio, map(findings.errors.get, PAIRS))
     return scene, OUTCOMES[findings.passed], *errors
 
 
@@ -113,7 +107,8 @@ def _format_details(scene: str, findings: Findings) -> list[PageSection]:
     errors, facts = [], []
     for error in findings.outputs:
         pair = error.pair.replace("_vs_", " to ")
-        errors.append((pair, error.output, f"{error.largest:.2g}", f"{error.rms:.2g}"))
+        sizes = map(format_ratio, (error.largest, error.rms))
+        errors.append((pair, error.output, *sizes))
     for name, value in findings.metrics.items():
         if not isinstance(value, Mapping):
             facts.append(format_fact(name, value, findings.units.get(name, "")))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
+from kc2spice.core.prefix import format_value_and_limit
 from kc2spice.scene.settings import Action, Solver
 
 if TYPE_CHECKING:
@@ -116,11 +117,12 @@ def require(checks: tuple[Check, ...], where: str) -> None:
     """
     for check in checks:
         if check.fatal:
+            value, limit = format_value_and_limit(check.value, check.limit, check.unit)
             raise SimulationError(
-                f"a check of the result failed: {check.name}",
+                f"a check of the result failed: {check.name.replace('_', ' ')}",
                 where=where,
-                got=f"{check.value:g} {check.unit}",
-                expected=f"at most {check.limit:g} {check.unit}",
+                got=value,
+                expected=f"at most {limit}",
                 hint=check.advice,
             )
 

@@ -143,8 +143,9 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
         raise UsageError(
             "joins pins of different kinds",
             where=where,
-            got=f"{'.'.join(a)} is {first.kind}, {'.'.join(b)} is {second.kind}",
-            expected="pins of one kind",
+            got=f"{'.'.join(a)} is a pin in {first.kind}, {'.'.join(b)} a pin in {second.kind}",
+            expected=f"another pin in {first.kind}, or gnd",
+            hint="kc2spice scenes --parts lists the pins of each part type",
         )
 
 

@@ -98,9 +98,9 @@ def load_scene(
             expected='a list such as ["KEY=VALUE"], or a mapping such as {"KEY": VALUE}',
             hint=f"write overrides=[{clip_text(overrides)!r}]",
         )
-    tables = [name for name, table in data.items() if isinstance(table, Mapping)]
-    for name, value, text in list(read_overrides(overrides)):
-        source.overrides[set_key(data, name, value, text)] = text
+    tables = {name: table for name, table in data.items() if isinstance(table, Mapping)}
+    for name, value, place in list(read_overrides(overrides)):
+        source.overrides[set_key(data, name, value, place)] = place
     _require_known_parts(data, tables, source)
     try:
         result = _make_scene(data, source)
@@ -112,16 +112,28 @@ def load_scene(
         raise
 
 
-def _require_known_parts(data: Mapping[str, Any], tables: Sequence[str], source: SceneFile) -> None:
-    """Refuse overrides of a part that the scene lacks; one with a type adds a part.
+def _require_known_parts(
+    data: Mapping[str, Any], tables: Mapping[str, Any], source: SceneFile
+) -> None:
+    """Refuse values for a whole part, and overrides of a part that the scene lacks.
+
+    An override with a part type adds a part.
 
     ``tables`` are those of the scene without overrides.
     """
     known = {*tables, *Frame.model_fields, *DEFAULT_TYPES}
+    parts = [part for part in tables if part not in Frame.model_fields]
     for name, table in data.items():
+        if name in parts and not isinstance(table, Mapping):
+            keys = _list_part_keys(name, tables[name])
+            raise UsageError(
+                f"{name} is a part of this scene, not a key",
+                where=source.where(name),
+                expected=f"a key of {name}: {candidates(name, keys)}",
+                hint=f"write {name}.KEY=VALUE",
+            )
         if name in known or not isinstance(table, Mapping) or "part" in table:
             continue
-        parts = [part for part in tables if part not in Frame.model_fields]
         raise UsageError(
             f"this scene has no part {name!r}",
             where=source.where(name),
@@ -251,16 +263,23 @@ def _unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
     for item, table in data.items():
         if isinstance(table, Mapping) and item not in Frame.model_fields:
             parts.append(item)
-            kind = part_type(str(table.get("part", DEFAULT_TYPES.get(item))))
-            for path, _ in () if kind is None else list_keys(kind.schema):
-                part_keys.append(".".join((item, *path)))
+            part_keys += _list_part_keys(item, table)
     below = f"keys of a part stand below its name: {', '.join(parts)}" if parts else None
+    if isinstance(data[name], list):
+        below = 'write a table for each part: [NAME] with part = "TYPE"'
     return UsageError(
         "unknown key",
         where=name,
         expected=f"one of {candidates(name, Frame.model_fields)}, or a table with part = TYPE",
         hint=did_you_mean(name, Frame.model_fields) or did_you_mean(name, part_keys) or below,
     )
+
+
+def _list_part_keys(name: str, table: Mapping[str, Any]) -> list[str]:
+    """Return the dotted keys of the part ``name``; of an unknown type there are none."""
+    kind = part_type(str(table.get("part", DEFAULT_TYPES.get(name))))
+    keys = () if kind is None else list_keys(kind.schema)
+    return [".".join((name, *path)) for path, _ in keys]
 
 
 def _find_type(name: str, table: Mapping[str, Any]) -> PartType:

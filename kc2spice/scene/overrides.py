@@ -22,7 +22,7 @@ _EXAMPLES = "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].t
 def read_overrides(
     overrides: Sequence[str] | Mapping[str, Any],
 ) -> Iterator[tuple[str, Any, str]]:
-    """Yield key, value and text of each override.
+    """Yield key, value and place of each override; errors name the place.
 
     Raises
     ------
@@ -30,10 +30,10 @@ def read_overrides(
     """
     if isinstance(overrides, Mapping):
         for name, value in overrides.items():
-            yield name, value, f"{name}={value}"
+            yield name, value, f"overrides {clip_text(f'{name}={value}')!r}"
     else:
         for text in expand_overrides(overrides):
-            yield (*_parse_override(text), text)
+            yield (*_parse_override(text), f"--set {clip_text(text)!r}")
 
 
 def expand_overrides(texts: Sequence[str]) -> list[str]:
@@ -76,36 +76,32 @@ def format_toml(value: Any) -> str:
 
 def _parse_override(text: str) -> tuple[str, Any]:
     """Return key and value of ``dotted.key=value``."""
-    name, equals, value = map(str.strip, text.partition("="))
-    if not equals or not value:
-        raise _syntax_error(text)
+    name, _, value = map(str.strip, text.partition("="))
+    if not name or not value:
+        key = clip_text(name) or "KEY"
+        raise UsageError(
+            "the value of the key is missing" if name else "the key is missing",
+            where="--set",
+            got=repr(clip_text(text)),
+            expected=_EXAMPLES,
+            hint=f"write {key}={clip_text(value) or 'VALUE'}",
+        )
     return name, parse_override_value(value)
 
 
-def _syntax_error(text: str) -> UsageError:
-    """Return the error of a text that is no override."""
-    name, equals, _ = text.partition("=")
-    hint = None if equals else f"write {clip_text(name)}=VALUE"
-    return UsageError(
-        "not an override",
-        where="--set",
-        got=repr(clip_text(text)),
-        expected=_EXAMPLES,
-        hint=hint,
-    )
-
-
-def set_key(data: dict[str, Any], name: str, value: Any, text: str) -> tuple[str, ...]:
+def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[str, ...]:
     """Set the key ``name`` and return its path with numbers of list entries.
 
-    Missing tables are added. Entries of lists must exist.
+    Missing tables are added. Entries of lists must exist. ``where`` is the place that errors name.
     """
     steps = re.findall(rf"{_WORD}|{_INDEX}", name)
     long = len(steps) > DEEPEST or max(map(len, steps), default=0) > LONGEST_KEY
     if long or not _KEY.fullmatch(name):
-        raise _syntax_error(text)
+        raise UsageError(
+            "not the name of a key", where=where, got=repr(clip_text(name)), expected=_EXAMPLES
+        )
     path: list[str] = []
-    where, so_far = f"--set {clip_text(text)!r}", ""
+    so_far = ""
     holder: Any = data
     key: str | int = ""
     for step in steps:

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import MASSES, Plausible, role_of
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class ImplausibleError(UsageError):
-    """Value that can be computed but hardly exists, often because of a wrong unit."""
+    """Value that is possible but not plausible, often because of a wrong unit."""
 
 
 THICKEST_LAYER = 10.0  # largest ratio of the thickness of a layer to its width
@@ -35,10 +36,10 @@ def check_range(
         units = _OTHER_UNITS.get(unit, {}).items()
         fitting = next((name for name, size in units if low <= value * size <= high), None)
         yield ImplausibleError(
-            f"hardly exists: {why}",
+            f"this value is not plausible: {why}",
             where=where,
-            got=f"{value:.4g} {unit}",
-            expected=f"{low:g} to {high:g} {unit}",
+            got=format_quantity(value, unit),
+            expected=f"{format_quantity(low, unit)} to {format_quantity(high, unit)}",
             hint=fitting and f'did you mean "{value:g} {fitting}"?',
         )
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import UsageError, candidates, did_you_mean
-from kc2spice.core.quantities import clip_text, join_path
+from kc2spice.core.quantities import join_path
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import MAX_BYTES, decode_text, read_bounded, split_lines
 from kc2spice.scene.catalogue import find_part, read_catalogue
@@ -43,9 +43,9 @@ class SceneFile:
     def where(self, key: str) -> str:
         """Return the override or line of a key such as ``disc.layers.0.diameter``."""
         names = tuple(key.split("."))
-        for path, text in self.overrides.items():
+        for path, override in self.overrides.items():
             if path[: len(names)] == names or names[: len(path)] == path:
-                return f"--set {clip_text(text)!r}"
+                return override
         line = _find_line(self.text, names)
         place = self.label if line is None else f"{self.label}, line {line}"
         steps = tuple(int(name) if name.isdigit() else name for name in names)

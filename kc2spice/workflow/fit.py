@@ -148,8 +148,8 @@ def fit(
     45.000
     """
     loaded = load_scene(scene)
-    # checked before the data, so that a misspelt part is reported first
-    loaded.part(part, "SCENE:PART")
+    # checked before the data, so that this mistake is reported first
+    _require_linear(loaded.part(part, "SCENE:PART"))
     resistance = shunt_resistance(shunt)
     if isinstance(data, MeasuredAdmittance) and resistance is not None:
         problem = "applies to a file of gain and phase"
@@ -175,7 +175,6 @@ def fit(
             expected="--vary KEY, or --vary KEY=LOW:HIGH",
             hint="add for example  --vary damping.quality=10:200",
         )
-    _require_linear(loaded.part(part))
     keys = _varied_keys(loaded, part, vary)
     body = _Body(loaded, part, measured, keys, progress, loaded)
     with nullcontext(Path()) if out is None else stage_directory(out) as work:

@@ -60,7 +60,7 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
             f"energy of {name}",
             result.share,
             slack * result.limit,
-            "of what was turned over",
+            "of the energy exchanged",
             result.advice,
             scene.checks.energy,
             coarse=True,

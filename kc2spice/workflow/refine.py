@@ -316,7 +316,7 @@ def converge(start: Run, clock: Clock) -> ConvergedRun | None:
     shares: dict[str, float] = {}
     notches: Notches = {}
     why, last, stalls = "", math.inf, 0
-    other = "refine what it was tried with"
+    other = "change the keys that the run refined"
     while True:
         now = estimate(runs, notches)
         if now is None:

@@ -15,8 +15,8 @@ from itertools import accumulate
 
 import numpy as np
 
+from kc2spice.core.prefix import format_quantity
 from kc2spice.netlist.deck import Deck
-from kc2spice.report.html import format_quantity
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.model import Build

@@ -23,10 +23,10 @@ import numpy as np
 
 from kc2spice.core.domains import DOMAINS
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network, law_of, pin_kinds
 from kc2spice.equations.scene_laws import scene_laws
-from kc2spice.report.html import format_quantity
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build
 from kc2spice.scene.rows import StepLimit, Vector

@@ -8,7 +8,7 @@ import pytest
 from commands import asked, python
 
 from bench.page import bench_tables
-from kc2spice.report.html import format_quantity
+from kc2spice.core.prefix import format_quantity
 
 ROOT = Path(__file__).parents[2]
 RESULTS = (ROOT / "docs" / "evidence" / "results.md").read_text(encoding="utf-8")

@@ -252,7 +252,7 @@ def test_a_driver_in_the_place_of_a_source_is_not_held_against_its_keys(tmp_path
     [
         (lambda text: text.replace(".save v(store_a)\n", "").replace(".save v(upper_b)\n", ""),
          "does not save"),
-        (lambda text: text.replace(".tran", ".op\n*"), "not the scene's analysis"),
+        (lambda text: text.replace(".tran", ".op\n*"), "another analysis than that of the scene"),
         (lambda text: text.replace(".end", ".control\nshell ls\n.endc\n.end"), "control"),
     ],
 )  # fmt: skip

@@ -108,7 +108,7 @@ MISTAKES = {
     ),
     "pins of different kinds": (
         DIVIDER + MASS + 'pins = { a = "upper.b" }\n',
-        21, "weight.pins.a", ["different kinds", "weight.a is um/N", "upper.b is V/A"],
+        21, "weight.pins.a", ["different kinds", "weight.a is a pin in um/N, upper.b a pin in V/A"],
     ),
     "two ideal sources in parallel": (
         DIVIDER + SECOND + 'pins = { out = "upper.a" }\n',

@@ -51,9 +51,9 @@ def test_entries_are_swept_and_drawn():
         ("beam.length[0]=1 mm", ("beam.length is no list",)),
         ("beam.layers[0].thicknes=1 mm", ("unknown key", "thickness")),
         ("beam.layers[0].thickness=1 kg", ("beam.layers[0].thickness=1 kg",)),
-        ("beam.layers[x].thickness=1 mm", ("not an override",)),
-        ("beam.layers[].thickness=1 mm", ("not an override",)),
-        ("beam.[0]=1 mm", ("not an override",)),
+        ("beam.layers[x].thickness=1 mm", ("not the name of a key",)),
+        ("beam.layers[].thickness=1 mm", ("not the name of a key",)),
+        ("beam.[0]=1 mm", ("not the name of a key",)),
     ],
 )
 def test_what_is_wrong_with_a_path_is_said(text, words):

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from kc2spice.core.figure import Curve, Figure, Panel
+from kc2spice.core.prefix import format_quantity, format_value_and_limit
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.charts import render_figure
 from kc2spice.report.figures import draw_pngs
-from kc2spice.report.html import PageSection, format_quantity, format_value_and_limit, write_page
+from kc2spice.report.html import PageSection, write_page
 from kc2spice.report.run_page import format_operating_point, format_results, write_run
 from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.load import load_scene
@@ -29,14 +30,18 @@ TEMPLATES = Path(__file__).parents[2] / "templates"
 def test_a_limit_has_the_unit_and_the_prefix_of_its_value() -> None:
     assert format_value_and_limit(4.06e5, 5e5, "Hz") == ("406 kHz", "500 kHz")
     assert format_value_and_limit(2.23e-5, 1e-3, "of its swing") == (
-        "2.23e-05 of its swing", "0.001 of its swing",
+        "0.00223 % of its swing", "0.1 %",
     )  # fmt: skip
+    assert format_value_and_limit(1.24e-3, 0.03, "relative, estimated") == (
+        "0.124 %, estimated", "3 %",
+    )  # fmt: skip
+    assert format_value_and_limit(0.0, 1e-8, "m") == ("0 nm", "10 nm")
     assert format_value_and_limit(1.56e-5, 4.89e-3, "A2 s") == ("1.56e-05 A2 s", "0.00489 A2 s")
 
 
 def test_a_rounding_error_prints_0() -> None:
-    assert format_value_and_limit(2.84e-14, 1e-3, "of its swing")[0] == "0 of its swing"
-    assert format_value_and_limit(1e-15, 0.5, "V")[0] == "0 V"
+    assert format_value_and_limit(2.84e-14, 1e-3, "of its swing")[0] == "0 % of its swing"
+    assert format_value_and_limit(1e-15, 0.5, "V")[0] == "0 mV"
     assert format_value_and_limit(1e-9, 0.5, "V")[0] == "1 nV"
     point = {"a.i": (2.0, "A"), "b.i": (3e-13, "A"), "c.v": (3e-13, "V")}
     result = {"operating_point": {n: {"value": v, "unit": u} for n, (v, u) in point.items()}}

@@ -100,8 +100,8 @@ MISTAKES = [
     ("kick.driver.user.subckt=amp", ["needs a netlist"]),
     ("catch.driver={}", ["needs one driver", "linear"]),
     ("catch.driver.user.subckt=amp", ["needs a netlist"]),
-    ("nothing", ["not an override"]),
-    ("a..b=1", ["not an override"]),
+    ("nothing", ["the value of the key is missing", "write nothing=VALUE"]),
+    ("a..b=1", ["not the name of a key"]),
     ("kick.mesh.refine=1\nfoo=3", ["not a whole number"]),
 ]
 

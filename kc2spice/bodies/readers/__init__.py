@@ -323,6 +323,13 @@ def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]
     if not raw.is_file(path) or suffix == ".toml":
         if not raw.is_file(path) and suffix:
             raise raw.missing_file(path, "a model: kc2spice reduce --help lists the kinds of files")
+        if path.is_dir():
+            raise wrong(
+                str(path),
+                "is a directory",
+                expected="the path of a model",
+                hint="name a file in it",
+            )
         expected = f"{path.name}.M and {path.name}.K, or {path.name}.npz or .mat"
         hint = "kc2spice reduce --help lists the kinds of files"
         raise wrong(str(path), "no such model", expected=expected, hint=hint)

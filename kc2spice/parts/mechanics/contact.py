@@ -251,8 +251,8 @@ class Contact(DeclaredPart[ContactKeys]):
             yield Neglected(
                 f"inertia of the residual modes behind the ports of {part.name}",
                 "stiff modes above the band that keep the ports' compliance exact; their mass is "
-                "the mesh's and rattles behind the springs",
-                "part of the reduced model's certified error",
+                "an artefact of the mesh and would oscillate behind the springs",
+                "included in the error estimate of the reduced model",
             )
         dry = "" if part.keys.friction else "friction, "
         what = f"{dry}adhesion and plastic flow between {a.part} and {pair.b.part}"

@@ -248,7 +248,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     ) -> Iterator[Balance | Gate]:
         """Work of all forces on the sphere against its kinetic energy.
 
-        The scale is all work that was turned over, in whichever direction.
+        The scale is the sum of the magnitudes of all work.
         """
         if "time" not in waves or f"{part.name}.v" not in waves:
             return
@@ -385,7 +385,7 @@ def _elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
     stiffest = max(filter(None, moduli), default=0.0)
     if not stiffest:
         return "not estimated"
-    return f"the dent would be {100 * stiffest / sphere_modulus:.0f} % softer"
+    return f"the indentation would be {100 * stiffest / sphere_modulus:.0f} % softer"
 
 
 def _air_drag(keys: SphereKeys) -> Neglected:

@@ -99,9 +99,7 @@ def split_range(text: str) -> tuple[str, list[str]]:
                 where="--set",
                 got=text,
                 expected=f"{prefix}FIRST:LAST:POINTS",
-                hint=f"write {prefix}{':'.join([*words[:2], '5'])} for five points"
-                if len(words) == 2
-                else None,
+                hint=f"write {prefix}{':'.join([*words, '5'][:3])}" if len(words) > 1 else None,
             )
         if kind == "log" and any(map(_ZERO.match, words[:2])):
             raise _crosses_zero(text)
