@@ -22,9 +22,7 @@ TOLERANCE = 1e-4
 COUPLING = np.array([[2.0, 0.5, 0.3], [0.5, 2.0, 0.4], [0.3, 0.4, 2.0]])
 # As the command line sets them: threads of BLAS under SuperLU cost ten times what they save.
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-BLOCKS = 13  # of a Krylov basis that settles for the elastic block
-SIDES = 4, 3, 2  # of the elastic block, relative
-BAND = {"elastic": (0.0, 140e3)}  # Hz; of other kinds up to the fifth natural frequency
+BLOCKS = 13  # of a Krylov basis
 
 
 def grid_model(unknowns, dimension):
@@ -44,47 +42,9 @@ def grid_model(unknowns, dimension):
     return LinearModel(M=M, E=0.01 * K, K=K, B=B, name="grid")
 
 
-def elastic_model(unknowns):
-    """Block of aluminium of 20 x 15 x 10 mm in trilinear hexahedra, clamped at one end, with a
-    damping ratio of 0.5 % at 60 kHz: four mean displacements of two faces.
-    """
-    from skfem import Basis, BilinearForm, ElementHex1, ElementVector, MeshHex
-    from skfem.helpers import ddot, dot, eye, sym_grad, trace
-
-    per_side = (unknowns / 3 / np.prod(SIDES)) ** (1 / 3)
-    axes = [np.linspace(0, 5e-3 * side, max(2, round(side * per_side)) + 1) for side in SIDES]
-    basis = Basis(MeshHex.init_tensor(*axes), ElementVector(ElementHex1()), intorder=2)
-    young, poisson, density = 70e9, 0.31, 2700.0
-    shear = young / 2 / (1 + poisson)
-    lame = young * poisson / (1 + poisson) / (1 - 2 * poisson)
-
-    @BilinearForm
-    def stiffness(u, v, w):
-        strain = sym_grad(u)
-        return ddot(2 * shear * strain + lame * eye(trace(strain), 3), sym_grad(v))
-
-    @BilinearForm
-    def mass(u, v, w):
-        return density * dot(u, v)
-
-    places, numbers = basis.mesh.p, basis.nodal_dofs
-    free = np.setdiff1d(np.arange(basis.N), numbers[:, places[0] < 1e-9])
-    tip, top = places[0] > 19.99e-3, places[2] > 9.99e-3
-    loads = ((tip, (0.1, 0.4, 1.0)), (tip, (0.2, 1.0, -0.3)), (top, (0.2, 0.3, 1.0)),
-             (top & (places[0] > 10e-3), (0.1, 1.0, 0.25)))  # fmt: skip
-    B = np.zeros((basis.N, len(loads)))
-    for column, (nodes, direction) in enumerate(loads):
-        B[numbers[:, nodes], column] = np.array(direction)[:, None] / nodes.sum()
-    K, M = (form.assemble(basis).tocsc()[free][:, free] for form in (stiffness, mass))
-    K, M = (0.5 * (matrix + matrix.T) for matrix in (K, M))
-    damping = 0.0, 2 * 0.005 / (2 * np.pi * 60e3)
-    return LinearModel(M=M, K=K, B=B[free], rayleigh=damping, name="elastic")
-
-
 KINDS = {
     "plate": lambda unknowns: grid_model(unknowns, 2),
     "solid": lambda unknowns: grid_model(unknowns, 3),
-    "elastic": elastic_model,
 }
 
 
@@ -100,7 +60,7 @@ def _measure(unknowns, kind):
     which Python and its libraries take 0.1 GB: cells of a row."""
     model = KINDS[kind](unknowns)
     begin, worked = time.perf_counter(), time.process_time()
-    rom = reduce_model(model, tolerance=TOLERANCE, band=BAND.get(kind))
+    rom = reduce_model(model, tolerance=TOLERANCE)
     spent = time.perf_counter() - begin, time.process_time() - worked
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024e-9
     return " | ".join([str(model.order), str(rom.order), *(f"{x:.3g}" for x in (*spent, memory))])
