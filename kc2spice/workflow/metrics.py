@@ -72,7 +72,7 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
 
 
 def with_undecided(checks: Sequence[Check]) -> Iterator[Check]:
-    """All ``checks``, and a warning for each whose outcome the errors of reduced bodies may change.
+    """Yield all checks, and a warning for each that errors of reduced bodies may decide.
 
     A relative error e of the velocity that a body gives changes the height of a flight, v^2 / 2 g,
     by 2 e of it. An outcome is undecided if the motion is nearer to its limit than that.
@@ -104,7 +104,7 @@ class Metrics(NamedTuple):
 
 
 def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> Metrics:
-    """Metrics of the probes, then of all parts; of ``partial`` waves those that they reach.
+    """Return the metrics of probes, then of all parts; of ``partial`` waves what they reach.
 
     A name that several parts have gets the part's name in front: ``left.kick_stroke_m``.
     """
@@ -114,7 +114,7 @@ def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> Metrics
 
 
 def _metric_values(rows: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of metrics, in the same tables."""
+    """Return the values of metrics, in the same tables."""
     result: dict[str, Any] = {}
     for name, item in rows.items():
         value = item.value if isinstance(item, Metric) else item
@@ -160,7 +160,7 @@ def _probe_unit(probe: Probe, build: Build, waves: Waveforms) -> str:
 
 
 def window_of(probe: Probe, scene: Scene) -> tuple[float, float] | None:
-    """First and last place on the scale that a probe reads.
+    """Return the first and the last place on the scale that a probe reads.
 
     The result is None if the probe reads the whole scale.
     """
@@ -175,7 +175,7 @@ def window_of(probe: Probe, scene: Scene) -> tuple[float, float] | None:
 def _clip_to_window(
     scale: np.ndarray, values: np.ndarray, window: tuple[float, float], name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points within a window, with its ends on the straight lines between them.
+    """Return the points within a window, with its ends on the straight lines between them.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def _clip_to_window(
 def evaluate_probe(
     probe: Probe, waves: Waveforms, name: str, window: tuple[float, float] | None = None
 ) -> float | None:
-    """Value of a probe; None for crossings or cycles that do not happen.
+    """Return the value of a probe; None for crossings or cycles that do not happen.
 
     With a ``window``, values outside of it are ignored.
 
@@ -239,7 +239,7 @@ def _evaluate_range(probe: Probe, scale: np.ndarray, values: np.ndarray) -> floa
 
 
 def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, float]:
-    """Place and value of the largest magnitude of a frequency response, between its points too.
+    """Return place and value of the largest magnitude of a response, between points too.
 
     Near the pole ``a + j w0`` a response is ``R / (j w - a - j w0)``. Then ``1 / |y|^2`` is a
     parabola in ``w``, which three points determine:
@@ -270,7 +270,7 @@ def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, fl
 
 
 def response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
-    """The least magnitude of a frequency response, between its points too.
+    """Return the least magnitude of a frequency response, between its points too.
 
     Near a zero the reciprocal of a response has a pole.
     """
@@ -278,7 +278,7 @@ def response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
 
 
 def frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
-    """Mean rate at which ``values`` rise through their mean in the last half of the scale.
+    """Return the mean rate at which ``values`` rise through their mean in the last half.
 
     None with fewer than two crossings.
     """
@@ -293,7 +293,7 @@ def frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
 
 
 def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
-    """First place on the scale where the values cross ``level``, interpolated."""
+    """Return the first place on the scale where the values cross ``level``, interpolated."""
     above = values >= level
     changes = np.flatnonzero(above[1:] != above[:-1])
     if changes.size == 0:

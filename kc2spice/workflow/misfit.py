@@ -27,7 +27,7 @@ EXPLAINED = 0.5  # least fraction of squared residuals that a likely cause remov
 
 
 def misfit_to_noise(residuals: np.ndarray, keys: int) -> float:
-    """Rms residual in units of the noise.
+    """Return the rms residual in units of the noise.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def misfit_to_noise(residuals: np.ndarray, keys: int) -> float:
 
 
 def covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray) -> np.ndarray:
-    """Covariance (k, k) of the fitted values, of their logarithms if J is by logarithms.
+    """Return the covariance (k, k) of the fitted values, or of their logarithms as in J.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray) -> np.n
 
 
 def _change_without_band(J: np.ndarray, residuals: np.ndarray, band: np.ndarray) -> np.ndarray:
-    """Change (k,) of the values when a fit leaves out the frequencies of ``band``."""
+    """Return the change (k,) of the values if a fit leaves out the frequencies of ``band``."""
     used = np.ones(len(residuals), dtype=bool)
     used[band] = used[band + len(residuals) // 2] = False
     return np.asarray(-np.linalg.lstsq(J[used], residuals[used], rcond=None)[0])
@@ -80,8 +80,9 @@ def _change_without_band(J: np.ndarray, residuals: np.ndarray, band: np.ndarray)
 def likely_cause(
     J: np.ndarray, residuals: np.ndarray, causes: Mapping[str, np.ndarray]
 ) -> str | None:
-    """The first cause that leaves nearly as little of the sum of squares as any other when its
-    amount is fitted together with the values.
+    """Return the first cause that explains nearly as much of the residuals as any other.
+
+    The amount of each cause is fitted together with the values.
 
     Parameters
     ----------
@@ -107,7 +108,7 @@ def likely_cause(
 
 
 def _residual_with_cause(J: np.ndarray, residuals: np.ndarray, cause: np.ndarray) -> float:
-    """Sum of squares that is left after a fit with one more column, of positive amount."""
+    """Return the sum of squares after a fit with one more column, of positive amount."""
     column = np.concatenate([cause.real, cause.imag])
     Q, _ = np.linalg.qr(J)
     column = column - Q @ (Q.T @ column)

@@ -95,7 +95,7 @@ def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
 
 
 def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Keys of the scene with which a failed run may succeed; empty if there are none.
+    """Return keys of the scene with which a failed run may succeed; empty if there are none.
 
     The keys are those that the checks of the run suggest. If a body is still too coarse although
     its order is among the ``automatic`` keys, the order is doubled once more.
@@ -148,14 +148,14 @@ class _Search:
 
 
 def _violated_checks(run: Run) -> dict[str, Check]:
-    """Violated checks of errors under the recorded loads, by the body."""
+    """Return violated checks of errors under the recorded loads, by the body."""
     checks = {check.name: check for check in run.verdict.checks if check.loaded}
     bodies = {part.name: checks.get(f"reduction of {part.name}") for part in _orders_of(run)}
     return {name: check for name, check in bodies.items() if check and not check.passed}
 
 
 def _orders_of(run: Run) -> Iterator[Part]:
-    """Parts that have an order, which a box of parameters does not have."""
+    """Yield the parts that have an order; a part with ranges of parameters has none."""
     return (part for part in run.build.scene.parts.values() if not part.parameter_ranges)
 
 
@@ -166,8 +166,10 @@ def _larger_orders(run: Run, clock: Clock) -> Iterator[_Search]:
 
 
 def _larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _Search:
-    """The smallest multiple of its order that is within the limit of ``check``, or the one with the
-    least error."""
+    """Search the smallest multiple of its order that is within the limit of ``check``.
+
+    Without one, the result is the multiple with the least error.
+    """
     build, kind = run.build, part.type
     assert isinstance(kind, LinearBody)
     model, target = build.model(part, LinearModel), reduction_target(part, build.scene)
@@ -224,13 +226,13 @@ def _expected_time(seconds: float, model: LinearModel, larger: LinearModel) -> f
 
 
 def _highest_natural_frequency(model: LinearModel) -> float:
-    """Highest natural frequency [rad/s] of a mode with inertia; 0 where no modes are known."""
+    """Return the highest natural frequency [rad/s] of a mode with inertia, 0 if unknown."""
     modal = resonators(model)
     return 0.0 if modal is None else float(modal.omega[modal.inertia > 0].max(initial=0.0))
 
 
 def _largest_error(run: Run, names: Sequence[str]) -> float:
-    """Largest error of the reduced bodies ``names`` under the loads that ``run`` recorded."""
+    """Return the largest error of the bodies ``names`` under the loads that ``run`` recorded."""
     result = 0.0
     for name in names:
         part = run.build.scene.parts[name]

@@ -48,7 +48,7 @@ class Ringing:
 
 
 def time_per_point(states: int) -> float:
-    """CPU time [s] of ngspice for a time point of a circuit with a body of so many states."""
+    """Return the CPU time [s] of ngspice for a time point with a body of so many states."""
     return PER_POINT + PER_STATE * states
 
 

@@ -207,7 +207,7 @@ def complete(
 
 
 def _check_error_estimate(converged: ConvergedRun) -> Run:
-    """The run that holds the error budget, with the check of its estimate."""
+    """Return the run within the error budget, with the check of its estimate."""
     final, check = converged.final, converged.check
     if final.settings:
         settings = ", ".join(final.settings)

@@ -151,7 +151,7 @@ def with_linearised_scene(build: Build) -> Build:
 
 
 def _motion(network: Network, stop: float) -> ExponentialSolution | None:
-    """Motion of a network, linearised at rest; None if it is too large or has no solution."""
+    """Return the motion of a network about rest; None if too large or without solution."""
     from kc2spice.reference.small_signal import LinearisedSystem
     from kc2spice.reference.system import assemble_system  # which loads scipy
 

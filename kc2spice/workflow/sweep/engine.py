@@ -89,7 +89,7 @@ _GROUP = ".group"  # ending of the file that is named after a worker's process g
 
 
 def available_cores() -> int:
-    """Processors that this process may use."""
+    """Return the number of processors that this process may use."""
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # not on Linux
@@ -155,7 +155,7 @@ def _worker_starts(scratch: str) -> None:
 
 
 def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
-    """The workers of a Dask scheduler, or ``count`` on this machine for the address ``local``.
+    """Return the workers of a Dask scheduler, or ``count`` on this machine for ``local``.
 
     A scheduler gets ``patience`` seconds for its first answer, and a minute to come back.
     """
@@ -294,7 +294,7 @@ def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> N
 def columns(
     outcomes: Mapping[int, PointResult], plan: Plan, metrics: Sequence[str] = ()
 ) -> dict[str, list[Any]]:
-    """The table: swept keys, ``metrics`` numbers (or every metric that a run has), ``status``.
+    """Return the table: swept keys, ``metrics`` (by default all of the runs), ``status``.
 
     A point without a number has None in this column.
     """
@@ -330,7 +330,7 @@ def _csv_cell(value: Any) -> str | None:
 
 
 def write_parquet(table: Mapping[str, Sequence[Any]], path: Path) -> None:
-    """The same table, numbers as such."""
+    """Write the table as Parquet; its numbers keep their type."""
     arrow = import_optional("pyarrow", "--format")
     parquet = import_optional("pyarrow.parquet", "--format")
 
@@ -388,7 +388,7 @@ class Sweep:
         return {"netlists": self.plan.count_distinct(keys), "ngspice": self.plan.size}
 
     def describe(self) -> str:
-        """The same in one line."""
+        """Return the numbers of decks and runs in one line."""
         netlists, runs = self.runs.values()
         return f"{self.plan.size} points: {netlists} netlists, {runs} ngspice runs"
 
@@ -438,7 +438,7 @@ def make_sweep(
 def sweep_of_plan(
     job: Job, plan: Plan, units: Mapping[str, str], metrics: tuple[str, ...] = ()
 ) -> Sweep:
-    """The sweep of ``plan``.
+    """Return the sweep of ``plan``.
 
     Raises
     ------
@@ -463,7 +463,7 @@ class _Study(BaseModel):
 
 
 def studies() -> dict[str, Traversable]:
-    """Built-in studies by name."""
+    """Return the built-in studies by name."""
     folder = resources.files("kc2spice") / "studies"
     result = {item.name: item for item in folder.iterdir() if item.name.endswith(".toml")}
     return {name.removesuffix(".toml"): result[name] for name in sorted(result)}
@@ -495,7 +495,7 @@ def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
 
 
 def _find_study(name: str) -> _Study | None:
-    """The study ``name``, built in or a file with a key ``scene``; None for a scene."""
+    """Return the study ``name``, built in or a file with a key ``scene``; None for a scene."""
     builtin = studies().get(name)
     try:
         data = builtin.read_bytes() if builtin else read_bounded(Path(name), MAX_BYTES)
@@ -551,7 +551,7 @@ def outcomes(
 def _complete_points(
     definition: Sweep, points: Iterable[int], workers: Workers, at_once: int | None = None
 ) -> Iterator[tuple[int, PointResult]]:
-    """Outcomes of ``points`` as they come, no more in flight than keeps all workers busy.
+    """Yield outcomes of ``points`` as they come; no more run than keep all workers busy.
 
     If a worker dies, all points that were running are ``LOST``, and the workers are started again.
     """
@@ -670,7 +670,7 @@ def run_sweep(
 
 
 def table_file_name(table_format: str) -> str:
-    """Name of the table's file.
+    """Return the file name of the table.
 
     Raises
     ------

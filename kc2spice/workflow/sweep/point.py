@@ -61,7 +61,7 @@ class SceneText:
     files: tuple[tuple[str, bytes], ...] = ()
 
     def load(self, overrides: Sequence[str]) -> Scene:
-        """The scene with ``overrides`` on top of it; raises as :func:`load_scene` does."""
+        """Return the scene with ``overrides``; raises as :func:`load_scene` does."""
         if self.text is None:
             return load_scene(self.name, overrides)
         home = Path(_unpack(self).name)
@@ -74,7 +74,7 @@ class SceneText:
 
 @lru_cache(maxsize=_KEPT)
 def _unpack(scene: SceneText) -> tempfile.TemporaryDirectory[str]:
-    """A directory that holds the files of ``scene`` until this process ends."""
+    """Return a directory that contains the files of ``scene`` until this process ends."""
     directory = tempfile.TemporaryDirectory(prefix="kc2spice-scene-")
     for name, content in ((f"{scene.name}.toml", (scene.text or "").encode()), *scene.files):
         path = Path(directory.name) / name
@@ -99,7 +99,7 @@ def scene_text(name_or_path: str) -> SceneText:
 
 
 def scene_files(scene: Scene) -> dict[str, bytes]:
-    """Files that the scene reads, by name; netlists with their includes expanded.
+    """Return the files that the scene reads, by name; netlists with expanded includes.
 
     Raises
     ------
@@ -143,7 +143,7 @@ class Job:
     workspace: Workspace = field(default_factory=Workspace, compare=False)
 
     def load(self, values: Mapping[str, Any]) -> Scene:
-        """The scene where the swept keys have these values; raises as :func:`load_scene` does."""
+        """Return the scene with these values of swept keys; raises as :func:`load_scene` does."""
         overrides = (*self.fixed, *_overrides(values))
         if isinstance(self.scene, SceneText):
             scene = self.scene.load(overrides)
@@ -169,12 +169,12 @@ class PointResult:
 
 
 def _overrides(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """``key=value`` texts that set the scene's keys, without parameters of subcircuits."""
+    """Return ``key=value`` texts of the scene's keys, without parameters of subcircuits."""
     return tuple(f"{k}={format_toml(v)}" for k, v in values.items() if not PARAMETER.fullmatch(k))
 
 
 def subcircuit_parameters(values: Mapping[str, Any]) -> Parameters:
-    """``("PART.NAME", value)`` of a point's subcircuit parameters."""
+    """Return ``("PART.NAME", value)`` of the subcircuit parameters of a point."""
     result = ((PARAMETER.fullmatch(key), value) for key, value in values.items())
     return tuple((name[1], float(value)) for name, value in result if name)
 

@@ -123,13 +123,15 @@ def netlist_checks(
 
 
 def leakage(frequency: np.ndarray) -> float:
-    """Share of the current of an electrical port that its leak takes at the lowest of the
-    frequencies: ``G / (w C)``, ``G = LEAK_RATE C``."""
+    """Return the share of the current of an electrical port that flows through its leak.
+
+    It is ``G / (w C)`` at the lowest frequency, with ``G = LEAK_RATE C``.
+    """
     return float(LEAK_RATE / (2 * np.pi * frequency.min()))
 
 
 def rom_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Check]:
-    """Poles not in the right half plane; passivity and reciprocity of the reduced model.
+    """Check stability, passivity and reciprocity of the reduced model.
 
     Growth ``Re p`` of a general model is a share of ``max(|p|, w)``, ``w`` the end of the band.
     """
@@ -156,8 +158,9 @@ def rom_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> lis
 def structure_checks(
     name: str, frequency: np.ndarray, H: np.ndarray, limit: float, *, rates: bool = True
 ) -> list[Check]:
-    """``Re (s H)`` positive semi-definite and ``H`` symmetric; of heat models without ``rates``,
-    ``Re H``.
+    """Check that ``Re (s H)`` is positive semi-definite and that ``H`` is symmetric.
+
+    Heat models have no ``rates``: their ``Re H`` is checked.
 
     ``s H`` maps forces and voltages to velocities and currents, and H heat flows to temperatures; a
     network is passive if its Hermitian part has no negative eigenvalue at any frequency, relative
@@ -243,7 +246,7 @@ def _deck(
 
 
 def _full_response(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.ndarray:
-    """The full model's response, kept for scenes that share the body."""
+    """Return the response of the full model; scenes that share the body share its cache."""
     assert isinstance(part.type, LinearBody)
     key = part.type.model_key(part, build.scene)
     depends = {
@@ -259,7 +262,7 @@ def _full_response(part: Part, build: Build, full: LinearModel, at: np.ndarray) 
 
 
 def verified_band(rom: LinearModel, build: Build) -> tuple[float, float]:
-    """Frequencies [Hz] between which the reduced model is meant to hold."""
+    """Return the band [Hz] in which the reduced model must be accurate."""
     if rom.certificate is not None:
         return rom.certificate.band_hz
     selected = build.scene.analysis
@@ -274,7 +277,7 @@ def _error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.ndarra
 
 
 def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:
-    """``count`` of the frequencies: half where the response is largest, half spread over all."""
+    """Select frequencies: half where the response is largest, half spread over all."""
     if at.size <= count:
         return at
     size = np.abs(rom.transfer(at))
