@@ -339,6 +339,7 @@ def solve_transient(
     corners = np.unique(np.concatenate([[0.0, stop], *driven]))
     segments: list[Segment] = []
     events: list[float] = []
+    left = np.empty(0)  # guards where the interval before ended
     for begin, end in pairwise(corners):
         t, within = begin, 0.5 * (begin + end)
         while t < end:
@@ -347,21 +348,38 @@ def solve_transient(
                     "contact opens and closes without end", where=f"t = {t:.9e} s"
                 )
             interval = Interval(system, modes, within)
+            if (jumped := _find_jump(interval, t, z, left)) is not None:
+                modes, left[jumped] = _switch_mode(system, modes, jumped), np.nan
+                continue
             steps, fired = _integrate_interval(
                 interval, t, z, end, rtol, lambda t: progress(t / stop)
             )
             if steps:
                 segments.append(Segment(interval, tuple(steps)))
                 t, z = steps[-1].end, steps[-1].last
+            left = interval.guards(t, z)
             if fired is None:
                 t = end
             else:
+                left[fired] = np.nan
                 modes = _switch_mode(system, modes, fired)
                 events.append(t)
     accepted = chain.from_iterable(map(attrgetter("steps"), segments))
     grid = [*map(attrgetter("start"), accepted), stop]
     time = np.unique(grid) if times is None else np.union1d(times, events)
     return Trajectory(system, time, tuple(segments), tuple(events))
+
+
+def _find_jump(interval: Interval, t: float, z: np.ndarray, left: np.ndarray) -> int | None:
+    """Return the number of a guard that a jump of algebraic unknowns makes negative.
+
+    ``left`` are the guards before the jump, nan for those that have switched.
+    """
+    guards = interval.guards(t, interval.solve_algebraic(t, z))
+    if guards.shape != left.shape:
+        return None
+    jumped = np.flatnonzero((left > 0.0) & (guards < 0.0))
+    return int(jumped[0]) if jumped.size else None
 
 
 def _switch_mode(system: System, modes: list[Any], fired: int) -> list[Any]:

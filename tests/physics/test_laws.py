@@ -212,3 +212,31 @@ def test_rounding_of_a_derivative_does_not_shorten_the_steps() -> None:
     x = run.waves["d.x"][run.time > 0.1]
     exact = gain * lag * 1e3 * np.cos(run.time[run.time > 0.1])
     np.testing.assert_allclose(x + 0.1 * np.tanh(x), exact, atol=5e-8)
+
+
+def test_a_step_of_a_signal_saturates_what_follows_it() -> None:
+    """A node steps to 10 V at 0.5 s; an amplifier with a limited slew rate follows another device.
+
+    ``c' = SLEW clip(FAST (v - c) / SLEW)`` rises with SLEW, then settles exponentially.
+    """
+    slew, fast = 20.0, 1e3
+    branches = measured(voltage("enable", "p", "n")), voltage("v", "q", "n")
+    step = Declaration(
+        "step", "switch", Section, branches, content="0.5*(v - 10*above(enable - 0.5))^2"
+    )
+    states = {"c": f"{slew!r}*clip({fast!r}*(v - c)/{slew!r})"}
+    follower = Declaration(
+        "follower", "amplifier", Section, (measured(voltage("v", "q", "n")),), states=states
+    )
+    source = L.IdealSource("s", "voltage", linear(((0.0, 0.0), (1.0, 1.0))))
+    laws = [source, DeclaredLaw("a", step, ()), DeclaredLaw("b", follower, ())]
+    joins = {"in": ("s.out", "a.p"), "out": ("a.q", "b.q"), L.GROUND: ("a.n", "b.n")}
+    run = solve_transient(assemble_system(laws, joins), 1.0, 1e-9, np.linspace(0, 1, 101))
+    settled = 0.5 + (10 - slew / fast) / slew
+    t = run.time
+    exact = np.where(
+        t < settled,
+        slew * np.maximum(t - 0.5, 0.0),
+        10 - slew / fast * np.exp(-fast * np.maximum(t - settled, 0.0)),
+    )
+    np.testing.assert_allclose(run.waves["b.c"], exact, atol=1e-6)
