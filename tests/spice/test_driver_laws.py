@@ -5,11 +5,16 @@ The equations here have no nodes: what carries no charge is eliminated with penc
 
 import numpy as np
 import pytest
-from device import both
+from device import both, built
 from own_equations import VT, integrated
 
+from kc2spice.core import laws as L
+from kc2spice.core.waveforms import linear
+from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.parts.electronics._template import Load
 from kc2spice.parts.electronics.driver_types import LinearDrive
+from kc2spice.reference.integrate import solve_transient
+from kc2spice.reference.system import assemble_system
 from kc2spice.scene.load import load_scene
 
 FARAD, HENRY = 1e-7, 1e-6  # F, in place of a chip; H, before it where it rings
@@ -198,3 +203,26 @@ def test_leaks_of_a_charge_drive_keep_its_operating_point(tmp_path):
     loop = 1 + 1e-7 * (1 + 1e-6 / 150e-9)  # an amplifier of gain 1e7
     assert exact["chip.v"][0] == pytest.approx(10.0 / loop, rel=1e-8)
     assert waves["chip.v"][0] == pytest.approx(exact["chip.v"][0], rel=1e-6)
+
+
+def test_a_controller_commands_a_driver_by_its_law(model, table):
+    """The sphere passes the set point at 10 mm/s: ``100 Ohm (kp e + ki int e dt + kd de/dt)``."""
+    laws = scene_laws(built(load_scene("coil_rails"), model, table))
+    assert laws.missing == ()
+    law, keys = laws.laws["control"], laws.build.scene.parts["control"].keys
+    setpoint = law.values[law.declaration.parameters.index("setpoint")]
+    speed, stop, on = 0.01, 4e-3, 1e-6
+    first = setpoint - speed * stop / 2
+    path = linear(((0.0, 1e6 * first), (stop, 1e6 * (first + speed * stop))))  # um, a signal
+    enabled = linear(((0.0, 0.0), (on, 0.0), (1.01 * on, 1.0)))
+    sources = [L.IdealSource("y", "signal", path), L.IdealSource("enable", "signal", enabled)]
+    joins = {"y": ("y.out", "control.y"), "enable": ("enable.out", "control.enable")}
+    run = solve_transient(
+        assemble_system([law, *sources], joins), stop, 1e-9, np.linspace(0, stop, 201)
+    )
+    t = run.time[run.time > 30e-6]
+    error = speed * (stop / 2 - t)
+    integral = speed * ((stop * t - t**2) - (stop * on - on**2)) / 2
+    exact = 100.0 * (keys.kp * error + keys.ki * integral - keys.kd * speed)
+    command = run.waves["control.command"][run.time > 30e-6]
+    np.testing.assert_allclose(command, exact, atol=1e-6 * np.abs(exact).max())

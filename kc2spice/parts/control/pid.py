@@ -250,13 +250,18 @@ class Pid(PartType[Control]):
     def law(self, part: Part[Control], build: Build) -> laws.Equations | None:
         """Law of both forms; deviations of the amplifiers count as an error of the netlist."""
         keys, n, scene = part.keys, part.name, build.scene
-        if _drives_external_circuit(part, scene) or build.net(part, "ref") != "0":
+        if build.net(part, "ref") != "0":
             return None
-        declared, height = declare_control(keys), sphere.height_offset(part, "y", scene)
+        external = _drives_external_circuit(part, scene)
+        declared = declare_control(keys, output=not external)
+        height = sphere.height_offset(part, "y", scene)
         values = declared.values(keys) | {"setpoint": keys.setpoint - height}
         controller = DeclaredLaw(n, declared, tuple(values.values()))
         error = laws.reading(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
-        return laws.Equations((controller,), controller.joins, {f"{n}.error": error})
+        results = {f"{n}.error": error}
+        if external:
+            results["coil.wanted"] = laws.reading(f"{n}.command", 1.0 / SENSE)
+        return laws.Equations((controller,), controller.joins, results)
 
     def metrics(self, part: Part[Control], build: Build, waves: Waveforms) -> Mapping[str, object]:
         ball = sphere.controlled_sphere(part, build.scene)

@@ -47,6 +47,7 @@ class Diode(TemplatePart[DiodeKeys]):
     title = heading = "junction diode"
     schema = DiodeKeys
     template = "diode"
+    without_law = "the integrator does not converge where all diodes of a bridge block"
     noise = "shot noise, thermal noise in series at 27 C"
     rating = "it breaks through at bv; its largest current is in the diode's data sheet"
     validity = "27 C, or what .options temp says; it does not heat up"
