@@ -164,6 +164,11 @@ PARAMETERS = {
         help="Method of reduction, such as 'response POD', or compare for a table of all methods. "
         "Default: response POD and balanced truncation, the fewest states win.",
     ),
+    "solver": typer.Option(
+        metavar="NAME",
+        help="Direct solver of reductions: pardiso, of pip install 'kc2spice[fast]'. "
+        "Default: CHOLMOD and SuperLU.",
+    ),
     "norm": typer.Option(
         metavar="NORM",
         help="Norm of the error: pointwise (relative at every frequency) or peak (relative to the "
@@ -372,6 +377,7 @@ def _export(
     trust: bool = False,
     tolerance: float | None = None,
     count: int | None = None,
+    solver: str | None = None,
     rom: Path | None = None,
     dense: bool = False,
 ) -> None:
@@ -381,8 +387,9 @@ def _export(
     circuit misses the tolerance of its reduced model.
     """
     if rom is not None:
-        if scene is not None or set_ or tolerance is not None or count is not None:
-            settings = {"SCENE": scene, "--set": set_, "--tolerance": tolerance, "--count": count}
+        settings = {"SCENE": scene, "--set": set_, "--tolerance": tolerance, "--count": count}
+        settings["--solver"] = solver
+        if scene is not None or set_ or {tolerance, count, solver} != {None}:
             others = [name for name, value in settings.items() if value not in (None, [])]
             raise UsageError(
                 f"--rom cannot be combined with {' and '.join(others)}",
@@ -413,8 +420,9 @@ def _export(
                 error.where, error.got = "--tolerance", f"{tolerance:g}"
             raise
         out, head = out or Path(loaded.name), {"scene": loaded.name}
+        choices: dict[str, Any] = {"trust": trust, "count": count, "solver": solver}
         with caller.progress() as progress:
-            files = export_scene(loaded, out, dialect, progress, trust=trust, count=count)
+            files = export_scene(loaded, out, dialect, progress, **choices)
     if caller.expects_text({**head, "files": [path.name for path in files]}, files[0].parent):
         print_table("files", [(str(path),) for path in files])
 
@@ -585,6 +593,7 @@ def _reduce(
     order: int | None = None,
     norm: str | None = None,
     method: str | None = None,
+    solver: str | None = None,
     dc: str | None = None,
     shunt: str | None = None,
 ) -> None:
@@ -599,9 +608,9 @@ def _reduce(
     options: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
     if method == "compare":
         no_effect = {"--out": out, "--dc": dc, "--shunt": shunt}
-        _compare_methods(caller, model, options, no_effect)
+        _compare_methods(caller, model, {**options, "solver": solver}, no_effect)
         return
-    options |= {"dc": dc, "shunt": shunt, "method": method}
+    options |= {"dc": dc, "shunt": shunt, "method": method, "solver": solver}
     with _arguments_as_options(options), caller.progress() as progress:
         result = reduce_study(model, out, **options, progress=progress)
     if caller.expects_text(result):

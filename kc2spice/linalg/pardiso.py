@@ -90,6 +90,16 @@ class Pardiso:
         return x
 
 
+def require_library() -> None:
+    """Check that the library of PARDISO can be loaded.
+
+    Raises
+    ------
+    MissingToolError : the package ``mkl`` is not installed.
+    """
+    _library()
+
+
 def _with_diagonal(matrix: Any, symmetric: bool) -> scipy.sparse.csr_array:
     """Rows with all entries of the diagonal, also zeros; of a symmetric matrix its upper part."""
     entries = scipy.sparse.coo_array(scipy.sparse.triu(matrix) if symmetric else matrix)

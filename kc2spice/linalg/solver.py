@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from kc2spice.core.errors import Kc2spiceError, SimulationError, UsageError
+from kc2spice.core.errors import Kc2spiceError, SimulationError, UsageError, unknown
 
 HOW = (
     "'pardiso', or a class with solve(rhs), made from one sparse matrix, such as "
@@ -34,25 +34,32 @@ class Factorisation(Protocol):
 
 
 PARDISO = "pardiso"
+SOLVERS = (PARDISO,)  # names of solvers
 DirectSolver: TypeAlias = Callable[[Any], Factorisation]
 _supplied: ContextVar[DirectSolver | None] = ContextVar("solver", default=None)
 
 
 @contextmanager
 def solving_with(solver: DirectSolver | str | None) -> Iterator[None]:
-    """Use ``solver`` for all factors that are made meanwhile, None for the built-in ones.
+    """Use ``solver`` for all factors that are made meanwhile.
 
-    The name ``"pardiso"`` stands for :class:`kc2spice.linalg.pardiso.Pardiso`.
+    The name ``"pardiso"`` stands for :class:`kc2spice.linalg.pardiso.Pardiso`. With None, the
+    solver of the surrounding context remains, by default the built-in ones.
 
     Raises
     ------
     UsageError : not a function, a class or a known name.
+    MissingToolError : the library of the solver is not installed.
     """
+    if solver is None:
+        yield
+        return
     if solver == PARDISO:
-        from kc2spice.linalg.pardiso import Pardiso  # its library is an optional one
+        from kc2spice.linalg.pardiso import Pardiso, require_library  # an optional one
 
+        require_library()
         solver = Pardiso
-    if solver is not None and not callable(solver):
+    if not callable(solver):
         got = repr(solver)[:120]
         raise UsageError("not a direct solver", where="solver", got=got, expected=HOW)
     token = _supplied.set(solver)
@@ -60,6 +67,18 @@ def solving_with(solver: DirectSolver | str | None) -> Iterator[None]:
         yield
     finally:
         _supplied.reset(token)
+
+
+def require_solver(name: str | None, where: str) -> str | None:
+    """Check the name of a solver of the command line, and return the name.
+
+    Raises
+    ------
+    UsageError : no such solver; ``where`` is the option.
+    """
+    if name is not None and name not in SOLVERS:
+        raise unknown("unknown direct solver", name, SOLVERS, where)
+    return name
 
 
 def supplied_solver() -> DirectSolver | None:

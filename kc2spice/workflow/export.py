@@ -8,6 +8,7 @@ from pathlib import Path
 from kc2spice.core.errors import unknown
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.linalg.solver import require_solver, solving_with
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.printers.dialect_registry import deck_dialects, dialect_names
 from kc2spice.netlist.printers.plot_script import plot_script
@@ -31,16 +32,18 @@ def export_scene(
     *,
     trust: bool = False,
     count: int | None = None,
+    solver: str | None = None,
 ) -> list[Path]:
     """Write netlists and symbols of ``scene`` into ``out`` without simulating.
 
     Bodies of the scene's author have all ports that they declare, those too that nothing joins.
     Returns the paths of the files. ``trust`` lets included netlists act on the machine. With
-    ``count`` the deck has so many copies of the scene, and there are no symbols.
+    ``count`` the deck has so many copies of the scene, and there are no symbols. ``solver`` names
+    the direct solver of reductions.
 
     Raises
     ------
-    UsageError : an unknown dialect, or a dialect that cannot represent the scene; see
+    UsageError : an unknown dialect or solver, or a dialect that cannot represent the scene; see
         :func:`kc2spice.workflow.decks.spare_other_decks`.
     GateMissedError : the circuit of a body misses the tolerance of its reduction.
     """
@@ -48,8 +51,8 @@ def export_scene(
     if dialect not in known:
         message = "unknown dialect" if count is None else "no array of copies in this dialect"
         raise unknown(message, dialect, known, "--dialect")
-    clock = Clock(progress)
-    with stage_directory(out) as work:
+    clock, selected = Clock(progress), require_solver(solver, "--solver")
+    with stage_directory(out) as work, solving_with(selected):
         build, deck = prepare_deck(resolve(replace(scene, ports="declared")), clock, trust=trust)
         _require_circuits(build, deck)
         with clock.stage("export", "netlists and symbols"):

@@ -10,6 +10,7 @@ from typing import Any
 from kc2spice.bodies.readers.measured import is_measured
 from kc2spice.core.errors import Kc2spiceError, UsageError
 from kc2spice.core.progress import Progress, silent
+from kc2spice.linalg.solver import require_solver
 from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduction import SMALLEST_TOLERANCE, Reduction
@@ -24,6 +25,7 @@ def compare(
     tolerance: float | None = None,
     order: int | None = None,
     norm: str | None = None,
+    solver: str | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Reduce a model by every method of reduction that is registered.
@@ -32,7 +34,7 @@ def compare(
     ----------
     path : Path, str or LinearModel
         Matrices as for :func:`kc2spice.read_model`, ``SCENE:PART``, or a model.
-    band, tolerance, order, norm : optional
+    band, tolerance, order, norm, solver : optional
         As for :func:`kc2spice.workflow.reduce_files.reduce_file`.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` before each method.
@@ -69,6 +71,7 @@ def compare(
         band=band,
         norm=norm or default_norm(model),  # type: ignore[arg-type]
         tolerance=tolerance or SMALLEST_TOLERANCE,
+        solver=require_solver(solver, "--solver"),
     )
     shared = time.process_time() - begin
     rows = []

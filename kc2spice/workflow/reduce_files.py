@@ -24,6 +24,7 @@ from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, silent
 from kc2spice.core.quantities import quantity
 from kc2spice.core.untrusted_files import identifier
+from kc2spice.linalg.solver import require_solver, solving_with
 from kc2spice.netlist.deck import Deck, ac
 from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.library import Header, Subcircuit
@@ -72,6 +73,7 @@ def reduce_file(
     dc: str | float | None = None,
     shunt: str | float | None = None,
     method: str | None = None,
+    solver: str | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Reduce a model and write ``NAME_rom.npz`` and its matrices.
@@ -107,6 +109,8 @@ def reduce_file(
     method : str, optional
         Method of reduction. By default response POD and the variants
         of balanced truncation that suit the model are tried.
+    solver : "pardiso", optional
+        Direct solver of the reduction instead of CHOLMOD and SuperLU.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` during the reduction.
 
@@ -137,7 +141,7 @@ def reduce_file(
     """
     if is_measured(Path(path)):
         options = {"--band": band, "--tolerance": tolerance, "--order": order, "--norm": norm}
-        options["--method"] = method
+        options |= {"--method": method, "--solver": solver}
         return _reduce_measured(Path(path), out, options, dc, shunt, progress)
     for option, value in (("--dc", dc), ("--shunt", shunt)):
         if value is not None:
@@ -148,6 +152,21 @@ def reduce_file(
                 expected=f"no {option} with matrices, which determine the response",
                 hint=f"leave out {option}",
             )
+    with solving_with(require_solver(solver, "--solver")):
+        return _reduce_matrices(path, out, band, tolerance, order, norm, method, progress)
+
+
+def _reduce_matrices(
+    path: Path | str,
+    out: Path | None,
+    band: tuple[float, float] | None,
+    tolerance: float | None,
+    order: int | None,
+    norm: str | None,
+    method: str | None,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Reduce the matrices of a file or of a scene's body, and write the model."""
     progress("reduce", None, "reading matrices")
     model = _scene_body(str(path)) or read_any_model(path)
     if isinstance(model, AffineModel):

@@ -26,7 +26,8 @@ MAY = {
     "reference": "core linalg",
     "equations": "core scene",
     "report": "core netlist scene",
-    "workflow": "core netlist rom fem bodies scene synthesis parts sim reference equations report",
+    "workflow": "core linalg netlist rom fem bodies scene synthesis parts sim reference equations "
+    "report",
     "api": "core linalg netlist rom scene parts sim report workflow",
     "pyspice": "core netlist",
     "cli": "core netlist scene sim report workflow",

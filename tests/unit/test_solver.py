@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from scipy import sparse
 from scipy.sparse.linalg import splu
+from typer.testing import CliRunner
 
 import kc2spice as kc
-from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.cli.main import app
+from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
+from kc2spice.linalg import pardiso
 
 N = 2000
 STIFFNESS = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(N, N), format="csc")
@@ -136,3 +139,47 @@ def test_a_wrong_solver_is_refused(solver, text):
 def test_an_inaccurate_solver_is_refused():
     with pytest.raises(SimulationError, match="inaccurate"):
         kc.reduce(chain(), tolerance=1e-3, band=BAND, solver=hermitian)
+
+
+@pytest.fixture
+def matrices(tmp_path):
+    parts = {"K": STIFFNESS, "M": MASS, "E": 0.1 * STIFFNESS}
+    arrays = {"B": ENDS}
+    for letter, matrix in parts.items():
+        matrix = matrix.tocoo()
+        arrays |= {f"{letter}.data": matrix.data, f"{letter}.shape": np.array(matrix.shape)}
+        arrays |= {f"{letter}.row": matrix.row, f"{letter}.col": matrix.col}
+    np.savez(tmp_path / "chain.npz", **arrays)
+    return tmp_path
+
+
+def _call(folder, *words):
+    command = ["reduce", str(folder / "chain.npz"), "--band", "0", "0.002", *words]
+    return CliRunner().invoke(app, [*command, "--out", str(folder / "out")])
+
+
+def test_the_command_line_uses_the_named_solver(matrices, monkeypatch):
+    recorder = Recorder()
+    monkeypatch.setattr(pardiso, "Pardiso", recorder)
+    monkeypatch.setattr(pardiso, "_library", lambda: None)
+    result = _call(matrices, "--solver", "pardiso")
+    assert result.exit_code == 0, result.output
+    assert recorder.matrices
+
+
+def test_a_missing_solver_names_the_line_that_installs_it(matrices, monkeypatch):
+    monkeypatch.setattr(pardiso.importlib.metadata, "files", lambda name: [])
+    monkeypatch.setattr(pardiso.ctypes.util, "find_library", lambda name: None)
+    pardiso._library.cache_clear()
+    result = _call(matrices, "--solver", "pardiso")
+    assert result.exit_code == MissingToolError.exit_code
+    assert "pip install 'kc2spice[fast]'" in result.output
+
+
+@pytest.mark.parametrize("command", ["reduce", "export"])
+def test_an_unknown_name_of_a_solver_is_refused(matrices, command):
+    words = [str(matrices / "chain.npz")] if command == "reduce" else ["impact"]
+    result = CliRunner().invoke(app, [command, *words, "--solver", "paradiso"])
+    assert result.exit_code == UsageError.exit_code
+    assert "--solver: unknown direct solver" in result.output
+    assert "expected: one of pardiso" in result.output
