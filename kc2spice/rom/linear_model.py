@@ -306,7 +306,9 @@ class LinearModel:
         pencil = self.pencil
         if self.structural:
             K, E, M = pencil.coefficients
-            if self.loss is not None:
+            if self.loss is not None and isinstance(K, Schur):
+                K = Schur(K.uu + 1j * self.loss, K.up, K.pu, K.pp)
+            elif self.loss is not None:
                 K = K + 1j * self.loss
             elif isinstance(K, Schur):
                 K = Schur(*((1 + 1j * self.loss_factor) * P for P in (K.uu, K.up, K.pu, K.pp)))
@@ -539,6 +541,7 @@ def negate(matrix: Matrix) -> Matrix:
     return -matrix
 
 
+_INDEFINITE_LOSS = "an imaginary part that is not symmetric and positive semi-definite"
 LOSS_FACTOR = 1e-9  # deviation, relative to K, up to which the imaginary part is eta times K
 
 
@@ -571,8 +574,12 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
     The part is stored as K is. The imaginary part is None if it is a multiple of K; the loss factor
     describes it then.
     """
-    if isinstance(K, Schur) or K is None or K.shape != loss.shape:
+    if K is None or K.shape != loss.shape:
         raise _structural_loss_error(where, "a loss that does not belong to K")
+    if isinstance(K, Schur):  # potentials lose nothing
+        if not is_symmetric(loss) or not is_semidefinite(loss):
+            raise _structural_loss_error(where, _INDEFINITE_LOSS)
+        return scipy.sparse.csc_array(loss), 0.0
     if isinstance(K, np.ndarray):
         loss = to_dense(loss)
     else:
@@ -585,9 +592,7 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
     if eta >= 0 and largest_entry(loss - eta * K) <= LOSS_FACTOR * scale:
         return None, eta
     if not is_symmetric(loss) or not is_semidefinite(loss):
-        raise _structural_loss_error(
-            where, "an imaginary part that is not symmetric and positive semi-definite"
-        )
+        raise _structural_loss_error(where, _INDEFINITE_LOSS)
     return loss, 0.0
 
 

@@ -302,7 +302,16 @@ def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tup
                 expected="one of them",
                 hint="state the key rayleigh instead of matrix E, or one loss factor",
             )
-        E = beta * model.loss + beta_share * model.K + alpha * model.M
+        E = beta * model.loss + alpha * model.M
+        if beta_share and isinstance(model.K, Schur):
+            raise UsageError(
+                "structural damping of several materials beside damping in proportion to stiffness",
+                where=model.name,
+                got=f"beta = {beta_share:g} s and potentials",
+                expected="alpha alone",
+                hint="leave out beta",
+            )
+        E = E + beta_share * model.K if beta_share else E
         return replace(plain, rayleigh=None, E=E), (alpha, beta_share)
     added = beta * model.loss_factor
     if undamped:

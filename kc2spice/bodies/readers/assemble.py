@@ -19,6 +19,8 @@ from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.linear_model import LinearModel, Port, is_half_stored, with_potentials
 from kc2spice.rom.pencil import Matrix
 
+LOSSLESS = 1e-12  # imaginary part of a row that is rounding, relative to the real part
+
 
 def assemble_model(rows: Rows) -> LinearModel:
     """Assemble the model of ``rows`` in SI with the ports of its sidecar.
@@ -362,14 +364,11 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
         expected = "ports of the kinds electrical, mechanical, rotational and acceleration"
         raise wrong(settings.where, problem, None, expected)
     K, M, E = rows.matrices["K"], rows.matrices["M"], rows.matrices.get("E")
-    if np.iscomplexobj(K):
-        hint = "damping = { loss_factor = ... } in the TOML file, with the real part as matrix K"
-        problem = "a complex K does not go with electrodes at nodes"
-        raise wrong(rows.where, problem, "structural damping", "one loss factor", hint)
     if E is not None and any(settings.damping.rayleigh):
         problem, hint = "damping is stated twice", "delete alpha and beta of the key damping"
         raise wrong(settings.where, problem, None, "matrix E or damping", hint)
     potential = rows.dofs(rows.where).kind == VOLT
+    K, loss = _split_loss(rows, K, potential)
     occupied = rows.fixed()
     electrodes = [entry for entry in settings.ports if entry.kind == ELECTRICAL.port]
     T = np.zeros((rows.size, len(electrodes)))
@@ -390,6 +389,8 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
         raise wrong(rows.where, "the rows of the potentials have another form", got, expected)
     loads = [rows.load(entry)[u] for entry in settings.ports if entry.kind != ELECTRICAL.port]
     damping = {"rayleigh": settings.damping.rayleigh} if E is None else {"E": _restrict(E, u)}
+    if loss is not None:
+        damping["loss"] = _restrict(loss, u)
     return with_potentials(
         M=_restrict(M, u),
         K_uu=_restrict(K, u),
@@ -406,3 +407,27 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
         loss_factor=settings.damping.loss_factor,
         **damping,
     )
+
+
+def _split_loss(
+    rows: Rows, K: Matrix, potential: np.ndarray
+) -> tuple[Matrix, sparse.csc_array | None]:
+    """Split a complex K into its real part and the loss of the displacements.
+
+    Raises
+    ------
+    UsageError : an imaginary part in the rows of potentials, or a second loss in the TOML file.
+    """
+    if not np.iscomplexobj(K):
+        return K, None
+    if rows.sidecar.damping.loss_factor:
+        hint = "delete the key loss_factor"
+        got = "a complex K and loss_factor"
+        raise wrong(rows.where, "structural damping is stated twice", got, "one of them", hint)
+    real, loss = (sparse.csc_array(part) for part in (K.real, K.imag))
+    if abs(loss[potential]).max() > LOSSLESS * abs(real[potential]).max():
+        expected = "an imaginary part in the rows of displacements alone"
+        hint = "leave out dielectric losses, or give their real part"
+        raise wrong(rows.where, "the rows of the potentials have losses", None, expected, hint)
+    loss.eliminate_zeros()
+    return real, loss
