@@ -38,7 +38,9 @@ from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble_solid
+from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
+from kc2spice.rom.pencil import Schur
 
 # Shift [rad/s] of a body that is free to move, in units of its slowest sound over its size.
 FREE_SHIFT = 1e-3
@@ -107,13 +109,16 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
 
     Raises
     ------
-    UsageError : electrodes or rigid faces touch each other, or damping per material lacks a
-        quality.
+    UsageError : electrodes or rigid faces touch each other, damping per material lacks a quality,
+        or the mesh needs more memory than there is.
     """
     bare, volts = constrain_device(solid, setup), _depoling_voltage(solid, setup)
     unknowns = bare.displacement.shape[1] + bare.potential.shape[1]
     facts = {"unknowns": unknowns, "mass_kg": bare.mass}
     facts |= {} if volts is None else {"depoling_voltage_v": volts}
+    pencil = bare.model.pencil
+    definite = pencil.is_large or not (bare.shift or isinstance(bare.model.K, Schur))
+    require_factors(pencil.bordered(1.0, 0.0, 0.0), definite=definite, where="mesh")
     answers = compute_undamped_responses(bare.model, bare.shift)
     facts |= answers.facts | estimate_mesh_errors(bare, answers, setup.sectors)
     model = bare.model.copy_with(facts=facts)

@@ -47,31 +47,35 @@ def require_bytes(need: float, purpose: str, *, where: str, hint: str) -> None:
         )
 
 
-def require_factors(matrix: scipy.sparse.sparray | np.ndarray, *, definite: bool = False) -> None:
+def require_factors(
+    matrix: scipy.sparse.sparray | np.ndarray, *, definite: bool = False, where: str = "reduction"
+) -> None:
     """Compare the factors of a reduction with the memory that is free now.
 
     The factorisations are one real and one complex one; the estimate is up to five times too large
-    for plates. A ``definite`` model needs a Cholesky factor only, with half of the entries. With a
-    supplied solver nothing is compared, because its needs are not known.
+    for plates. A ``definite`` or quasi-definite matrix needs one factor without pivoting only, with
+    half of the entries. With a supplied solver nothing is compared, because its needs are not
+    known. ``where`` names the work in the error.
 
     Raises
     ------
     UsageError : the model is too large for this machine.
     """
-    if supplied_solver() is not None:
+    rows = matrix.shape[0]
+    size = 0.5 * REAL_BYTES if definite else ENTRY_BYTES + REAL_BYTES
+    # the bandwidth is at most the number of rows, and its search takes as long as an assembly
+    if supplied_solver() is not None or size * FILL * rows**1.5 <= USABLE * available_bytes():
         return
     pattern = scipy.sparse.csr_array(abs(matrix))
     order = scipy.sparse.csgraph.reverse_cuthill_mckee(pattern + pattern.T, symmetric_mode=True)
-    rows = pattern.shape[0]
     place = np.empty(rows, dtype=np.int64)
     place[order] = np.arange(rows)
     entries = pattern.tocoo()
     band = int(np.abs(place[entries.row] - place[entries.col]).max(initial=0)) + 1
-    size = 0.5 * REAL_BYTES if definite else ENTRY_BYTES + REAL_BYTES
     require_bytes(
         size * max(FILL * rows * np.sqrt(band), pattern.nnz),
         f"{rows} factorised equations",
-        where="reduction",
+        where=where,
         hint="use a coarser mesh, or a machine with more memory",
     )
 
@@ -273,7 +277,7 @@ def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
             factor.solve(trial)
             return factor
         except (RuntimeError, SimulationError):  # of other signs: pivots are needed
-            pass
+            require_factors(matrix)
     return two_sided(matrix, symmetric=True)[0]
 
 

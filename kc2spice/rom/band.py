@@ -75,7 +75,7 @@ def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
             inverse, T = eigh(M, K + SHIFT * largest_entry(K) / mass[-1] * M)
             X = T[:, inverse > MASSLESS * inverse[-1]][:, ::-1]
         return _rayleigh_quotients(K, M, X)[:count]
-    require_factors(pencil.bordered(1.0, 1.0, 1.0))
+    require_factors(pencil.bordered(1.0, 1.0, 1.0), definite=pencil.is_large)
     stiffness, inertia = (absolute_entries(P).diagonal() for P in (K, M))
     top = float((stiffness[inertia > 0] / inertia[inertia > 0]).max(initial=0.0))
     shift = RIGID_SHIFT * top

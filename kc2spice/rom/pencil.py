@@ -337,6 +337,12 @@ class Pencil:
                 error.message, where=error.where, got=f"{error.got} at s = {s:.6g} 1/s"
             ) from None
 
+    @property
+    def is_large(self) -> bool:
+        """Whether a multifrontal factor takes less time than one with pivoting."""
+        K = self.coefficients[0]
+        return K.is_large if isinstance(K, Schur) else self.size >= QUASI_DEFINITE
+
     def pencil_solver(self, square: float) -> Factor:
         """Factor of ``K - square M``, real; at zero K must be definite.
 
@@ -346,15 +352,14 @@ class Pencil:
         """
         if square:
             matrix = scipy.sparse.csc_array(self.bordered(1.0, 0.0, -square))
-            K = self.coefficients[0]
-            if square < 0 and isinstance(K, Schur) and K.is_large:
+            if square < 0 and self.is_large:
                 return factorise_quasi_definite(matrix)
             return factorise(matrix, definite=False)
         return self.factors.get(self._factorise_stiffness)
 
     def _factorise_stiffness(self) -> Factor:
         matrix, K = scipy.sparse.csc_array(self.bordered(1.0, 0.0, 0.0)), self.coefficients[0]
-        if isinstance(K, Schur) and K.is_large and self.symmetric:
+        if isinstance(K, Schur) and self.is_large and self.symmetric:
             return factorise_quasi_definite(matrix)
         return factorise(matrix, definite=not isinstance(K, Schur))
 

@@ -129,6 +129,15 @@ def test_ports_on_every_kind_of_group(coarse):
     assert 0.2 < stroke[4] / stroke[0] < 0.5  # a parabola has a third of its end as mean
 
 
+def test_a_mesh_beyond_memory_is_refused_before_its_factor(coarse, monkeypatch):
+    monkeypatch.setattr("kc2spice.linalg.factor.available_bytes", lambda: 1000.0)
+    monkeypatch.setattr("kc2spice.bodies.device.compute_undamped_responses", pytest.fail)
+    with pytest.raises(UsageError, match="too large") as caught:
+        device(keys(), coarse)
+    assert "coarser mesh" in str(caught.value)
+    assert "reduction" not in str(caught.value)
+
+
 def test_file_unit_scales_the_body(coarse):
     small, large = (
         device(keys(unit=unit, damping={"alpha": 0, "ratio": 0}), coarse).model.facts

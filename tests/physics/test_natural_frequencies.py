@@ -7,7 +7,9 @@ from scipy import sparse
 from scipy.linalg import eigvalsh
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.rom.band import natural_band
+from kc2spice.linalg import factor as factors
+from kc2spice.rom import pencil as pencils
+from kc2spice.rom.band import elastic_modes, natural_band
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.response import Response
 
@@ -32,6 +34,21 @@ def test_a_band_ends_a_tenth_above_the_fifth_frequency(n, order):
     low, high = natural_band(model.pencil)
     assert low == 0.0
     assert high == pytest.approx(1.1 * (rate**2 if order == 1 else rate) / (2 * np.pi), rel=1e-3)
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_frequencies_of_large_models_need_no_pivots(monkeypatch, free):
+    """The shifted stiffness of a supported and of a free grid of masses is definite."""
+    monkeypatch.setattr(factors, "LARGE", 100)
+    monkeypatch.setattr(pencils, "QUASI_DEFINITE", 0)
+    monkeypatch.setattr(factors, "two_sided", pytest.fail)
+    line, cross = links(20).tolil(), links(15).tolil()
+    for matrix in (line, cross) if free else ():
+        matrix[0, 0] = matrix[-1, -1] = STIFFNESS
+    K, one = sparse.csc_array(sparse.kronsum(line, cross)), MASS * sparse.eye_array(300)
+    pencil = LinearModel(M=sparse.csc_array(one), K=K, B=np.eye(300)[:, [0]]).pencil
+    values = eigvalsh(K.toarray()) / MASS
+    assert elastic_modes(pencil, 4) == pytest.approx(values[free : 4 + free], rel=1e-6)
 
 
 def test_a_model_without_stiffness_suggests_no_band():
