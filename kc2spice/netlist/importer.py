@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import pairwise
+from textwrap import shorten
 from typing import Literal
 
 from kc2spice.netlist.circuit import (
@@ -43,6 +44,7 @@ from kc2spice.netlist.spelling import split_infix_unit
 
 # Series resistance [Ohm] of an inductor that states none and is not coupled (LTspice help, L).
 INDUCTOR_RESISTANCE = "1m"
+ABSOLUTE_ZERO = -273.15  # degrees Celsius
 GMIN = "1e-12"  # S, conductance that an ideal diode without Roff has
 IDEAL_DIODE = frozenset((
     "ron", "roff", "vfwd", "vrev", "rrev", "ilimit", "revilimit", "epsilon", "revepsilon",
@@ -51,14 +53,23 @@ IDEAL_DIODE = frozenset((
 # next ones.
 DISPLAYED = frozenset(("iave", "icrating", "mfg", "type", "vceo", "vpk"))
 VDMOS_DISPLAYED = DISPLAYED | {"qg", "ron", "vds"}
+# Ratings, makers and part numbers that LTspice displays at elements (help, R, C and L).
+RATINGS = {
+    "r": frozenset(("tol", "pwr", "mfg", "pn", "type")),
+    "c": frozenset(("v", "irms", "mfg", "pn", "type")),
+    "l": frozenset(("ipk", "irms", "mfg", "pn", "type")),
+}
+PSPICE_SWITCHES = {"vswitch": "SW", "iswitch": "CSW"}  # type with a hysteresis in ngspice
 STEP_CONTROL = frozenset(("tripdv", "tripdt"))  # of a behavioural source: steps, not equations
 Syntax = Literal["ngspice", "ltspice", "pspice"]
 _ORDERED = ("<", ">", "<=", ">=", "==", "!=")
 _LOGICAL = ("&&", "||")
 _ACROSS = frozenset(("rpar", "cpar"))  # carry a part of the current of their element
 _METERED = frozenset("bcdefghilrv")  # kinds whose current enters at the first node
+_NOTE = 98  # letters of a comment
 _LARGEST_POWER = 9  # whole exponents up to here become products
 _SETTING = re.compile(r"\s(\w+)\s*=(?!=)")
+_NUMBER_IN_TABLE = re.compile(r"[^\s,(){}=]+")
 _MICRO = str.maketrans({"\u00b5": "u", "\u03bc": "u"})
 _NO_EQUAL = {
     "absdelay": "a delay of a voltage", "delay": "a delay of a voltage",
@@ -176,9 +187,15 @@ class _Scope:
         kind = model.type.lower()
         if self._is_ideal(model):
             return ()  # its diodes become sources
+        if self._is_gradual(model):
+            return ()  # its switches become sources
+        if kind in PSPICE_SWITCHES and self.syntax == "pspice":  # with a hysteresis
+            model = replace(model, type=PSPICE_SWITCHES[kind])
         if kind in ("sw", "csw"):
             _require_switch(model)
         displayed = VDMOS_DISPLAYED if kind == "vdmos" else DISPLAYED
+        if self.syntax == "pspice":
+            displayed = displayed | {"t_abs"}  # a setting of each element
         computed = {k: v for k, v in model.parameters.items() if k.lower() not in displayed}
         return (replace(model, parameters=self._values(computed, model)),)
 
@@ -189,11 +206,28 @@ class _Scope:
         ideal = model.type.lower() == "d" and bool(_model_parameters(model).keys() & IDEAL_DIODE)
         return ideal and self.syntax == "ltspice"
 
+    def _is_gradual(self, model: Model) -> bool:
+        """Whether it is PSpice's switch between two voltages or currents."""
+        hysteresis = _model_parameters(model).keys() & {"vt", "vh", "it", "ih"}
+        is_switch = model.type.lower() in PSPICE_SWITCHES and self.syntax == "pspice"
+        return is_switch and not hysteresis
+
     def _element(self, element: Element) -> Iterable[Item]:
         if element.quantity:
             return self._source(element)
         if element.kind == "r" and "r" in element.settings:
             return (self._resistor(element),)
+        if element.kind == "a":
+            raise element.error("a device of LTspice's own has no equal in ngspice")
+        words = " ".join(map(str.lower, (*element.values, *element.parameters)))
+        if element.kind in "eg" and (
+            "laplace" in words or element.expression.lower().startswith("laplace")
+        ):
+            raise element.error("a Laplace transform has no equal in ngspice's time domain")
+        if element.kind == "i" and words.endswith(" load"):
+            raise element.error("a load without current at 0 V has no equal in ngspice")
+        if self.syntax == "ltspice":
+            element = _without_ratings(element)
         element = replace(
             element,
             values=tuple(self._value(text, element) for text in element.values),
@@ -202,11 +236,27 @@ class _Scope:
         model = self.models.get(element.model.lower()) if element.kind == "d" else None
         if model is not None and self._is_ideal(resolved := self._resolved(model)):
             return (_ideal_diode(element, self._values(_model_parameters(resolved), resolved)),)
-        words = (*element.values, *element.parameters)
-        if element.kind in "eg" and any(word.lower().startswith("laplace") for word in words):
-            raise element.error("a Laplace transform has no equal in ngspice's time domain")
+        switch = self.models.get(element.model.lower()) if element.kind in "sw" else None
+        if switch is not None and self._is_gradual(switch):
+            return (_gradual_switch(element, self._values(_model_parameters(switch), switch)),)
+        if element.kind in "eg" and (points := _table_points(element)):
+            law = self._law(f"table(V({','.join(element.nodes[2:])}), {points})", element)
+            quantity = "V" if element.kind == "e" else "I"
+            return (_as_source(element, quantity, law),)
+        element = self._with_temperature(element)
         parasitic = {"c": _capacitor, "l": self._inductor, "v": _voltage}.get(element.kind)
         return parasitic(element) if parasitic else (element,)
+
+    def _with_temperature(self, element: Element) -> Element:
+        """The element at the temperature of its model (PSpice, ``T_ABS``); 0 K means no noise."""
+        names = (element.model, *element.values[:1])
+        models = filter(None, (self.models.get(name.lower()) for name in names))
+        for model in map(_model_parameters, models):
+            if "t_abs" in model and self.syntax == "pspice":
+                is_cold = element.kind == "r" and literal(model["t_abs"]) == ABSOLUTE_ZERO
+                setting = {"noisy": "0"} if is_cold else {"temp": model["t_abs"]}
+                return replace(element, parameters={**element.parameters, **setting})
+        return element
 
     def _resistor(self, element: Element) -> Element:
         """A resistance by an expression, as the current through it."""
@@ -248,6 +298,18 @@ def _with_meter(element: Element, group: Iterable[Item], meter: str) -> Iterator
     for item in group:
         assert isinstance(item, Element)  # an element becomes elements
         yield replace(item, nodes=tuple(inner if node == plus else node for node in item.nodes))
+
+
+def _without_ratings(element: Element) -> Element:
+    """Move the ratings of a resistor, capacitor or inductor into a comment above it."""
+    names = RATINGS.get(element.kind, frozenset())
+    ratings = {name: text for name, text in element.parameters.items() if name.lower() in names}
+    if not ratings:
+        return element
+    note = " ".join(map("=".join, ratings.items()))
+    note = shorten(f"* {element.name}: the equations do not contain {note}", _NOTE)
+    values = {name: text for name, text in element.parameters.items() if name not in ratings}
+    return replace(element, notes=(*element.notes, note), parameters=values)
 
 
 def _make_parallel_element(element: Element, name: str, *words: str) -> Element:
@@ -345,6 +407,43 @@ def _ideal_diode(element: Element, model: Mapping[str, str]) -> Element:
         element, kind="b", name=f"B{element.name}", model="", values=(), parameters={},
         quantity="I", expression=law,
     )  # fmt: skip
+
+
+def _gradual_switch(element: Element, model: Mapping[str, str]) -> Element:
+    """PSpice's switch, whose conductance changes smoothly between two values of its control.
+
+    ``R = Roff exp(-ln(Roff / Ron) u^2 (3 - 2 u))``, where ``u`` rises from 0 at ``Voff`` to 1 at
+    ``Von`` (PSpice reference guide, voltage-controlled switch, with its powers collected).
+    """
+    if element.kind == "s":
+        control, on, off, default = f"V({','.join(element.nodes[2:])})", "von", "voff", "1"
+    else:
+        control, on, off, default = f"I({element.sources[0]})", "ion", "ioff", "1m"
+
+    def number(name: str, default: str) -> str:
+        return f"({model.get(name, default).strip('{}')})"
+
+    high, low = number(on, default), number(off, "0")
+    opened, closed = number("roff", "1Meg"), number("ron", "1")
+    share = f"min(max(({control}-{low})/({high}-{low}), 0), 1)"
+    plus, minus = element.nodes[:2]
+    law = f"V({plus},{minus})/{opened}*exp(ln({opened}/{closed})*{share}*{share}*(3-2*{share}))"
+    return _as_source(element, "I", Writer().write(parse(law, where=element.where)))
+
+
+def _as_source(element: Element, quantity: str, law: str) -> Element:
+    """Return the behavioural source that takes the place of an element between its first nodes."""
+    plus, minus = element.nodes[:2]
+    source = Element.behaviour(f"B{element.name}", plus, minus, quantity, law)
+    return replace(source, notes=element.notes, where=element.where, written=element.written)
+
+
+def _table_points(element: Element) -> str:
+    """Return the points of LTspice's ``table=(x, y, ...)``, separated by commas; or nothing."""
+    text = element.settings.get("table", "")
+    for word in element.values:
+        text = word[len("table") :] if word.lower().startswith("table(") else text
+    return ", ".join(_NUMBER_IN_TABLE.findall(text))
 
 
 def _ramp(excess: str, model: Mapping[str, str], width: str) -> str:

@@ -144,6 +144,11 @@ def beside(*impedances):
          lambda s: beside(0.02 + beside(3e-9 * s, 5) + 1 / (1e-8 * s), 1e6, 1 / (2e-12 * s))),
         ("L1 a 0 10µ Rser=0.1 Rpar=2k Cpar=15p",
          lambda s: beside(0.1 + 1e-5 * s, 2e3, 1 / (15e-12 * s))),
+        ('C1 a 0 22u V=16 Irms=2.5 Rser=20m Lser=3n mfg="Würth" pn="885 012" type="X5R"',
+         lambda s: 0.02 + 3e-9 * s + 1 / (2.2e-5 * s)),
+        ('L1 a 0 10µ Ipk=2 Rser=0.05 Rpar=1k Cpar=2p mfg="Coilcraft" pn="DO3316P"',
+         lambda s: beside(0.05 + 1e-5 * s, 1e3, 1 / (2e-12 * s))),
+        ("R1 a 0 4k7 tol=1 pwr=0.1", lambda s: 4700 + 0 * s),
         ("L1 a 0 4u7", lambda s: 4.7e-6 * s + 1e-3),
         ("L1 a 0 4u7 Rser=0", lambda s: 4.7e-6 * s),
         ("R1 a 0 4k7", lambda s: 4700 + 0 * s),
@@ -370,6 +375,8 @@ max_step = "20 ns"
         ("S1 a 0 a 0 X\n.model X SW(Ron=1 Roff=1Meg Ilimit=1)", "ilimit of a switch"),
         ("B1 a 0 I=V(a) laplace=1/(1+s)", "laplace of a behavioural source"),
         ("D1 a 0 X\n.model X ako:Y D()", "no model to begin with"),
+        ("A1 a 0 0 0 0 0 b 0 AND", "a device of LTspice's own"),
+        ("I1 a 0 1 load", "a load without current at 0 V"),
     ],
 )
 def test_what_has_no_equal_is_refused_with_its_line(card, message):
@@ -427,3 +434,84 @@ def test_the_current_of_an_element_includes_its_parasitic_elements(cards, exact,
     result = run(tmp_path, library, scene + '[load]\npart = "resistor"\nresistance = 1000\n')
     admittance = exact(2j * np.pi * result.waves["frequency"].real)
     assert np.abs(result.waves["load.v"] / 1000 / admittance - 1).max() < 1e-6
+
+
+def test_ratings_become_a_comment():
+    text = "C1 a 0 1u V=25 mfg=KEMET ic=2\n"
+    capacitor = translate_circuit(read(text, "own.lib"), "ltspice").items[0]
+    assert capacitor.parameters == {"ic": "2"}
+    assert capacitor.notes == ("* C1: the equations do not contain V=25 mfg=KEMET",)
+
+
+def switch_resistance(control, on, off, high, low):
+    """PSpice's reference guide: ``exp(Lm + 3 Lr (c - m) / (2 d) - 2 Lr (c - m)^3 / d^3)``."""
+    mean, ratio = math.log(math.sqrt(on * off)), math.log(on / off)
+    middle, width = (high + low) / 2, high - low
+    x = np.clip((control - middle) / width, -0.5, 0.5)
+    return math.exp(mean + 1.5 * ratio * x - 2 * ratio * x**3)
+
+
+@pytest.mark.parametrize("control", [-0.3, 0.05, 0.2, 0.35, 0.5, 0.9])
+@pytest.mark.parametrize(("high", "low"), [(0.7, 0.0), (0.1, 0.6)])
+@pytest.mark.parametrize("kind", ["S", "W"])
+def test_a_gradual_switch_of_pspice_has_its_resistance(kind, high, low, control, tmp_path):
+    """The control of W is the current through 1 Ohm, so that its numbers are those of S."""
+    ends = "Von={0} Voff={1}" if kind == "S" else "Ion={0} Ioff={1}"
+    switch = "c 0" if kind == "S" else "Vsense"
+    model = "VSWITCH" if kind == "S" else "ISWITCH"
+    library = f""".subckt own a c
+Rc c m 1
+Vsense m 0 0
+{kind}1 a 0 {switch} X
+.model X {model}(Ron=50 Roff=1e9 {ends.format(high, low)})
+.ends
+"""
+    scene = f"""pins = {{ a = "drive.out", c = "control.out" }}
+[drive]
+part = "source"
+dc = 2
+[control]
+part = "source"
+dc = {control}
+[analysis]
+type = "op"
+"""
+    result = run(tmp_path, library, scene, "pspice")
+    exact = 2 / switch_resistance(control, 50, 1e9, high, low)
+    assert result.waves["drive.i"][0] == pytest.approx(exact, rel=1e-6, abs=4e-12)
+
+
+def test_a_switch_of_pspice_with_hysteresis_is_that_of_ngspice():
+    text = "S1 a 0 c 0 X\n.model X VSWITCH(Ron=1 Roff=1Meg Vt=1 Vh=0.2)\n"
+    switch, model = translate_circuit(read(text, "own.lib"), "pspice").items
+    assert (switch.kind, model.type) == ("s", "SW")
+    assert model.parameters == {"Ron": "1", "Roff": "1Meg", "Vt": "1", "Vh": "0.2"}
+
+
+@pytest.mark.parametrize("points", ["table=(-1, -1m, 0, 0, 2, 8m)", "table(-1 -1m, 0 0, 2 8m)"])
+@pytest.mark.parametrize("drive", [-3, -0.5, 0.5, 1.5, 5])
+def test_a_table_of_ltspice_is_linear_between_its_points(points, drive, tmp_path):
+    scene = f"""pins = {{ a = "drive.out" }}
+[drive]
+part = "source"
+dc = {drive}
+[analysis]
+type = "op"
+"""
+    library = f".subckt own a\nG1 a 0 a 0 {points}\n.ends\n"
+    current = run(tmp_path, library, scene).waves["drive.i"][0]
+    assert current == pytest.approx(np.interp(drive, [-1, 0, 2], [-1e-3, 0, 8e-3]), rel=1e-6)
+
+
+def test_a_resistor_of_pspice_at_absolute_zero_has_no_noise():
+    text = "R1 a 0 N 1k\n.model N RES(T_ABS=-273.15)\nD1 a 0 J\n.model J D(T_ABS=50)\n"
+    resistor, quiet, diode, _ = translate_circuit(read(text, "own.lib"), "pspice").items
+    assert resistor.parameters == {"noisy": "0"}
+    assert quiet.parameters == {}
+    assert diode.parameters == {"temp": "50"}
+
+
+def test_a_laplace_transform_of_pspice_is_refused():
+    text = "E1 a 0 LAPLACE {V(b)} = {1/(1+s)}\n"
+    with pytest.raises(UsageError, match="Laplace transform"):
+        translate_circuit(read(text, "own.lib"), "pspice")
