@@ -489,7 +489,8 @@ def export(
     >>> [path.name for path in kc.export(lamp, "netlists", dialect="xyce")]
     ['lamp.cir']
     """
-    from kc2spice.workflow.export import export_scene  # which `run` does not need
+    # imported here, because `run` does not need it
+    from kc2spice.workflow.export import export_scene
 
     return export_scene(load_scene(scene), Path(out), dialect, trust=trust)
 

@@ -173,7 +173,7 @@ def _depoling_voltage(solid: Solid, setup: Setup) -> float | None:
     if not setup.driven or not limits or None in limits:
         return None
     places = solid.places.T
-    from scipy.spatial import cKDTree  # late: few bodies need it
+    from scipy.spatial import cKDTree  # imported here, because few bodies need it
 
     near = cKDTree(places[setup.electrodes[setup.reference]])
     distances, _ = near.query(places[np.concatenate([*setup.driven.values()])])

@@ -29,8 +29,8 @@ from kc2spice.fem.enrichment import EnrichedOperators, Enrichment, assemble_enri
 from kc2spice.linalg.factor import Factor, factorise
 from kc2spice.rom.pencil import Schur
 
-ROUNDS = 4  # of corrections by the functions and by the mesh, at most
-SETTLED = 0.1  # relative change of corrections in a round that ends them
+ROUNDS = 4  # largest number of rounds of corrections by the functions and by the mesh
+SETTLED = 0.1  # relative change of the corrections in a round that ends the iteration
 DEPENDENT = 1e-8  # share of a vector that is independent of others, below which it is left out
 
 # Columns of displacements and of potentials.
@@ -180,7 +180,7 @@ def enrich_model(
     more = assemble_enrichment(enrichment, *_free_functions(device, enrichment)).scaled(sectors)
     K, C, P = _mesh_blocks(model.K)
     to_u, to_phi = device.displacement, device.potential
-    if to_phi.shape[1] != P.shape[0]:  # eliminated unknowns that are no potentials
+    if to_phi.shape[1] != P.shape[0]:  # some eliminated unknowns are no potentials
         to_phi = sparse.csc_array((to_phi.shape[0], P.shape[0]))
     k, m, p = more.K_nodes @ to_u, more.M_nodes @ to_u, more.P_nodes @ to_phi
     return EnrichedModel(

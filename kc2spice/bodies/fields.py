@@ -133,7 +133,8 @@ class FieldProbe:
         self.device = device
         solid = device.solid
         local = solid.element.doflocs
-        if solid.order == 1:  # where its strains are best, and a collapsed edge has none
+        # the strains are most accurate at this point, and do not exist at a collapsed edge
+        if solid.order == 1:
             local = 0.5 + (local - 0.5) / np.sqrt(3)
         nodes = (local.T, np.ones(len(local)))
         self.basis = solid.basis(2) if gauss else solid.basis(quadrature=nodes)
@@ -194,7 +195,8 @@ def principal_stress(stress: np.ndarray) -> np.ndarray:
     mean = (xx + yy + zz) / 3
     parts = np.array([xx - mean, yy - mean, zz - mean, *shears])
     size = np.abs(parts).max(axis=0)
-    a, b, c, yz, xz, xy = parts / np.where(size > 0, size, 1.0)  # cubes of tiny ones vanish
+    # cubes of tiny stresses would vanish
+    a, b, c, yz, xz, xy = parts / np.where(size > 0, size, 1.0)
     radius = np.sqrt((a**2 + b**2 + c**2 + 2 * (yz**2 + xz**2 + xy**2)) / 6)
     determinant = a * (b * c - yz**2) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
     cube = np.where(radius > 0, radius, 1.0) ** 3

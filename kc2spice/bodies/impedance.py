@@ -112,7 +112,8 @@ def _require_resonance(
     The loss of a dielectric, or rounding of a body without loss, has such maxima as well.
     """
     branch = bvd.admittance(f) - 2j * np.pi * f * bvd.c0_f
-    conductance = Y.real - branch.real  # losses of the dielectric and of other modes
+    # the remainder is the loss of the dielectric and of other modes
+    conductance = Y.real - branch.real
     ripple = conductance - np.polyval(np.polyfit(f, conductance, 2), f)
     got = f"{f[0]:g} to {f[-1]:g} Hz"
     if not f[0] <= resonance <= f[-1]:

@@ -60,16 +60,17 @@ from kc2spice.fem.solid import Solid, assemble_solid
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 
 CELLS = 3  # cells of the graded mesh between two nodes of the basis
-GROWTH = 1.3  # from cell to cell away from them
-EVEN = 0.2  # part of the patch's radius within which nodes are equally spaced
+GROWTH = 1.3  # growth of the cells away from the nodes
+EVEN = 0.2  # fraction of the radius of the patch within which nodes are equally spaced
 WIDEST = 0.5  # radius of the widest contact of a law, relative to the patch's radius
 RESOLVED = 5  # basis functions under the narrowest contact that the law is fitted to
 DEGREE = 5  # degree of the law's polynomial in the contact's radius
 DEPTHS = 300  # indentations to which the law is fitted
-SOFT = 1e-7  # added share of a basis function's compliance; it makes the matrix definite
+# fraction of the compliance of a basis function that is added to make the matrix definite
+SOFT = 1e-7
 OBLATE = 2.65  # 2 pi f R / c of the lowest mode, c of shear waves (Lamb 1882, nu = 0.25)
-ANGLE = 1 / 8  # rad, of a cell at most
-PIT = 1 / 60  # rad around the upper pole without cells
+ANGLE = 1 / 8  # rad, largest angle of a cell
+PIT = 1 / 60  # rad, angle around the upper pole without cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,7 +332,7 @@ def contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -
     of a minimum of ``f'S f / 2 - f'g``. With ``S = L L'`` this is ``|L'f - L^-1 g|^2 / 2`` but for
     a constant.
     """
-    from scipy.optimize import nnls  # late: no contact of rings needs it
+    from scipy.optimize import nnls  # imported here, because contacts of rings do not need it
 
     soft = SOFT * compliance.diagonal().max()
     L = np.linalg.cholesky(compliance + soft * np.eye(gap.size))

@@ -33,7 +33,7 @@ GROWTH = 0.25  # growth of a level's thickness with its depth
 # Fill of sparse factors of a solid grows as n^(4/3); 152 000 unknowns took 5.8 GB.
 SPARSE_BYTES = 700.0
 _NEAR = 1e-9  # distance of equal positions, relative to the stack's size
-_FINE = 8  # points of a quadrature with corners of the pressure anywhere in a cell
+_FINE = 8  # quadrature points per cell, enough for a pressure with kinks inside the cell
 
 Profile = tuple[np.ndarray, np.ndarray]
 
@@ -184,7 +184,7 @@ def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
     left = min(half) - mesh.rings * mesh.ring_spacing
     growth, count, ratio = 1.0, mesh.outer_rings, left / mesh.ring_spacing
     if ratio > count > 1:  # spacing (1 + g + ... + g^(count-1)) = left: no jump at the last ring
-        from scipy.optimize import brentq  # late: few meshes are made
+        from scipy.optimize import brentq  # imported here, because most meshes come from the cache
 
         growth = brentq(lambda g: (g ** np.arange(count)).sum() - ratio, 1.0, ratio, xtol=1e-15)
     sizes = np.cumsum(growth ** (np.arange(count * steps) / steps))

@@ -25,7 +25,7 @@ from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material, material
 
 SECTORS = 4  # number of equal quarters of the chip, of which one is modelled
-PATCH = "patch"  # its port under a pressure
+PATCH = "patch"  # name of the port under a pressure
 PAPER = "THP51"  # the ceramic of the paper's chip
 
 

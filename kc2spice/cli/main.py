@@ -50,7 +50,7 @@ def _dialects() -> str:
 
 
 def _check_directory(text: str) -> Path:
-    if not text.strip():  # Path("") would be where one stands
+    if not text.strip():  # Path("") would be the current directory
         raise UsageError(
             "the name of the directory is empty",
             where="--out",
@@ -277,7 +277,7 @@ def run_command_line() -> None:
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # a search of all installed packages
-    gc.set_threshold(100_000)  # nearly all that is imported and loaded stays until the end
+    gc.set_threshold(100_000)  # nearly all imported and loaded objects remain until the end
     try:
         # also for options outside of the commands, such as --help
         with end_on_signals(), reported_errors():
@@ -285,7 +285,7 @@ def run_command_line() -> None:
     except typer.Exit as end:
         raise SystemExit(end.exit_code) from None
     finally:
-        gc.freeze()  # the interpreter would look for garbage once more, in all that was imported
+        gc.freeze()  # avoids a last garbage collection of all imported objects
 
 
 def _version(requested: bool) -> None:

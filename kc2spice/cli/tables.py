@@ -91,12 +91,13 @@ def reported_errors() -> Iterator[None]:
     )
     try:
         yield
-        sys.stdout.flush()  # so that a full disk is an error of ours, not of the interpreter's end
+        # so that a full disk is reported as an error before the interpreter ends
+        sys.stdout.flush()
     except Kc2spiceError as error:
         _fail(str(error), error.exit_code)
     except KeyboardInterrupt:
         _fail("interrupted; nothing was written", INTERRUPTED)
-    except BrokenPipeError:  # the reader of a pipe left, as in `kc2spice scenes | head`
+    except BrokenPipeError:  # the reader of the pipe has ended, as in `kc2spice scenes | head`
         _drop_stdout()
         raise typer.Exit(0) from None
     except typer.Exit:

@@ -21,7 +21,7 @@ from kc2spice.cli.tables import reported_errors
 from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
 
 PROGRAM = "kc2spice"
-_ParserError: Any = typer.BadParameter.__base__  # older typer has it from click
+_ParserError: Any = typer.BadParameter.__base__  # older versions of typer take the class from click
 
 
 class CheckedCommand(TyperCommand):

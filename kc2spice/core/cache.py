@@ -35,7 +35,8 @@ T = TypeVar("T")
 MAX_TOTAL_BYTES = 2_000_000_000
 _ABANDONED = 3600.0  # s
 _LIBRARIES = ("numpy", "scipy", "scikit-fem", "gmsh")
-# The variable that names a platform's directory for caches, and where that is below the home.
+# Environment variable of the cache directory of each platform, and its default below the home
+# directory.
 _PLACES = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
 
 
@@ -101,7 +102,7 @@ def load_or_build(
 @contextmanager
 def _lock_entry(path: Path) -> Iterator[None]:
     """Keep other processes from building the same entry; without locks two may do so."""
-    lock = path.with_name(f".{path.stem}.lock.part")  # cleared away as any other .part
+    lock = path.with_name(f".{path.stem}.lock.part")  # deleted like any other .part file
     with ExitStack() as stack:
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -173,7 +174,8 @@ def _prune(root: Path) -> None:
     Files that a killed process left incomplete are deleted after an hour.
     """
     for part in root.glob("*/.*.part"):
-        with contextlib.suppress(OSError):  # another process may have finished or dropped it
+        # another process may have completed or deleted the entry
+        with contextlib.suppress(OSError):
             if time.time() - part.stat().st_mtime > _ABANDONED:
                 part.unlink()
     entries = [(entry, entry.stat()) for entry in root.glob("*/*.entry")]
@@ -197,8 +199,8 @@ def _load(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
     except Exception as error:
         warnings.warn(f"damaged cache entry {path.name} is built again: {error}", stacklevel=3)
         return None
-    with contextlib.suppress(OSError):  # a read-only cache serves as well
-        os.utime(path)  # keeps it from being pruned
+    with contextlib.suppress(OSError):  # a read-only cache is sufficient
+        os.utime(path)  # marks the entry as recently used
     return (result,)
 
 

@@ -48,7 +48,7 @@ def same_content(a: Any, b: Any) -> bool:
     >>> same_content((np.zeros(2), 1), (np.zeros(3), 1))
     False
     """
-    import numpy as np  # late: commands without arrays start faster
+    import numpy as np  # imported here, so that commands without arrays start faster
 
     if a is b:
         return True

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 LONGEST = 200  # characters of a word that is compared with others
 MOST_CHOICES = 5  # candidates that an error lists
-SHORTEST = 4  # letters and digits of a word that is looked for inside other names
+SHORTEST = 4  # least number of letters and digits of a word that is searched inside other names
 
 
 class Kc2spiceError(Exception):
@@ -122,7 +122,7 @@ def candidates(word: object, choices: Iterable[str], command: str | None = None)
     names = list(choices)
     if len(names) <= MOST_CHOICES:
         return ", ".join(names)
-    import difflib  # late: most errors need none of it
+    import difflib  # imported here, because most errors do not need it
 
     def edit_distance(name: str) -> float:
         return -difflib.SequenceMatcher(None, str(word)[:LONGEST], name).ratio()
@@ -137,10 +137,10 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
 
     Only the last parts of dotted keys are compared.
     """
-    import difflib  # late: most errors need none of it
+    import difflib  # imported here, because most errors do not need it
 
     if len(word) > LONGEST:
-        return None  # comparing takes time with the square of the length
+        return None  # the time of a comparison is proportional to the square of the length
     leaves: dict[str, str] = {}
     for choice in choices:
         leaves.setdefault(choice.rpartition(".")[2], choice)

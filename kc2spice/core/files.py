@@ -26,7 +26,7 @@ _ELSEWHERE = "choose another --out"
 _PLAIN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
 _LARGEST = 10_000_000  # bytes of a record that is read back
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_ABANDONED = 60.0  # s after which a work directory without a living owner is cleared away
+_ABANDONED = 60.0  # s after which a work directory without a running owner is deleted
 
 
 @contextmanager
@@ -43,14 +43,16 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
     """
     if "\0" in str(out):
         raise UsageError("has a zero byte", where=repr(str(out)), hint=_ELSEWHERE)
-    out = Path(os.path.realpath(out))  # behind a link: its own file system, and the link stays
+    # the target of a link, on its own file system; the link remains
+    out = Path(os.path.realpath(out))
     # os.path answers False where pathlib raises, below directories that may not be entered.
     nearest = next(filter(os.path.exists, (out, *out.parents)))
     if not os.path.isdir(nearest):
         raise UsageError("is a file, not a directory", where=str(nearest), hint=_ELSEWHERE)
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise UsageError("cannot be written", where=str(nearest), hint=_ELSEWHERE)
-    # Beside it, but within it where it is another file system or alone writable.
+    # The work directory lies beside ``out``, or inside if ``out`` is another file system or the
+    # only writable directory.
     if nearest == out and not os.path.ismount(out) and os.access(out.parent, os.W_OK):
         nearest = out.parent
     prefix = f".kc2spice.{out.name}."

@@ -357,8 +357,8 @@ class Device(ABC):
 
 Law = SecondOrderBody | IdealSource | Device
 
-MICRO = 1e-6  # m, in which displacements are balanced
-GROWING = 1e3  # 1/s, of a load on a body that is free to move
+MICRO = 1e-6  # m, unit of displacements in the scaled equations
+GROWING = 1e3  # 1/s, rate of growth of a load on a body that is free to move
 
 
 @dataclass(frozen=True, eq=False)

@@ -198,7 +198,7 @@ class EMTable(EqualByContent):
     inductance: np.ndarray  # (n, 2, 2)
     resistance: np.ndarray  # (2,)
     unknowns: int
-    coarser: EMTable | None = None  # at some of its heights, on a mesh half as fine
+    coarser: EMTable | None = None  # table at some of the heights, on a mesh half as fine
 
     @cached_property
     def splines(self) -> Piecewise:

@@ -56,7 +56,8 @@ def _free_memory_of_groups(root: Path) -> Iterator[float]:
         else:
             continue
         here = Path(path.lstrip("/"))
-        for folder in (here, *here.parents):  # a container may not see its own path
+        # the path of the control group may be invisible in a container
+        for folder in (here, *here.parents):
             limit, used = (_read_number(mount / folder / name) for name in names)
             if limit is None or used is None or limit >= UNLIMITED:
                 continue

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-IN_PLANE = 4.0  # unknowns of a plane mesh that take as long as one in space
+IN_PLANE = 4.0  # number of unknowns of a plane mesh that need as much time as one unknown in space
 MESH_ERROR = "mesh_error_"  # begins the names of facts that are relative errors of other facts
 _MESH_ERRORS = {  # the words for what follows
     "resonance": "first resonance", "capacitance": "capacitance", "stroke": "stroke",

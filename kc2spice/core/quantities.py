@@ -57,7 +57,8 @@ def describe_invalid(
     result = next((item for item in every if item["type"] == "extra_forbidden"), every[0])
     path = tuple(step for step in result["loc"] if not _MEMBER.search(str(step)))
     typed = _value_at(table, path, result["input"])
-    if key := result.get("ctx", {}).get("key"):  # of a table that is checked as a whole
+    # the error belongs to a table that is checked as a whole
+    if key := result.get("ctx", {}).get("key"):
         below = tuple(int(step) if step.isdecimal() else step for step in key.split("."))
         path, typed = (*path, *below), _value_at(typed, below, None)
     full_path, kind = (*at, *path), result["type"]
@@ -108,7 +109,7 @@ def _explain(
             if full_path[0] in (
                 "title",
                 "include",
-            ):  # it ends up in the netlist: a line is a command
+            ):  # the text is written into the netlist, where a line is a command
                 expected = "one line of text without control characters"
             return "not allowed", expected, None
         case "quantity":
@@ -158,7 +159,7 @@ def _explain(
     return details["msg"], context.get("expected"), None
 
 
-# Words for which another key stands, and how both are related.
+# Words that another key replaces, and the relation of both.
 _OTHER_WORDS = {
     "radius": ("diameter", "use the key diameter, which is twice the radius"),
     "diameter": ("radius", "use the key radius, which is half the diameter"),
@@ -317,7 +318,7 @@ _UNITS = {
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)\s*(.*?)\s*", re.DOTALL)
 _FACTOR = re.compile(r"([A-Za-zµμ%]+|1)\^?(\d?)")
 _SPELLINGS = str.maketrans({"\u2126": "Ohm", "Ω": "Ohm", "²": "2", "³": "3", "·": " ", "*": " "})
-_LONGEST = 200  # characters; nothing sensible comes near it
+_LONGEST = 200  # characters, far above any meaningful text
 
 
 def _look_up_unit(text: str) -> tuple[int, ...] | None:

@@ -10,9 +10,10 @@ from kc2spice.core.waveforms import Waveform
 
 ENERGY = 0.999  # share of its energy that a signal has up to its highest frequency
 SAMPLES = 2**16  # samples of a signal; a pulse of a train of 13 000 has 5 of them
-BEGINNING = 400  # first corners of a long train, sampled separately too
-AFTER = 20.0  # time constants for which a low-pass goes on behind a signal's end
-FEWEST = 20  # samples of the signal itself then
+BEGINNING = 400  # number of first corners of a long train that are also sampled separately
+# number of time constants for which the output of a low-pass filter continues after the signal
+AFTER = 20.0
+FEWEST = 20  # least number of samples of the signal itself
 
 
 def energy_frequency(
@@ -42,7 +43,7 @@ def energy_frequency(
     spectrum = np.fft.rfft(x, 4 * SAMPLES)
     f = np.fft.rfftfreq(4 * SAMPLES, step)
     power = np.abs(spectrum) ** 2 / (1 + (2 * np.pi * f * constant) ** 2)
-    power[0] /= 2  # once, all others at -f too
+    power[0] /= 2  # counted once; all other frequencies also occur at -f
     risen = np.cumsum(power)
     return float(f[np.searchsorted(risen, share * risen[-1])])
 

@@ -17,7 +17,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import DEEPEST, LONGEST_KEY, MAX_BYTES, parse_toml, split_lines
 
 MOST_LINES = 40  # between an opening bracket and the line at which the parser stops
-LONGEST_LINE = 500  # characters of a line that are looked at
+LONGEST_LINE = 500  # characters of a line that are searched
 _STRING = re.compile(r"\"(?:[^\"\\]|\\.)*\"|'[^']*'")
 _BARE_VALUE = re.compile(r"(?<=[=,\[])\s*([^\"'\[\]{},=#\s][^\"'\[\]{},=#]*?)\s*(?=[,\]}#]|$)")
 _HEADER = re.compile(r"\s*(\[+)([\w.\-\"' ]+)\]*\s*(?:#.*)?")
@@ -65,7 +65,8 @@ def invalid_toml(text: str, error: ValueError, label: str) -> UsageError:
             f"and tables and arrays nested at most {DEEPEST} deep",
             hint=f"delete from {label} what exceeds these limits",
         )
-    # of long lines a part: patterns take time with the square of the length
+    # only a part of long lines, because the time of patterns is proportional to the square of the
+    # length
     lines = [line[:LONGEST_LINE] for line in split_lines(text)] or [""]
     number = min(number, len(lines))
     known = _duplicate_name(lines, number, str(error), label) or _table_on_several_lines(
@@ -127,7 +128,7 @@ def _parser_position(lines: Sequence[str], repair: _Repair) -> tuple[float, floa
         parse_toml(text)
     except ValueError as error:
         line, column = _error_position(text, str(error))
-        # within the same line every repair moves the columns
+        # every repair of the line shifts its columns
         return (line, column) if line > repair.number else (0.0, column)
     return math.inf, math.inf
 

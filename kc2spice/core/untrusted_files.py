@@ -37,10 +37,10 @@ import numpy as np
 from kc2spice.core import errors
 from kc2spice.core.errors import Kc2spiceError, UsageError
 
-# One part of a path: it cannot hide, climb, be expanded by a shell or break a line.
+# One part of a path: no hidden file, no parent directory, no shell expansion and no line break.
 _PART = re.compile(r"\w[\w .+-]{0,127}(?<![ .])")
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.+-]")
-_ITEM = 1_000_000  # bytes of one entry, which is a text where it is more than a number
+_ITEM = 1_000_000  # bytes of one entry, which may be a number or a text
 MAX_BYTES = 1_000_000  # a scene is a page of text; more is a mistake or an attack
 DEEPEST = 32  # tables and arrays within each other
 LONGEST_KEY = 200  # characters of one part of a key
@@ -336,13 +336,13 @@ def _run_in_child(function: str, memory: str, seconds: str) -> None:
         call = getattr(import_module(module), name)
         _limit_resources(int(memory), int(seconds))
         np.savez(ANSWER, **call(**json.loads(line)))
-    except Exception as error:  # a damaged file makes a parser raise nearly anything
+    except Exception as error:  # a damaged file causes nearly any exception in a parser
         text = " ".join(str(error).split())[:300] or type(error).__name__
         attributes = vars(error) if isinstance(error, Kc2spiceError) else {"message": text}
         record = (type(error).__name__, attributes)
         Path(REASON).write_text(json.dumps(record, default=str), encoding="utf-8")
         os._exit(1)
-    os._exit(0)  # destructors of other people's libraries have nothing to add
+    os._exit(0)  # destructors of libraries are not executed
 
 
 def _end_with_parent() -> None:

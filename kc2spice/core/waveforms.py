@@ -127,7 +127,7 @@ def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
     return np.interp(at, scale[::direction], values[::direction])
 
 
-TOP = 1e-6  # flat top of a repeated triangle, of its edge
+TOP = 1e-6  # ratio of the flat top of a repeated triangle to its edge
 NEVER = 1e4  # s; a period that no run reaches (newer ngspice repeats a pulse that has none)
 
 

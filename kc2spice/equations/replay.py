@@ -109,7 +109,8 @@ def replayed_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
 def _recorded_source(net: str, kind: str, waves: Waveforms) -> IdealSource:
     """Return a source of the recorded values on a net."""
     times, values = waves["time"], waves[f"net {net}"]
-    # Where a contact closes, points lie picoseconds apart: their differences are rounding.
+    # When a contact closes, points are picoseconds apart, and their differences are rounding
+    # errors.
     shortest = SHORTEST * float(np.ptp(times))
     places = [0]
     for k in range(1, times.size):

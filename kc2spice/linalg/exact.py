@@ -18,7 +18,9 @@ from kc2spice.core.errors import SimulationError
 
 SLICES = 4  # slices of about 21 bits each
 REFINEMENTS = 5
-ENOUGH, LOST = 1e-8, 1e-3  # relative corrections: the next is rounding, and none has a digit
+# relative corrections: below the first, the next correction is rounding; above the second, no digit
+# is correct
+ENOUGH, LOST = 1e-8, 1e-3
 
 
 class ExactMatrix:

@@ -89,9 +89,9 @@ RESIDUAL_LIMIT = 1e-11
 REFINEMENTS = 3
 # Up to this half-bandwidth a banded factor costs no more than the search for a better order.
 NARROW = 600
-# From so many unknowns on a multifrontal factor in Python takes less time than SuperLU.
+# Number of unknowns from which a multifrontal factor in Python takes less time than SuperLU.
 QUASI_DEFINITE = 20_000
-# From so many unknowns on nested dissection repays its own time.
+# Number of unknowns from which nested dissection saves more time than it needs.
 LARGE = 5000
 _LINE = 1  # gmsh's number of the element type with two nodes
 _STORED_ORDERS = 2  # orders: a reduction factorises matrices of one pattern, or of two
@@ -167,7 +167,7 @@ def supernodal(matrix: scipy.sparse.csc_array, order: np.ndarray | None = None) 
     RuntimeError : not positive definite.
     """
     with fast_kernels():
-        import cvxopt.cholmod  # one of three solvers: loaded where it is chosen
+        import cvxopt.cholmod  # imported here, because it is only one of three solvers
 
     lower = scipy.sparse.coo_array(scipy.sparse.tril(matrix))
     places = lower.row.astype(np.int64), lower.col.astype(np.int64)

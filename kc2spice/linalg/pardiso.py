@@ -56,7 +56,7 @@ class Pardiso:
     """
 
     def __init__(self, matrix: Any) -> None:
-        _library()  # an error here must come before there is anything to release
+        _library()  # loaded first, so that an error leaves nothing to release
         difference = abs(matrix - matrix.T).max()
         symmetric = bool(difference <= SAME * abs(matrix).max())
         complex_numbers = bool(np.iscomplexobj(matrix))

@@ -18,7 +18,8 @@ KERNELS = {
     "SkylakeX": {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl", "fma", "avx2"},
     "Haswell": {"fma", "avx2"},
 }
-_CPU_INFO = Path("/proc/cpuinfo")  # of Linux; elsewhere OpenBLAS decides
+# exists on Linux only; on other systems OpenBLAS selects the kernels
+_CPU_INFO = Path("/proc/cpuinfo")
 
 
 def select_kernels(flags: set[str]) -> str | None:

@@ -47,9 +47,9 @@ class Option:
         return Directive(".options", (word,), notes=(f"* {self.key}: {comment(self.reason)}",))
 
 
-RELTOL, CHGTOL = 1e-3, 1e-14  # of ngspice if a deck has no such option
-LEAST_STEP = 1e-12  # V or A of a dc sweep; ngspice ends it within 2.2e-13
-MOST_A_DECADE = 2**31 - 1  # points, which simulators count in 32 bits
+RELTOL, CHGTOL = 1e-3, 1e-14  # defaults of ngspice without these options
+LEAST_STEP = 1e-12  # least step of a dc sweep in V or A; ngspice ends a sweep within 2.2e-13
+MOST_A_DECADE = 2**31 - 1  # largest number of points per decade; simulators count points in 32 bits
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def noise(output: str, source: str, start: float, stop: float, points: int, scal
 
 def _range(start: float, stop: float, points: int, scale: str) -> tuple[str, ...]:
     decades = 0.0 if scale == "linear" else math.log10(stop / start)
-    if points > MOST_A_DECADE * decades:  # a range so narrow is linear
+    if points > MOST_A_DECADE * decades:  # a narrow range is swept linearly
         return "lin", str(points), number(start), number(stop)
     return "dec", str(math.ceil(points / decades)), number(start), number(stop)
 

@@ -231,7 +231,7 @@ def _require_instances(before: Scope, now: Scope, path: Path) -> None:
     """
     old, new = before.elements_by_key, now.elements_by_key
     if new.keys() - old.keys():
-        return  # the reader of the deck must judge the replacement
+        return  # the user must check the replacement
     for key in old.keys() - new.keys():
         if old[key].kind == "x":
             name = old[key].name

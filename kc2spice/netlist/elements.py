@@ -9,7 +9,7 @@ from typing import TypeAlias
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.spelling import comment
 
-#: A card, or one or more comment and blank lines of the card below them.
+#: A card, or one or more comment and blank lines above a card.
 Line: TypeAlias = Item | str
 
 _TICK = (

@@ -64,7 +64,8 @@ STEP_CONTROL = frozenset(("tripdv", "tripdt"))  # of a behavioural source: steps
 Syntax = Literal["ngspice", "ltspice", "pspice"]
 _ORDERED = ("<", ">", "<=", ">=", "==", "!=")
 _LOGICAL = ("&&", "||")
-_ACROSS = frozenset(("rpar", "cpar"))  # carry a part of the current of their element
+# these parasitics carry a part of the current of their element
+_ACROSS = frozenset(("rpar", "cpar"))
 _METERED = frozenset("bcdefghilrv")  # kinds whose current enters at the first node
 _NOTE = 98  # letters of a comment
 _LARGEST_POWER = 9  # whole exponents up to here become products
@@ -131,7 +132,7 @@ class _Scope:
         """The circuit with its items for ngspice."""
         groups = [(item, tuple(self._item(item))) for item in self.circuit.items]
         items: list[Item] = []
-        for item, group in groups:  # laws name the meters first
+        for item, group in groups:  # meters are named when the laws are translated
             if isinstance(item, Element) and item.key in self.metered:
                 items += _with_meter(item, group, self.metered[item.key])
             else:

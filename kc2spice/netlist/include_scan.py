@@ -114,7 +114,7 @@ class _Reader:
             file = path.parent / target
             try:
                 readable = file.is_file() and file.stat().st_size <= MOST_BYTES
-            except OSError:  # a name too long, a directory that is closed
+            except OSError:  # the name is too long, or the directory cannot be read
                 readable = False
             if self.trust and (not target or not readable or self._is_forbidden(file)):
                 yield Line(raw, place, raw)
@@ -155,7 +155,7 @@ class _Reader:
             self.size += len(data)
             try:
                 text = data.decode("utf-8-sig")
-            except UnicodeDecodeError:  # many vendors write their micro signs so
+            except UnicodeDecodeError:  # micro signs in files of many vendors are in Latin-1
                 text = data.decode("cp1252")
             return text.replace("\r\n", "\n").replace("\r", "\n")
         except (OSError, ValueError) as error:
@@ -199,7 +199,7 @@ def _normalize_line(raw: str, goes_on: bool) -> tuple[str, bool]:
     if follows:
         card = card[: -len(_GOES_ON)].rstrip()
     if _END.match(card):
-        card, note = "", f"{card} {note}".rstrip()  # the deck ends where we say
+        card, note = "", f"{card} {note}".rstrip()  # lines behind .end are left out
     if goes_on and card and not card.startswith("+"):
         card = f"+ {card}"
     if not card:

@@ -59,7 +59,7 @@ def find_circuit_problems(deck: Deck) -> list[UsageError]:
     try:
         if not _find_problems(deck, deck.trees, deck.scope):
             return []
-    except UsageError:  # raised again below, with the place of its card
+    except UsageError:  # the loop below raises the error again, with the place of its card
         pass
     top = circuit(deck.located_trees[deck.main], deck.located_trees, deck.main)
     return _find_problems(deck, deck.located_trees, top)

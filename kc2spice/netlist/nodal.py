@@ -43,7 +43,8 @@ class NodalEquations:
         A load is the current into each named node, or the voltage of each source ``i(NAME)``.
         An answer at ground is zero.
         """
-        import scipy.sparse as sparse  # a library that is only written needs neither
+        # imported here, because writing a library does not need these packages
+        import scipy.sparse as sparse
         from scipy.sparse.linalg import splu
 
         n = len(self.rows)

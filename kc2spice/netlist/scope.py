@@ -112,7 +112,8 @@ def _fill(
                 scope.models[name.lower()] = item
             case Directive(keyword, words) if keyword in INCLUDES:
                 written = " ".join(words).strip("\"'")
-                target = str(PurePosixPath(chain[-1]).parent / written)  # from where the file is
+                # relative to the directory of the file
+                target = str(PurePosixPath(chain[-1]).parent / written)
                 if target in chain:
                     raise item.error(
                         "a file includes itself, directly or through others", " -> ".join(chain)

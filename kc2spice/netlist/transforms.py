@@ -99,7 +99,7 @@ def parameter_defaults(deck: Deck) -> dict[str, float]:
     for part in deck.parts:
         for library, item in cards(part):
             for name, text in item.defaults.items():
-                with contextlib.suppress(ValueError):  # an expression: nothing to replace
+                with contextlib.suppress(ValueError):  # an expression contains no number to replace
                     result[f"{library}.{name}"] = float(text)
     return result
 

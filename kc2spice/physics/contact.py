@@ -24,9 +24,10 @@ from kc2spice.physics.symbolic import (
 )
 
 RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
-# Statement on the mesh of a law of pressure, about the mesh of its compliances.
+# Note on the mesh error of a law by pressure, which is that of its compliances.
 SPACED = "error not estimated; a run with half the key spacing shows it"
-# A block between compiled modules alone ended 35 mm away instead of 0.2, without an error message.
+# In a test, a block between compiled modules ended 35 mm away instead of 0.2 mm, without an error
+# message.
 SLIPS = "compiled modules lose the digits that friction below its creep speed needs"
 SIGN = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
 

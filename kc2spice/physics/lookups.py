@@ -180,7 +180,8 @@ def smooth_lookup(values: np.ndarray) -> tuple[tuple[Number, ...], tuple[Number,
     first, last = weights @ values[:4], weights @ values[:-5:-1]
     f = np.concatenate([[first], values, [last]])
     halves = np.diff(f[[0, *range(f.size), -1]], 2) / 2
-    # Fourth differences are to second ones as those to the values; the corners at both ends apart.
+    # Fourth differences relate to second differences as second differences relate to the values,
+    # except at the corners at both ends.
     largest, second = float(np.abs(values).max()), float(np.abs(2 * halves[2:-2]).max())
     return _table_points(f), _table_points(halves, second**2 / 4 / (largest or 1.0))
 

@@ -119,7 +119,7 @@ def _replace_above(tree: Tree) -> Tree:
 class _Card(Writer):
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         match function, arguments:
-            case "sqrt", (Call("max", (_, value)),):  # so that its slope at zero is finite
+            case "sqrt", (Call("max", (_, value)),):  # so that the derivative at zero is finite
                 return f"sqrt(max(1e-18, {self.write(value)}))"
             case "clip", (value,):
                 return f"max(-1, min(1, {self.write(value)}))"
@@ -226,7 +226,7 @@ def _derivative(tree: Tree, name: str) -> Tree:
             table = function not in _CHAIN
             outer = Call(function + SLOPE, (value,)) if table else _chain_rule(function, value)
             return _product(outer, _derivative(value, name))
-    return ZERO  # numbers, and steps, which are level on either side
+    return ZERO  # numbers and steps, which are constant on either side
 
 
 def _chain_rule(function: str, value: Tree) -> Tree:
@@ -472,7 +472,8 @@ def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
     The result is smooth. A flag is 1 where its corner is above zero, otherwise 0.
     """
     match tree:
-        case Call("sqrt", (Call("max", (_, value)),)):  # zero, not complex, where a step goes past
+        # zero instead of a complex number if a step goes below zero
+        case Call("sqrt", (Call("max", (_, value)),)):
             return Call("sqrt", (Call("max", (ZERO, replace_kinks(value, corners))),))
         case Call("max", (_, value)):
             return Binary("*", _flag(value, corners), replace_kinks(value, corners))

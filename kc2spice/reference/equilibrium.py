@@ -234,10 +234,11 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
     if rest.h.size and guess is None:
         z = z + np.linalg.lstsq(rest.H, rest.h - rest.H @ z, rcond=None)[0]
     friction, forces, places = np.zeros((n, n)), system.velocity, system.moved
-    if guess is not None and not places.size:  # nothing has a mass: a net's row balances its forces
+    # nothing has a mass, so the row of a net balances its forces
+    if guess is not None and not places.size:
         forces = places = _find_net_displacements(system)
     friction[forces, places] = 1.0
-    # A guess is mostly near: Newton's method alone first, the slow motion where that fails.
+    # The guess is usually close: Newton's method is tried first, and slow motion if it fails.
     pace, direct = (1e-6, 0) if guess is None else (1e13, _DIRECT)
     start = z
     for count in range(_ITERATIONS):
@@ -248,7 +249,7 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
         step = _newton_step(rest, interval, z, f, J - friction / pace if pace < 1e13 else J)
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
         if guess is not None and not small and count >= direct and f[forces] @ step[places] < 0.0:
-            pace *= 0.01  # past a fold a long step leads back, against its forces
+            pace *= 0.01  # beyond a fold, a long step would lead back against the forces
             continue
         z = z + step
         if pace >= 1e13 and small and not np.any(interval.guards(0.0, z) < -1e-18):

@@ -32,7 +32,7 @@ from kc2spice.reference.system import System
 GAMMA = 1.0 - np.sqrt(0.5)
 ITERATIONS = 60  # iterations of a stage, including changes of device modes
 ONE_BY_ONE = 30  # iterations after which devices change their modes one at a time
-ROUNDING = 1e-15  # by which a guard may be negative
+ROUNDING = 1e-15  # largest negative value of a guard by rounding
 NOTHING = 1e-100  # zero load; a solver cannot solve for its rounding errors
 SLOW = 3e-8  # rate of a free body that only drifts, relative to its fastest rate
 

@@ -36,7 +36,9 @@ _BACK = np.linalg.inv(_vectors)
 _REAL, _PAIR = int(np.argmin(np.abs(_values.imag))), int(np.argmax(_values.imag))
 _ERROR = np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1.0]) / 3.0
 _MAX_NEWTON = 8
-_ROUNDING = 0.1  # over the tolerance; a controller's derivative amplifies rounding to 100 nV
+# rounding error relative to the tolerance; the derivative of a controller amplifies rounding to 100
+# nV
+_ROUNDING = 0.1
 _EPS = float(np.finfo(float).eps)
 _SPREAD = 3.0  # factor on the estimate of rounding errors, which uses one set of random signs
 # Polynomials through the start and the stages, and through the stages alone.
@@ -101,7 +103,7 @@ class Radau:
         self.rtol = rtol
         self.newton_tol = max(10 * np.finfo(float).eps / rtol, min(0.03, rtol**0.5))
         self.interval, self.rows = interval, interval.rows
-        self.active = interval.system.differential  # unknowns whose error is judged
+        self.active = interval.system.differential  # unknowns whose error is controlled
         self.before: Step | None = None
         self._start(t, z)
         self._linearise()
@@ -114,7 +116,8 @@ class Radau:
     def _linearise(self) -> None:
         self.M, self.J = self.interval.slopes(self.t, self.z)
         self.h_lu, self.lu = 0.0, tuple[Any, ...]()
-        self.rounding = 0.0  # of a change by Newton's method, over the tolerance; where it shows
+        # rounding error of a change by Newton's method, relative to the tolerance
+        self.rounding = 0.0
 
     def guess(self, end: float) -> float:
         """Choose the first step: a hundredth of the time in which the state doubles."""
@@ -305,7 +308,7 @@ class Trajectory:
     @cached_property
     def energy(self) -> EnergyBalance:
         """Energy balance by the energies at both ends and the quadrature of powers."""
-        came, went = np.zeros(2), np.zeros(2)  # sums, and those of sizes
+        came, went = np.zeros(2), np.zeros(2)  # sums of energies, and sums of their magnitudes
         for segment in self.segments:
             for sums, energies in zip(
                 (came, went), _sum_energies(self.system, segment), strict=True

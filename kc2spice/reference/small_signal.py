@@ -26,7 +26,7 @@ from kc2spice.core.waveforms import Function, Waveform
 from kc2spice.reference.equilibrium import Interval, equilibrium
 from kc2spice.reference.system import System, assemble_system
 
-_WORST_BASIS = 1e9  # condition of the eigenvectors beyond which modes say nothing
+_WORST_BASIS = 1e9  # condition of the eigenvectors beyond which modes have no meaning
 # a rate below this fraction of the largest rate belongs to a body that is free to move
 _STILL = 1e-7
 ROUNDED = 1e-9  # remainder of cancelling terms of a wave, relative to the terms
@@ -94,7 +94,7 @@ class LinearisedSystem:
         """``X`` (N,) for sources ``amplitudes e^(w t)``."""
         n, sources = self.system.size, np.concatenate((amplitudes, w * amplitudes))
         P = w * self.G - self.F
-        size = np.abs(P[:, :n]).max(axis=1)  # rows are scaled without devices of a frequency
+        size = np.abs(P[:, :n]).max(axis=1)  # rows are scaled without frequency-dependent devices
         z = np.linalg.solve(P[:, :n] / size[:, None], -P[:, n:] @ sources / size)
         return np.concatenate((z, sources))
 
@@ -320,7 +320,7 @@ class ExponentialSolution:
     kinks: tuple[tuple[float, int, float], ...]  # time, source, jump of its slope
     sines: tuple[tuple[int, Waveform], ...]
     still: np.ndarray  # (sources, ny) static gains
-    drift: np.ndarray  # (sources, ny) by the slope of the source
+    drift: np.ndarray  # (sources, ny) outputs per slope of the source
     stop: float
 
     @property

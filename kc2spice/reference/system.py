@@ -23,7 +23,7 @@ from kc2spice.core import laws as L
 from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.errors import UsageError
 
-MICRO = 1e-6  # m, the displacement that errors are judged by
+MICRO = 1e-6  # m, reference displacement for errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class PlacedDevice:
     inputs: np.ndarray  # (m, N)
     into: np.ndarray  # (n, k)
     stores: np.ndarray | None  # (n, stored), where the stored quantities are not the states
-    states: np.ndarray  # their places among the unknowns
+    states: np.ndarray  # positions of the states among the unknowns
     first: int  # position of the outputs of the device among those of all devices
 
     def evaluate(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
@@ -73,10 +73,11 @@ class System:
     const: np.ndarray
     differential: np.ndarray  # (n,) bool
     velocity: np.ndarray  # (m,) places of velocities among the unknowns
-    moved: np.ndarray  # (m,) places of the displacements whose they are
+    moved: np.ndarray  # (m,) positions of the displacements to which the velocities belong
     sources: tuple[L.IdealSource, ...]
     devices: tuple[PlacedDevice, ...]
-    linear: tuple[PlacedDevice, ...]  # whose outputs and stores are in ``G``, ``F`` and ``const``
+    # devices whose outputs and stores are in ``G``, ``F`` and ``const``
+    linear: tuple[PlacedDevice, ...]
     initial_values: tuple[InitialValue, ...]
     names: tuple[str, ...]
     now: np.ndarray  # (W, N)
@@ -140,10 +141,10 @@ class _Assembly:
         n = self.size
         self.M, self.A, self.const = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
         self.moving = np.zeros((self.nq, self.nq))  # which displacements need velocities
-        self.charged = np.zeros((n, n))  # which voltages charges of devices follow
+        self.charged = np.zeros((n, n))  # voltages on which the charges of devices depend
         self.sources = tuple(p for p in laws if isinstance(p, L.IdealSource))
         self.S = np.zeros((n, len(self.sources)))
-        self.constraints: list[tuple[np.ndarray, np.ndarray]] = []  # forms, and of which sources
+        self.constraints: list[tuple[np.ndarray, np.ndarray]] = []  # forms with their sources
         self.forms = {"stored": np.zeros((n, n)), "dissipated": np.zeros((n, n))}
         self.lifted = np.zeros(n)
         self.flows: dict[str, tuple[np.ndarray, np.ndarray, float]] = {}

@@ -119,7 +119,7 @@ def _scale_y(panel: Panel) -> Panel:
     levels = list(map(itemgetter(0), panel.levels))
     label, scale = _choose_prefix(panel.y, np.append(_y_values(panel), levels))
     if scale == 1.0 or (panel.log_y and _spans_decade(panel)):
-        return panel  # its numbers are powers of ten
+        return panel  # the numbers on the axis are powers of ten
     return replace(
         panel,
         y=label,

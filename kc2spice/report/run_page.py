@@ -59,7 +59,8 @@ def write_run(
     path: Path, result: Mapping[str, Any], scene: Scene, figures: Sequence[Figure]
 ) -> Path:
     """Write the page of ``kc2spice run`` from the content of ``result.json``."""
-    figures = sorted(figures, key=attrgetter("main"), reverse=True)  # keeps the order of equals
+    # the sort preserves the order of equal rows
+    figures = sorted(figures, key=attrgetter("main"), reverse=True)
     energies, modes = result.get("energy_j", {}), result.get("modes", {})
     sections = [
         format_summary(result),
@@ -181,7 +182,7 @@ def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSe
 def _violation_row(check: Mapping[str, Any]) -> tuple[str, str]:
     """Return the row of a violated check as one sentence."""
     value, limit = format_value_and_limit(check["value"], check["limit"], check["unit"])
-    if " " in check["unit"]:  # the sentence contains a phrase once
+    if " " in check["unit"]:  # avoids a repeated phrase in the sentence
         limit = limit.removesuffix(f" {check['unit']}")
     return "VIOLATED", f"{_label_check(check)}: {value}, limit {limit}"
 

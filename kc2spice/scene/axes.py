@@ -25,7 +25,8 @@ from kc2spice.scene.settings import Analysis, Rom, Solver
 
 MAX_STEP = "solver.max_step"
 MAX_TIME_POINTS = 2e5  # time points of a transient at its finest step
-BAND_GROWTH = 2.0  # of the highest frequency: steps and contacts excite a body above its band
+# factor on the highest frequency: steps and contacts excite a body above its band
+BAND_GROWTH = 2.0
 
 
 @dataclass(frozen=True)

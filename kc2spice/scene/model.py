@@ -652,7 +652,7 @@ class PartType(Generic[KeysT]):
     schema: type[KeysT]
     #: tables of a small scene (TOML) with a part of this type, for ``scenes --parts`` and the docs
     example: str = ""
-    #: where its model comes from, for ``explain``
+    #: origin of its model, for ``explain``
     source: ClassVar[str] = "circuit"
     #: whether the names of its results follow from its model
     results_of_model: ClassVar[bool] = False

@@ -23,7 +23,7 @@ from kc2spice.scene.model import Build, Part, PartType, find_flows
 from kc2spice.scene.rows import Vector
 
 PACKAGE = "kc2spice.parts"
-TABLE = "_types"  # ends the name of a module with several types
+TABLE = "_types"  # ending of the name of a module with several part types
 
 
 def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
@@ -51,7 +51,8 @@ def compute_pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str
         for name, part in build.scene.parts.items():
             for pin, force in part.type.forces(part, build, waves).items():
                 result[name, pin] = force
-        return build, waves, result  # both stay in memory, so that no other one has their identity
+        # both objects stay in memory, so that no other object has their identity
+        return build, waves, result
 
     return build.workspace.latest("forces", (id(build), id(waves)), compute)[2]
 

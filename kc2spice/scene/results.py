@@ -210,7 +210,7 @@ def _unit_of_key(part: Part, key: str) -> str:
 def _sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
     """Return first and last value of the sweep in SI units; refuse an empty range."""
     first, last = quantity(selected.from_, unit), quantity(selected.to, unit)
-    if first == last:  # a simulator would step on the spot without end
+    if first == last:  # a simulator would never end this sweep
         got, expected = f"{first:g} … {last:g} {unit}", "two values"
         raise UsageError("empty range", where="analysis.to", got=got, expected=expected)
     return first, last

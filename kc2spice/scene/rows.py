@@ -41,7 +41,8 @@ class State:
 Governed = Literal["moved", "copied"]
 
 
-#: Frequency [Hz] up to which a part excites others, of a time constant [s] in between.
+#: : Highest frequency [Hz] at which a part excites others, as a function of the time constant [s]
+# between them.
 HighestFrequency = Callable[[float], float]
 
 

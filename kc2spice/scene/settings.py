@@ -29,7 +29,7 @@ from kc2spice.core.quantities import (
 )
 
 Action = Literal["fail", "warn", "off"]
-_ONE_LINE = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"  # such text ends up in a netlist
+_ONE_LINE = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"  # the netlist contains texts of this type
 FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE}+$", max_length=255)]
 
 
@@ -102,7 +102,7 @@ class Rom(Section):
 class Solver(Section):
     """ngspice settings that are written into the deck."""
 
-    # below 1e-7 ngspice's iterations end in rounding
+    # below 1e-7, rounding errors prevent the convergence of ngspice
     reltol: Annotated[Ratio, Notch(0.1, finest=1e-7)] = Field(
         1e-4, gt=0, lt=1, description="Relative tolerance of the simulator"
     )

@@ -46,7 +46,7 @@ STALLED = 60.0  # s without processor time after which a run hangs
 LARGEST_RAW = 8_000_000_000  # bytes of one raw file
 SPARE = 1_000_000  # bytes; a disk with less is full
 POLL = 0.05  # s between two checks of the growing raw file
-Share = Callable[[float], None] | None  # receives the share of a transient that is done
+Share = Callable[[float], None] | None  # receives the completed fraction of a transient
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ def _run_ngspice(
     """
     command = [*_end_with_parent(), find_ngspice().path, "-b", "-n", "-r", raw.name, main.name]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SPICE_")}
-    environment["HOME"] = str(main.parent)  # ngspice crashes where a user has none
+    environment["HOME"] = str(main.parent)  # ngspice crashes without a home directory
     begin = worked = time.monotonic()
     spent = None
     with log.open("wb") as sink:
@@ -242,7 +242,7 @@ def _run_ngspice(
                     progress(min(1.0, (at or 0.0) / deck.stop))
                 waiting.join(POLL)
         finally:
-            process.kill()  # nothing to one that has ended
+            process.kill()  # has no effect on a process that has ended
             process.wait()
         return process.returncode
 
@@ -486,7 +486,7 @@ def run_with_retries(
             stacklevel=2,
         )
         log = (directory / deck.main).with_suffix(".log")
-        if log.is_file():  # put aside, before the next attempt writes its own
+        if log.is_file():  # renamed before the next attempt writes its log
             log.rename(log.with_suffix(f".{len(attempts)}.log"))
         left.remove(following)
         setting = following.combine(setting)

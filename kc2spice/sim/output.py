@@ -26,7 +26,7 @@ from kc2spice.netlist.nodes import describe_node
 # "coarse": ngspice finished, but the energy balances of the result do not close.
 Kind = Literal["timestep", "singular", "operating point", "coarse"]
 
-# Said by ngspice in a run that has failed, whatever its exit code.
+# Messages of ngspice in a failed run with any exit code.
 _FATAL = re.compile(
     r"timestep too small|iteration limit reached|run simulation\(s\) aborted|"
     r"simulation interrupted|there aren't any circuits|no such vector|fatal|"
@@ -45,7 +45,7 @@ _STRUGGLE = re.compile(
 _NODE = re.compile(
     r'trouble with (?:node |\S+-instance )?"?([^\s"]+?)"?(?:[:\s]|$)|check node (\S+)', re.I
 )
-# A parameter, value or card that ngspice took otherwise than it stands in the netlist.
+# A parameter, value or card that ngspice interprets differently from the netlist.
 _ALTERED = re.compile(
     r"\bignor(?:ed|ing)\b|\b(?:re)?set to\b|\bassumed?\b|\blimited to\b|\breplaced\b|"
     r"\bdefault(?:ed|ing|s)?\b|\bnot (?:yet )?(?:supported|implemented)\b|\bunsupported\b|"
@@ -66,7 +66,7 @@ _DISPLAYED = re.compile(
 )
 MOST_ALTERATIONS = 5  # alterations that an error quotes
 _NO_START = re.compile(r"DC solution failed|transient op failed|initial timepoint", re.IGNORECASE)
-# A card that ngspice cannot read, and in the next line why.
+# A card that ngspice cannot read, and the reason in the next line.
 _CARD = re.compile(r"^Error on line:?[ \t]*\n[ \t]+(.+?)[ \t]*\n[ \t]+(.+?)[ \t]*$", re.M | re.I)
 _TIME = re.compile(r"time = ([-+0-9.eE]+)", re.IGNORECASE)
 _STATS = {

@@ -124,7 +124,7 @@ def run_shared(
     if deck.stop is None:
         raise UsageError("no transient", where=deck.name, expected="a deck with its last time")
     global _library
-    if _library is None or _library.dead:  # ngspice has given it up
+    if _library is None or _library.dead:  # ngspice has unloaded the library
         _library = Library()
     library = _library
     loop = _Sampler(sampled, deck.stop, progress) if sampled or progress else None
@@ -189,7 +189,7 @@ class Library:
             _SEND_CHAR(self._on_text),
             _EXIT(self._on_exit),
             _SEND_DATA(self._guard_callback("record_point")),
-            _SEND_INIT(lambda *_: 0),  # without it no point is sent
+            _SEND_INIT(lambda *_: 0),  # without this callback no point is sent
             _SOURCE(self._guard_callback("set_source")),
             _SYNC(self._guard_callback("limit_step")),
         )
@@ -267,12 +267,13 @@ def _load_private_copy() -> ctypes.CDLL:
         maps = Path("/proc/self/maps")
         loaded = maps.read_text("utf-8").split() if maps.is_file() else [result]
         path = next((word for word in loaded if result in word and Path(word).is_file()), None)
-        if path is None:  # the system's one copy has to do
+        if path is None:  # the single copy of the system is used
             return plain
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
             copy = Path(shutil.copy(path, folder))
             mode = os.RTLD_LOCAL | os.RTLD_NOW | getattr(os, "RTLD_DEEPBIND", 0)
-            return ctypes.CDLL(str(copy), mode=mode)  # mapped: the file may go
+            # the library is mapped, so the file can be deleted
+            return ctypes.CDLL(str(copy), mode=mode)
     except OSError as error:
         raise MissingToolError(
             "libngspice cannot be loaded",

@@ -258,7 +258,7 @@ def rounding(model: LinearModel, frequency: float) -> float:
 
     def rounded(matrix: np.ndarray) -> np.ndarray:
         change = random.choice([-unit, unit], size=matrix.shape)
-        return np.asarray(matrix * (1 + (change + change.T) / 2))  # a symmetric matrix stays one
+        return np.asarray(matrix * (1 + (change + change.T) / 2))  # preserves symmetry
 
     pencil = model.pencil.dense()
     others = []

@@ -78,8 +78,8 @@ class StepWeights:
         return STATE_CAPACITANCE * np.minimum(1.0, (omega / (self.full * slowest)) ** self.power)
 
 
-RINGING = StepWeights(3.0, 2, 0.01)  # the body's own ringing is a result
-THROWING = StepWeights(3.0, 6, 0.01)  # until it has struck: fewer points, an equal launch
+RINGING = StepWeights(3.0, 2, 0.01)  # weights if the ringing of the body itself is a result
+THROWING = StepWeights(3.0, 6, 0.01)  # weights until the strike: fewer points, an equal launch
 COARSE = StepWeights(8.0, 6, 1e-6)  # only the motion of thrown parts matters: half the time points
 _OUTWARDS = (
     "* Positive um are along a port's outward direction. A current into its pin is a force on the",
@@ -515,7 +515,7 @@ def _decouple_states(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
     modal = None if dense else _decouple_modes(rom)
     if modal is not None:
         return modal
-    from kc2spice.rom.blocks import block_model  # loads what most models do not need
+    from kc2spice.rom.blocks import block_model  # imported here, because most models do not need it
 
     return block_model(rom, dense=dense)
 
@@ -830,7 +830,7 @@ def _resonator_cards(
     heavy = model.inertia[order] > 0
     scale = scale_modes(gain, terminals)[:, None]
     numbers = range(1, len(order) + 1)
-    turn = omega * heavy  # the others have no velocity, and no node for it
+    turn = omega * heavy  # the other states have no velocity, and no node for a velocity
     light, losses = (damp < LIGHT_DAMPING * omega) * heavy, damp * heavy
     rates = (-turn * light, turn, -turn - (turn - losses) * light, turn * light - losses)
     qq, qp, pq, pp = map(np.diag, rates)
@@ -1023,7 +1023,7 @@ def _block_cards(
     ``C = 1 / (2 pi f1)``. With the end f1 of the band, conductances are about 1 S. A block is
     scaled to about 1 V for a constant input of 1 V.
     """
-    from scipy.linalg import block_diag  # loads what most models do not need
+    from scipy.linalg import block_diag  # imported here, because most models do not need it
 
     farad = 1 / (2 * np.pi * model_band(rom)[1])
     B, C = model.B.copy(), model.C.copy()

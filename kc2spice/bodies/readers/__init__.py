@@ -142,7 +142,7 @@ def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list
     """Read the constant matrices of a model and the terms that depend on parameters."""
     path, sidecar = Path(path), None if sidecar is None else Path(sidecar)
     if "\0" in str(path):
-        raw.require_file(path)  # says that there is none
+        raw.require_file(path)  # raises the error of a missing file
     if not path.name:
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError("is a folder, not a model", where=str(path), expected=expected)

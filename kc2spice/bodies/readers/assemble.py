@@ -245,7 +245,8 @@ class Rows:
             return -np.asarray(self.matrices["M"] @ load)
         result = self.find(entry, tuple(entry.weights))
         for rows, weight in zip(result, entry.weights.values(), strict=True):
-            load[rows] += weight / len(rows)  # their mean displacement is its product with x
+            # the product of this vector with x is the mean displacement
+            load[rows] += weight / len(rows)
         if not load[~self.fixed()].any():
             raise UsageError(
                 "the port is on fixed degrees of freedom",
@@ -317,7 +318,7 @@ def _assemble_mechanical(rows: Rows) -> LinearModel:
     operators = {letter: _restrict(matrix, keep) for letter, matrix in square.items()}
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
-    if empty.size:  # an unknown that nothing determines: a gap in the numbering
+    if empty.size:  # no matrix determines an unknown: a gap in the numbering
         problem, expected = "an equation is empty in all matrices", "no gaps in the numbering"
         got = f"row {empty[0] + 1} of the free ones, {empty.size} such in all"
         hint = None if rows.raw.dofs is None else "fix the degree of freedom in [[fixed]]"

@@ -159,7 +159,8 @@ def _parse_dofs(data: bytes) -> raw.Dofs:
     words = data.split()
     if not 0 < len(words) <= raw.MAX_SIZE:
         raise ValueError(f"{len(words)} rows")
-    pairs = [word.partition(b".")[::2] for word in words]  # 12.3 is node 12, never a number
+    # 12.3 is component 3 of node 12, not a number
+    pairs = [word.partition(b".")[::2] for word in words]
     node, kind = np.array(pairs).astype(np.int64).T
     if not ((kind >= 0) & (kind <= 6)).all():
         raise ValueError(f"unknown direction {kind[(kind < 0) | (kind > 6)][0]}")
@@ -202,7 +203,8 @@ def unpack_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
     place, stiffness, mass = file.load_km()
     place = np.asarray(place, dtype=np.int64)
     kind = np.array([raw.CODES[_KINDS[int(k)]] for k in place[:, 1]])
-    const = np.asarray(file.const, dtype=np.int64).reshape(-1, 2)  # whose rows are left empty
+    # the rows of these unknowns are empty
+    const = np.asarray(file.const, dtype=np.int64).reshape(-1, 2)
     key = np.array([64, 1])
     fixed = np.flatnonzero(np.isin(place[:, :2] @ key, const @ key))
     result = {"nodes": place[:, 0], "dofs": kind, "fixed": fixed}
@@ -245,7 +247,7 @@ def read_harwell_boeing(
     formats = _FORMAT.findall(lines[3])
     if len(formats) < 3:
         raise ValueError("the line of formats is damaged")
-    sides = lines[1].split()[4:]  # right-hand sides, with a line of their own
+    sides = lines[1].split()[4:]  # right-hand sides, which have a separate line
     parts, start = [], 5 if sides and int(sides[0]) > 0 else 4
     numbers_of = (columns + 1, entries, 2 * entries if kind[0] == "C" else entries)
     for (repeat, width), length, number in zip(formats, counts[1:], numbers_of, strict=False):

@@ -43,10 +43,10 @@ from kc2spice.bodies.readers.titles import (
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 
-REFERENCE = 50.0  # Ohm, of S where no file states it
-FEWEST = 12  # frequencies: four numbers of one resonance and its noise
+REFERENCE = 50.0  # Ohm, reference resistance of S if the file states none
+FEWEST = 12  # least number of frequencies, for four parameters of one resonance and its noise
 AGREE = 0.05  # median relative difference of two readings, above the rounding of columns
-LONGEST_NAMES = 50  # characters of titles in an error that lists unknown ones behind them
+LONGEST_NAMES = 50  # characters of the titles in an error that also lists unknown titles
 NAME_COLUMNS = "name the columns in the first line, such as  frequency_hz,real_ohm,imag_ohm"
 ONE_PART = "delete the columns or lines of the other one"
 
@@ -358,7 +358,8 @@ def _combine_columns(columns: _Columns, f: np.ndarray, shunt: float | None) -> l
     """
     names, readings = set(columns.by_quantity), list[_ColumnPair]()
     phases = {"z": "phase_z", "y": "phase_y"} if shunt is None else {"gain": "gain_phase"}
-    size = next(filter(names.__contains__, phases), None)  # that the phase belongs to
+    # the magnitude to which the phase belongs
+    size = next(filter(names.__contains__, phases), None)
     for combination in COMBINATIONS:
         first, second = combination.columns
         if combination.shunt != (shunt is not None) or not {first, second} <= names:

@@ -19,12 +19,13 @@ import numpy as np
 Quantity = Literal["S", "Z", "Y"]
 PREFIXES = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "": 1.0,
             "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # fmt: skip
-LARGE = "kMGT"  # prefixes of both cases where a small letter is no smaller prefix
+# prefixes that are accepted in both cases, because the small letter is no other prefix
+LARGE = "kMGT"
 # Spellings of each unit by the measured quantity, with the SI value of the unit.
 # A spelling with a capital letter counts in this case only.
 UNITS: dict[str, dict[str, float]] = {
     "frequency": {"hz": 1.0, "hertz": 1.0, "rad/s": 0.5 / np.pi, "rads": 0.5 / np.pi},
-    "impedance": {"ohm": 1.0, "ohms": 1.0, "O": 1.0},  # an O is an omega of another code page
+    "impedance": {"ohm": 1.0, "ohms": 1.0, "O": 1.0},  # an omega of another code page becomes an O
     "admittance": {"s": 1.0, "siemens": 1.0, "mho": 1.0},
     "capacitance": {"f": 1.0, "farad": 1.0},
     "inductance": {"h": 1.0, "henry": 1.0},

@@ -47,8 +47,10 @@ from kc2spice.core.untrusted_files import read_bounded
 from kc2spice.rom.linear_model import Norm
 
 MAX_BYTES = 20_000_000
-MOST = 20_000  # frequencies: no analyser has as many, and a fit would take hours
-ACTIVE = 0.05  # negative resistance over |Z| that is not noise, if a tenth of the points have it
+# largest number of frequencies, more than any analyser measures; a fit would take hours
+MOST = 20_000
+# ratio of negative resistance to |Z| that is no noise, if a tenth of the points exceed it
+ACTIVE = 0.05
 _TOUCHSTONE = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
 _TABLES = (".csv", ".txt", ".tsv", ".zma", ".frd")
 _RESISTANCE = ("z0", "r0", "zref", "reference")

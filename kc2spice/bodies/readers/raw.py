@@ -54,7 +54,8 @@ CODES = {name: code for code, name in DOFS.items()}
 TRANSLATIONS = (1, 2, 3)
 ROTATIONS = (4, 5, 6)
 VOLT = CODES["volt"]
-_KINDS = 64  # a row's key is its node times this and its kind of freedom
+# the key of a row is its node times this number, plus the number of its degree of freedom
+_KINDS = 64
 _LARGEST_NODE = 2**40
 
 Triple: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -124,7 +125,7 @@ def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = 
     except NotImplementedError:
         message, got = "is in a format that is not supported", None
         hint = "in MATLAB: save(..., '-v7')"
-    except Exception as error:  # parsers of hostile bytes raise nearly anything
+    except Exception as error:  # damaged bytes cause nearly any exception in the parsers
         got = " ".join(str(error).split())[:160] or type(error).__name__
         message, hint = "cannot be read", advice
     raise UsageError(message, where=str(path), got=got, expected=expected, hint=hint)
@@ -160,7 +161,8 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
     ------
     UsageError : the matrix cannot be used; the message states why.
     """
-    if sparse.issparse(matrix) and matrix.format in ("csc", "csr"):  # coo judges its indices itself
+    # the coo format checks its indices itself
+    if sparse.issparse(matrix) and matrix.format in ("csc", "csr"):
         call_reader(path, f"a sound matrix {letter}", lambda: matrix.check_format(True))
     matrix = real_if_possible(matrix)
     data = matrix.data if sparse.issparse(matrix) else matrix

@@ -72,7 +72,7 @@ _PARAMETERS = {
     "j": {"area", "m", "temp"},
     "m": {"l", "w", "ad", "as", "pd", "ps", "nrd", "nrs", "m", "temp"},
 }
-_NOISE = frozenset({"noisy"})  # of a noise analysis alone, which is refused
+_NOISE = frozenset({"noisy"})  # parameters of a noise analysis, which dialects refuse
 _EXPONENT = r"e[-+]?\d+"
 _NUMBER = re.compile(
     rf"(?<![\w.])(?:\d+\.?\d*|\.\d+)(?:{_EXPONENT})?((?!{_EXPONENT})[a-z]\w*)(?![\w.])", re.I
@@ -307,7 +307,7 @@ class Dialect(Printer, ABC):
         if function == "pwl":
             values = arguments[1:]
             flat = len(values) >= 4 and values[1] == values[3] and values[-1] == values[-3]
-            if len(values) % 2 or not flat:  # pwl goes on with its outer slopes, table does not
+            if len(values) % 2 or not flat:  # pwl extrapolates its outer segments, table does not
                 raise UsageError(
                     f"{self.title} ends every table flat",
                     where=self.where,

@@ -17,7 +17,8 @@ from kc2spice.netlist.printers.dialect import Dialect
 
 GROUP = "kc2spice.dialects"
 PACKAGE = "kc2spice.netlist.printers.dialects"
-NGSPICE, VERILOG_A = "ngspice", "verilog-a"  # the printer that others derive from; no netlist
+# the printer from which all dialects derive, and the only output that is no netlist
+NGSPICE, VERILOG_A = "ngspice", "verilog-a"
 _dialects: dict[str, type[Dialect]] = {}
 
 

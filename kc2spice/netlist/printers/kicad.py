@@ -30,7 +30,7 @@ from kc2spice.netlist.scope import GROUND, Scope, circuit
 from kc2spice.netlist.spelling import render
 
 GRID = 2.54  # mm, 100 mil
-_SPICE = 'type="{}" model="{}" lib=""'  # an element whose value is as on its netlist card
+_SPICE = 'type="{}" model="{}" lib=""'  # fields of an element with the value of its netlist card
 LIBRARY = "kc2spice"
 _POLES = (Place(1, "+", "top", 0, 2), Place(2, "-", "bottom", 0, -2))
 _SPOTS = (
@@ -146,7 +146,7 @@ _PAPERS = {
     "A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841),
 }  # fmt: skip
 _STAMP = 40  # mm, height of the title block
-_COMMENT = 80  # letters of a line in it
+_COMMENT = 80  # letters of a line in the title block
 _VALUE = 56  # letters of a value
 _NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[-+]?\d+)?(?![\w.])")
 _OURS = frozenset({".save", ".print", ".meas", ".end", ".include", ".inc"})
@@ -374,7 +374,7 @@ def _draw_grounds(items: list[_Item], plain: dict[str, Symbol]) -> Iterator[_Ite
         if net == "0":
             count += 1
             yield _ground_mark(plain["GND"], f"#PWR{count:02d}", x, y, _TURN[side])
-    if count:  # in a corner, on a ground that joins no pin
+    if count:  # a mark in a corner, on a ground that joins no pin
         corner = MARGIN - 2, MARGIN - 2
         yield _ground_mark(plain["GND"], "#PWR00", *corner)
         yield _ground_mark(plain["PWR_FLAG"], "#FLG01", *corner)

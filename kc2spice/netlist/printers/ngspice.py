@@ -31,7 +31,7 @@ class Printer(Writer):
     """One simulator's netlists."""
 
     title = "ngspice"
-    keyword = ""  # before parameters of subcircuits and of instances
+    keyword = ""  # word before parameters of subcircuits and instances
 
     def __init__(self) -> None:
         self.where = "netlist"
@@ -75,7 +75,7 @@ class Printer(Writer):
     def element(self, part: Element) -> str:
         keyword = self.keyword if part.kind == "x" and part.parameters else ""
         law = self.law(part) if part.quantity else ""
-        known = part.kind in NODES  # of another letter the words may be nodes
+        known = part.kind in NODES  # for other letters, the words may be nodes
         values = " ".join(map(self.value, part.values) if known else part.values)
         pairs = self.pairs(part.parameters)
         return _join_words(

@@ -12,7 +12,7 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.scope import Scope, circuit
 
 _LETTER = 0.45  # width of a letter in grid units
-_CONTROLLED = frozenset("egs")  # the last two nodes of these draw nothing
+_CONTROLLED = frozenset("egs")  # letters of elements whose last two nodes draw no current
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def arrange_pins(part: Subcircuit) -> Box:
     left, right, below = _assign_sides(part)
     longest = max(_longest_name(left), _longest_name(right))
     rows = max(len(left), len(right))
-    # names along the bottom stand upright between those of both sides
+    # names at the bottom are vertical, between the names on both sides
     width = max(3, ceil(_LETTER * longest + 0.6 + 0.5 * len(below)))
     height = max(ceil((rows + 1) / 2), ceil((_LETTER * _longest_name(below) + 0.8) / 2))
     places = []

@@ -295,7 +295,7 @@ def _contribute(part: Element, names: VerilogNames) -> None:
     right = names.law(part.law) if part.quantity else _element_contribution(part, names, across)
     module.laws.append(f"{through} <+ {right};")
     if part.kind == "c" and "ic" in part.settings:
-        # By the clock, because ngspice calls its first time step ``ic``, too.
+        # Written with the time, because ngspice also calls the first time step ``ic``.
         search = '(analysis("ic") || analysis("tran")) && $abstime <= 0.0'
         start = names.value(part.settings["ic"])
         clamp = f"({search} ? {number(HOLD)} : 0.0)*({across} - {start})"

@@ -15,8 +15,8 @@ from kc2spice.netlist.printers.dialect_registry import register_dialect
 from kc2spice.netlist.scope import GROUND
 from kc2spice.netlist.spelling import number, write_rounded
 
-STEP = 1e-6  # s, largest where a controller closes a loop
-TIGHT = 1e-5  # largest reltol, and a tenth of the given one: contacts within 1e-5
+STEP = 1e-6  # s, largest time step if a controller closes a loop
+TIGHT = 1e-5  # largest reltol; otherwise a tenth of the given reltol, for contacts within 1e-5
 SWITCH_BAND = 1e-3  # V on either side of the threshold: its switch has no jump
 
 
@@ -77,7 +77,7 @@ class Xyce(Dialect):
             return card.text
         count, start, stop = (float(value or 0.0) for value in numbers)
         steps = math.ceil(count * math.log(stop / start, per) - 1e-6)
-        beyond = start * per ** ((steps + 1e-6) / count)  # rounding must not lose it
+        beyond = start * per ** ((steps + 1e-6) / count)  # rounding must not lose the last point
         return " ".join([card.keyword, *card.words[:3], number(beyond)])
 
     def options(self, words: Sequence[str]) -> str:
