@@ -367,8 +367,8 @@ def sphere(
 ) -> LinearModel:
     """Model a free sphere with the port ``patch``, upwards; see the module.
 
-    ``shares`` (n,) are those of the basis in the port. ``refine`` divides every cell along each
-    axis.
+    ``shares`` (n,) are the weights of the basis functions in the port. ``refine`` divides every
+    cell along each axis.
     """
     device, port = _model_free_sphere(body, shape, refine), Port(PATCH, TRANSLATION.port)
     load = device.model.B @ shares[:, None]

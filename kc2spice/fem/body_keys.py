@@ -94,7 +94,7 @@ class Damping(Section):
         return self
 
     def _solve_two_ratios(self) -> tuple[float, float]:
-        """alpha and beta that two ratios fix."""
+        """Solve for alpha and beta from two damping ratios."""
         omega = 2 * math.pi * np.asarray(self.at, dtype=float)
         ratios = np.asarray(self.ratio, dtype=float)
         alpha, beta = np.linalg.solve(np.column_stack([0.5 / omega, 0.5 * omega]), ratios)

@@ -535,7 +535,7 @@ class _Translator:
         return tree
 
     def _meter(self, name: str) -> str:
-        """The source whose current is that of an element."""
+        """Return the source that measures the current of an element."""
         element = self.scope.elements.get(name.lower())
         if element is None or element.kind not in _METERED:
             return name

@@ -519,7 +519,7 @@ def _python_name(function: str) -> str:
 
 
 def _integrate_from_zero(f: Callable[[Any], Any], x: Any) -> Any:
-    """From zero to ``x``, by 30 points of Gauss."""
+    """Integrate from zero to ``x`` by Gauss quadrature with 30 points."""
     half = 0.5 * x
     return sum(w * f(half * (1.0 + n)) for n, w in zip(_NODES, _WEIGHTS, strict=True)) * half
 

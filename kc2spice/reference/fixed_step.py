@@ -189,7 +189,7 @@ class _StepIntegrator:
         self.affine = all(law.affine for _, law in self.others)
 
     def interval(self, t: float) -> Interval:
-        """Make the interval about ``t`` with the present modes."""
+        """Make the system of equations of the interval about ``t``, in the present modes."""
         return Interval(self.system, list(self.modes), t)
 
     def device_modes(self, interval: Interval) -> tuple[Any, ...]:

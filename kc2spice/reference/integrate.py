@@ -202,7 +202,7 @@ class Radau:
         return None
 
     def accept(self, step: Step) -> None:
-        """Continue from the end of a step."""
+        """Accept a step: the next step starts at its end."""
         self.before = step
         self._start(step.end, step.last)
         if not self.interval.linear and self.iterations > 2:

@@ -82,9 +82,9 @@ def adaptive_frequencies(
 def _minima_near_zeros(H: np.ndarray) -> np.ndarray:
     """Sizes of inner minima of responses ``H`` that may lead to a deeper minimum.
 
-    H has a peak of 1. Other values are infinite. At such a minimum a neighbour is much larger, or
-    the straight line to the neighbour passes much nearer to zero. Minima below the floor of errors
-    are left out.
+    H has a peak of 1. Other values are infinite. At a minimum near a zero, a neighbour is much
+    larger, or the straight line to the neighbour passes much nearer to zero. Minima below the floor
+    of errors are left out.
     """
     size = np.abs(H)
     step = np.diff(H, axis=0)

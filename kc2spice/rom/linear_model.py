@@ -571,8 +571,8 @@ def _set_structural(model: LinearModel) -> None:
 def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
     """Return the imaginary part of a stiffness and its loss factor.
 
-    The part is stored as K is. The imaginary part is None if it is a multiple of K; the loss factor
-    describes it then.
+    The imaginary part has the storage format of K. The imaginary part is None if it is a multiple
+    of K; the loss factor describes it then.
     """
     if K is None or K.shape != loss.shape:
         raise _structural_loss_error(where, "a loss that does not belong to K")

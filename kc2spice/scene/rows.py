@@ -51,8 +51,8 @@ class Rest:
     """Constraints and loads of a part at rest.
 
     ``paths`` are pairs of pins, or a pin and ``gnd``, between which the part holds a distance or
-    conducts heat. ``ideal`` are pairs of pins whose difference it sets as an ideal source.
-    ``pushed`` are pins with a constant force or flow at t = 0. ``kinked`` is the key of a
+    conducts heat. ``ideal`` are pairs of pins whose difference the part prescribes, like an ideal
+    source. ``pushed`` are pins with a constant force or flow at t = 0. ``kinked`` is the key of a
     prescribed motion with jumps of velocity. ``inert`` are pins whose velocity cannot jump.
     """
 

@@ -54,7 +54,8 @@ LEAK_POINTS = 60  # frequencies at which the least charge of an electrode is sea
 INTEGRATING = 1e-11
 # Cross terms of D this far below the diagonal are rounding errors.
 CROSS_ROUNDING = 1e-13
-NEGLIGIBLE_JUMP = 1e-9  # least C B, over its summands, of a rate that jumps with an input
+# least value of C B, relative to its summands, at which a rate jumps with an input
+NEGLIGIBLE_JUMP = 1e-9
 INNER_NODES = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"
 HEAT_NODES = r"h\d+"
 

@@ -119,5 +119,5 @@ def _measure(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
 
 
 def _signed_extreme(word: str, factor: float) -> str:
-    """Return the word of an extreme of a vector whose unit may be negative."""
+    """Return the measure of an extreme; a negative unit exchanges minimum and maximum."""
     return _OPPOSITE.get(word, word) if factor < 0 else word

@@ -35,9 +35,9 @@ class OperatingPoint:
 def operating_point(build: Build, deck: Deck) -> OperatingPoint:
     """Find the operating point of small signals in a separate run.
 
-    Other analyses, edited decks and scenes of linear parts alone have none here: small signals of a
-    linear part are the same about every point. A warning replaces the operating point if it is not
-    found.
+    The result is None for other analyses, for edited decks, and for scenes that contain linear
+    parts only: their small signals are the same about every point. A warning replaces the operating
+    point if it is not found.
     """
     scene = build.scene
     if not scene.analysis.small or deck.text is not None:

@@ -487,7 +487,7 @@ class Body(MeshedBody[BodyKeys]):
     def directions(
         self, part: Part[BodyKeys], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Axes of its translations and accelerations."""
+        """Axes of the translations and accelerations of the ports."""
         result: dict[str, tuple[float, ...]] = {}
         for keys in part.keys.ports:
             if keys.kind != "rigid":
