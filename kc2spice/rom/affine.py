@@ -36,7 +36,7 @@ class ModelParameter:
 
     Raises
     ------
-    UsageError : a range that contains zero or a single number, or a default outside of it.
+    UsageError : a range that contains zero or a single number, or a default outside of the range.
 
     Examples
     --------

@@ -1,10 +1,10 @@
 """State spaces in other coordinates: decoupled real blocks.
 
-Blocks are one per real pole, one 2 x 2 per complex pair. Poles that repeat, or lie so close that
-separating them would cost digits, stay together in one larger block; a defective pole does so by
-itself. Source: Bavely and Stewart, SIAM J. Numer. Anal. 16 (1979) 359: real Schur form, clusters
-decoupled by Sylvester equations of bounded solution. The bound is raised for as long as the
-response keeps its digits: a netlist grows with the square of a block.
+Blocks are one per real pole, one 2 x 2 per complex pair. Repeated poles, and poles so close that
+their separation would cost digits, remain in one larger block, as does a defective pole. Source:
+Bavely and Stewart, SIAM J. Numer. Anal. 16 (1979) 359: real Schur form, clusters decoupled by
+Sylvester equations of bounded solution. The bound is raised for as long as the response keeps its
+digits: a netlist grows with the square of a block.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
 
 
 def _sample_between_poles(A: np.ndarray) -> np.ndarray:
-    """Frequencies ``j w`` (n,) across the poles, none where all of these are zero."""
+    """Frequencies ``j w`` (n,) across the poles, none if all poles are zero."""
     size = np.abs(np.linalg.eigvals(A))
     size = size[size > SAME * size.max(initial=0.0)]
     if not size.size:
@@ -93,8 +93,8 @@ def _read_blocks(model: LinearModel) -> BlockModel | None:
     """Return the blocks of a first-order model without a change of its states.
 
     The result is None for models of other forms. E must be diagonal, with ones before zeros, and
-    the states must form small blocks. The rows where E is zero are algebraic equations and remain
-    in the result.
+    the states must form small blocks. Rows with zero E are algebraic equations and remain in the
+    result.
     """
     if not model.first_order or model.E is None:
         return None

@@ -15,7 +15,7 @@ current flows through it.
 Least squares of the logarithm of the deviation, log(Y / Y_measured), give the logarithms of all
 parameters (Levenberg and Marquardt; J. J. More, Lecture Notes in Mathematics 630 (1978) 105): for
 small deviations the relative one, without its minimum at Y = 0. Elements are added one by one:
-resonances start where the conductance that is not yet described is largest, relaxations and
+resonances start at the largest conductance that the elements do not yet describe, relaxations and
 inductances on a grid of time constants, leads at shares of the largest possible ones. An element
 stays if the Bayesian information criterion (G. Schwarz, Ann. Statist. 6 (1978) 461) falls; elements
 without which it falls further are removed, and leads replace branches above the band.

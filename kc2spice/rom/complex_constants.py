@@ -114,8 +114,8 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
     Returns
     -------
     LinearModel
-        Symmetric, with inner displacements of the relaxations; its certificate has the error of
-        the relaxations too, measured at resonances and between them.
+        Symmetric, with inner displacements of the relaxations; its certificate includes the error
+        of the relaxations, measured at resonances and between resonances.
 
     Raises
     ------

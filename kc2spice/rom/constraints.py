@@ -1,4 +1,4 @@
-"""Models with constraints or infinite poles, as equivalent models without them.
+"""Conversion of models with constraints or infinite poles to equivalent models without both.
 
 Rigid couplings of finite-element codes arrive with Lagrange multipliers::
 
@@ -92,7 +92,7 @@ def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
 def null_basis(G: Matrix) -> tuple[scipy.sparse.csc_array, int]:
     """Compute a sparse Z (n, n - rank) with ``G Z = 0``, and the rank.
 
-    Some unknowns follow the others.
+    Some unknowns are functions of the other unknowns.
 
     Examples
     --------

@@ -76,7 +76,7 @@ PARALLEL: dict[str, Callable[[np.ndarray, np.ndarray], Response]] = {
     "relaxing": _relaxation_response,
     "resonant": _resonance_response,
 }
-# A constant and one in proportion to s: impedances here.
+# Constant impedance, and impedance in proportion to s.
 LEADS = {"lead resistance": _resistor_response, "lead inductance": _capacitor_response}
 FORMS = PARALLEL | LEADS
 CONDUCTING = ("conductance", "inductive")
@@ -259,7 +259,7 @@ class Samples:
         return np.concatenate([x.real, x.imag, [self._dc_weight * dc / self.conductance]])
 
     def fit_amplitudes(self, elements: Elements) -> tuple[Elements, float]:
-        """Fit the non-negative amplitudes of elements behind the leads among them.
+        """Fit the non-negative amplitudes of elements behind the leads.
 
         Elements with an amplitude of zero are left out. The other result is the norm of the
         residual, which is linear in the admittance.

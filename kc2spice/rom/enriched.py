@@ -1,10 +1,10 @@
 """Errors of reduced models in time, by models of more states.
 
 A certificate is pointwise in frequency: beside a sharp resonance a shift by a thousandth of the
-frequency counts as an error of 100 %, whatever the loads of a run excite. Here the recorded loads
-weight the error by their own spectrum: both models answer them over the time that they last,
-exactly for loads that are linear between the points. The model of more states also has the motions
-above the band, which contact excites.
+frequency counts as an error of 100 %, whatever the loads of a run excite. The recorded loads weight
+the error by their spectrum: the responses of both models to these loads are compared over time. The
+responses are exact for loads that are linear between the points. The model of more states also has
+the motions above the band, which contact excites.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ CONSTANT = 1e-9  # variation of a constant load or response, relative to the lar
 class Orders:
     """Reductions of one full-order model to prescribed orders, and to far more states.
 
-    All of them use the nested vectors of one Krylov space where the model has definite matrices: a
+    If the model has definite matrices, all orders use the nested vectors of one Krylov space: a
     larger order extends the basis of a smaller one.
     """
 
@@ -83,8 +83,9 @@ class Orders:
 def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray | None:
     """Compute outputs (n, outputs) over times ``t`` (n,) for a ``load`` (n, inputs).
 
-    The load is linear between the times; the model starts in equilibrium with ``load[0]``. None
-    where no modes give the response: the model is free to move, or its eigenvectors are defective.
+    The load is linear between the times; the model starts in equilibrium with ``load[0]``. The
+    result is None if modes cannot give the response: the model is free to move, or its eigenvectors
+    are defective.
     """
     modal, result = resonators(model), load @ model.D.T
     if modal is not None:
@@ -143,7 +144,8 @@ def time_errors(
 
     Each is relative to the largest rms change that the load of one of the ``groups`` (masks of
     inputs), the direct term D or all loads together make of that output: loads that cancel, as a
-    voltage across an open electrode does, count by themselves. None where there is no response.
+    voltage across an open electrode does, count by themselves. The result is None if a response is
+    missing.
     """
     ours = response(small, t, load)
     alone = [response(rich, t, load * group) for group in groups]

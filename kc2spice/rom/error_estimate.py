@@ -258,5 +258,7 @@ def inaccuracy_error(message: str, got: str, limit: float, hint: str) -> Simulat
 
 
 def default_norm(model: LinearModel) -> Norm:
-    """*peak* for models whose ports are all signals, *pointwise* where notches matter."""
+    """*peak* for models whose ports are all signals, *pointwise* for all other models, whose
+    notches matter.
+    """
     return "pointwise" if any(port.conservative for port in model.ports) else "peak"

@@ -1,6 +1,6 @@
 """First step of a reduction: an intermediate model of very high accuracy.
 
-* Small models: all of it, in dense form.
+* Small models: the whole model, in dense form.
 * Definite models with proportional or no damping, and free bodies of this form:
   :mod:`kc2spice.rom.reductors.definite_krylov`.
 * Ill-conditioned dense models of first order: :mod:`kc2spice.rom.reductors.exact_samples`.
@@ -134,7 +134,7 @@ def _restore_units(
 def _keep_full_order(
     full: Pencil, band: tuple[float, float], limit: float, most: int = WHOLE
 ) -> IntermediateModel | None:
-    """All of a small model; None where its response would take too long to evaluate.
+    """All of a small model; None if its response would take too long to evaluate.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Rigid-body modes of a large free body, and its motions apart from them.
+"""Rigid-body modes of a large free body, and its elastic motions.
 
 A free body has a singular stiffness K. The shifted stiffness ``K + sigma M`` is definite and is
 factorised once, with real numbers. Inverse iteration with this factor gives the rigid-body modes.

@@ -39,7 +39,8 @@ _FORTRAN = bytes.maketrans(b"Dd,", b"EE ")  # exponents, and the separator of co
 def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) -> Matrix:
     """The matrix of a file's content: csc for 'coordinate', dense for 'array'.
 
-    ``allowed(shape, entries)`` raises where the declared size is too large, before memory is taken.
+    ``allowed(shape, entries)`` raises an error if the declared size is too large, before memory is
+    allocated.
 
     Raises
     ------
@@ -78,7 +79,7 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
 
 
 def _read_sizes(data: bytes, start: int) -> tuple[list[int], int]:
-    """The line of sizes behind the comments, and where the numbers begin."""
+    """Return the sizes in the line behind the comments, and the position of the first number."""
     while start < len(data):
         end = data.find(b"\n", start)
         end = len(data) if end < 0 else end
@@ -254,7 +255,7 @@ def _require_limits(shape: tuple[int, int], entries: int) -> None:
 
 
 def require_single_line(text: str, longest: int) -> str:
-    """Text that can stand in a netlist's header, where a line break begins a card."""
+    """Require a text without a line break, which would begin a card in the header of a netlist."""
     if not text.isprintable() or len(text) > longest:
         raise ValueError(f"not plain text: {text[:40]!r}")
     return text

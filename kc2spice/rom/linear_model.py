@@ -33,7 +33,7 @@ PORT_KINDS = (*PORTS, "input", "output")
 
 @dataclass(frozen=True)
 class Port:
-    """A place where a model meets its surroundings: one column of B, one row of C.
+    """A connection of a model to other parts: one column of B, one row of C.
 
     ``kind`` fixes the SI pair (input u, output y):
 
@@ -44,7 +44,7 @@ class Port:
     * *acoustic*: pressure [Pa] on the body, volume [m^3] by which the body gives way to it;
     * *acceleration*: acceleration [m/s^2] of the frame that the body is fixed to, and its
       conjugate (B = -M r, y = B' x [kg m]); coordinates are relative to the frame;
-    * *input* and *output*: a signal in units of its own, in one direction. An input has no row of
+    * *input* and *output*: a signal in any units, in one direction. An input has no row of
       C, an output no column of B.
 
     ``across`` and ``flow`` are the meaning of 1 V and 1 A on the netlist pin, by default those of

@@ -376,7 +376,8 @@ def integrate_modes(
 def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
     """(n, roots) of ``x' = a x + r`` from equilibrium.
 
-    Rows of steps are followed side by side from zero, then each from where the one before ends.
+    Groups of steps are integrated in parallel from zero; then each group is shifted to the end of
+    the group before.
     """
     states = np.empty((t.size, roots.size), dtype=np.result_type(roots, drive))
     states[0] = state = drive[0] / -roots

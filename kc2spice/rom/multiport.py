@@ -277,8 +277,8 @@ def refine_poles(
     are at most ``highest`` times the band's end.
 
     Residues are linear, and eliminated (variable projection with Kaufman's Jacobian: Golub and
-    Pereyra, Inverse Problems 19 (2003) R1). Vector fitting stops where it does no better; the
-    minimum near that does not depend on rounding.
+    Pereyra, Inverse Problems 19 (2003) R1). Vector fitting stops when it makes no progress; the
+    nearest minimum does not depend on rounding.
     """
     top = 2 * np.pi * float(f[-1])
     s, real = 2j * np.pi * f / top, np.abs(poles.imag) == 0

@@ -89,7 +89,7 @@ class ParallelBranches:
 
 
 def parallel_branches(model: LinearModel) -> ParallelBranches | None:
-    """The network whose matrices ``model`` has; None where it is another model."""
+    """The network whose matrices ``model`` has; None if the model has another form."""
     fit_one_port = len(model.ports) == 1 and model.ports[0].electrical
     if (
         model.first_order

@@ -126,7 +126,7 @@ class ParameterPolynomials:
         return np.asarray(polynomials(x, self.exponents)[0])
 
     def damping(self, pair: Iterable[float], values: Values) -> tuple[float, float]:
-        """alpha and beta, the ``pair`` where every loss is in the middle of its axis."""
+        """alpha and beta, from the ``pair`` at the middle of the axis of every loss."""
         alpha, beta = pair
         for loss in self.losses:
             share = values[loss.axis.name] / loss.axis.middle

@@ -262,7 +262,7 @@ class Pencil:
 
     @cached_property
     def collocated(self) -> bool:
-        """Outputs are taken where inputs act: ``C = B'``."""
+        """Whether outputs are measured where inputs act: ``C = B'``."""
         return self.B.shape == self.C.T.shape and np.array_equal(self.B, self.C.T)
 
     @cached_property

@@ -3,9 +3,9 @@
 The result is a model with a certificate.
 
 The reduction has two steps. The first one replaces the full-order model by an intermediate model
-that is far more accurate than the tolerance: :mod:`kc2spice.rom.first_step`. The second one builds
-bases for it by the reductors that suit its structure, finds the least order whose error estimate is
-within the tolerance, and proves stability and passivity.
+that is far more accurate than the tolerance: :mod:`kc2spice.rom.first_step`. The second step builds
+bases for this model by the reductors that suit its structure, finds the least order whose error
+estimate is within the tolerance, and proves stability and passivity.
 
 Rigid-body modes are separated first and stay exact. The error estimate is the difference to the
 intermediate model at every resonance, its flanks and every notch, plus the error of the

@@ -46,7 +46,8 @@ def minimax(
     base : (ports, ports) array
         Reference values of relative errors.
     enough : float
-        Error at which the fit ends; it also ends where errors are far above this after some rounds.
+        Error at which the fit ends; it also ends if errors are far above this value after some
+        rounds.
 
     Returns
     -------

@@ -138,7 +138,8 @@ class Response:
         s = np.asarray(s, dtype=complex)[:, None]
         assert self.modes is not None
         diagonals = self.modes[2]
-        with np.errstate(divide="ignore", invalid="ignore"):  # refused where it is certified
+        # the certification refuses values that are not finite
+        with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(1 / sum(s**k * d for k, d in enumerate(diagonals)))
 
     @cached_property

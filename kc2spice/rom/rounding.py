@@ -41,8 +41,9 @@ def rounding_uncertainty(
 
     The model is dense. The result is that at each ``frequency`` [Hz].
 
-    ``states`` x (frequencies, n, inputs), and those of the ``dual``, may be known better than from
-    solutions here. Entries that are ``zero`` by symmetry count against their row and column.
+    ``states`` x (frequencies, n, inputs), and those of the ``dual``, may be given if they are more
+    accurate than solutions in this function. Entries that are ``zero`` by symmetry count against
+    their row and column.
     """
     x = pencil.states(2j * np.pi * frequency) if states is None else states
     H = pencil.C @ x + pencil.D

@@ -19,10 +19,10 @@ COUPLING = 1e-10
 def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     """A, B, C, D of ``x' = A x + B u``, ``y = C x + D u``.
 
-    States are energy coordinates where there is an energy, so ``A + A' <= 0`` for a dissipative
-    model, ``A = -A'`` for a lossless one and ``A = A'`` for symmetric first order. A decoupled
-    second-order model has one 2 x 2 block per mode. Positions are scaled by ``top_hz``, the end of
-    the band; without one by the ratio of stiffness to mass.
+    If the model has an energy, the states are energy coordinates, so ``A + A' <= 0`` for a
+    dissipative model, ``A = -A'`` for a lossless one and ``A = A'`` for symmetric first order. A
+    decoupled second-order model has one 2 x 2 block per mode. Positions are scaled by ``top_hz``,
+    the end of the band; without one by the ratio of stiffness to mass.
 
     Raises
     ------

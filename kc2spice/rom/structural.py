@@ -206,7 +206,7 @@ class _Search:
         )  # fmt: skip
 
     def relaxing(self, relative_rates: Sequence[float], tolerance: float) -> list[Oscillator]:
-        """Modes with relaxations, where these come much nearer and it matters."""
+        """Return modes with relaxations for modes whose error falls considerably."""
         frequency, exact = self._comparison_response(self.viscous_modes)
         s = 2j * np.pi * frequency
         base = Entries.of(exact).base(exact, share_of(self.norm)) + np.finfo(float).tiny

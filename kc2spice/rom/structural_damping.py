@@ -124,7 +124,7 @@ def relaxing_stiffness(
     Returns
     -------
     RelaxingStiffness
-        Of the smallest error where none is within ``error``.
+        Factor with the smallest error if none is within ``error``.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Models that equal a full-order model over a band to rounding, for checks of it."""
+"""Models that equal a full-order model over a band except for rounding errors, for checks."""
 
 from __future__ import annotations
 

@@ -197,8 +197,8 @@ def _certify(
     The error is the difference to full models.
 
     Polynomials of a higher degree, from more full models, follow if the dense model differs too
-    much from full models, or if its resonators do. Each degree has full models of its own to be
-    compared with.
+    much from full models, or if its resonators do. Each degree is compared with separate full
+    models.
     """
     sobol = scipy.stats.qmc.Sobol(len(axes), seed=11)
     degree: int | None = None

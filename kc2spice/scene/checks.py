@@ -143,7 +143,7 @@ class Gate:
     ``of`` is the name of a metric or of waves (a prefix ends with ``*``). ``limits`` contains the
     largest difference for each pair of solutions. ``measure`` is the measure of the difference:
 
-    * *relative*: each value by its own size (arrays: where it exceeds 1e-6 of the largest);
+    * *relative*: each value by its own size (arrays: values above 1e-6 of the largest);
     * *absolute*: in ``unit``; *travel*: by the swing of the wave;
     * *largest*: by the largest value of all waves together;
     * *spectral*: each entry of a response by its size, at least 1e-6 of its peak.

@@ -92,7 +92,7 @@ def _with_nets(scene: Scene) -> Scene:
 
 
 def _list_joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
-    """Yield pin, target and the key that joins them.
+    """Yield pin, target and the key that joins both.
 
     Pins of the scene come first, then joins that follow from keys, then defaults. A default does
     not apply to a pin that another part of the scene names.

@@ -257,12 +257,12 @@ class SceneSource(Protocol):
 class DeclaredScene:
     """Scene as its file declares it: checked keys and parts.
 
-    ``parts`` are in the order of the file; parts that others expand to follow them. ``home`` is the
-    folder of the file. ``ports`` selects the ports of bodies: those that are needed, in an export
-    all that their author declares (:attr:`Part.declares`), for documentation all of them.
-    ``resolved_frequency`` [Hz] is the highest frequency that the parts resolve, None if it follows
-    from the analysis. ``workspace`` contains large results, such as meshes, for this scene and for
-    scenes that are made from it.
+    ``parts`` are in the order of the file; parts that other parts expand to follow the latter.
+    ``home`` is the folder of the file. ``ports`` selects the ports of bodies: those that are
+    needed, in an export all that their author declares (:attr:`Part.declares`), for documentation
+    all of them. ``resolved_frequency`` [Hz] is the highest frequency that the parts resolve, None
+    if it follows from the analysis. ``workspace`` contains large results, such as meshes, for this
+    scene and for scenes that are made from it.
     """
 
     frame: Frame
@@ -408,8 +408,8 @@ class DeclaredScene:
 class GovernedScene(DeclaredScene):
     """Scene with the governed parts and the details of its parts.
 
-    ``records`` contains the answers of each part by its name. Three fields follow from them:
-    ``movers`` names the part that prescribes all motion of another part. ``initial_states``
+    ``records`` contains the answers of each part by its name. Three fields follow from the governed
+    parts: ``movers`` names the part that prescribes all motion of another part. ``initial_states``
     contains the stated states at t = 0. ``without_cards`` names the parts that others copy or move.
     ``frames`` contains the shaken frame of each pin whose displacement is not absolute.
     """
@@ -688,7 +688,7 @@ class PartType(Generic[KeysT]):
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
         """Return targets of pins that follow from its keys.
 
-        The key ``pins`` overrides them.
+        The key ``pins`` overrides these joins.
         """
         return {}
 

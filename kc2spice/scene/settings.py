@@ -300,7 +300,7 @@ SMALL_SIGNALS = ("ac", "noise")  # types of analysis that are linear about an op
 
 
 def _default_scale(keys: dict[str, Any]) -> Literal["log", "linear"]:
-    """Spacing of frequencies: linear where their range begins at 0 Hz."""
+    """Spacing of frequencies: linear if their range begins at 0 Hz."""
     from_zero = keys.get("type") in SMALL_SIGNALS and keys.get("start") == 0
     return "linear" if from_zero else "log"
 

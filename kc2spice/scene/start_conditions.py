@@ -20,8 +20,9 @@ class FloatingNets:
     """Nets without a path to their reference, which move together without any force.
 
     ``nets`` are the nets of displacements; a sphere has none, because its pins are a velocity and
-    signals. ``parts`` have a pin on the nets. ``bodies`` of them move by their own states.
-    ``domain`` is that of the pins; in heat and sound, the potential floats instead of a position.
+    signals. ``parts`` have a pin on the nets. ``bodies`` are those among the nets that move by
+    their own states. ``domain`` is that of the pins; in heat and sound, the potential floats
+    instead of a position.
     """
 
     nets: tuple[str, ...]

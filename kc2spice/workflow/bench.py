@@ -75,7 +75,9 @@ class _Point:
         return statistics.median(self.times)
 
     def dominates(self, other: _Point) -> bool:
-        """Return whether it is better in error or time, and not worse in the other."""
+        """Return whether this point is better in error or time than the other point, and not worse
+        in the other quantity.
+        """
         ours, theirs = (self.error, self.time), (other.error, other.time)
         return ours != theirs and ours[0] <= theirs[0] and ours[1] <= theirs[1]
 

@@ -5,7 +5,7 @@ extremes and their places, their difference, means, values at a place, crossings
 last value. In ``ac`` extremes are those of the computed points; the metric interpolates between
 them. An ``op`` has no cards: its deck prints the vectors.
 
-Not among them, since no card of ngspice computes them: fits of an impedance (antiresonance, Q
+No card of ngspice computes these quantities: fits of an impedance (antiresonance, Q
 factor, capacitance), cycles of a frequency, and windows, whose ends lie between time points.
 """
 

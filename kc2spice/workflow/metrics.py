@@ -307,7 +307,7 @@ def _time_average(scale: np.ndarray, values: np.ndarray) -> float:
     span = scale[-1] - scale[0]  # negative if the scale falls, as is the integral below
     return float(
         np.trapezoid(values, scale) / span if span else values[0]
-    )  # a single point is its own mean
+    )  # the mean of a single point is its value
 
 
 # Values of probes by name, as functions of the scale (n,), the values (n,) and a level.

@@ -62,7 +62,7 @@ def replace_scene(build: Build, scene: Scene) -> Build:
 def name_subcircuits(scene: Scene) -> dict[str, str]:
     """Return the name of each part's subcircuit.
 
-    If parts of different types have the same name for it, the names of these parts replace it.
+    If parts of different types use the same name, the names of these parts replace it.
     """
     parts = scene.parts.values()
     names = {part.name: part.type.library(part, scene) for part in parts}

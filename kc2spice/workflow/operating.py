@@ -68,7 +68,7 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
 def is_linear(build: Build) -> bool:
     """Whether the equations of all parts are known and linear.
 
-    A part without cards of its own does not count: another part contains its copy, or moves it.
+    A part without its own cards is ignored, because another part contains a copy of it or moves it.
     """
     laws, parts = scene_laws(build), build.scene.parts
     names = [name for name in laws.with_cards if not parts[name].reduced]

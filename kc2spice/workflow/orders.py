@@ -1,4 +1,4 @@
-"""A larger order of a reduced body, where a transient shows that its error is too large.
+"""Larger orders of reduced bodies whose error is too large in a transient.
 
 A run compares each reduced body with a model of more states under the loads that it recorded (see
 :mod:`kc2spice.rom.enriched`). The same loads give the error of larger orders, each from a reduction

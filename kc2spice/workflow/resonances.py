@@ -138,7 +138,7 @@ def _poles(laws: SceneLaws) -> np.ndarray:
 def _zeros(laws: SceneLaws) -> np.ndarray:
     """Return the zeros [1/s] of the responses whose least value a probe takes.
 
-    Warns where a circuit has no equations, is too large, or has no operating point.
+    Warns if a circuit has no equations, is too large, or has no operating point.
     """
     scene, result = laws.build.scene, dict[str, np.ndarray]()
     of = {probe.of for probe in scene.probes.values() if probe.take == "min"}

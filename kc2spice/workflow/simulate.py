@@ -199,8 +199,8 @@ def with_powers(waves: Waveforms, powers: Mapping[str, Sequence[PowerTerm]]) -> 
 def _power(term: PowerTerm, waves: Waveforms) -> np.ndarray:
     """Return a power over the scale of the waves.
 
-    The mean of a heat flow over a period is zero. So is a mechanical power at the operating points
-    of a sweep, where nothing moves.
+    The mean of a heat flow over a period is zero. A mechanical power at the operating points of a
+    sweep is also zero, because nothing moves.
     """
     through = waves[term.through]
     if term.law == "through":
@@ -244,7 +244,8 @@ def _run_each_from_rest(
     """Return the points of all analyses of ``deck``, each from a separate run.
 
     Within one run, ngspice begins the search for the next operating point at the response that the
-    last analysis left. That leads to another operating point where there are several.
+    last analysis left. If several operating points exist, the result may be another one than in a
+    sweep.
     """
     first = run_deck(replace(deck, refinements=()), directory, progress, timeout)
     parts = [first.data]

@@ -49,7 +49,7 @@ UNASKED = 1e-4  # tolerance over parameter ranges for bodies whose default is an
 # frequencies
 LEAST = 10e3
 MOTIONS = 20  # number of natural frequencies in the default band; higher ones depend on the mesh
-# Keys of a body that change no model of it.
+# Keys of a body that do not affect its models.
 _NO_MODEL = {"rom", "fields", "rated_voltage", "number"}
 # Packages and modules that every full and reduced model depends on.
 SOURCES = (

@@ -1,5 +1,5 @@
-"""Keys of a body that ``rom.parameters`` makes parameters of its netlist, and bodies of other
-values of them."""
+"""Keys of a body that are parameters of its netlist (``rom.parameters``), and bodies with other
+values of these keys."""
 
 from __future__ import annotations
 

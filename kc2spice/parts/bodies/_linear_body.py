@@ -106,7 +106,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def main_metrics(
         self, part: Part[LinearKeysT], build: Build
     ) -> Mapping[str, Probe | LargestRealPart]:
-        """The resonance of an impedance, where the model's conductance is largest there.
+        """Return the resonance of an impedance, if it is the largest conductance of the model.
 
         The resonance is that of the current of a voltage source at the first electrode, if nothing
         else loads the body.
@@ -270,7 +270,7 @@ def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def measured_impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
-    """``V / I`` (frequencies,) [Ohm] at the first electrical port, where both were recorded.
+    """``V / I`` (frequencies,) [Ohm] at the first electrical port, if both were recorded.
 
     The result is also None if the body supplies the circuit, because V / I is then not its own
     impedance.

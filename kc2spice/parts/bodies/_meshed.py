@@ -295,7 +295,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield the errors of all bodies, and those of implausible layers.
 
-        Layers have their own diameters, or all of them the width of the body.
+        Each layer has its own diameter, or all layers have the width of the body.
         """
         yield from super().problems(part, scene)
         layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)

@@ -35,7 +35,7 @@ class Envelope:
 
     Attributes
     ----------
-    air : mass [kg] of the air that moves with it, None where no formula knows its shape.
+    air : mass [kg] of the air that moves with it, None if no formula exists for its shape.
     mass : of the body [kg], None before its mesh is made.
     surface : [m^2], surface of its bounding box if the shape is a mesh of the user.
     layers : that are glued on one another, from the bottom up; a bolted or own body has none.
@@ -107,7 +107,7 @@ def box_envelope(sides: Sequence[float]) -> Envelope:
 def neglected_effects(name: str, envelope: Envelope, support: str) -> Iterator[Neglected]:
     """Yield the effects that the model of the body ``name`` neglects.
 
-    The compliance of its mounting is one of them if ``support`` names the mounting.
+    If ``support`` names the mounting, its compliance is one of the effects.
     """
     yield Neglected(
         f"{name}: load of the air", "its mass and its radiation", _describe_air(envelope)

@@ -37,7 +37,8 @@ _CELLS = 20  # number of cells along the largest radius (or half the height) bef
 class Feedback(Section):
     """A ring (or disc) cut out of the top electrode, for self-oscillating buzzers.
 
-    Sheets show a tongue; the ring stands for it: the area counts, not the angle.
+    Data sheets show a tongue-shaped electrode. A ring of the same area represents it, because only
+    the area matters.
     """
 
     inner: Length = Field(

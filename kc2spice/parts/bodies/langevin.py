@@ -1,6 +1,6 @@
 """The part ``langevin``: masses, ceramic rings of alternating poling, and the bolt through them.
 
-Everything is bonded where it touches, the bolt to both masses along its thread and not to the
+Touching pieces are bonded. The bolt is bonded to both masses along its thread, but not to the
 rings. Electrical pins ``anode`` and ``cathode`` (the masses), mechanical ports ``front`` and
 ``back``: mean axial displacement of the end faces, upwards, towards the front. Left out: the state
 that the preload leaves in the ceramic, contact compliance, the electrodes' metal.
@@ -77,8 +77,8 @@ class Rings(Piece):
 
 
 class Bolt(Piece):
-    """The bolt along the axis; it reaches ``depth`` into the front mass and through all of the
-    back mass, where its head (if any) sits on the end."""
+    """The bolt along the axis; it reaches ``depth`` into the front mass and through the whole back
+    mass. Its head, if any, lies on the end of the back mass."""
 
     diameter: Width = Field(gt=0, description="Diameter of the bolt's shank")
     depth: Width | None = Field(

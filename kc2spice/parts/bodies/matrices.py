@@ -84,7 +84,7 @@ class Matrices(LinearBody[MatricesKeys]):
         return self._model(part, scene)
 
     def outline(self, part: Part[MatricesKeys], scene: Scene) -> Iterator[Shape]:
-        """The box of its mesh from the side, where its TOML file names one."""
+        """Yield the side view of the box of the mesh, if the TOML file names a mesh."""
         size = mesh_extent(*self._source(part, scene))
         if size is None or not size[:2].any():
             return

@@ -1,4 +1,5 @@
-"""Stretching of beams and plates that their edges hold: bending lengthens them, tension stiffens.
+"""Stretching of beams and plates with held edges: bending makes them longer, and tension makes them
+stiffer.
 
 Of a beam of length l whose ends stay where they are, ``e = int w'^2 dx / 2`` is how much longer it
 is when bent, and ``stiffness e^2 / 2 + tension e`` the energy of that: stiffness = E A / l (S. D.

@@ -42,7 +42,7 @@ from kc2spice.synthesis.header import library
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A
 COMMAND = 10.0  # V, largest command of the output stage, well within the signal amplifiers' rails
-SUPPLY = 400.0  # V, of the output stage; more where the coils need it
+SUPPLY = 400.0  # V, supply of the output stage; higher if the coils require it
 HEADROOM = 1.2  # ratio of a supply voltage to the required output
 EDGE = 1e-8  # s, of the enabling signal
 EMPTYING = 1e-6  # s, time constant in which the integral of a disabled controller decays
@@ -59,7 +59,7 @@ GAINS = (
 
 
 def _terminals(output: bool) -> tuple[Terminal, ...]:
-    """Pins with an output stage of its own, or with the command to a driver."""
+    """Pins of a controller with an output stage, or with a command to a driver."""
     ends = ("drive", "sense") if output else ("command",)
     return (
         Terminal.signal("y", DISPLACEMENT, required=True),

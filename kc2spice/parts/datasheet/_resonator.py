@@ -120,7 +120,10 @@ class Resonator:
 
 @dataclass(frozen=True)
 class ResonatorNetlist:
-    """Parameters of a subcircuit, and its elements as texts of them, the last ones per mode."""
+    """Parameters of a subcircuit, and its elements as texts in these parameters.
+
+    The last elements exist once per mode.
+    """
 
     params: tuple[Param, ...]
     constants: Mapping[str, str]
@@ -145,7 +148,10 @@ class ResonatorPart(NumberedPart[KeysT]):
 
     @abstractmethod
     def resonator(self, part: Part[KeysT]) -> Resonator:
-        """Elements from the keys of a part; UsageError if the keys do not determine them."""
+        """Elements from the keys of a part.
+
+        UsageError if the keys do not determine the elements.
+        """
 
     @abstractmethod
     def netlist(self, part: Part[KeysT], circuit: Resonator) -> ResonatorNetlist:

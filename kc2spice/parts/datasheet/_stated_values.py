@@ -5,7 +5,7 @@ are solved in logarithms: with ``x = ln(unknowns)`` and the tolerance t of each 
 
     minimise  sum_j (ln value_j(x) - ln stated_j)^2 / t_j^2.
 
-A value that the others determine as well must agree with them within the tolerances of all.
+A redundant value must agree with all other values within the tolerances.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ class StatedValues:
     """Values of a data sheet by their keys, and each value as a function of the unknowns.
 
     ``relations`` has the functions of all values that a sheet may state, of the unknowns
-    ``start.size`` in SI. ``start`` is where the iteration begins. Values have the relative
-    ``tolerance`` that is stated, otherwise ``rounding``. ``units`` are those of the values.
+    ``start.size`` in SI. ``start`` contains the first values of the iteration. Values have the
+    relative ``tolerance`` that is stated, otherwise ``rounding``. ``units`` are those of the
+    values.
     """
 
     part: str

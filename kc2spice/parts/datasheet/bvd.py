@@ -60,7 +60,7 @@ Modes = BeforeValidator(_wrap_in_list)
 
 
 class BvdKeys(RatedKeys):
-    """Any values of the sheet that determine the circuit; further ones must agree with them.
+    """Any values of the sheet that determine the circuit; further values must agree with these.
 
     A part with several modes has lists of equal length, one entry for each mode.
     """

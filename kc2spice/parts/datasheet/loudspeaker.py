@@ -62,7 +62,7 @@ Area = Annotated[float, si("m2")]
 
 
 class LoudspeakerKeys(NumberedKeys):
-    """Any values of the sheet that determine the driver; further ones must agree with them.
+    """Any values of the sheet that determine the driver; further values must agree with these.
 
     ``Bl^2 = 2 pi fs mms re / qes``, ``qms = 2 pi fs mms / rms``, ``vas = rho c^2 sd^2 cms``
     (R. H. Small, J. Audio Eng. Soc. 20 (1972) 383).

@@ -2,7 +2,7 @@
 
 Every function states the circuit of a template ``templates/driver_….j2`` by its nodes: resistors by
 their content, capacitors by their coenergy, controlled sources by the current that they deliver.
-Nodes inside of a driver are pins to which nothing else is joined. Noise has no law here.
+Nodes inside of a driver are pins to which nothing else is joined. The laws do not include noise.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Frequency response of a body from every port to every port: one copy of it per load (Fig. 7)."""
+"""Frequency response of a body from every port to every port.
+
+One copy of the body per load (Fig. 7).
+"""
 
 from __future__ import annotations
 

@@ -452,8 +452,8 @@ def _ring_error(model: Ladder) -> str:
 def turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
     """Return the times [s] and heights [m] of alternating maxima and minima of ``y``.
 
-    Between two of them ``y`` moves by more than ``SWING`` of its range, so that ripple does not
-    count.
+    Between two turning points, ``y`` moves by more than ``SWING`` of its range, so that ripple is
+    ignored.
     """
     result, best, sign = [], 0, 0
     least = SWING * np.ptp(y)

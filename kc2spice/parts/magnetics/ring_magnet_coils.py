@@ -55,7 +55,7 @@ from kc2spice.synthesis.header import SIGN
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 
 UNRATED = "not known; compare the coils' currents with what their wire stands"
-USUAL_CURRENT = 0.1  # A, of forces that are shown and compared where a scene states no limit
+USUAL_CURRENT = 0.1  # A, current of the shown and compared forces if a scene states no limit
 FINER = 2  # ratio of cells along each edge of the mesh in verify to cells of the table
 # heights per interval of the denser table that the table of the netlist is compared with
 DENSER = 4
@@ -67,7 +67,7 @@ SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __na
 
 
 class Coils(Catch):
-    """Electromagnetic catch actuator, with a driver of real coils where it has one."""
+    """Electromagnetic catch actuator; real coils may have a driver."""
 
     driver: dict[str, dict[str, Any]] | None = Field(
         None, description="Driver between controller and real coils, { TYPE = { keys } }"

@@ -40,13 +40,12 @@ _SPARE = 1.25  # margin of an indentation: a body is no half-space, and few ring
 class Surface:
     """Surface of a part in a contact: its pins there and their distance from the axis [m].
 
-    ``ports`` give the position in um and take the force, but for a rigid part, where it acts on the
-    ``velocity`` pin. ``radius`` [m] is that of a sphere, None for a plane.
-    ``sectors`` is the number of symmetry sectors that a stiffness per sector stands for. A port
-    that is a patch of pressure has its radius ``patch`` [m], and its ``compliance`` under a basis
-    of pressure, which it follows within ``pace`` [s].
-    ``elastic`` is the part whose port ``patch`` a rigid surface carries. ``modulus`` [Pa] is that
-    of indentation of the half-space that a contact presses on, where it is one.
+    ``ports`` give the position in um and receive the force. The force on a rigid part acts on the
+    ``velocity`` pin instead. ``radius`` [m] is that of a sphere, None for a plane. ``sectors`` is
+    the number of symmetry sectors that a stiffness per sector stands for. A port that is a patch of
+    pressure has its radius ``patch`` [m], and its ``compliance`` under a basis of pressure, which
+    it follows within ``pace`` [s]. ``elastic`` is the part whose port ``patch`` a rigid surface
+    carries. ``modulus`` [Pa] is the indentation modulus if the surface is a half-space.
     """
 
     part: str
@@ -353,7 +352,7 @@ class Pair:
 
 
 def make_pair(contact: Part, scene: GovernedScene) -> Pair:
-    """Both sides of a contact, as its record has them."""
+    """Return both sides of a contact from its record."""
     record = scene.record(contact)
     if record is None or not isinstance(record.detail, Pair):
         return Pair(contact.with_schema(ContactKeys), scene)
@@ -361,7 +360,7 @@ def make_pair(contact: Part, scene: GovernedScene) -> Pair:
 
 
 def single_pair(scene: GovernedScene) -> Pair | None:
-    """The scene's contact, where it has one."""
+    """Return the contact of the scene if there is exactly one."""
     contact = scene.only("contact")
     return None if contact is None else make_pair(contact, scene)
 

@@ -144,7 +144,8 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
 
         Raises
         ------
-        UsageError : a state is given, but what it is fixed to has its own.
+        UsageError : a state is given, but the part to which the mass is fixed has another initial
+            state.
         """
         scene, keys = build.scene, part.keys
         state = keys.position, keys.velocity

@@ -121,7 +121,7 @@ class BlockArnoldi:
     Column by column in port order, so bases are nested: the first q columns are the basis of
     order q, the last block being cut after the ports that still fit. The first block holds the
     static answers to all ports; a one-sided projection on it matches 2 moments per block.
-    More columns continue the recursion where the last ones ended.
+    Further columns continue the recursion of the last columns.
     """
 
     def __init__(self, stiffness: Operator, solve: Operator, mass: Operator, B: np.ndarray) -> None:

@@ -1,8 +1,8 @@
 """Rational Krylov subspaces of definite models, at zero and at real shifts.
 
 The pencil ``K - w^2 M`` of a shift w^2 serves the pair of expansion points +-j w, so all vectors
-and all factorisations are real. Blocks follow at one point while they pay, then at the shift where
-the last block changed the response most.
+and all factorisations are real. Blocks are added at one point as long as they reduce the change,
+then at the shift at which the last block changed the response most.
 """
 
 from __future__ import annotations

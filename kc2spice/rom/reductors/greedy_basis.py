@@ -1,9 +1,9 @@
 """A rational Krylov basis that grows by one expansion point after the other.
 
-Points are chosen where a sketched residual is largest, in turn with points where the last point
-changed the response most. Each point is solved on the model first as a check of the projection, and
-only then joins the basis with its derivative by s. Real and imaginary parts are separate vectors,
-so that all matrices stay real.
+Points are chosen alternately by two criteria: the largest sketched residual, and the largest change
+of the response by the last point. Each point is solved on the model first as a check of the
+projection, and only then joins the basis with its derivative by s. Real and imaginary parts are
+separate vectors, so that all matrices stay real.
 """
 
 from __future__ import annotations

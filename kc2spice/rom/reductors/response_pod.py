@@ -77,8 +77,8 @@ class ResponsePod(Reductor):
     ) -> tuple[ReducedBasis, int]:
         """Return vectors of which fewer meet the tolerance.
 
-        Snapshots get larger weights where the error of one state fewer is largest (Lawson's minimax
-        fit), and those above the band smaller and smaller ones.
+        Snapshots receive larger weights at frequencies at which the error with one state fewer is
+        largest (Lawson's minimax fit). The weights above the band are reduced step by step.
         """
         size, least = min(basis.size, max(3 * order, order + SPARE)), max(basis.fixed, 1)
         if order <= least or order > TIGHTENED or basis.error(size) > SPARE_ERROR * tolerance:

@@ -520,9 +520,9 @@ def outcomes(
 ) -> Iterator[tuple[int, PointResult]]:
     """Run ``points`` and give each with its outcome as it comes.
 
-    Whoever needs a model first builds it into the cache, where all others wait for it. A point that
-    is interrupted, by the death of a worker or another fault of the machine, is run once more after
-    all others. Only a point that ends its worker again fails.
+    The first worker that needs a model builds it into the cache; all other workers wait for this
+    entry. A point that is interrupted, by the death of a worker or another fault of the machine, is
+    run once more after all others. Only a point that ends its worker again fails.
 
     Raises
     ------

@@ -157,7 +157,7 @@ class PointResult:
     """Numbers of one run, or in one line why there are none.
 
     ``metrics`` by name; ``facts`` are all other numbers of ``result.json`` by dotted path.
-    ``units`` are the SI units of both, where they have one.
+    ``units`` are the SI units of both, if they have one.
     ``interrupted``: the cause was the machine, so that another attempt may succeed.
     """
 

@@ -48,7 +48,8 @@ def full_build(build: Build, clock: Clock) -> Build | None:
 
 
 def finer_build(build: Build, parts: Iterable[str], clock: Clock) -> Build | None:
-    """Return ``build`` with a finer discretisation of ``parts``; None if none of them has one.
+    """Return ``build`` with a finer discretisation of ``parts``; None if no part has a finer
+    discretisation.
 
     Examples are a film with more branches and a conductor with more loops.
     """

@@ -70,8 +70,8 @@ def add_differences(exact: Reference, differences: Sequence[Difference], end: fl
 class Difference:
     """Results of a network with full models minus those with reduced ones, by the same steps.
 
-    ``apart`` (nt,) is true where their devices are in different modes. ``events`` [s] are those of
-    the solution with the reduced models.
+    ``apart`` (nt,) is true if the devices of both models are in different modes. ``events`` [s] are
+    those of the solution with the reduced models.
     """
 
     time: np.ndarray
