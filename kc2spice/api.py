@@ -1,7 +1,7 @@
 """Public functions of kc2spice, named like the commands of the command line.
 
-``import kc2spice as kc`` provides all of them, as ``kc.run(...)``. Exceptions are those of
-:mod:`kc2spice.core.errors`, also called ``kc.errors``.
+``import kc2spice as kc`` provides all functions, for example ``kc.run(...)``. Exceptions are those
+of :mod:`kc2spice.core.errors`, also called ``kc.errors``.
 """
 
 from __future__ import annotations

@@ -100,7 +100,7 @@ class Setup:
 
     @property
     def driven(self) -> dict[str, np.ndarray]:
-        """Nodes of each electrode with a voltage of its own, by its pin."""
+        """Nodes of each electrode with an independent voltage, by its pin."""
         return {pin: n for pin, n in self.electrodes.items() if pin != self.reference}
 
 
@@ -496,7 +496,7 @@ class BondedBlocks:
             return make_device(solid, self._make_setup(solid, near))
 
     def _divide_axes(self) -> list[np.ndarray]:
-        """Divide each axis at all edges, and into equal cells between them."""
+        """Divide each axis at all edges, and into equal cells between the edges."""
         model = self if self.like is None else self.like
         result = []
         for edges, model_edges in zip(self._edges(), model._edges(), strict=True):

@@ -16,8 +16,8 @@ the same for all basis functions, and dynamic: the patch contains it. The matrix
 semi-definite because ``S - s 1 1'`` is (s is the least compliance of all shares), and because a
 coarse mesh is too stiff.
 
-The local compliance has no dynamics, as residual modes (:mod:`kc2spice.rom.modal`): its own modes
-are above the sound's frequency over the patch, ten megahertz. Therefore only the depth x of a
+The local compliance has no dynamics, as residual modes (:mod:`kc2spice.rom.modal`): the modes of
+the patch lie above ten megahertz, the speed of sound over its size. Therefore only the depth x of a
 sphere's indentation beyond the patch's motion determines the forces. Their sum is one law of one
 depth (:func:`indentation_law`), and a circuit evaluates this law like one spring.
 
@@ -134,7 +134,7 @@ class LocalCompliance(EqualByContent):
 
     @property
     def shares(self) -> np.ndarray:
-        """Shares (n,) of the basis functions that move all of them by the same distance."""
+        """Shares (n,) of the basis functions that move all functions by the same distance."""
         result = np.linalg.solve(self.compliance + self.patch, np.ones(len(self.compliance)))
         return np.asarray(result / result.sum())
 

@@ -1,10 +1,10 @@
 """The multilayer piezoelectric stack with ring-shaped contact ports on its top.
 
-One quarter of it is meshed, because all four move in the same way. The paper asks for a mapped
-mesh (2.2.2): with nodes on concentric circles one force per ring is exact. A *level* is one element
-over the height: one layer, or several layers as one medium if ``layers_per_element`` allows this.
-The electrodes determine the field in each layer. Thus m layers in parallel at one voltage are one
-layer m times as thick, of coupling ``m e`` and permittivity ``m^2 eps``.
+One quarter of the stack is meshed, because all four quarters move in the same way. The paper asks
+for a mapped mesh (2.2.2): with nodes on concentric circles one force per ring is exact. A *level*
+is one element over the height: one layer, or several layers as one medium if ``layers_per_element``
+allows this. The electrodes determine the field in each layer. Thus m layers in parallel at one
+voltage are one layer m times as thick, of coupling ``m e`` and permittivity ``m^2 eps``.
 
 Even planes of electrodes are the grounded cathode, odd ones the anode. The poling of the layers
 alternates, along -z above a cathode, so that a positive anode voltage lengthens every layer. Paper
@@ -46,7 +46,7 @@ def stack_device(
     Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. Those on the bottom face z = 0
     depend on ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 if ``glued``, none if
     ``free``, or springs along all three axes, each ``mounting`` N/m per m^2. A stack poled along x
-    moves antisymmetrically in x: u_y = u_z = 0 on x = 0 instead. Free potentials exist only where a
+    moves antisymmetrically in x: u_y = u_z = 0 on x = 0 instead. Free potentials exist only if a
     plane of nodes lies inside an active layer.
 
     The unknowns are those of one quarter. The quarters share a force on a whole ring, and each has
@@ -245,7 +245,7 @@ def _fixed_mask(kick: Chip, solid: Solid) -> np.ndarray:
 def _find_electrodes(
     spans: np.ndarray, faces: np.ndarray, solid: Solid
 ) -> tuple[dict[str, np.ndarray], Profile | None]:
-    """Find the nodes on the electrodes, and the potentials of nodes between them.
+    """Find the nodes on the electrodes, and the potentials of nodes between electrodes.
 
     ``spans`` are the numbers of layers of the levels (0 in a cap) between their ``faces`` [m]. A
     level of several layers contains electrodes between its nodes.

@@ -84,7 +84,7 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
       with the other ports shorted,
     * the stroke per volt of the first mechanical port, under its name,
     * the lowest resonances that the electrical ports excite, with all electrodes shorted and with
-      all open. In a body without electrical ports the other ports excite them.
+      all open. In a body without electrical ports, the other ports excite the modes.
 
     ``shift`` [rad^2/s^2] makes ``K + shift M`` regular; it is 0 for a supported body. A resonance
     that is not among the lowest modes is left out.

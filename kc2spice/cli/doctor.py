@@ -1,4 +1,7 @@
-"""Is everything here that kc2spice needs? Each finding comes with the command that mends it."""
+"""Check of the programs and packages that kc2spice needs.
+
+Each finding comes with the command that mends it.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +65,10 @@ _PROBES = (
 
 @dataclass(frozen=True)
 class Finding:
-    """One check: ``fix`` is empty where all is well; a ``needed`` one must be well to run."""
+    """One check.
+
+    ``fix`` is empty if the check passes; kc2spice cannot run if a ``needed`` check fails.
+    """
 
     name: str
     ok: bool

@@ -1,8 +1,8 @@
 """The command line: options, progress and exit codes; the work is done by :mod:`kc2spice.workflow`.
 
-Every argument and option is stated once, under the name of a parameter, or ``command.parameter``
-where commands differ. Imports that take time stand inside the commands, so that ``--help`` answers
-at once. For the same reason no annotation here is postponed: typer evaluates each such text three
+Every argument and option is stated once, under the name of a parameter, or ``command.parameter`` if
+commands differ. Imports that take time stand inside the commands, so that ``--help`` answers at
+once. For the same reason no annotation here is postponed: typer evaluates each such text three
 times.
 """
 
@@ -566,7 +566,7 @@ def _parts(caller: Caller, search: str | None = None) -> None:
 
 @_command
 def _doctor(caller: Caller) -> None:
-    """Check simulator and packages, and print how to fix them."""
+    """Check simulator and packages, and print the fixes."""
     from dataclasses import asdict
 
     from kc2spice.cli.doctor import examine

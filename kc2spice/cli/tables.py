@@ -131,7 +131,7 @@ def _fail(text: str, code: int) -> NoReturn:
 def print_table(
     title: str, rows: Sequence[Sequence[str]], header: Sequence[str] = (), names: int | None = None
 ) -> None:
-    """A small table on stdout; plain text where stdout is no terminal.
+    """Print a small table on stdout, as plain text if stdout is no terminal.
 
     The column ``names`` is never broken, so that readers can search for its entries and copy them.
     """

@@ -25,8 +25,8 @@ _ParserError: Any = typer.BadParameter.__base__  # older versions of typer take 
 
 
 class CheckedCommand(TyperCommand):
-    """A command whose usage line shows ``SCENE``, where typer shows ``{SCENE}``, and whose errors
-    have the form of all others."""
+    """A command whose usage line shows ``SCENE`` instead of ``{SCENE}``, and whose errors have the
+    form of all others."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
         typed = list(args)
@@ -210,7 +210,7 @@ def _invalid_number_error(param: Any, typed: list[str], fractional: bool) -> Usa
 
 
 def _option_limits(param: Any) -> tuple[float | None, float | None]:
-    """Least and greatest value of an option; older typer has them at its type."""
+    """Least and greatest value of an option; older versions of typer store both in its type."""
     owner = param if hasattr(param, "min") else getattr(param, "type", None)
     return getattr(owner, "min", None), getattr(owner, "max", None)
 

@@ -97,7 +97,7 @@ def unknown(
 ) -> UsageError:
     """The error of a ``name`` that is not ``known``, with similar names.
 
-    ``command`` is the command line that lists all of them.
+    ``command`` is the command line that lists all known names.
     """
     choices = list(known)
     expected = (

@@ -92,8 +92,8 @@ class Equations:
 
     ``pins`` maps pins of the part to pins of the laws (``NAME.pin``). A missing pin has no
     counterpart, because another pin represents it or because nothing acts on it. Two pins of the
-    part may share a pin of a law: a netlist has a velocity and a displacement node where the law
-    has one coordinate. ``nets`` are pins of the laws that meet inside of the part. ``results``
+    part may share a pin of a law: a netlist has a velocity node and a displacement node for one
+    coordinate of the law. ``nets`` are pins of the laws that meet inside of the part. ``results``
     maps the part's results to waves. ``sweeps`` maps keys that a dc analysis sweeps to the name of
     a source and its value per SI unit of the key.
     """
@@ -453,7 +453,7 @@ class PortBody(Device):
         """Static relation of loads and displacements.
 
         A body that is free to move has no constant load, because such a scene is refused. Any
-        finite relation keeps it in place; here it is the response to a growing load.
+        finite relation keeps the body in place; this one is the response to a growing load.
         """
         try:
             H = self.transfer(0.0)

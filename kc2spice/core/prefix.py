@@ -1,4 +1,4 @@
-"""Numbers as people read them: SI prefixes, percent, and 0 for rounding errors."""
+"""Numbers in readable form: SI prefixes, percent, and 0 for rounding errors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a num
 
 
 def prefix_power(value: float) -> int:
-    """Exponent of the SI prefix of a number, 0 where there is no such prefix.
+    """Exponent of the SI prefix of a number, 0 if no prefix exists.
 
     Examples
     --------

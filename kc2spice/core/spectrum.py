@@ -52,8 +52,8 @@ def energy_frequency(
 def waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) -> float:
     """Frequency that bounds nearly all of the energy of a waveform up to ``stop`` [s].
 
-    That of a sine is its own frequency. An endless train is evaluated for one period, and a train
-    of many pulses at its beginning.
+    For a sine, the result is its frequency. An endless train is evaluated for one period, and a
+    train of many pulses at its beginning.
     """
     if not wave.straight:
         return wave.frequency

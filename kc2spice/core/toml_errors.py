@@ -112,7 +112,7 @@ def _error_position(text: str, message: str) -> tuple[float, float]:
 
 
 def _line_number(text: str, message: str) -> int | None:
-    """Line at which the parser stopped; None where the message names none."""
+    """Line at which the parser stopped; None if the message names no line."""
     if match := re.search(r"at line (\d+), column", message):
         return int(match[1])
     if "end of document" in message:

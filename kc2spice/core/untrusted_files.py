@@ -205,8 +205,8 @@ def read_archive(
 
     Nothing is unpickled.
 
-    Memory is taken only once every wanted member has declared at most ``entries(name)`` numbers,
-    all of them at most ``total`` bytes, and no more than it holds.
+    Memory is allocated only after every requested member has declared at most ``entries(name)``
+    numbers, all of them at most ``total`` bytes, and no more than it holds.
 
     Raises
     ------

@@ -38,7 +38,7 @@ class PinLink(NamedTuple):
 class SceneLaws:
     """Laws of the parts of a build, which are made when they are first needed.
 
-    A part without cards has no law of its own: another part contains its copy, or moves it. A part
+    A part without cards has no law, because another part contains its copy or moves it. A part
     that drives a load by a signal has none either, because a signal carries no current.
     """
 
@@ -46,13 +46,13 @@ class SceneLaws:
 
     @cached_property
     def with_cards(self) -> tuple[str, ...]:
-        """Names of the parts with cards of their own."""
+        """Names of the parts that have cards."""
         scene = self.build.scene
         return tuple(filterfalse(scene.without_cards.__contains__, scene.parts))
 
     @cached_property
     def stated_equations(self) -> Mapping[str, Equations]:
-        """Equations of each part with cards, as its type states them."""
+        """Equations of each part with cards, from the method of its type."""
         result = {}
         for part in map(self.build.scene.parts.__getitem__, self.with_cards):
             item = part.type.law(part, self.build)

@@ -102,7 +102,7 @@ class Damping(Section):
 
     @property
     def zeta(self) -> float:
-        """Damping ratio at ``at``; 1 % where nothing is given."""
+        """Damping ratio at ``at``; 1 % by default."""
         if self.quality is not None:
             return 0.5 / self.quality
         if self.loss_factor is not None:

@@ -60,7 +60,7 @@ class Enrichment:
     Attributes
     ----------
     functions : on the reference element, at the points of integration.
-    nodes : of each of them the local numbers of the nodes on its edge, face or interior.
+    nodes : local numbers of the nodes on the edge, face or interior of each function.
     numbers, signs : (functions, elements) of each in the solid.
     """
 

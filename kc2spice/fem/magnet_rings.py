@@ -23,7 +23,7 @@ from kc2spice.core.mesh_error import MESH_ERROR
 from kc2spice.core.quantities import MU_0
 
 NODES = 40  # number of Chebyshev heights at which the couplings are computed
-FINE = 24  # divisions of a coil's longer side, for its own inductance
+FINE = 24  # divisions of the longer side of a coil, for its self-inductance
 POINTS = 16  # divisions along the longer side, for the mutual inductance
 SLIVER = 0.02  # share of a cell's section; a ring with less carries no current
 NEAR = 4  # cells from the axis
@@ -53,7 +53,7 @@ def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) 
 
     apart = (z - height) ** 2
     across = (r + other) ** 2 + apart
-    # K by 1 - k^2, which is exact where the circles are close
+    # K as a function of 1 - k^2, which is accurate for circles that are close
     k2, rest = 4 * r * other / across, ((r - other) ** 2 + apart) / across
     result = (1 - k2 / 2) * ellipkm1(rest) - ellipe(k2)
     return np.asarray(MU_0 * np.sqrt(across) * result)
@@ -389,7 +389,7 @@ def ladder(
 
     Raises
     ------
-    UsageError : the couplings are no smooth functions of the height, as where body and coil meet.
+    UsageError : the couplings are no smooth functions of the height, for example if body and coil touch.
     """
     nodes, heights = _chebyshev_nodes(low, high)
     inductance = _coil_inductance(coils)
@@ -421,7 +421,7 @@ def current_body(
 
     Raises
     ------
-    UsageError : the couplings are no smooth functions of the height, as where body and coil meet.
+    UsageError : the couplings are no smooth functions of the height, for example if body and coil touch.
     """
     nodes, heights = _chebyshev_nodes(low, high)
 

@@ -1,8 +1,8 @@
 """Meshes and CAD files of the user, read by gmsh, with named groups.
 
-``.msh`` files contain elements and physical groups. ``.step`` and ``.brep`` files are meshed here.
-The solids of a CAD file are first modified to share faces. Their groups are the labels of the file,
-and the picks of :func:`read_mesh`.
+``.msh`` files contain elements and physical groups. This module meshes ``.step`` and ``.brep``
+files. The solids of a CAD file are first modified to share faces. Their groups are the labels of
+the file, and the picks of :func:`read_mesh`.
 
 gmsh selects the format by extension and content of a file, and runs unknown files as scripts. No
 option of gmsh prevents scripts from starting programs. Therefore gmsh runs in a separate process
@@ -407,7 +407,7 @@ def require_joined(
 def _nodes_on_other_pieces(
     points: np.ndarray, blocks: Sequence[np.ndarray], corners: int, near: float
 ) -> np.ndarray:
-    """Find nodes on the surface of a piece of the mesh that does not contain them."""
+    """Find nodes on the surface of another piece of the mesh."""
     from scipy.spatial import cKDTree
 
     cells = _corner_nodes(blocks, corners)

@@ -1,9 +1,10 @@
 """Error estimates of the strain and field of hexahedra.
 
 Around every corner of the mesh a polynomial is fitted to the strain and field of the adjacent
-elements. The least-squares fit uses the points of an element where these are most accurate. Linear
-shape functions blend the polynomials to the recovered strain and field, which are more accurate
-than those of the elements. Their difference d = (dS, dE) measures the error in the energy product
+elements. The least-squares fit uses the points of an element at which strain and field are most
+accurate. Linear shape functions blend the polynomials to the recovered strain and field, which are
+more accurate than those of the elements. Their difference d = (dS, dE) measures the error in the
+energy product
 
     A(1, 2) = int dS1' C dS2 - dS1' e' dE2 - dE1' e dS2 - dE1' eps dE2
 
@@ -281,10 +282,10 @@ def _widen_patches(
 def _choose_patches(
     number: np.ndarray, members: sparse.csr_array, middle: np.ndarray, places: np.ndarray
 ) -> np.ndarray:
-    """Choose the patch of each corner (patches,): its own or a neighbour's.
+    """Choose the patch of each corner (patches,): that of the corner or of a neighbour.
 
     The corner of the chosen patch is closer to the middle of the points of this patch. Corners at
-    edges of the body are far from the middle of their own points.
+    edges of the body are far from the middle of the points of their patch.
     """
     count, d = places.shape[1], places.shape[2]
     total = np.diff(members.indptr) * count

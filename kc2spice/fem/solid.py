@@ -99,7 +99,7 @@ class Solid:
         return 2 * self.order
 
     def basis(self, order: int | None = None, **options: Any) -> skfem.Basis:
-        """The scalar basis whose degrees of freedom are called nodes here."""
+        """The scalar basis, whose degrees of freedom are called nodes in this package."""
         if "quadrature" not in options:
             options["intorder"] = order or self.quadrature
         return skfem.Basis(self.mesh, self.element, dofs=self._nodes, **options)

@@ -282,11 +282,11 @@ def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
 
 
 def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> Pair:
-    """Factors of a sparse matrix and of its transpose; without pivoting first where that keeps the
-    fill of a symmetric matrix.
+    """Factors of a sparse matrix and of its transpose; the first attempt has no pivoting if this
+    preserves the fill of a symmetric matrix.
 
-    A trial solution shows whether that is accurate, and partial pivoting follows where it is not
-    (indefinite matrices, saddle points).
+    A trial solution shows whether this factor is accurate. If it is not (indefinite matrices,
+    saddle points), partial pivoting follows.
 
     Raises
     ------

@@ -6,7 +6,7 @@ of C. The signs are known beforehand, so the factor also proves that both blocks
 
 The method is multifrontal. The elimination tree is divided into supernodes: unknowns whose columns
 of L have nearly the same pattern. The front of a supernode is a dense matrix of these unknowns, the
-pivots, and of the unknowns behind them that they are coupled to. Dense Cholesky factors eliminate
+pivots, and of the later unknowns that are coupled to the pivots. Dense Cholesky factors eliminate
 the pivots, first those of A and then those of C. The remainder is added to the next front.
 
 Sources: R. J. Vanderbei, SIAM J. Optim. 5 (1995) 100; I. S. Duff, J. K. Reid, ACM Trans. Math.

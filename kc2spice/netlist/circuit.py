@@ -55,7 +55,7 @@ class Element(Card):
     ``kind`` is its letter in lower case, ``values`` are the words behind the nodes, ``parameters``
     the assignments behind those. A behavioural source (B, or E and G with an expression) has the
     ``quantity`` V or I that its ``expression`` gives. Names are spelled as they were written.
-    ``unit`` is that of its values where it is not the simulator's own (V, A, Ohm, F, H).
+    ``unit`` is the unit of its values if it differs from that of the simulator (V, A, Ohm, F, H).
     """
 
     kind: str

@@ -100,7 +100,8 @@ class Measure:
 class PowerTerm(NamedTuple):
     """A power [W] as the product of two results by their names.
 
-    One is ``across`` pins, the other flows ``through`` them, by the ``law`` of their domain.
+    One quantity is ``across`` pins and the other flows ``through`` these pins; the ``law`` depends
+    on their domain.
     """
 
     across: str
@@ -171,12 +172,12 @@ class Deck:
     """A testbench with its libraries.
 
     ``parts`` are the subcircuits, each one library file; ``vectors`` maps result names to ngspice
-    expressions and the factor to SI, ``units`` to SI units, ``powers`` to the terms that
-    they are sums of. ``stop`` and ``max_step`` are the last time point and the largest step [s] of
-    a transient, None otherwise. ``refinements`` are further analyses of the kind of ``command``,
-    whose points join its own. A dc analysis sweeps its source in ``sweep_scale`` volts or amperes
-    per SI unit of the swept key. A deck that somebody wrote by hand has its ``text``, and
-    ``more`` are the files that it includes. Its ``tree`` is that of the text, if known.
+    expressions and the factor to SI, ``units`` to SI units, ``powers`` to the terms that they are
+    sums of. ``stop`` and ``max_step`` are the last time point and the largest step [s] of a
+    transient, None otherwise. ``refinements`` are further analyses of the kind of ``command``,
+    whose points are added to its points. A dc analysis sweeps its source in ``sweep_scale`` volts
+    or amperes per SI unit of the swept key. A deck that somebody wrote by hand has its ``text``,
+    and ``more`` are the files that it includes. Its ``tree`` is that of the text, if known.
     ``controlled`` states whether a controller may close a loop, which some simulators only follow
     in short steps. A ``trusted`` deck runs with a warning if the simulator ignores or replaces
     something in it. The simulator takes the ``measures`` itself, for runs without a raw file.

@@ -321,8 +321,8 @@ def _make_parallel_element(element: Element, name: str, *words: str) -> Element:
 
 
 def _capacitor(element: Element) -> Iterable[Item]:
-    """``C`` in series with ``Rser`` and with ``Lser``, which ``RLshunt`` bridges; the others across
-    all of them."""
+    """``C`` in series with ``Rser`` and with ``Lser``, which ``RLshunt`` bridges; the other
+    parasitics are in parallel with all of these."""
     settings = element.settings
     if "q" in settings or any(word.lower().startswith("q=") for word in element.values):
         raise element.error("a charge by an expression has no equal in ngspice")
@@ -339,7 +339,7 @@ def _voltage(element: Element) -> Iterable[Item]:
 def _expand_parasitics(
     element: Element, settings: Mapping[str, str], more: tuple[str, ...]
 ) -> Iterator[Element]:
-    """The element without its parasitic ``settings``, and an element for each of them."""
+    """Return the element without its parasitic ``settings``, and an element for each setting."""
     parasitic = ("rser", "rpar", "cpar", *more)
     stated = {name: value for name in parasitic if not _is_zero(value := settings.get(name, "0"))}
     left = {k: v for k, v in element.parameters.items() if k.lower() not in parasitic}
@@ -592,7 +592,7 @@ def _translate_limit(x: Tree, a: Tree, b: Tree) -> Tree:
 def _translate_table(x: Tree, *points: Tree) -> Tree:
     """Straight lines between points, flat beyond their ends.
 
-    ``y1 + sum((y[k+1] - y[k]) share[k])``, where the share of an interval is its part below ``x``.
+    ``y1 + sum((y[k+1] - y[k]) share[k])``, the ``share`` of an interval is its part below ``x``.
     """
     result = points[1]
     ends = list(zip(points[::2], points[1::2], strict=False))

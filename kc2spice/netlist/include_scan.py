@@ -1,4 +1,5 @@
-"""Check of users' circuits, which are programs, before a simulator reads them.
+"""Check of circuits of users before a simulator reads these circuits, because netlists are
+programs.
 
 The simulator never searches a file. This module reads names, continuation lines and comments by
 the rules of the simulator and writes one text in one spelling. Its lines end in a line feed, its
@@ -68,8 +69,8 @@ def flatten(path: Path, home: Path, *, trust: bool, inside: bool = False) -> Fla
     """Return a circuit with the content of its includes from below ``home``.
 
     With ``trust``, lines are copied unchanged and includes may come from anywhere. The simulator
-    then reads an include that cannot be read here. With ``inside`` too, only files below ``home``
-    are opened: this reads a circuit before its user trusts it.
+    then reads an include that this function cannot read. With ``inside`` too, only files below
+    ``home`` are opened: this reads a circuit before its user trusts it.
 
     Raises
     ------
@@ -362,8 +363,8 @@ def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
 
     Raises
     ------
-    UsageError : a file that is not there, that could act on the machine (unless ``trust``), or that
-        acts on the deck beyond its own subcircuits.
+    UsageError : a file that does not exist, that could act on the machine (unless ``trust``), or
+        that acts on the deck beyond its own subcircuits.
     """
     reason = None if trust else name_threat(name)
     if reason:

@@ -100,9 +100,9 @@ def _round_up(value: float) -> float:
 class Subcircuit:
     """One part: its ``.subckt`` in the ``circuit`` of a library file, and its pins.
 
-    ``title`` is ``NAME: description``. ``file`` is the name of the library file where it is not
-    ``NAME.lib``. ``no_module`` states why the part must not become a Verilog-A module, "" where it
-    may. ``reduction`` is None where there is no reduced model. ``source`` is the text of a library
+    ``title`` is ``NAME: description``. ``file`` is the name of the library file if it differs from
+    ``NAME.lib``. ``no_module`` states why the part must not become a Verilog-A module, "" if it
+    may. ``reduction`` is None if there is no reduced model. ``source`` is the text of a library
     from another author; all other libraries are printed from their circuits. The first
     ``head_lines`` comments above the circuit of this name are its head.
     """

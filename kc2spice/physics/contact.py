@@ -69,11 +69,11 @@ class Normal:
         return _contact_laws(self.power, len(self.curve), bool(self.damping))
 
     def energy(self, x: np.ndarray) -> np.ndarray:
-        """``int f dx`` [J], 0 where nothing touches."""
+        """Return ``int f dx`` [J], 0 without contact."""
         return np.asarray(evaluate_tree(self._laws[0], self.numbers | {"x": x}))
 
     def force(self, x: np.ndarray) -> np.ndarray:
-        """``f(x)`` [N], 0 where nothing touches."""
+        """Return ``f(x)`` [N], 0 without contact."""
         return np.asarray(evaluate_tree(self._laws[1], self.numbers | {"x": x}))
 
 

@@ -130,7 +130,8 @@ def branch(
 
     Raises
     ------
-    UsageError : no domain has this quantity, or its stored energy is not a function of it.
+    UsageError : no domain has this quantity, or the stored energy is not a function of this
+        quantity.
 
     Examples
     --------
@@ -599,7 +600,7 @@ class Declaration:
         return f"{name} = {' + '.join(terms)}" if terms else ""
 
     def at_rest(self, tree: Tree, but: str = "") -> Tree:
-        """``tree`` where all coordinates, rates and states are zero, except ``but``."""
+        """Return ``tree`` with all coordinates, rates and states set to zero, except ``but``."""
         still = self.variables - {but}
         return plus(substitute(tree, dict.fromkeys(still, ZERO)))
 

@@ -153,7 +153,7 @@ def names(tree: Tree) -> frozenset[str]:
 
 
 def is_affine(tree: Tree, variables: Set[str]) -> bool:
-    """Whether the derivatives by all ``variables`` are independent of them."""
+    """Whether the derivatives by all ``variables`` do not depend on the variables."""
     return all(variables.isdisjoint(names(derivative(tree, name))) for name in variables)
 
 
@@ -251,7 +251,7 @@ def write_horner(value: Tree, series: Iterable[Tree]) -> Tree:
 
 
 def _step(value: Tree) -> Tree:
-    """1 where ``value`` is above zero."""
+    """Return a step, which is 1 if ``value`` is above zero."""
     return Choice(Binary(">", value, ZERO), ONE, ZERO)
 
 
@@ -413,7 +413,7 @@ WeightedCalls = tuple[tuple[Call, Fraction], ...]
 def split_calls(
     tree: Tree, functions: Container[str]
 ) -> tuple[list[tuple[Tree, WeightedCalls]], Tree]:
-    """Split ``tree`` into products with calls of ``functions``, and the rest.
+    """Split ``tree`` into products with calls of ``functions``, and the remaining terms.
 
     Each product is a factor times a weighted sum of calls, whose first weight is 1.
 
@@ -469,7 +469,7 @@ def kinks(tree: Tree) -> tuple[Tree, ...]:
 def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
     """Replace one-sided functions of the ``corners`` by factors ``flag0``, ``flag1``, ….
 
-    The result is smooth. A flag is 1 where its corner is above zero, otherwise 0.
+    The result is smooth. A flag is 1 if its corner is above zero, otherwise 0.
     """
     match tree:
         # zero instead of a complex number if a step goes below zero
@@ -488,7 +488,7 @@ def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
 
 
 def _flag(argument: Tree, corners: tuple[Tree, ...]) -> Name:
-    """Name that is 1 where one of the ``corners`` is above zero, otherwise 0."""
+    """Return the name of a flag that is 1 if one of the ``corners`` is above zero, otherwise 0."""
     return Name(f"flag{corners.index(argument)}")
 
 

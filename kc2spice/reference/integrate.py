@@ -450,7 +450,7 @@ def _locate_zero(
         return brentq(value, low, t1, args=(k,), xtol=1e-18, rtol=1e-15) if crosses else t1
 
     def shorten(h: float) -> Step:
-        """Solve a shorter step; interpolate where Newton's method fails."""
+        """Solve a shorter step; interpolate if Newton's method fails."""
         stages = step.at(t0 + h * NODES) - step.first[:, None]
         rough = Step(t0, h, step.first, stages, step.differential)
         return solver.take(h) or rough

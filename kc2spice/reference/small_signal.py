@@ -105,7 +105,7 @@ class LinearisedSystem:
 
     @cached_property
     def _free_motion(self) -> _FreeMotion | None:
-        """Equations of the states alone; None if other unknowns do not follow them."""
+        """Equations of the states alone; None if the states do not determine the other unknowns."""
         n, rows, cols = self.system.size, self.rows, self.system.differential
         if rows.sum() != cols.sum() or not cols.any():
             return None
@@ -124,7 +124,7 @@ class LinearisedSystem:
     def poles(self) -> np.ndarray | None:
         """Natural frequencies ``a`` (m,) [1/s] of free motions ``e^(a t)``, complex.
 
-        None where the states do not determine the algebraic unknowns.
+        None if the states do not determine the algebraic unknowns.
         """
         motion = self._free_motion
         return None if motion is None else np.linalg.eigvals(motion.rates)

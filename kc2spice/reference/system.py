@@ -33,7 +33,7 @@ class PlacedDevice:
     law: L.Device
     inputs: np.ndarray  # (m, N)
     into: np.ndarray  # (n, k)
-    stores: np.ndarray | None  # (n, stored), where the stored quantities are not the states
+    stores: np.ndarray | None  # (n, stored), if the stored quantities are not the states
     states: np.ndarray  # positions of the states among the unknowns
     first: int  # position of the outputs of the device among those of all devices
 
@@ -165,7 +165,7 @@ class _Assembly:
                     _stamp_device(law, self)
 
     def _number_unknowns(self) -> None:
-        """Number the unknowns; a net on a body's port needs none of its own."""
+        """Number the unknowns; a net on the port of a body needs no further unknown."""
         used = dict.fromkeys(self.nets.values())
         used.pop(L.GROUND, None)
 

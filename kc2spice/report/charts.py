@@ -356,7 +356,7 @@ def _separate_equal(x: np.ndarray) -> np.ndarray:
 def _selected_points(panel: Panel) -> list[np.ndarray]:
     """Return the indices of the points of each curve that a page contains.
 
-    Curves over the same x share them.
+    Curves over the same x share the points.
     """
     curves = panel.curves
     if panel.equal or panel.map is not None:

@@ -89,9 +89,9 @@ class Failure:
     """A failure as described in a log.
 
     ``cause`` is the line that names the failure, ``node``, ``time`` [s] and ``part`` what it
-    blames, ``kind`` what other settings might cure; None where the log does not tell. ``struggles``
-    are lines of an operating point that was hard to find. ``partial`` contains the waveforms up to
-    the failure, if any.
+    blames, ``kind`` what other settings might cure; None if the log does not contain them.
+    ``struggles`` are lines of an operating point that was hard to find. ``partial`` contains the
+    waveforms up to the failure, if any.
     """
 
     cause: str | None
@@ -312,7 +312,7 @@ def _read_plots(path: Path) -> Iterator[_Plot]:
 def read_partial(path: Path) -> dict[str, np.ndarray] | None:
     """Read the complete points of an aborted run, up to the first that is not finite.
 
-    None where there are fewer than two.
+    The result is None if there are fewer than two points.
     """
     try:
         plot = _read_plot(path)

@@ -1,7 +1,7 @@
 """Resonators that depend on parameters, as one subcircuit with these parameters.
 
-The numbers of the elements are ``.param`` expressions. A simulator evaluates them once, when it
-expands the subcircuit, so that a run takes no longer than with other resonators.
+The numbers of the elements are ``.param`` expressions. A simulator evaluates the expressions once,
+when it expands the subcircuit, so that a run takes no longer than with other resonators.
 """
 
 from __future__ import annotations

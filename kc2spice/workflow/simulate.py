@@ -244,8 +244,7 @@ def _run_each_from_rest(
     """Return the points of all analyses of ``deck``, each from a separate run.
 
     Within one run, ngspice begins the search for the next operating point at the response that the
-    last analysis left. If several operating points exist, the result may be another one than in a
-    sweep.
+    last analysis left. If several operating points exist, such a run may find another one.
     """
     first = run_deck(replace(deck, refinements=()), directory, progress, timeout)
     parts = [first.data]

@@ -215,7 +215,7 @@ def mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
 # Suffixes allowed behind NAME.K or NAME_K.
 _TAILS = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
 _MEMBER = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
-_WHOLE = ""  # key of the one file that holds all matrices, where the name leaves its suffix out
+_WHOLE = ""  # key of the single file with all matrices, if the given name has no suffix
 _MATLAB = "a MATLAB file of version 5 to 7.2 with matrices, or with one mphmatrix struct"
 _ARRAYS = (
     "arrays of numbers; a scipy.sparse K as K.data, K.indices, K.indptr, K.shape and K.format, or "

@@ -39,7 +39,7 @@ def assemble_model(rows: Rows) -> LinearModel:
 
 
 def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
-    """Rename a damping matrix C to E, because C are the outputs here.
+    """Rename a damping matrix C to E, because C denotes the outputs in this package.
 
     A square C beside M and K may be the damping or the outputs, and is an error unless the sidecar
     states its meaning.

@@ -11,8 +11,8 @@ The files contain ``row column value``, and one ``node.direction`` per row: 1 to
 temperature.
 
 Ansys writes the binary ``.full`` file, which the ansys-mapdl-reader of its makers reads. ``HBMAT``
-writes Harwell-Boeing files with the mapping beside them. scipy's ``hb_read`` refuses the symmetric
-ones. Fields have a fixed width and may touch, so the widths in the header separate them (Duff,
+writes Harwell-Boeing files with the mapping beside them. scipy's ``hb_read`` refuses symmetric
+matrices. Fields have a fixed width and may touch, so the widths in the header separate them (Duff,
 Grimes, Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix Collection, 1992).
 
 Nastran writes DMIG cards of a punch file, and OUTPUT4 files, which pyyeti reads. ``K...`` is the
@@ -224,7 +224,8 @@ def read_harwell_boeing(
 ) -> sparse.csc_array:
     """Read the matrix of a file's content with both triangles.
 
-    ``allowed(shape, entries)`` raises where the declared size is too large, before memory is taken.
+    ``allowed(shape, entries)`` raises an error if the declared size is too large, before memory is
+    allocated.
 
     Raises
     ------

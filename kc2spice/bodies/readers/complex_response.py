@@ -342,7 +342,9 @@ def _channel(column: Column) -> str:
 
 
 def _relative_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Median difference relative to ``b`` (n,) where both are finite and not zero."""
+    """Return the median difference relative to ``b`` (n,) at points at which both are finite and
+    not zero.
+    """
     with np.errstate(all="ignore"):
         ratio = np.abs(a / b - 1)
     ratio = ratio[np.isfinite(ratio) & (b != 0) & (a != 0)]

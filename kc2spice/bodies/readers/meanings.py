@@ -1,6 +1,6 @@
 """Columns that instruments write: quantities, units, titles and combinations.
 
-Data only; a new kind of column is one row here.
+This module contains data only; a new kind of column is one row.
 
 - :mod:`kc2spice.bodies.readers.titles` reads titles by :data:`COLUMN_KINDS` and :data:`UNITS`.
 - :mod:`kc2spice.bodies.readers.text_table` reads files without titles by :data:`SUFFIX_TITLES`.

@@ -1,4 +1,4 @@
-"""Parameters and factors of matrices, as the TOML file beside them states them.
+"""Parameters and factors of matrices, from the TOML file beside the matrices.
 
 A factor is an expression of the parameters in the syntax of netlists, such as ``(t/1.0)^3``.
 """

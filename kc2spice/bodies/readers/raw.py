@@ -132,7 +132,7 @@ def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = 
 
 
 def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int | None) -> None:
-    """Refuse a matrix by its declared size, before memory is taken for it.
+    """Refuse a matrix by its declared size, before memory is allocated for the matrix.
 
     Raises
     ------
@@ -211,7 +211,10 @@ class Dofs:
         return len(self.node)
 
     def keys(self) -> np.ndarray:
-        """One integer per row, equal where node and kind are, sorted as nodes are."""
+        """One integer per row.
+
+        Rows with the same node and kind have the same integer, in the order of the nodes.
+        """
         return np.asarray(self.node * _KINDS + self.kind)
 
 
@@ -333,7 +336,7 @@ def call_in_process(
 
 
 def make_unpacker(function: Callable[..., object]) -> Callable[[Path, Mapping[str, str]], Raw]:
-    """Make a reader that calls ``function(path, requested)`` in a process of its own."""
+    """Make a reader that calls ``function(path, requested)`` in a separate process."""
     return lambda path, requested: _unpack_raw(
         call_in_process(function, path, requested=dict(requested)), path
     )

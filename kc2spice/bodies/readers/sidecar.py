@@ -106,7 +106,7 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def _require_printable(value: str) -> str:
-    """Names end up in netlists, where a line is a command."""
+    """Netlists contain these names, and a line of a netlist is a command."""
     if not value.isprintable():
         raise invalid_value_error("is no name", "printable characters in one line")
     return value
@@ -222,7 +222,7 @@ class Fixed(NodeSelection):
 
 
 class PortEntry(NodeSelection):
-    """One ``[[ports]]`` table: one way of saying where it acts, and one direction."""
+    """One ``[[ports]]`` table, which selects the loaded nodes in one way, and one direction."""
 
     name: Name
     kind: Literal[PORT_KINDS]  # type: ignore[valid-type]

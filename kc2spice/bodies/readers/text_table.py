@@ -1,8 +1,9 @@
 """Tables in a text: lines of numbers, titles above them, and merged blocks.
 
 In: the text of a file. Out: :class:`TextTable` records, the longest first. Fields lie between
-semicolons, tabs, commas or blanks. Commas are decimal where they do not separate, or separate
-thousands beside decimal points. :mod:`kc2spice.bodies.readers.complex_response` reads on.
+semicolons, tabs, commas or blanks. Commas that do not separate fields are decimal commas, or
+separate thousands in numbers with decimal points. :mod:`kc2spice.bodies.readers.complex_response`
+reads on.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _REAL = r"(\d+\.?\d*|\.\d+)([eEdD][-+]?\d{1,3})?"
 _NUMBER = re.compile(rf"[-+]?{_REAL}")
 _COMPLEX = re.compile(rf"\(?([-+]?{_REAL})?[-+]?{_REAL}[ij]\)?")
 _GROUPED = re.compile(r"[-+]?\d{1,3}([,' \u00a0\u202f])\d{3}(\1\d{3})*(\.\d*)?([eE][-+]?\d{1,3})?")
-SEPARATORS = (";", "\t", ",")  # between fields, unless blanks separate them
+SEPARATORS = (";", "\t", ",")  # separators of fields, unless blanks separate the fields
 _WITH_COMMA = re.compile(".*,.*")  # a line of text with a comma
 FEWEST_COLUMNS, FEWEST_ROWS = 2, 2
 MOST_LINES = 100_000  # lines of a file: five times as many as frequencies are accepted

@@ -91,5 +91,5 @@ def _choose_word(words: list[str], choices: tuple[str, ...], default: str) -> st
 
 
 def _spell_unit(unit: str) -> str:
-    """A unit of frequency in its own case."""
+    """Return a unit of frequency with the usual capital letters."""
     return unit[:-2].upper().replace("K", "k") + "Hz"

@@ -89,7 +89,7 @@ def _last_within(places: Sequence[int], low: int, high: int) -> int:
 
 
 def _possible_ends(line: str) -> tuple[list[int], ...]:
-    """Return the places where a line may end, the better kinds first.
+    """Return the positions at which a line may end, the better kinds first.
 
     The possible ends are blanks between words, blanks within brackets, and operators of sums and
     products.

@@ -112,7 +112,7 @@ class Xyce(Dialect):
         return f"{vector[0]}R{vector[1:]}"
 
     def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Return the words of a measure of where an extreme is, but not in a sweep.
+        """Return the words that measure the position of an extreme; none in a sweep.
 
         There Xyce prints a place that it has scaled.
         """
