@@ -1,7 +1,7 @@
-"""PySpice and InSpice: parts of ours as subcircuits of theirs.
+"""Parts of kc2spice as subcircuits of PySpice and InSpice.
 
-PySpice has not been kept up since 2021, InSpice is its live fork (Python 3.12 and later). Both are
-clients here: decks of ours run without them.
+PySpice has not been kept up since 2021, InSpice is its live fork (Python 3.12 and later). kc2spice
+itself does not use these packages to run decks.
 """
 
 from __future__ import annotations

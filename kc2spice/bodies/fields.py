@@ -32,8 +32,8 @@ from kc2spice.rom.reductors.block_krylov import block_arnoldi
 ORDER = 40
 STILL = 1e-6  # frequency of a motion without stiffness, relative to the highest
 SLOWEST = 1e-4  # angle over the whole run of a mode that is free to move
-# Instants at which extremes are looked for, half evenly spread, half of most energy: at least so
-# many, and more where points times instants stay below this.
+# Instants at which extremes are looked for, half evenly spread, half with the largest energy: least
+# number of instants, and largest product of points and instants.
 INSTANTS, WORK = 200, 2_000_000
 CHUNK = 20
 # meshio's cell of each element.

@@ -12,9 +12,9 @@ singular and converges slowly with the degree, so the functions correct only a p
 difference to a recovered strain and field (:mod:`kc2spice.fem.recovery`).
 
 Contributions of both signs cancel by chance in the error of a stroke. A part of their absolute
-values on hexahedra, :data:`CHANCE`, counts beside their sum, and elsewhere a part,
-:data:`OBLIQUE`, of the bound ``sqrt(A(e_p, e_p) A(e_v, e_v))``. All parts were determined on meshes
-beside much finer ones; ``tests/physics/test_mesh_error.py`` limits the difference.
+values on hexahedra, :data:`CHANCE`, counts beside their sum, and elsewhere a part, :data:`OBLIQUE`,
+of the bound ``sqrt(A(e_p, e_p) A(e_v, e_v))``. All factors were determined by comparison with much
+finer meshes; ``tests/physics/test_mesh_error.py`` limits the difference.
 """
 
 from __future__ import annotations

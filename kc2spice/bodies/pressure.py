@@ -12,9 +12,9 @@ by the same ``S w = s 1``. Then
 where S is that of a round stack of the same layers on a graded axisymmetric mesh. ``s_patch`` is
 that of the patch on the coarse mesh of the same round stack. The sum restores the compliance that
 the coarse mesh lacks. The difference between the round stack and the real one is smooth, and thus
-the same for all basis functions, and dynamic: the patch contains it. The matrix is positive
-semi-definite because ``S - s 1 1'`` is (s is the least compliance of all shares), and because a
-coarse mesh is too stiff.
+equal for all basis functions. It is dynamic, and the port of the patch includes it. The matrix is
+positive semi-definite because ``S - s 1 1'`` is (s is the least compliance of all shares), and
+because a coarse mesh is too stiff.
 
 The local compliance has no dynamics, as residual modes (:mod:`kc2spice.rom.modal`): the modes of
 the patch lie above ten megahertz, the speed of sound over its size. Therefore only the depth x of a
@@ -31,8 +31,8 @@ mesh of the sphere omits a pit of the radius ``R / 30`` at the pole, which has 1
 Displacements of the sphere are relative to its centre of mass. The rigid motion of the sphere along
 the axis is t (n,), its mass ``m = t' M t``. Forces F at the ports B act together with the inertia
 that balances them, ``B - M t t' B / m``, and so do not move the centre. A spring ``(M t) (M t)' w^2
-/ m`` on the motion, as one unknown that is eliminated, makes K definite. No force moves this
-spring, and no output measures it. A uniform force, such as weight, has no effect.
+/ m`` on the motion, as one unknown that is eliminated, makes K definite. No force deforms this
+spring, and no output measures its deformation. A uniform force, such as weight, has no effect.
 """
 
 from __future__ import annotations

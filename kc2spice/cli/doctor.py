@@ -1,6 +1,6 @@
 """Check of the programs and packages that kc2spice needs.
 
-Each finding comes with the command that mends it.
+Each finding states the command that corrects the problem.
 """
 
 from __future__ import annotations

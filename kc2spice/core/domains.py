@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-# Power that enters a part through a pin, in words of the quantities across and through it.
+# Power that enters a part through a pin, in words of the quantities across and through the pin.
 Power = Literal[
     "across * through",
     "d(across)/dt * through",

@@ -84,7 +84,7 @@ def wrong(
     expected: str | None = None,
     hint: str | None = None,
 ) -> UsageError:
-    """The error of a file or key, as :class:`Kc2spiceError` has it."""
+    """Make the error of a file or key, with the fields of :class:`Kc2spiceError`."""
     return UsageError(problem, where=where, got=got, expected=expected, hint=hint)
 
 

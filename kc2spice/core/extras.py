@@ -1,4 +1,4 @@
-"""Optional libraries: the extra that installs each, and the error without it.
+"""Optional libraries: the extra that installs each library, and the error of a missing library.
 
 All imports of these libraries go through :func:`import_optional`. ``pyproject.toml`` states their
 versions.

@@ -171,7 +171,7 @@ def lock_path(path: Path, *, wait: bool = True) -> Iterator[None]:
 
     Raises
     ------
-    BlockingIOError : without ``wait``, another process holds it.
+    BlockingIOError : without ``wait``, if another process has the lock.
     """
     try:
         import fcntl

@@ -462,7 +462,7 @@ class PortBody(Device):
         return Relation(H.real, np.zeros(len(H)))
 
     def transfer(self, s: complex) -> np.ndarray:
-        """Compute ``H(s)`` (outputs, inputs) once: copies of a body share it."""
+        """Compute ``H(s)`` (outputs, inputs) once; copies of a body share the result."""
         if s not in self.known:
             self.known[s] = self.model.pencil.transfer(np.array([s]))[0]
         return self.known[s]

@@ -557,7 +557,7 @@ class Notch:
         return round(factor * (value - 1)) + 1 if self.spaces else round(factor * value)
 
     def is_used(self, keys: BaseModel) -> bool:
-        """Whether the table ``keys`` uses it."""
+        """Whether the table ``keys`` uses the key."""
         return all(getattr(keys, name) == value for name, value in self.when)
 
 

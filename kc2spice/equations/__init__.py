@@ -1,6 +1,6 @@
 """Laws of a scene: the equations of its parts, joined like their pins.
 
 The input is a scene and the models of its parts. The output is networks of laws in SI units.
-Solvers of these are in :mod:`kc2spice.reference`. Begin to read at
+Solvers of these networks are in :mod:`kc2spice.reference`. Begin to read at
 :mod:`kc2spice.equations.scene_laws`.
 """

@@ -165,8 +165,8 @@ def _list_links(build: Build, equations: Mapping[str, Equations]) -> Iterator[Pi
 def scene_laws(build: Build) -> SceneLaws:
     """Return the laws of the scene with the models of its parts.
 
-    These are the laws that the build carries (:func:`with_laws`). Laws of other keys or models,
-    which a build carries after a change of these, are built again.
+    These are the laws that the build carries (:func:`with_laws`). If the keys or models of a build
+    have changed, its laws are built again.
     """
     laws = build.laws
     if isinstance(laws, SceneLaws) and _share_parts(laws.build, build):

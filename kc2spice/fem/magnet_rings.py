@@ -389,7 +389,8 @@ def ladder(
 
     Raises
     ------
-    UsageError : the couplings are no smooth functions of the height, for example if body and coil touch.
+    UsageError : the couplings are no smooth functions of the height, for example if body and
+        coil touch.
     """
     nodes, heights = _chebyshev_nodes(low, high)
     inductance = _coil_inductance(coils)
@@ -421,7 +422,8 @@ def current_body(
 
     Raises
     ------
-    UsageError : the couplings are no smooth functions of the height, for example if body and coil touch.
+    UsageError : the couplings are no smooth functions of the height, for example if body and
+        coil touch.
     """
     nodes, heights = _chebyshev_nodes(low, high)
 

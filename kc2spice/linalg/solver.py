@@ -1,4 +1,4 @@
-"""Direct solvers that users supply in place of the built-in ones.
+"""Direct solvers that users supply instead of the built-in solvers.
 
 A solver is a function or class that factorises one sparse matrix. :func:`solving_with` selects it
 for all factors within the context. :mod:`kc2spice.linalg.factor` obtains the solver here.

@@ -53,8 +53,8 @@ class Element(Card):
     """One device with its ``nodes``, controlling ``sources`` and ``model``.
 
     ``kind`` is its letter in lower case, ``values`` are the words behind the nodes, ``parameters``
-    the assignments behind those. A behavioural source (B, or E and G with an expression) has the
-    ``quantity`` V or I that its ``expression`` gives. Names are spelled as they were written.
+    the assignments behind the values. A behavioural source (B, or E and G with an expression) has
+    the ``quantity`` V or I that its ``expression`` gives. Names are spelled as they were written.
     ``unit`` is the unit of its values if it differs from that of the simulator (V, A, Ohm, F, H).
     """
 

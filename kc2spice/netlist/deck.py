@@ -35,7 +35,7 @@ class Option:
 
     @property
     def text(self) -> str:
-        """The value as the card states it."""
+        """Text of the value on the card."""
         if isinstance(self.value, str):
             return self.value
         return write_rounded(self.value).removesuffix(".0")

@@ -260,7 +260,7 @@ class _Scope:
         return element
 
     def _resistor(self, element: Element) -> Element:
-        """A resistance by an expression, as the current through it."""
+        """Translate a resistance by an expression to a source of its current."""
         law = self._law(element.settings["r"].strip("{}'"), element)
         plus, minus = element.nodes
         current = f"V({plus},{minus})/({law})"
@@ -480,7 +480,7 @@ def _require_switch(model: Model) -> None:
 
 
 def _split_settings(law: str) -> tuple[str, dict[str, str]]:
-    """A law and the settings ``name=value`` behind it, by names in lower case."""
+    """Split a text into a law and its settings ``name=value``, by names in lower case."""
     starts = list(_SETTING.finditer(law))
     if not starts:
         return law, {}

@@ -30,7 +30,7 @@ from kc2spice.netlist.spelling import comment
 
 MOST_BYTES = 4_000_000  # bytes of one file, and characters of the whole text
 MOST_FILES = 64  # files of one circuit
-# The simulator takes any word that begins like this, behind blanks or not.
+# The simulator accepts any word with this beginning, also behind blanks.
 _INCLUDE = re.compile(r"(?i)\s*\.inc\S*(.*)", re.DOTALL)
 _TARGET = re.compile(r"\"([^\"]*)\"|'([^']*)'|([^\s\"']+)")
 _END = re.compile(r"(?i)\.end(?=\s|$)")
@@ -70,7 +70,7 @@ def flatten(path: Path, home: Path, *, trust: bool, inside: bool = False) -> Fla
 
     With ``trust``, lines are copied unchanged and includes may come from anywhere. The simulator
     then reads an include that this function cannot read. With ``inside`` too, only files below
-    ``home`` are opened: this reads a circuit before its user trusts it.
+    ``home`` are opened: this option is for circuits that the user does not trust yet.
 
     Raises
     ------
@@ -229,7 +229,8 @@ _PARTS = "a file of subcircuits with their models, parameters and functions"
 
 
 def check_deck_effects(cards: Iterable[Statement], *, part: bool) -> None:
-    """Check that a part defines subcircuits only, and that a deck keeps its parts.
+    """Check that a file of a part defines subcircuits only, and that an edited deck still contains
+    its parts.
 
     Raises
     ------

@@ -27,9 +27,9 @@ _BRANCHED = frozenset("vel")  # elements whose current is an unknown of its own
 class NodalEquations:
     """``(G + s C) x = b``: node voltages, then currents of sources and inductors.
 
-    ``rows`` are the unknowns by lower-case names, the current of an element as ``i(NAME)``; it
-    flows into the first node of the element, through it, and out of the second one. Nodes at
-    ground have no row. ``entries`` are rows, columns and values of G and of C.
+    ``rows`` are the unknowns by lower-case names, the current of an element as ``i(NAME)``; this
+    current flows from the first node of the element through the element to the second node. Nodes
+    at ground have no row. ``entries`` are rows, columns and values of G and of C.
     """
 
     rows: Mapping[str, int]

@@ -1,4 +1,7 @@
-"""Nodes of a deck in words: the parts that contain them, and the pins next to them."""
+"""Descriptions of the nodes of a deck.
+
+The part that contains a node, and the pins next to the node.
+"""
 
 from __future__ import annotations
 

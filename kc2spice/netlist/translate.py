@@ -77,9 +77,9 @@ def dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
 def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
     """Return ``{file name: text}`` of the symbols of a deck with its libraries.
 
-    With ngspice these are a KiCad project of the whole deck and symbols of all other simulators.
-    The latter name the libraries ``NAME.DIALECT.lib``, which are written too. In another dialect
-    the symbols of its simulator name the libraries ``NAME.lib``.
+    For ngspice, the files are a KiCad project of the whole deck and the symbols for all other
+    simulators. The latter name the libraries ``NAME.DIALECT.lib``, which are written too. In
+    another dialect the symbols of its simulator name the libraries ``NAME.lib``.
 
     Raises
     ------

@@ -109,7 +109,9 @@ def _declare_force(
 
 
 def _choose_pins(height: str, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return parameters and limits of a law, or the pins of a netlist without them."""
+    """Return parameters and limits of a law, or the pins of a netlist without parameters and
+    limits.
+    """
     if height == _RAISED:
         return {"given": _unset_parameters(*_RANGE, *names), "limits": _LIMITS}
     return {"given": _unset_parameters(*names), "speeds": {"y": "v"}, "metered": False}

@@ -243,7 +243,7 @@ def _inner_voltage(build: Build, part: Part, node: str, pin: str) -> str:
 def make_pins(declaration: Declaration) -> tuple[Pin, ...]:
     """Return the pins of a declared part in the order of its branches.
 
-    With a base, all upper pins stand before the lower ones. The velocity of a rigid body stands
+    If there is a base, all upper pins precede the lower pins. The velocity of a rigid body stands
     before its displacement.
     """
     d, result = declaration, dict[str, Pin]()

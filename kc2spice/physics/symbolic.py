@@ -283,7 +283,7 @@ class _Product:
 
     def inverse(self) -> _Product:
         if not self.size:
-            raise UsageError("a division by zero in physics")
+            raise UsageError("the equations of a part divide by zero")
         return _Product(1 / self.size, self.below, self.above)
 
     def tree(self) -> Tree:

@@ -206,7 +206,7 @@ Range = tuple[float, float]
 
 
 def _encode_panel(title: str, panel: Panel, span: Range | None, last: bool) -> dict[str, Any]:
-    """Return a panel as the script reads it.
+    """Encode a panel for the script.
 
     ``span`` is the range of x of all panels above each other. The x axis of the ``last`` panel has
     numbers.
@@ -310,7 +310,7 @@ def _widen_range(ends: Range) -> Range:
 
 
 def _encode_curve(curve: Curve, indices: np.ndarray, ascending: bool) -> dict[str, Any]:
-    """Return the points of these indices as the script reads them."""
+    """Encode the points with these indices for the script."""
     points = _select_points(curve, indices)
     x = points.x.astype("<f4")
     return {

@@ -88,7 +88,7 @@ def format_value(value: Any, unit: str = "") -> str:
 class PageSection:
     """Section of a page: heading, drawing, table, links, note and figures.
 
-    Each of these is optional. The ``drawing`` is HTML that needs no escaping.
+    Each part of a section is optional. The ``drawing`` is HTML that needs no escaping.
     """
 
     title: str

@@ -126,7 +126,7 @@ def _attempt_row(attempt: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _certificate_rows(certificate: Mapping[str, Any]) -> Rows:
-    """Return the facts of a reduction within its band, then those above it."""
+    """Return the facts of a reduction within its band, then the facts above the band."""
     facts = {}
     for name, value in certificate.items():
         if value is not None and not name.startswith("above_band"):

@@ -64,8 +64,8 @@ def fit_one_port(
     """Fit a circuit to admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz].
 
     The model has one electrical port, ``anode``. The other result is its relative deviation (rms).
-    There is no model if this exceeds :data:`POOR`. The error in the certificate is the largest
-    relative deviation from the samples.
+    There is no model if the deviation exceeds :data:`POOR`. The error in the certificate is the
+    largest relative deviation from the samples.
 
     Parameters
     ----------

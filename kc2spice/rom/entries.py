@@ -22,7 +22,7 @@ BALANCING_STEPS = 40  # each iteration halves the logarithm of the remaining fac
 
 
 def share_of(norm: str) -> float:
-    """Part of its peak that an entry's errors count against at least, in the norm."""
+    """Least reference value of errors of an entry in this norm, as a fraction of its peak."""
     return FLOOR if norm == "pointwise" else 1.0
 
 

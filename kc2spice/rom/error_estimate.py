@@ -136,7 +136,7 @@ class ErrorEstimator:
 
     @property
     def share(self) -> float:
-        """Part of its peak that an entry's errors count against at least, in the norm."""
+        """Least reference value of errors of an entry, as a fraction of its peak."""
         return share_of(self.norm)
 
     @cached_property

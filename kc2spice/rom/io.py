@@ -145,7 +145,7 @@ def parse_indices(values: np.ndarray, size: int) -> np.ndarray:
 
     Raises
     ------
-    ValueError : one is not a whole number from 1 to ``size``.
+    ValueError : an index is not a whole number from 1 to ``size``.
     """
     sound = (values >= 1) & (values <= size) & (values == np.floor(values))
     if not sound.all():
@@ -173,7 +173,11 @@ def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
     Market files. Returns the file names, the ``.npz`` first.
     """
     if model.certificate is None:
-        raise UsageError("is not a reduced model", where=model.name, expected="one of 'reduce'")
+        raise UsageError(
+            "is not a reduced model",
+            where=model.name,
+            expected="a model that 'kc2spice reduce' wrote",
+        )
     letters = _matrix_letters(model.first_order)
     matrices = {letter: getattr(model, letter) for letter in letters}
     content = {

@@ -38,10 +38,11 @@ class Port:
     ``kind`` fixes the SI pair (input u, output y):
 
     * *electrical*: voltage [V] between ``pins[0]`` and ``pins[1]``, charge [C] into ``pins[0]``;
-    * *mechanical*: force [N] on the body along the port's direction, displacement [m] along it;
+    * *mechanical*: force [N] on the body along the port's direction, displacement [m] in the same
+    direction;
     * *rotational*: moment [N m], angle [rad];
     * *thermal*: heat flow [W] into the body, temperature rise [K];
-    * *acoustic*: pressure [Pa] on the body, volume [m^3] by which the body gives way to it;
+    * *acoustic*: pressure [Pa] on the body, displaced volume [m^3];
     * *acceleration*: acceleration [m/s^2] of the frame that the body is fixed to, and its
       conjugate (B = -M r, y = B' x [kg m]); coordinates are relative to the frame;
     * *input* and *output*: a signal in any units, in one direction. An input has no row of
@@ -101,7 +102,7 @@ class Port:
 
     @property
     def moving(self) -> bool:
-        """Whether the port answers a force or a torque with a position."""
+        """Whether the input is a force or a torque, and the output a position."""
         return self.domain is not None and self.domain.position
 
     @property
@@ -408,7 +409,7 @@ class LinearModel:
         return models.SecondOrderModel.from_matrices(*letters, Cp=self.C, D=self.D)
 
     def select(self, names: Sequence[str]) -> LinearModel:
-        """The same model with only the ports ``names``; the others are left open.
+        """The same model with only the ports ``names``; all other ports are left open.
 
         Raises
         ------

@@ -114,7 +114,7 @@ def assemble_oscillators(
     The damping is (modes, modes).
 
     Each relaxation is one more unknown without mass, the displacement between its spring and its
-    damper; these follow the modes.
+    damper; these unknowns follow the modes.
     """
     springs = np.array([mode.spring + mode.amplitudes.sum() for mode in modes])
     owner = np.repeat(np.arange(len(modes)), [mode.rates.size for mode in modes])

@@ -263,7 +263,7 @@ def _transfer(model: ABCD, f: np.ndarray) -> np.ndarray:
 
 
 def _deviation(one: np.ndarray, other: np.ndarray) -> float:
-    """Root of the mean square by the largest entry."""
+    """Return the rms deviation relative to the largest entry."""
     return float(np.sqrt(np.mean(np.abs(one - other) ** 2)) / np.abs(other).max())
 
 

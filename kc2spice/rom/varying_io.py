@@ -33,7 +33,11 @@ def write_varying(model: Varying, directory: Path, name: str) -> list[str]:
     Returns the file names, the ``.npz`` first.
     """
     if model.certificate is None:
-        raise UsageError("is not a reduced model", where=model.name, expected="one of 'reduce'")
+        raise UsageError(
+            "is not a reduced model",
+            where=model.name,
+            expected="a model that 'kc2spice reduce' wrote",
+        )
     content = {
         "ports": list(map(asdict, model.ports)),
         "certificate": asdict(model.certificate),

@@ -1117,7 +1117,7 @@ def _add_noise_forces(rom: LinearModel) -> LinearModel:
             where=rom.name,
             got="a first-order model, one that is not symmetric, or ports that are signals",
             expected="symmetric M, E, K and conservative ports",
-            hint="a transient or ac does without",
+            hint="use a transient or ac analysis, which needs no noise",
         )
     K, E, M = rom.pencil.dense().coefficients
     losses, shapes = np.linalg.eigh(E)

@@ -191,7 +191,9 @@ def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matr
     rows, others = model.dofs, term.dofs
     if rows and others and not np.array_equal(rows.keys(), others.keys()):
         expected = "the degrees of freedom of the model, in the same order"
-        raise wrong(where, "the rows of this term are others", file.name, expected)
+        raise wrong(
+            where, "the rows of this term differ from those of the model", file.name, expected
+        )
     return raw.require_matrix(term.matrices[letter], letter, file)
 
 

@@ -358,7 +358,7 @@ def read_dmig(path: Path, requested: Mapping[str, str]) -> raw.Raw:
 
     Raises
     ------
-    UsageError : no such cards, rectangular ones, or damage.
+    UsageError : no DMIG cards, rectangular matrices, or a damaged file.
     """
     expected = "square DMIG cards"
     forms, entries = raw.parse_file(path, expected, _parse_dmig)

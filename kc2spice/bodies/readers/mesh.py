@@ -54,7 +54,7 @@ class NodeMesh:
 
         Raises
         ------
-        UsageError : none is that near.
+        UsageError : no node is near enough.
         """
         distance = np.linalg.norm(self.at - np.asarray(place), axis=1)
         best = int(distance.argmin())

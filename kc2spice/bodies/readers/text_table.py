@@ -109,7 +109,8 @@ def read_tables(text: str) -> list[TextTable]:
 
 @dataclass(frozen=True)
 class _Run:
-    """Lines ``first`` to before ``last`` with as many fields, of which some are rows.
+    """Lines from ``first`` to before ``last`` with the same number of fields; some of these lines
+    are rows.
 
     ``rows`` is the number of rows of numbers.
     """

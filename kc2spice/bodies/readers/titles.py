@@ -194,7 +194,7 @@ def complex_quantity(text: str) -> tuple[Quantity, float] | None:
 
 
 def _split_unit(title: str) -> Iterator[tuple[str, str | None]]:
-    """Ways to divide a title into words and a unit; None is a title without one."""
+    """Ways to divide a title into words and a unit; The unit is None for a title without a unit."""
     for match in re.finditer(r"[\[(]([^\[\]()]*)[\])]", title):
         if parse_units(match[1]):
             yield title[: match.start()] + " " + title[match.end() :], match[1]

@@ -33,7 +33,7 @@ THIN = 0.02  # drawn height of a line of nodes, relative to its width
 
 
 class MatricesKeys(LinearKeys):
-    """Files beside the scene; ports as their sidecar TOML names them."""
+    """Files beside the scene; the TOML file of the matrices names the ports."""
 
     file: FileName = Field(
         description="Matrix file beside the scene, or the NAME of a family of files"

@@ -1,4 +1,4 @@
-"""Resonators by the Butterworth-Van Dyke circuit, as data sheets of ceramics and crystals state it.
+"""Resonators by the Butterworth-Van Dyke circuit, as in data sheets of ceramics and crystals.
 
 A clamped capacitance ``c0`` lies beside one series branch ``lm``, ``cm``, ``rm`` for each mode:
 

@@ -207,7 +207,7 @@ stop = "1 kHz"
         return self.solve(part)
 
     def solve(self, part: Part[LoudspeakerKeys]) -> SpeakerParameters:
-        """Parameters from the keys; UsageError if the keys do not determine them."""
+        """Parameters from the keys; UsageError if the keys do not determine the values."""
         keys = part.keys
         stated = {key: value for key in UNITS if (value := getattr(keys, key)) is not None}
         for name in keys.tolerance:

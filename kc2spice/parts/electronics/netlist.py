@@ -1,4 +1,4 @@
-"""A subcircuit out of the user's own netlist, read and checked before a simulator sees it."""
+"""A subcircuit from a netlist of the user, which is checked before a simulator reads it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Linear elements between two pins: a table, one row each, from which their part types are made.
 
 A row states what the element stores or loses (:mod:`kc2spice.physics.declaration`). Keys, card,
-results, the law of the independent integrator and documentation follow from it.
+results, the law of the independent integrator and documentation follow from the row.
 """
 
 from __future__ import annotations

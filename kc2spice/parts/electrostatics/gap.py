@@ -224,9 +224,9 @@ class Gap(PatchedPart[GapKeys]):
     def metrics(self, part: Part[GapKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Return the voltages of pull-in and release and the largest travel, or small signals.
 
-        At pull-in a patch first meets the stop, at release the last one leaves it. Each voltage is
-        the mean of the two points around. In ``ac`` the metrics are the real part of force over
-        displacement and its imaginary part over ``2 pi f``, at the last frequency.
+        At pull-in, the first patch meets the stop; at release, the last patch leaves the stop. Each
+        voltage is the mean of the two points around. In ``ac`` the metrics are the real part of
+        force over displacement and its imaginary part over ``2 pi f``, at the last frequency.
         """
         of = {"x": _waves_of(part, "x", waves), "force": _waves_of(part, "force", waves)}
         volts = waves.data.get(f"{part.name}.v")

@@ -215,7 +215,8 @@ def body_of(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Stack]:
 
     Raises
     ------
-    UsageError : none is named and there is not exactly one, or the body has no rings.
+    UsageError : no body is named and the scene does not contain exactly one, or the body has no
+        rings.
     """
     if part.keys.of is not None:
         body = scene.part(part.keys.of, f"{part.name}.of")

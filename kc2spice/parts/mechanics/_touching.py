@@ -126,7 +126,10 @@ def ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Pair:
-    """Both sides of a contact: ``a`` with one or several ports, and ``b``, whose rise opens it."""
+    """Both sides of a contact.
+
+    ``a`` with one or several ports, and ``b``, whose rise opens the contact.
+    """
 
     part: Part[ContactKeys]
     scene: GovernedScene

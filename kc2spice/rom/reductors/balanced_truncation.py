@@ -123,7 +123,7 @@ def no_gramians(task: Task) -> str:
 
 
 def too_large(states: int, largest: int) -> str:
-    """Return the reason that a model of so many states is too large, or ""."""
+    """Return the reason if a model with this number of states is too large, otherwise ""."""
     if states <= largest:
         return ""
     return f"the intermediate model has {states} first-order states, more than {largest}"

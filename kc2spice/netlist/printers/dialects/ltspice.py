@@ -81,7 +81,7 @@ def _instance_names(path: Iterable[str]) -> list[str]:
 
 
 def _draw_symbol(part: Subcircuit, library: str) -> str:
-    """Return the symbol of one part; LTspice includes the file ``library`` with it."""
+    """Return the symbol of one part; With the symbol, LTspice includes the file ``library``."""
     box = arrange_pins(part)
     x, y = GRID * box.width, GRID * box.height
     lines = [
