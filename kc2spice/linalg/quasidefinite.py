@@ -44,7 +44,7 @@ class Supernode:
 
 
 @dataclass(frozen=True, eq=False)
-class Panel:
+class ColumnPanel:
     """Columns of L of a supernode with k pivots and m rows.
 
     The pivots are those of ``turn`` (k,); the first ``positive`` of them have the sign 1.
@@ -85,7 +85,7 @@ class QuasiDefinite:
     ) -> None:
         self._order, self._supernodes = find_supernodes(matrix, group, order)
         lower = scipy.sparse.tril(matrix[self._order][:, self._order], format="csc")
-        self._panels = list[Panel]()
+        self._panels = list[ColumnPanel]()
         place = np.zeros(len(order), dtype=np.intp)
         updates: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in self._supernodes]
         for node, parts in zip(self._supernodes, updates, strict=True):
@@ -148,7 +148,7 @@ def _assemble_front(
     return panel.T, remainder.T
 
 
-def _eliminate_pivots(panel: np.ndarray, remainder: np.ndarray, minus: np.ndarray) -> Panel:
+def _eliminate_pivots(panel: np.ndarray, remainder: np.ndarray, minus: np.ndarray) -> ColumnPanel:
     """Eliminate the pivots of a front; ``remainder`` becomes the Schur complement.
 
     Pivots ``minus`` (k,) have the sign -1. With ``[A b'; b -C]`` of the pivots and ``[F G]`` of the
@@ -178,7 +178,7 @@ def _eliminate_pivots(panel: np.ndarray, remainder: np.ndarray, minus: np.ndarra
         triangle[tail, tail] = T = _cholesky(W @ W.T - block[tail, tail])
         Z[:] = dtrsm(1.0, T, Y @ W.T - Z, side=1, lower=1, trans_a=1)
         _subtract_square(remainder, Z, -1.0)
-    return Panel(turn, positive, triangle, below)
+    return ColumnPanel(turn, positive, triangle, below)
 
 
 def _cholesky(matrix: np.ndarray) -> np.ndarray:
