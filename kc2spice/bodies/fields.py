@@ -37,9 +37,9 @@ SLOWEST = 1e-4  # angle over the whole run of a mode that is free to move
 INSTANTS, WORK = 200, 2_000_000
 CHUNK = 20
 # meshio's cell of each element.
-_VTK = {
+VTK_CELLS = {
     "ElementHex1": "hexahedron", "ElementHex2": "hexahedron27", "ElementTetP2": "tetra10",
-    "ElementQuad2": "quad9", "ElementTriP2": "triangle6",
+    "ElementQuad2": "quad9", "ElementTriP2": "triangle6", "ElementLineP2": "line3",
 }  # fmt: skip
 
 
@@ -316,7 +316,7 @@ def write_vtu(path: Path, device: FiniteElementModel, z: np.ndarray, voltages: n
     if mesh.dim() == 2:
         where = np.column_stack([where[:, 0], np.zeros(len(where)), where[:, 1]])
     cells = np.arange(len(where)).reshape(mesh.nelements, -1)
-    kind = _VTK[type(element).__name__]
+    kind = VTK_CELLS[type(element).__name__]
     if kind.startswith("hexahedron"):
         cells = cells[:, HEX_MAPPING[: cells.shape[1]]]
     data["principal_stress"] = principal_stress(data["stress"])

@@ -13,6 +13,7 @@ IN_PLANE = 4.0  # number of unknowns of a plane mesh that need as much time as o
 MESH_ERROR = "mesh_error_"  # begins the names of facts that are relative errors of other facts
 _MESH_ERRORS = {  # the words for what follows
     "resonance": "first resonance", "capacitance": "capacitance", "stroke": "stroke",
+    "resistance": "thermal resistance",
     "compliance": "compliance", "modes": "lowest modes up to", "force": "force",
     "inductance": "inductance", "rings": "flux, force and loss",
 }  # fmt: skip

@@ -24,7 +24,7 @@ from typing import Any, Literal
 import numpy as np
 import skfem
 from scipy import sparse
-from skfem.mesh import Mesh, MeshHex, MeshQuad, MeshTet
+from skfem.mesh import Mesh, MeshHex, MeshLine, MeshQuad, MeshTet
 
 from kc2spice.core.errors import wrong
 from kc2spice.fem.materials import Material
@@ -91,6 +91,8 @@ class Solid:
             return skfem.ElementHex1() if self.order == 1 else skfem.ElementHex2()
         if isinstance(mesh, MeshTet):
             return skfem.ElementTetP2()
+        if isinstance(mesh, MeshLine):
+            return skfem.ElementLineP2()
         return skfem.ElementQuad2() if isinstance(mesh, MeshQuad) else skfem.ElementTriP2()
 
     @property
@@ -104,8 +106,14 @@ class Solid:
             options["intorder"] = order or self.quadrature
         return skfem.Basis(self.mesh, self.element, dofs=self._nodes, **options)
 
-    def face(self, facets: np.ndarray, order: int) -> skfem.BoundaryFacetBasis:
-        """The same on facets."""
+    def face(
+        self, facets: np.ndarray, order: int, side: Literal[0, 1] = 0
+    ) -> skfem.BoundaryFacetBasis:
+        """The same on facets, seen from the element on one ``side`` of each."""
+        if side:
+            return skfem.InteriorFacetBasis(
+                self.mesh, self.element, facets=facets, intorder=order, dofs=self._nodes, side=side
+            )
         return skfem.BoundaryFacetBasis(
             self.mesh, self.element, facets=facets, intorder=order, dofs=self._nodes
         )
@@ -228,9 +236,9 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
             parts[3].append((p, nodes, nodes))
     n = solid.places.shape[1]
     shapes = ((n, n), (d * n, d * n), (d * n, n), (n, n))
-    m, K_uu, K_up, K_pp = (_sum_matrices(p, s) for p, s in zip(parts, shapes, strict=True))
-    M = sparse.csc_array(sparse.kron(_symmetrise(m), np.eye(d)))
-    return Operators(M, _symmetrise(K_uu), K_up, _symmetrise(K_pp))
+    m, K_uu, K_up, K_pp = (sum_matrices(p, s) for p, s in zip(parts, shapes, strict=True))
+    M = sparse.csc_array(sparse.kron(symmetrise(m), np.eye(d)))
+    return Operators(M, symmetrise(K_uu), K_up, symmetrise(K_pp))
 
 
 def _stress_stiffness(
@@ -250,9 +258,10 @@ def _stress_stiffness(
     return np.asarray(result.reshape(len(result), item.shape[1] * d, -1))
 
 
-def _sum_matrices(
+def sum_matrices(
     parts: Sequence[tuple[np.ndarray, ...]], shape: tuple[int, int]
 ) -> sparse.csc_array:
+    """Sum element matrices (elements, l, k), each with the numbers of its rows and columns."""
     total = sparse.csc_array(shape)
     for values, rows, columns in parts:
         i = np.broadcast_to(rows[:, :, None], values.shape).ravel()
@@ -261,6 +270,6 @@ def _sum_matrices(
     return total
 
 
-def _symmetrise(matrix: sparse.csc_array) -> sparse.csc_array:
+def symmetrise(matrix: sparse.csc_array) -> sparse.csc_array:
     """Remove the last-digit asymmetry of sums."""
     return sparse.csc_array((matrix + matrix.T) * 0.5)

@@ -1,0 +1,146 @@
+"""Temperatures inside a body under the heat flows of a run.
+
+The full model is projected on a Krylov basis. Its modes ``x' + x / t = g q`` are integrated exactly
+for heat flows that are linear between samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import eigh
+from scipy.sparse.linalg import splu
+
+from kc2spice.bodies.fields import VTK_CELLS
+from kc2spice.bodies.heat_model import HeatModel
+from kc2spice.core.errors import wrong
+from kc2spice.rom.reductors.block_krylov import block_arnoldi
+
+ORDER = 40  # vectors of the basis
+INSTANTS = 200  # instants at which the highest temperature is looked for
+SLOW = 1e-3  # rate of a body that loses no heat, relative to the reciprocal of the run's duration
+
+
+@dataclass(frozen=True, eq=False)
+class TemperatureField:
+    """Temperature rises ``T(t) = basis @ states[t]`` at the nodes of a body."""
+
+    heat: HeatModel
+    time: np.ndarray
+    basis: np.ndarray
+    states: np.ndarray
+
+    def at(self, instant: float) -> np.ndarray:
+        """Return temperature rises (nodes,) [K] at the sample nearest to ``instant`` [s]."""
+        return np.asarray(self.basis @ self.states[int(np.argmin(np.abs(self.time - instant)))])
+
+    def hottest(self) -> list[HotSpot]:
+        """Return the highest temperature rise of each material, over time."""
+        even = np.linspace(self.time[0], self.time[-1], INSTANTS)
+        chosen = np.unique(np.searchsorted(self.time, even))
+        values = self.basis @ self.states[chosen].T
+        solid, result = self.heat.solid, []
+        for number, material in enumerate(solid.materials):
+            nodes = solid.geometry.nodes(np.flatnonzero(solid.geometry.owner == number))
+            curve = values[nodes].max(axis=0)
+            k = int(curve.argmax())
+            instant = float(self.time[chosen[k]])
+            result.append(
+                HotSpot(material.name, float(curve[k]), instant, self.time[chosen], curve)
+            )
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class HotSpot:
+    """Highest temperature rise ``value`` [K] of a material, at ``instant`` [s], and its curve."""
+
+    material: str
+    value: float
+    instant: float
+    time: np.ndarray
+    curve: np.ndarray
+
+
+def recover_temperatures(
+    heat: HeatModel, time: np.ndarray, flows: Mapping[str, np.ndarray]
+) -> TemperatureField:
+    """Return the temperatures of a body under heat flows [W] into its ports, by name.
+
+    The body starts in equilibrium with the first heat flows if it leads heat away, otherwise at the
+    temperature zero.
+
+    Raises
+    ------
+    UsageError : heat flows of another length, or of a port that the body does not have.
+    """
+    model, names = heat.model, [port.name for port in heat.model.ports]
+    q = np.zeros((len(time), len(names)))
+    for name, wave in flows.items():
+        if name not in names or np.shape(wave) != np.shape(time):
+            expected = f"{len(time)} values of one of {', '.join(names)}"
+            got = f"{name} {np.shape(wave)}"
+            raise wrong("fields", "not the heat flow of a port of this body", got, expected)
+        q[:, names.index(name)] = wave
+    t = np.asarray(time)
+    K, E = model.pencil.coefficients
+    shift = SLOW / float(t[-1] - t[0])
+    shifted = sparse.csc_array(K + shift * E)
+    V = block_arnoldi(lambda v: shifted @ v, splu(shifted).solve, lambda v: E @ v, model.B, ORDER)
+    small_E, small_K = (0.5 * (A + A.T) for A in (V.T @ (E @ V), V.T @ (K @ V)))
+    times, X = eigh(small_E, small_K + shift * small_E)
+    moving = times > np.finfo(float).eps * times.max()
+    rates = 1 / np.where(moving, times, 1.0) - shift
+    gains = X.T @ (V.T @ model.B)
+    states = _integrate(np.maximum(rates, 0.0), moving, times, t, q @ gains.T)
+    return TemperatureField(heat, t, heat.temperature @ (V @ X), states)
+
+
+def _integrate(
+    rates: np.ndarray, moving: np.ndarray, times: np.ndarray, t: np.ndarray, loads: np.ndarray
+) -> np.ndarray:
+    """Return the states (times, modes) of ``times (x' + rates x) = loads``, ``x = loads`` if at
+    rest.
+
+    Loads are linear between samples. A mode that does not move is equal to its load.
+    """
+    result = np.where(moving, 0.0, loads)
+    settles = moving & (rates > 0)
+    start = np.zeros(len(rates))
+    start[settles] = loads[0, settles] / (times * rates)[settles]
+    x = np.where(settles, start, 0.0)
+    result[0, moving] = x[moving]
+    for k, step in enumerate(np.diff(t), 1):
+        z = rates * step
+        # integrals of e^(-rate s) with a constant and with a linear load
+        small = z < 1e-4
+        safe = np.where(small, 1.0, z)
+        decay = np.exp(-z)
+        one = np.where(small, 1 - z / 2, -np.expm1(-z) / safe)
+        two = np.where(small, 0.5 - z / 6, (1 - one) / safe)
+        mean = loads[k - 1] * (one - two) + loads[k] * two
+        x = decay * x + step * mean / np.where(moving, times, 1.0)
+        result[k, moving] = x[moving]
+    return result
+
+
+def write_temperatures(path: Path, heat: HeatModel, rises: np.ndarray) -> None:
+    """Write temperature rises (nodes,) [K] to a VTU file."""
+    import meshio
+
+    geometry = heat.solid.geometry
+    mesh, element = geometry.mesh, geometry.element
+    where = np.moveaxis(mesh.mapping().F(element.doflocs.T), 0, -1).reshape(-1, mesh.dim())
+    places = np.zeros((len(where), 3))
+    places[:, heat.solid.axes] = where
+    cells = np.arange(len(where)).reshape(mesh.nelements, -1)
+    data = {
+        "temperature_rise": rises[geometry.basis(1).element_dofs.T.ravel()],
+        "material": np.repeat(geometry.owner, cells.shape[1]).astype(float),
+    }
+    kind = VTK_CELLS[type(element).__name__]
+    meshio.Mesh(places, [(kind, cells)], point_data=data).write(path, file_format="vtu")

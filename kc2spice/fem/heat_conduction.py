@@ -1,0 +1,204 @@
+"""Heat conduction in solids: matrices over the nodes of a mesh.
+
+Weak form of ``rho c T' = div(k grad T) + p`` with the heat flow ``h (T - T_film)`` [W/m^2] through
+faces with a film, for the temperature T on the nodes of a scalar element:
+
+    E   = int rho c v T          K = int grad v . k grad T          H = int v T over faces
+
+Axisymmetric integrals are over the full turn. In one dimension the cross-section of every element
+is ``areas``. An interface with the resistance r [m^2 K/W] is two sets of nodes with the heat flow
+``(T_a - T_b) / r`` between them.
+
+Source: J. N. Reddy, D. K. Gartling, The Finite Element Method in Heat Transfer and Fluid Dynamics,
+3rd ed., CRC Press 2010, chapter 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import skfem
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from kc2spice.fem.solid import CHUNK, FLAT, Solid, sum_matrices, symmetrise
+from kc2spice.fem.thermal_materials import ThermalMaterial
+
+CANDIDATES = 50  # elements that may contain a point, those with the nearest centres
+INSIDE = 1e-6  # distance outside an element, in its own coordinates, that is rounding
+ON_FACE = 1e-9  # largest value of a shape function on a face that does not contain its node
+
+
+@dataclass(frozen=True, eq=False)
+class HeatSolid:
+    """Mesh whose element ``k`` consists of ``materials[geometry.owner[k]]``.
+
+    ``areas`` (elements,) [m^2] are the cross-sections of the elements of a line; None for solids.
+    """
+
+    geometry: Solid
+    materials: tuple[ThermalMaterial, ...]
+    areas: np.ndarray | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of nodes."""
+        return int(self.geometry.places.shape[1])
+
+    @property
+    def axes(self) -> np.ndarray:
+        """Coordinates of the mesh among x, y and z."""
+        return {1: np.array([2]), 2: FLAT, 3: np.arange(3)}[self.geometry.mesh.dim()]
+
+    def measure(self, basis: skfem.Basis, cells: np.ndarray) -> np.ndarray:
+        """Weights (cells, points) of integrals in three dimensions."""
+        weights = np.asarray(basis.dx)
+        if self.geometry.axisymmetric:
+            weights = 2 * np.pi * weights * np.asarray(basis.global_coordinates())[0]
+        return weights if self.areas is None else weights * self.areas[cells, None]
+
+    def cells_of(self, facets: np.ndarray) -> np.ndarray:
+        """Elements on the first side of facets."""
+        return np.asarray(self.geometry.mesh.f2t[0, facets])
+
+
+def local_functions(basis: skfem.Basis) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield values (cells, l) and gradients (cells, d, l) of shape functions at each point."""
+    local = [function[0] for function in basis.basis]
+    for q in range(basis.X.shape[-1]):
+        value = [np.broadcast_to(np.asarray(f), basis.dx.shape)[:, q] for f in local]
+        yield np.stack(value, -1), np.stack([f.grad[:, :, q].T for f in local], -1)
+
+
+def _chunks(solid: HeatSolid) -> Iterator[tuple[ThermalMaterial, np.ndarray]]:
+    """Yield materials with at most ``CHUNK`` of their elements."""
+    for number, material in enumerate(solid.materials):
+        cells = np.flatnonzero(solid.geometry.owner == number)
+        for start in range(0, len(cells), CHUNK):
+            yield material, cells[start : start + CHUNK]
+
+
+def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]:
+    """Return heat capacities E [J/K] and conductances K [W/K], both (nodes, nodes)."""
+    capacities, conductances = [], []
+    for material, cells in _chunks(solid):
+        basis = solid.geometry.basis(elements=cells)
+        k = material.conductivity[solid.axes][:, None]
+        e_cell, k_cell = np.zeros(()), np.zeros(())
+        weights = solid.measure(basis, cells).T[:, :, None, None]
+        for (N, G), w in zip(local_functions(basis), weights, strict=True):
+            e_cell = e_cell + w * material.capacity * N[:, :, None] * N[:, None]
+            k_cell = k_cell + w * (G.transpose(0, 2, 1) @ (k * G))
+        nodes = basis.element_dofs.T
+        capacities.append((e_cell, nodes, nodes))
+        conductances.append((k_cell, nodes, nodes))
+    shape = (solid.count, solid.count)
+    E, K = (symmetrise(sum_matrices(parts, shape)) for parts in (capacities, conductances))
+    return E, K
+
+
+def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
+    """Return H [m^2] (nodes, nodes) of faces; its sum is their area."""
+    basis = solid.geometry.face(facets, solid.geometry.quadrature)
+    weights, nodes = solid.measure(basis, solid.cells_of(facets)), basis.element_dofs.T
+    matrix = np.zeros(())
+    for (N, _), w in zip(local_functions(basis), weights.T[:, :, None, None], strict=True):
+        matrix = matrix + w * N[:, :, None] * N[:, None]
+    return symmetrise(sum_matrices([(matrix, nodes, nodes)], (solid.count, solid.count)))
+
+
+def heat_shares(
+    solid: HeatSolid, *, facets: np.ndarray | None = None, elements: np.ndarray | None = None
+) -> np.ndarray:
+    """Return shares of nodes ``int N / int 1`` (nodes,) over facets or elements."""
+    if facets is not None:
+        basis = solid.geometry.face(facets, solid.geometry.quadrature)
+        cells = solid.cells_of(facets)
+    else:
+        assert elements is not None, "shares need facets or elements"
+        cells = elements
+        basis = solid.geometry.basis(elements=elements)
+    weights, result = solid.measure(basis, cells), np.zeros(solid.count)
+    for (N, _), w in zip(local_functions(basis), weights.T[:, :, None], strict=True):
+        np.add.at(result, basis.element_dofs.T, w * N)
+    return np.asarray(result / result.sum())
+
+
+def point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
+    """Return values (nodes,) of the shape functions at a point, or the nearest node outside."""
+    geometry, result = solid.geometry, np.zeros(solid.count)
+    mesh = geometry.mesh
+    centres = mesh.p[:, mesh.t].mean(axis=1)
+    near = np.argsort(np.linalg.norm(centres.T - point, axis=1))[:CANDIDATES]
+    for cell in near:
+        places = np.broadcast_to(point[:, None, None], (len(point), 1, 1))
+        local = np.asarray(mesh.mapping().invF(places, tind=np.array([cell])))[:, 0]
+        simplex = mesh.refdom.nnodes == len(point) + 1
+        total = local.sum() if simplex else local.max()
+        if local.min() >= -INSIDE and total <= 1 + INSIDE:
+            basis = geometry.basis(elements=np.array([cell]), quadrature=(local, np.ones(1)))
+            values, _ = next(local_functions(basis))
+            result[basis.element_dofs[:, 0]] = values[0]
+            return result
+    result[np.argmin(np.linalg.norm(geometry.places.T - point, axis=1))] = 1.0
+    return result
+
+
+def split_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
+    """Return the mesh with double nodes on inner faces, its ``facets``.
+
+    Elements around a node keep one common node where other faces connect them, as those beside the
+    tip of a crack do.
+    """
+    numbers = np.array(geometry.basis(1).element_dofs)
+    count, sides = int(numbers.max()) + 1, geometry.mesh.f2t
+    split = np.zeros(count, bool)
+    split[face_nodes(geometry, facets)] = True
+    near = np.flatnonzero(split[numbers].any(axis=0))
+    bonded = np.setdiff1d(np.unique(geometry.mesh.t2f[:, near]), facets)
+    bonded = bonded[sides[1, bonded] >= 0]
+    first, second = numbers[:, sides[0, bonded]], numbers[:, sides[1, bonded]]
+    i, j, f = np.nonzero((first[:, None] == second[None]) & split[first][:, None])
+    elements = numbers.shape[1]
+    a, b = i * elements + sides[0, bonded[f]], j * elements + sides[1, bonded[f]]
+    links = sparse.coo_array((np.ones(a.size), (a, b)), shape=(numbers.size, numbers.size))
+    _, piece = connected_components(links, directed=False)
+    at = split[numbers].ravel()
+    pairs = np.column_stack([numbers.ravel()[at], piece[at]])
+    unique, which = np.unique(pairs, axis=0, return_inverse=True)
+    again = np.flatnonzero(np.r_[False, unique[1:, 0] == unique[:-1, 0]])
+    new = unique[:, 0].copy()
+    new[again] = count + np.arange(again.size)
+    result = numbers.ravel()
+    result[at] = new[np.ravel(which)]
+    return replace(geometry, numbers=result.reshape(numbers.shape))
+
+
+def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
+    """Return ``int (v_a - v_b) (T_a - T_b)`` [m^2] between the two sides of inner ``facets``."""
+    geometry = solid.geometry
+    first, second = (geometry.face(facets, geometry.quadrature, side=side) for side in (0, 1))
+    nodes = np.vstack([first.element_dofs, second.element_dofs]).T
+    weights, matrix = solid.measure(first, solid.cells_of(facets)), np.zeros(())
+    functions = zip(local_functions(first), local_functions(second), strict=True)
+    for ((N, _), (M, _)), w in zip(functions, weights.T[:, :, None, None], strict=True):
+        jump = np.concatenate([N, -M], axis=1)
+        matrix = matrix + w * jump[:, :, None] * jump[:, None]
+    return symmetrise(sum_matrices([(matrix, nodes, nodes)], (solid.count, solid.count)))
+
+
+def common_faces(geometry: Solid, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the faces between an element of the first and one of the second set."""
+    sides = geometry.mesh.f2t
+    inner = sides[1] >= 0
+    a, b = np.isin(sides, first), np.isin(sides, second)
+    return np.flatnonzero(inner & ((a[0] & b[1]) | (a[1] & b[0])))
+
+
+def face_nodes(geometry: Solid, facets: np.ndarray) -> np.ndarray:
+    """Return the numbers of the nodes on faces, those of the first side of double ones."""
+    basis = geometry.face(facets, 2)
+    values = np.max([np.abs(N) for N, _ in local_functions(basis)], axis=0)
+    return np.unique(basis.element_dofs.T[values > ON_FACE])

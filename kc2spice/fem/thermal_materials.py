@@ -1,0 +1,140 @@
+"""Thermal constants of materials: conductivity, specific heat and density.
+
+``thermal_materials.toml`` contains the constants of the library with their sources. A material that
+states no density there has the density of the mechanical material of the same name.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from kc2spice.core.equality import EqualByContent
+from kc2spice.core.errors import UsageError, candidates, did_you_mean, wrong
+from kc2spice.core.quantities import Density, Section, si, validate
+from kc2spice.fem.materials import material
+
+Conductivity = Annotated[float, si("W/(m K)")]
+SpecificHeat = Annotated[float, si("J/(kg K)")]
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalMaterial(EqualByContent):
+    """Material that conducts and stores heat.
+
+    Attributes
+    ----------
+    name : of the library, or of the group of the mesh.
+    density : kg/m^3.
+    specific_heat : J/(kg K), at constant pressure.
+    conductivity : (3,) W/(m K) along x, y and z; of a body of revolution along the radius, around
+        the axis and along it.
+    """
+
+    name: str
+    density: float
+    specific_heat: float
+    conductivity: np.ndarray
+
+    @property
+    def capacity(self) -> float:
+        """Heat capacity of a unit of volume [J/(m^3 K)]."""
+        return self.density * self.specific_heat
+
+
+class ThermalMaterialTable(Section):
+    """Constants of a material in a scene or in the library.
+
+    A material that is ``like`` one of the library takes from there what the table leaves out.
+    """
+
+    like: str | None = Field(
+        None, description="Material of the library that supplies what this table leaves out"
+    )
+    density: Density = Field(gt=0, description="Mass of a unit of volume")
+    specific_heat: SpecificHeat = Field(
+        gt=0, description="Heat that a unit of mass stores for each kelvin"
+    )
+    conductivity: Conductivity | tuple[Conductivity, Conductivity, Conductivity] = Field(
+        description="Thermal conductivity, isotropic or one value each along x, y and z"
+    )
+    source: str = Field("", description="Source of all numbers of this table")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _inherit(cls, data: Any) -> Any:
+        """Add the constants of the material ``like`` that the table leaves out."""
+        if not isinstance(data, Mapping) or not isinstance(data.get("like"), str):
+            return data
+        name = thermal_names().get(data["like"].lower())
+        if name is None:
+            raise ValueError(
+                f"like: no such material: {data['like']}; {', '.join(thermal_library())}"
+            )
+        return dict(thermal_library()[name]) | dict(data)
+
+    @model_validator(mode="after")
+    def _require_conduction(self) -> ThermalMaterialTable:
+        if np.min(self.conductivity) <= 0:
+            raise ValueError("conductivity must be greater than 0")
+        return self
+
+    def build(self, name: str) -> ThermalMaterial:
+        """Return the material under this name."""
+        conductivity = np.broadcast_to(np.asarray(self.conductivity, float), 3).copy()
+        return ThermalMaterial(name, self.density, self.specific_heat, conductivity)
+
+
+@cache
+def thermal_library() -> Mapping[str, Mapping[str, Any]]:
+    """Return the tables of the library by name, each with its density."""
+    path = Path(__file__).parent / "thermal_materials.toml"
+    result = {}
+    for name, table in tomllib.loads(path.read_text("utf-8")).items():
+        density = {} if "density" in table else {"density": material(name).density}
+        result[name] = density | table
+    return result
+
+
+@cache
+def thermal_names() -> Mapping[str, str]:
+    """Names of the library by these names in lower case."""
+    return dict(zip(map(str.lower, thermal_library()), thermal_library(), strict=True))
+
+
+def thermal_material(
+    name_or_table: str | Mapping[str, Any], where: str = "material"
+) -> ThermalMaterial:
+    """Return a material by its name in the library, in any case, or from a table.
+
+    Raises
+    ------
+    UsageError : no such name, or a table that describes no material.
+
+    Examples
+    --------
+    >>> copper = thermal_material("copper")
+    >>> print(copper.conductivity[0], round(copper.capacity))
+    401.0 3439205
+    """
+    if isinstance(name_or_table, Mapping):
+        return validate(ThermalMaterialTable, name_or_table, where).build(where.rpartition(".")[2])
+    name = thermal_names().get(name_or_table.lower())
+    if name is None:
+        raise _unknown_material(name_or_table, where)
+    return ThermalMaterialTable.model_validate(thermal_library()[name]).build(name)
+
+
+def _unknown_material(name: str, where: str) -> UsageError:
+    names = list(thermal_library())
+    hint = did_you_mean(name, names)
+    hint = hint or 'write a table: { density = …, conductivity = "… W/(m K)", specific_heat = … }'
+    expected = f"one of {candidates(name, names, 'docs/reference/thermal_materials.md')}"
+    return wrong(where, "no material with thermal constants", repr(name), expected, hint)
