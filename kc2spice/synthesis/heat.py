@@ -15,7 +15,7 @@ C_j. (E. Kuh and R. Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
@@ -67,9 +67,9 @@ def is_heat(model: LinearModel) -> bool:
 def heat_modes(model: LinearModel) -> HeatModes:
     """Return the modes of a heat model that a port excites, slowest first.
 
-    If K is positive definite, the modes are those of ``E x = t K x`` with the time constants t. The
-    static contributions of the modes determine a network at rest. Otherwise nothing leads the heat
-    of some modes away, and a leak replaces the resistance of these modes.
+    The modes are those of ``E x = t K x`` with the time constants t. Their static contributions
+    determine a network at rest. If K is singular, nothing leads the heat of some modes away, and a
+    leak replaces the resistance of these modes.
 
     Raises
     ------
@@ -79,18 +79,20 @@ def heat_modes(model: LinearModel) -> HeatModes:
     if not model.symmetric or np.linalg.eigvalsh(model.D).min(initial=0.0) < 0:
         raise _not_passive_error(model, "matrices that are not symmetric, or a negative D")
     K, E = 0.5 * (K + K.T), 0.5 * (E + E.T)
-    paths, heats = np.linalg.eigvalsh(K), np.linalg.eigvalsh(E)
-    if any(size[0] < -STILL * np.abs(size).max() for size in (paths, heats)):
-        raise _not_passive_error(model, "a matrix E or K with a negative eigenvalue")
-    if paths[0] > STILL * paths[-1]:
-        times, shapes = scipy.linalg.eigh(E, K)
-    elif heats[0] > STILL * heats[-1]:
-        rates, shapes = scipy.linalg.eigh(K, E)
-        rates = np.maximum(rates, 0.0)
-        times = 1 / np.where(rates > STILL * rates[-1], rates, LEAK_RATE)
-        shapes = shapes * np.sqrt(times)
-    else:
+    for size in map(np.linalg.eigvalsh, (K, E)):
+        if size[0] < -STILL * np.abs(size).max():
+            raise _not_passive_error(model, "a matrix E or K with a negative eigenvalue")
+    stored, lost = _separate_stored_heat(E, K)
+    capacity = np.linalg.eigvalsh(stored.T @ E @ stored)
+    if capacity.size and capacity[0] <= STILL * np.abs(E).max():
         raise _not_passive_error(model, "a matrix E and a matrix K that are both singular")
+    times, shapes = scipy.linalg.eigh(lost.T @ E @ lost, lost.T @ K @ lost)
+    shapes = lost @ shapes
+    if stored.size:
+        capacity, axes = np.linalg.eigh(stored.T @ E @ stored)
+        leaking = stored @ axes / np.sqrt(capacity * LEAK_RATE)
+        times = np.concatenate([times, np.full(capacity.size, 1 / LEAK_RATE)])
+        shapes = np.hstack([shapes, leaking])
     gain, times = (shapes.T @ model.B)[::-1], np.maximum(times[::-1], 0.0)
     size = np.abs(gain).max(axis=1)
     felt = (np.abs(gain) / (np.abs(gain).max(axis=0) + np.finfo(float).tiny)).max(axis=1) > UNHEATED
@@ -103,6 +105,45 @@ def heat_modes(model: LinearModel) -> HeatModes:
         direct=model.D,
         ports=model.ports,
     )
+
+
+def modal_heat_model(model: LinearModel) -> LinearModel:
+    """Return a heat model in the coordinates of its modes, as its netlist has them.
+
+    Rates that differ by many orders of magnitude do not round each other in diagonal matrices.
+    """
+    modes = heat_modes(model)
+    return replace(
+        LinearModel(
+            E=np.diag(modes.capacity),
+            K=np.diag(1 / modes.resistance),
+            B=modes.share,
+            D=modes.direct,
+            ports=modes.ports,
+        ),
+        certificate=model.certificate,
+        facts=model.facts,
+        name=model.name,
+        band=model.band,
+    )
+
+
+def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return bases of temperatures whose heat nothing leads away, and of all others.
+
+    The first are the null space N of K. The second are orthogonal to it in the product of E, so
+    that both kinds of modes are independent of each other.
+    """
+    scale = np.sqrt(np.maximum(np.diag(K), 0.0))
+    scale = 1 / np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(scale[:, None] * K * scale)
+    vectors = scale[:, None] * vectors
+    null = values <= STILL * max(values[-1], 0.0)
+    stored, lost = vectors[:, null], vectors[:, ~null]
+    if stored.size:
+        heat = stored.T @ E
+        lost = lost - stored @ np.linalg.lstsq(heat @ stored, heat @ lost, rcond=None)[0]
+    return stored, lost
 
 
 def _not_passive_error(model: LinearModel, got: str) -> UsageError:

@@ -26,7 +26,7 @@ from kc2spice.scene.model import (
 )
 from kc2spice.scene.parttype import find_current_into
 from kc2spice.scene.rows import Vector
-from kc2spice.synthesis.heat import is_heat
+from kc2spice.synthesis.heat import is_heat, modal_heat_model
 from kc2spice.synthesis.realize import (
     COARSE,
     RINGING,
@@ -129,6 +129,8 @@ class BodyNetlist(BodyModel[LinearKeysT]):
             A = first_order(model.pencil.dense(), 1.0)
             rest, E = A.coefficients
             law = laws.SignalBlock(n, E, -rest, A.B, A.C, A.D, model.inputs, model.outputs)
+        elif heat:
+            law = laws.SecondOrderBody(n, modal_heat_model(model), law_ports)
         else:
             modal = resonators(model)
             law = laws.SecondOrderBody(n, model if modal is None else modal.linear(), law_ports)

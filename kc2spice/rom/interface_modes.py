@@ -1,0 +1,120 @@
+"""Reduction of heat models whose ports have given temperatures.
+
+The unknowns of a model ``E T' + K T = B q`` are divided into temperatures ``T_i`` of ports that are
+given, such as those of isothermal faces, and all others ``T_e``. With the static answers ``Psi`` to
+the given temperatures,
+
+    T_e = Psi T_i + x,    Psi = -K_ee^-1 K_ei,
+    E_ee x' + K_ee x = B_e q - (E_ei + E_ee Psi) T_i'.
+
+The second equation is a model of its own, with the ports q and T_i'. It is reduced by a congruence,
+and its basis together with ``Psi`` is that of the whole model: E and K stay symmetric and positive
+semi-definite, so that the model is passive, and the static answers to given temperatures are exact.
+(R. R. Craig, M. C. C. Bampton, AIAA Journal 6 (1968) 1313, for structures.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import scipy
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from kc2spice.core.errors import wrong
+from kc2spice.core.naming import names_of
+from kc2spice.rom.linear_model import LinearModel, Port
+from kc2spice.rom.reduce import reduce_model
+
+DENSE = 1500  # unknowns up to which the modes of a model are computed
+ROUNDING = 1e-12  # sum of a row of conductances without a path to the ambient, relative
+
+
+def reduce_with_interfaces(model: LinearModel, given: Sequence[str], **aims: Any) -> LinearModel:
+    """Reduce a heat model whose ports ``given`` have given temperatures.
+
+    Parameters
+    ----------
+    model : heat model with E and K; the column of B of each port that is given contains one 1.
+    given : names of these ports.
+    aims : arguments of :func:`kc2spice.rom.reduce.reduce_model`.
+
+    Returns
+    -------
+    LinearModel
+        Model with the ports of ``model`` in their order. Its certificate is that of the second
+        equation above.
+
+    Raises
+    ------
+    UsageError : no congruence reduces the inner model.
+    """
+    if not given:
+        return _reduce_definite(model, aims)
+    K, E = map(sparse.csc_array, model.pencil.coefficients)
+    names = names_of(model.ports)
+    of_ports = [names.index(name) for name in given]
+    at = model.B[:, of_ports].argmax(axis=0)
+    others = np.setdiff1d(np.arange(model.order), at)
+    sources = np.setdiff1d(np.arange(len(names)), of_ports)
+    K_ee, E_ee = K[others][:, others], E[others][:, others]
+    psi = -splu(sparse.csc_array(K_ee)).solve(K[others][:, at].toarray())
+    coupling = E[others][:, at].toarray() + E_ee @ psi
+    ports = [model.ports[k] for k in sources]
+    ports += [Port(f"{name}_rate", "thermal") for name in given]
+    B = np.hstack([model.B[np.ix_(others, sources)], coupling])
+    live = np.flatnonzero(np.abs(B).max(axis=0) > 0)
+    inner = LinearModel(E=E_ee, K=K_ee, B=B[:, live], ports=tuple(ports[k] for k in live))
+    small = _reduce_definite(inner, aims)
+    if small.basis is None:
+        raise wrong(model.name, "no congruence reduces this model of heat", hint="set rom.order")
+    n = len(at)
+    V = np.zeros((model.order, n + small.order))
+    V[others, :n], V[at, :n] = psi, np.eye(n)
+    V[others, n:] = small.basis
+    K_small = np.zeros((V.shape[1],) * 2)
+    K_ii = K[at][:, at].toarray()
+    K_small[:n, :n] = _symmetrise(K_ii + K[at][:, others] @ psi)
+    if np.abs(K @ np.ones(model.order)).max() < ROUNDING * np.abs(K.diagonal()).max():
+        # one temperature everywhere moves no heat
+        K_small[range(n), range(n)] -= K_small[:n, :n].sum(axis=1)
+    K_small[n:, n:] = _symmetrise(small.basis.T @ (K_ee @ small.basis))
+    E_small = _symmetrise(V.T @ (E @ V))
+    return replace(
+        LinearModel(E=E_small, K=K_small, B=V.T @ model.B, ports=model.ports),
+        certificate=small.certificate,
+        facts=model.facts,
+        name=model.name,
+        band=model.band,
+        basis=V,
+    )
+
+
+def _reduce_definite(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel:
+    """Reduce a model whose K is positive definite.
+
+    The rates of a small model may differ by 12 orders of magnitude. In the coordinates of its modes
+    K is one, so that slow modes are not taken for heat that nothing leads away.
+    """
+    if model.order > DENSE:
+        return reduce_model(model, **aims)
+    K, E = model.pencil.dense().coefficients
+    times, shapes = scipy.linalg.eigh(_symmetrise(E), _symmetrise(K))
+    modal = LinearModel(
+        E=np.diag(np.maximum(times, 0.0)),
+        K=np.eye(model.order),
+        B=shapes.T @ model.B,
+        ports=model.ports,
+        facts=model.facts,
+        name=model.name,
+        band=model.band,
+    )
+    small = reduce_model(modal, **aims)
+    return small if small.basis is None else replace(small, basis=shapes @ small.basis)
+
+
+def _symmetrise(matrix: np.ndarray) -> np.ndarray:
+    return np.asarray(0.5 * (matrix + matrix.T))
