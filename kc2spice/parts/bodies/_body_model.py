@@ -111,7 +111,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             result = Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
         elif result is None:
             content = max((row.content for row in scene.numerics), default=0.0)
-            result = Rom(tolerance=1e-4, band=(0.0, max(content, LEAST)))
+            result = Rom(tolerance=1e-4, band=(0.0, max(content, self.least_content(scene))))
         if specified is None or result is specified:
             return result
         return result.model_copy(update={"parameters": specified.parameters})
@@ -123,7 +123,12 @@ class BodyModel(BodyPorts[LinearKeysT]):
         """
         if self._stated_reduction(part, scene) is not None or scene.analysis.type != "transient":
             return None
-        return max([LEAST, *(r.content for r in scene.numerics if math.isfinite(r.step))])
+        content = (row.content for row in scene.numerics if math.isfinite(row.step))
+        return max([self.least_content(scene), *content])
+
+    def least_content(self, scene: Scene) -> float:
+        """Least upper end of the band of a transient [Hz], whatever the scene excites."""
+        return LEAST
 
     def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:
         rom = reduction_target(part, scene)
@@ -168,7 +173,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 other = with_values(part, values)
                 return self.varied(other, scene, clock, middle).select(key["ports"])
 
-            band = _limit_band(target.band, key, lambda: full(middle_values(keys)))
+            band = self.limit_band(target.band, key, lambda: full(middle_values(keys)))
             text = f"model of {part.name} over {len(keys)} parameters"
             with clock.stage("reduce", text) as share:
                 return reduce_over_ranges(
@@ -215,22 +220,18 @@ class BodyModel(BodyPorts[LinearKeysT]):
             from kc2spice.rom.complex_constants import complex_constants
             from kc2spice.rom.error_estimate import default_norm
             from kc2spice.rom.modal import add_dielectric_loss, without_inertia
-            from kc2spice.rom.reduce import reduce_model
 
             orders = self.orders(part, scene, clock)
             selected = orders.model
             with clock.stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, selected.order)
-                band = _limit_band(target.band, model_key, lambda: selected)
+                band = self.limit_band(target.band, model_key, lambda: selected)
                 norm = target.norm or default_norm(selected)
                 if constants:
                     selected = _with_least_damping(part, selected, band)
-                # a contact, a switch or a table excites modes above the band
-                if order is not None and selected is orders.model:
-                    small = orders.reduce(order, band, norm)
-                else:
-                    aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
-                    small = reduce_model(selected, **aims, band=band, norm=norm, contact=True)
+                aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
+                aims |= {"band": band, "norm": norm}
+                small = self.reduce_body(part, orders, selected, aims)
             modal = resonators(small)  # later uses of these resonators need no eigenvalues
             if modal is None and (tangent or constants):
                 got = "damping that couples its modes, or a motion that nothing holds"
@@ -253,6 +254,35 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
         kinds = (LinearModel, Certificate, Port)
         return load_or_build("body", model_key, build, classes=kinds, sources=self.sources())
+
+    def limit_band(
+        self,
+        band: tuple[float, float],
+        key: Mapping[str, Any],
+        full: Callable[[], LinearModel],
+    ) -> tuple[float, float]:
+        """Limit a band to the first natural frequencies of the full model (``least_band_end``)."""
+        from kc2spice.rom.band import band_end
+
+        (low, high), least_end = band, key.get("sure")
+        if least_end is not None and high > least_end:
+            high = min(high, max(least_end, band_end(full().pencil, MOTIONS, high)))
+        return low, high
+
+    def reduce_body(
+        self,
+        part: Part[LinearKeysT],
+        orders: Orders,
+        model: LinearModel,
+        aims: Mapping[str, Any],
+    ) -> LinearModel:
+        """Reduce a ``model`` of the part by ``aims``: order, tolerance, band and norm."""
+        from kc2spice.rom.reduce import reduce_model
+
+        if aims["order"] is not None and model is orders.model:
+            return orders.reduce(aims["order"], aims["band"], aims["norm"])
+        # a contact, a switch or a table excites modes above the band
+        return reduce_model(model, **aims, contact=True)
 
     def orders(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> Orders:
         """Return reductions of the full model to prescribed orders, with the ports of the scene.
@@ -351,19 +381,7 @@ def scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float, floa
     kind = part.type
     assert isinstance(kind, BodyModel)
     target, key = reduction_target(part, scene), kind.model_key(part, scene)
-    return _limit_band(target.band, key, lambda: full)
-
-
-def _limit_band(
-    band: tuple[float, float], key: Mapping[str, Any], full: Callable[[], LinearModel]
-) -> tuple[float, float]:
-    """Limit a band to the first natural frequencies of the full model (``least_band_end``)."""
-    from kc2spice.rom.band import band_end
-
-    (low, high), least_end = band, key.get("sure")
-    if least_end is not None and high > least_end:
-        high = min(high, max(least_end, band_end(full().pencil, MOTIONS, high)))
-    return low, high
+    return kind.limit_band(target.band, key, lambda: full)
 
 
 def describe_target(rom: Rom) -> str:

@@ -47,11 +47,14 @@ FEEDING = 1e-3  # negative part of an impedance that exceeds rounding errors of 
 STEP = 1e-2  # relative step of a parameter for sensitivities by central differences
 # Relative error of a mesh above which a run warns and ``verify`` fails, by the fact of the model.
 # The limits are usual tolerances of data sheets.
-COARSE_MESH = {"first resonance": 0.03, "capacitance": 0.05, "stroke": 0.1}
+COARSE_MESH = {
+    "first resonance": 0.03, "capacitance": 0.05, "stroke": 0.1, "thermal resistance": 0.05,
+}  # fmt: skip
 MESH_FACTS = {
     "first resonance": "resonance_short_hz",
     "capacitance": "capacitance_free_f",
     "stroke": "free_stroke_*",
+    "thermal resistance": "thermal_resistance_*",
 }
 
 

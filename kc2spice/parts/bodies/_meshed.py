@@ -144,7 +144,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
             return result
         for item in recovered.extremes:
             quantity, word, *_ = _QUANTITIES[item.quantity]
-            of = f"{_metric_word(item.material)}_{word}"
+            of = f"{metric_word(item.material)}_{word}"
             result[f"{quantity}_{of}"] = Metric(item.value, item.unit)
             if item.limit is not None:
                 result[f"{quantity}_limit_{of}"] = Metric(item.limit, item.unit)
@@ -331,7 +331,7 @@ def _make_bonded(kind: BondedBody, keys: str, name: str) -> BondedBlocks:
     return kind.structure(kind.schema.model_validate_json(keys), name)
 
 
-def _metric_word(material: str) -> str:
+def metric_word(material: str) -> str:
     """Part of a metric's name: letters, digits and single underscores."""
     return re.sub(r"[^a-z0-9]+", "_", material.lower()).strip("_")
 

@@ -136,7 +136,7 @@ def draw_deformed(
     at_rest = draw_edges("at rest", device.solid.mesh, ":", fine=0)
     label = "largest principal stress in MPa"
     panel = Panel(
-        "mm", "mm", (at_rest,), equal=True, map=_map_surface(device, moved, stress, label)
+        "mm", "mm", (at_rest,), equal=True, map=map_surface(device.solid.mesh, moved, stress, label)
     )
     return panel, factor
 
@@ -152,7 +152,7 @@ def draw_modes(
         result = evaluate_at_nodes(device, z, still)["displacement"]
         moved, _ = _enlarge(device, result)
         size = np.linalg.norm(result, axis=1)
-        colours = _map_surface(device, moved, size / size.max(), "of the largest")
+        colours = map_surface(device.solid.mesh, moved, size / size.max(), "of the largest")
         at_rest = draw_edges("at rest", device.solid.mesh, ":", fine=0)
         word = f"{f / 1e3:.4g} kHz" if f >= 1e3 else f"{f:.4g} Hz"
         yield Panel(f"mm, {word}", "mm", (at_rest,), equal=True, map=colours)
@@ -160,21 +160,26 @@ def draw_modes(
 
 def _enlarge(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray, float]:
     """Corners (elements, vertices, 3) [m] with enlarged displacements, and the factor."""
-    mesh = device.solid.mesh
-    corners = mesh.p[:, mesh.t].transpose(2, 1, 0)
-    if mesh.dim() == 2:
-        corners = np.stack((corners[..., 0], np.zeros(corners.shape[:2]), corners[..., 1]), -1)
+    mesh, corners = device.solid.mesh, element_corners(device.solid.mesh)
     moves = moves.reshape(len(corners), -1, 3)[:, : corners.shape[1]]
     size, largest = float(np.ptp(mesh.p, axis=1).max()), float(np.abs(moves).max())
     factor = float(f"{SHOWN * size / largest:.1g}") if largest > 0 else 1.0
     return corners + factor * moves, factor
 
 
-def _map_surface(
-    device: FiniteElementModel, corners: np.ndarray, values: np.ndarray, label: str
-) -> Map:
-    """Map ``values`` at the nodes of every element on the visible surface."""
-    mesh = device.solid.mesh
+def element_corners(mesh: Any) -> np.ndarray:
+    """Return the corners (elements, vertices, 3) [m] of all elements; a plane mesh has x and z."""
+    corners = np.asarray(mesh.p[:, mesh.t].transpose(2, 1, 0))
+    if mesh.dim() == 2:
+        corners = np.stack((corners[..., 0], np.zeros(corners.shape[:2]), corners[..., 1]), -1)
+    return corners
+
+
+def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) -> Map:
+    """Map ``values`` at the nodes of every element on the visible surface.
+
+    ``corners`` (elements, vertices, 3) [m] are the corners of the elements.
+    """
     values = values.reshape(len(corners), -1)[:, : corners.shape[1]]
     if mesh.dim() == 2:
         element = np.arange(len(corners))

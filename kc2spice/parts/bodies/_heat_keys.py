@@ -1,0 +1,153 @@
+"""Keys of the part ``heat_body``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import Annotated, Any
+
+from pydantic import Field, StringConstraints, model_validator
+
+from kc2spice.core.domains import THERMAL
+from kc2spice.core.quantities import Count, Length, Notch, Section, si
+from kc2spice.parts.bodies._linear_keys import FieldKeys
+from kc2spice.parts.bodies.body import GroupKeys, Name, Point
+from kc2spice.rom.linear_model import Port
+
+Area = Annotated[float, si("m2")]
+FilmCoefficient = Annotated[float, si("W/(m2 K)")]
+InterfaceResistance = Annotated[float, si("m2 K/W")]
+
+
+class FilmKeys(Section):
+    """Heat that faces give off in proportion to their temperature rise."""
+
+    group: str = Field(description="Group of faces that give off heat; top or bottom of layers")
+    coefficient: FilmCoefficient = Field(
+        gt=0, description="Heat flow for each unit of area and kelvin"
+    )
+    pin: Name | None = Field(
+        None, description="Pin whose temperature the faces give off heat to; by default ambient"
+    )
+
+
+class InterfaceKeys(Section):
+    """Joint between two materials whose temperatures differ by its resistance."""
+
+    between: tuple[str, str] = Field(
+        description="The two groups of elements on both sides, as the key materials names them"
+    )
+    resistance: InterfaceResistance = Field(
+        gt=0, description="Temperature difference for each unit of heat flow and area"
+    )
+
+
+class LayerKeys(Section):
+    """Layer of a stack through which heat flows straight down."""
+
+    material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
+    thickness: Length = Field(gt=0, description="Thickness of the layer")
+    area: Area = Field(gt=0, description="Cross-section through which the heat flows")
+    resistance: InterfaceResistance | None = Field(
+        None, gt=0, description="Resistance of the joint below the layer, by default none"
+    )
+
+
+class HeatSourceKeys(Section):
+    """Place where heat enters, and whose mean temperature the pin has."""
+
+    group: str | None = Field(
+        None, description="Group of elements or faces over which the heat is spread evenly"
+    )
+    at: Point | None = Field(None, description="Point whose nearest node of the mesh is the pin")
+
+    @model_validator(mode="after")
+    def _require_place(self) -> HeatSourceKeys:
+        if (self.group is None) == (self.at is None):
+            raise ValueError("needs group or at")
+        return self
+
+
+class HeatBodyKeys(FieldKeys):
+    """Heat conducting body from a mesh, a CAD file, or a list of layers.
+
+    Layers are listed from the top down. Their groups are ``top``, ``bottom``, and ``layer1``,
+    ``layer2`` and so on for the volume of each.
+    """
+
+    mesh: Annotated[str, StringConstraints(min_length=1, max_length=255)] | None = Field(
+        None, description="Mesh or CAD file beside the scene: gmsh and other meshes, STEP, BREP"
+    )
+    unit: str | None = Field(
+        None,
+        description="Length unit of the file's coordinates, required where the file states none",
+    )
+    size: Length | None = Field(
+        None, gt=0, description="Size of the elements that a CAD file is divided into"
+    )
+    refine: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
+        1, ge=1, le=8, description="Factor by which the size of all elements is divided"
+    )
+    merge: Length | None = Field(
+        None, ge=0, description="Distance up to which two nodes are merged; 0 accepts open joints"
+    )
+    axisymmetric: bool = Field(
+        False,
+        description="Whether the mesh is the half plane of a body of revolution, x the radius",
+    )
+    groups: dict[str, GroupKeys] = Field(default_factory=dict)
+    materials: dict[str, str | dict[str, Any]] = Field(
+        default_factory=dict, description="Material of each mesh group, a name or a table"
+    )
+    layers: tuple[LayerKeys, ...] = Field(
+        (), max_length=50, description="Layers from the top down, in place of a mesh"
+    )
+    sources: dict[Name, str | HeatSourceKeys] = Field(
+        default_factory=dict,
+        description="Group in which the heat of each pin is set free, or a table with a point",
+    )
+    isothermal: dict[Name, str | tuple[str, ...]] = Field(
+        default_factory=dict, description="Group or groups of faces with the temperature of a pin"
+    )
+    fixed: tuple[str, ...] = Field((), description="Groups of faces at the ambient temperature")
+    films: tuple[FilmKeys, ...] = Field((), description="Faces that give off heat to a fluid")
+    interfaces: tuple[InterfaceKeys, ...] = Field((), description="Joints with a resistance")
+
+    @property
+    def every_port(self) -> tuple[Port, ...]:
+        """All ports in the order of the model."""
+        names = [*self.isothermal, *self.sources, *self.film_pins]
+        return tuple(Port(name, THERMAL.port) for name in names)
+
+    @property
+    def film_pins(self) -> Iterator[str]:
+        """Pins behind films."""
+        return (film.pin for film in self.films if film.pin is not None)
+
+    @property
+    def leads_away(self) -> bool:
+        """Whether a path inside the body leads heat to the ambient temperature."""
+        return bool(self.fixed) or None in {film.pin for film in self.films}
+
+    @model_validator(mode="after")
+    def _require_complete(self) -> HeatBodyKeys:
+        if bool(self.layers) == bool(self.mesh):
+            raise ValueError("needs mesh or layers, not both")
+        if self.layers and (self.materials or self.interfaces or self.axisymmetric or self.groups):
+            raise ValueError("layers state their own material and resistance")
+        if self.mesh and not self.materials:
+            raise ValueError("a mesh needs materials")
+        stray = {name for item in self.interfaces for name in item.between} - set(self.materials)
+        if stray:
+            raise ValueError(f"interfaces of groups without material: {', '.join(sorted(stray))}")
+        names = Counter(port.name for port in self.every_port)
+        twice = [name for name, count in names.items() if count > 1]
+        if twice:
+            raise ValueError(f"pins of one name: {', '.join(sorted(twice))}")
+        if THERMAL.reference in names:
+            raise ValueError(f"{THERMAL.reference} is the pin of the surroundings")
+        if not names:
+            raise ValueError("needs sources, isothermal faces or a film with a pin")
+        if not (self.leads_away or self.isothermal or [*self.film_pins]):
+            raise ValueError("no path leads heat away: add fixed, films or isothermal")
+        return self

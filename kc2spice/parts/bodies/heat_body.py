@@ -1,0 +1,540 @@
+"""The part ``heat_body``: a body that conducts and stores heat, with pins of temperature.
+
+Its geometry is a mesh or CAD file with groups, as that of the part ``body``, or a list of layers::
+
+    [module]
+    part = "heat_body"
+    mesh = "module.msh"
+    unit = "mm"
+    materials = { chip = "silicon", base = "copper" }
+    sources = { junction = "chip" }                   # 1 A into the pin is 1 W
+    films = [{ group = "fins", coefficient = "25 W/(m2 K)" }]
+    interfaces = [{ between = ["chip", "base"], resistance = "1e-5 m2 K/W" }]
+
+    [die]
+    part = "heat_body"
+    layers = [
+        { material = "silicon", thickness = "0.3 mm", area = "25 mm2" },
+        { material = "solder", thickness = "80 um", area = "25 mm2" },
+        { material = "copper", thickness = "2 mm", area = "100 mm2" },
+    ]
+    sources = { junction = "top" }
+    isothermal = { case = "bottom" }
+
+Temperatures are rises over the pin ``ambient``.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from itertools import filterfalse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from skfem.mesh import MeshLine
+
+from kc2spice.bodies.heat_field import TemperatureField, recover_temperatures, write_temperatures
+from kc2spice.bodies.heat_model import MESH_LIMIT, HeatFilm, HeatModel, HeatSetup, make_heat_model
+from kc2spice.core.domains import THERMAL
+from kc2spice.core.errors import (
+    SimulationError,
+    UsageError,
+    candidates,
+    name_part_in_errors,
+    unknown,
+    wrong,
+)
+from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, time_axis
+from kc2spice.core.mesh_error import mesh_errors
+from kc2spice.core.naming import names_of
+from kc2spice.core.progress import Clock
+from kc2spice.core.untrusted_files import file_in_folder
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem import mesh_file
+from kc2spice.fem.heat_conduction import (
+    HeatSolid,
+    common_faces,
+    face_nodes,
+    heat_shares,
+    point_shares,
+    split_nodes,
+)
+from kc2spice.fem.solid import Solid
+from kc2spice.fem.thermal_materials import thermal_material
+from kc2spice.netlist.spelling import LEAK_RATE
+from kc2spice.parts.bodies._body_model import hash_file
+from kc2spice.parts.bodies._heat_keys import HeatBodyKeys, HeatSourceKeys
+from kc2spice.parts.bodies._linear_body import COARSE_MESH, LinearBody
+from kc2spice.parts.bodies._meshed import TOO_COARSE, chosen_instants, metric_word
+from kc2spice.parts.bodies._pictures import draw_edges, element_corners, map_surface
+from kc2spice.rom.enriched import Orders
+from kc2spice.rom.interface_modes import reduce_with_interfaces
+from kc2spice.rom.linear_model import LinearModel, Port
+from kc2spice.scene.checks import Balance, Check, Metric
+from kc2spice.scene.model import Build, DeclaredScene, GovernedScene, Part, Scene, WiredScene
+from kc2spice.scene.parttype import find_current_into, register
+from kc2spice.scene.rows import Neglected, Rest, Vector
+from kc2spice.synthesis.heat import heat_modes
+
+CELLS = 4  # elements in each layer
+PEAK_SHARE = (
+    0.01  # tolerance relative to the largest temperature of a pin, over that at a frequency
+)
+IMPEDANCE_POINTS = 300
+POINTS = 1e3  # fraction of a run whose changes of temperature are modelled
+
+
+class Geometry:
+    """Solid of a body with its groups, by name and by kind."""
+
+    def __init__(self, solid: HeatSolid, group: Callable[..., mesh_file.Group]) -> None:
+        self.solid = solid
+        self._group = group
+
+    def faces(self, name: str, where: str) -> np.ndarray:
+        """Faces of a group."""
+        return self._group(name, where, 1).members
+
+    def shares(self, source: str | HeatSourceKeys, where: str) -> np.ndarray:
+        """Shares of nodes (nodes,) in the heat of a source."""
+        if isinstance(source, str):
+            source = HeatSourceKeys(group=source)
+        if source.at is not None:
+            return point_shares(self.solid, np.array(source.at)[self.solid.axes])
+        group = self._group(str(source.group), where, 0, 1)
+        if group.codimension == 0:
+            return heat_shares(self.solid, elements=group.members)
+        return heat_shares(self.solid, facets=group.members)
+
+
+def make_heat_device(keys: HeatBodyKeys, home: Path, where: str = "heat_body") -> HeatModel:
+    """Read or make the mesh, name its groups, and assemble the model.
+
+    Raises
+    ------
+    UsageError : a file that cannot be read; a group that is missing, empty, or of the wrong
+        dimension; elements without material or with two; faces of two temperatures; materials
+        that do not touch at an interface.
+    """
+    with name_part_in_errors(where):
+        if keys.layers:
+            geometry, interfaces = _stack_layers(keys)
+        else:
+            geometry, interfaces = _read_solid(keys, home)
+        return make_heat_model(geometry.solid, _make_setup(keys, geometry, interfaces))
+
+
+def _make_setup(
+    keys: HeatBodyKeys, geometry: Geometry, interfaces: list[tuple[np.ndarray, float]]
+) -> HeatSetup:
+    solid = geometry.solid.geometry
+    fixed = [face_nodes(solid, geometry.faces(name, "fixed")) for name in keys.fixed]
+    isothermal = []
+    for pin, stated in keys.isothermal.items():
+        names = [stated] if isinstance(stated, str) else stated
+        faces = [geometry.faces(name, f"isothermal.{pin}") for name in names]
+        isothermal.append((Port(pin, THERMAL.port), face_nodes(solid, np.concatenate(faces))))
+    sources = []
+    for pin, source in keys.sources.items():
+        sources.append((Port(pin, THERMAL.port), geometry.shares(source, f"sources.{pin}")))
+    films = []
+    for number, film in enumerate(keys.films):
+        faces_of_film = geometry.faces(film.group, f"films[{number}].group")
+        port = None if film.pin is None else Port(film.pin, THERMAL.port)
+        films.append(HeatFilm(faces_of_film, film.coefficient, port))
+    return HeatSetup(
+        fixed=np.unique(np.concatenate([np.empty(0, int), *fixed])),
+        isothermal=isothermal,
+        sources=sources,
+        films=films,
+        interfaces=interfaces,
+    )
+
+
+def _read_solid(keys: HeatBodyKeys, home: Path) -> tuple[Geometry, list[tuple[np.ndarray, float]]]:
+    """Read the mesh, with double nodes at its interfaces."""
+    path = file_in_folder(home, str(keys.mesh), "mesh")
+    unit = mesh_file.length_unit(path, keys.unit)
+    groups = mesh_file.read_mesh(
+        path,
+        unit=unit,
+        size=None if keys.size is None else keys.size / keys.refine,
+        picks={name: group.pick(unit) for name, group in keys.groups.items()},
+        dimension=2 if keys.axisymmetric else 3,
+        splits=0 if keys.size else int(np.ceil(np.log2(keys.refine))),
+        merge=keys.merge,
+    )
+    owner = _assign_materials(keys, groups)
+    materials = []
+    for name, stated in keys.materials.items():
+        made_of = thermal_material(stated, f"materials.{name}")
+        if keys.axisymmetric and made_of.conductivity[0] != made_of.conductivity[1]:
+            problem = "a body of revolution conducts alike along its radius and around its axis"
+            raise wrong(f"materials.{name}", problem, "x and y differ", "equal values of x and y")
+        materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
+    solid = Solid(groups.mesh, (), owner, keys.axisymmetric)
+    interfaces = []
+    for number, item in enumerate(keys.interfaces):
+        first, second = (groups.group(name, "interfaces", 0).members for name in item.between)
+        facets = common_faces(solid, first, second)
+        if not facets.size:
+            got = " and ".join(item.between)
+            hint = "do the solids share nodes? The key merge joins those of touching solids"
+            problem = "these groups have no common faces"
+            raise wrong(f"interfaces[{number}].between", problem, got, "solids that touch", hint)
+        interfaces.append((facets, item.resistance))
+    if interfaces:
+        solid = split_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
+    return Geometry(HeatSolid(solid, tuple(materials)), groups.group), interfaces
+
+
+def _assign_materials(keys: HeatBodyKeys, groups: mesh_file.GroupedMesh) -> np.ndarray:
+    """Return the number of the material of each element."""
+    owner = np.full(groups.mesh.nelements, -1)
+    for number, name in enumerate(keys.materials):
+        cells = groups.group(name, f"materials.{name}", 0).members
+        if (owner[cells] >= 0).any():
+            other = list(keys.materials)[int(owner[cells].max())]
+            got = f"elements that are also in the group {other}"
+            expected = "groups without common elements"
+            hint = f"delete materials.{name}, or take the elements out of one group"
+            problem = "some elements have two materials"
+            raise wrong(f"materials.{name}", problem, got, expected, hint)
+        owner[cells] = number
+    if (owner < 0).any():
+        solids = [name for name, group in groups.groups.items() if group.codimension == 0]
+        rest = [*filterfalse(keys.materials.__contains__, solids)] or solids
+        got = f"{np.sum(owner < 0)} elements without material"
+        hint = f"add a material for one of these groups: {candidates('', rest)}"
+        expected = "a material for every element"
+        raise wrong("materials", "some elements have no material", got, expected, hint)
+    return owner
+
+
+def _stack_layers(keys: HeatBodyKeys) -> tuple[Geometry, list[tuple[np.ndarray, float]]]:
+    """Return a line through the layers, from the bottom up, with double nodes at its joints."""
+    layers, count = keys.layers[::-1], CELLS * keys.refine
+    thickness = np.array([layer.thickness for layer in layers])
+    bottoms = np.concatenate([[0.0], np.cumsum(thickness)])
+    steps = bottoms[:-1, None] + thickness[:, None] * np.arange(count) / count
+    mesh = MeshLine(np.concatenate([steps.ravel(), bottoms[-1:]]))
+    owner = np.repeat(np.arange(len(layers)), count)
+    solid = Solid(mesh, (), owner)
+    interfaces = []
+    for number, layer in enumerate(layers):
+        if layer.resistance is None:
+            continue
+        if not number:
+            problem = "nothing is below the last layer"
+            raise wrong(f"layers[{len(layers)}].resistance", problem, hint="delete this key")
+        facet = np.flatnonzero(np.isclose(mesh.p[0, mesh.facets[0]], bottoms[number], rtol=1e-12))
+        area = layers[owner[int(mesh.f2t[0, facet[0]])]].area  # that the matrices assume
+        interfaces.append((facet, layer.resistance * area / layer.area))
+    if interfaces:
+        solid = split_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
+    materials, areas = [], np.array([layer.area for layer in layers])
+    for number, layer in enumerate(keys.layers, 1):
+        made_of = thermal_material(layer.material, f"layers[{number}].material")
+        materials.append(replace(made_of, name=f"layer{number} ({made_of.name})"))
+    heights = mesh.p[0, mesh.facets[0]]
+    groups = {
+        "bottom": mesh_file.Group(1, np.flatnonzero(heights <= 0.0)),
+        "top": mesh_file.Group(1, np.flatnonzero(heights >= bottoms[-1])),
+    }
+    for number in range(len(layers)):
+        cells = np.flatnonzero(owner == len(layers) - 1 - number)
+        groups[f"layer{number + 1}"] = mesh_file.Group(0, cells)
+
+    def find_group(name: str, where: str, *codimensions: int) -> mesh_file.Group:
+        if name not in groups:
+            raise unknown("no such group of layers", name, list(groups), where)
+        result = groups[name]
+        if codimensions and result.codimension not in codimensions:
+            raise wrong(where, "this group is no face", name, "top or bottom")
+        return result
+
+    heat_solid = HeatSolid(solid, tuple(materials[::-1]), areas=areas[owner])
+    return Geometry(heat_solid, find_group), interfaces
+
+
+class HeatBody(LinearBody[HeatBodyKeys]):
+    name = "heat_body"
+    title = "heat in a solid (FE, reduced)"
+    discretisations = ("refine",)
+    schema = HeatBodyKeys
+    source = "FE (heat conduction)"
+    ports_of_files = True
+    example = """
+[heat_body]
+part = "heat_body"
+layers = [
+    { material = "silicon", thickness = "0.3 mm", area = "25 mm2" },
+    { material = "copper", thickness = "2 mm", area = "100 mm2" },
+]
+sources = { junction = "top" }
+films = [{ group = "bottom", coefficient = "1 kW/(m2 K)" }]
+pins = { junction = "drive.out" }
+
+[drive]
+part = "source"
+kind = "heat_flow"
+dc = "1 W"
+"""
+
+    def ports(self, part: Part[HeatBodyKeys], scene: DeclaredScene) -> tuple[Port, ...]:
+        return part.keys.every_port
+
+    def files(self, part: Part[HeatBodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
+        if part.keys.mesh is None:
+            return ()
+        _mesh_path(part, scene)
+        return (part.keys.mesh,)
+
+    def problems(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
+        if part.keys.mesh is None:
+            return
+        try:
+            path = _mesh_path(part, scene)
+            mesh_file.require_format(path)
+            if path.is_file():
+                mesh_file.length_unit(path, part.keys.unit)
+        except UsageError as error:
+            if error.where == "unit":
+                error.where = f"{part.name}.unit"
+            yield error
+
+    def at_rest(self, part: Part[HeatBodyKeys], scene: WiredScene) -> Rest:
+        """Return the paths of heat at rest: to the pin ambient, or among its pins."""
+        rest = super().at_rest(part, scene)
+        if part.keys.leads_away:
+            return rest
+        first, *others = (pin for pin, _ in rest.paths)
+        return Rest(tuple((pin, first) for pin in others))
+
+    def rest_with_model(self, part: Part[HeatBodyKeys], build: Build) -> Rest:
+        return build.scene.records[part.name].rest
+
+    def least_content(self, scene: Scene) -> float:
+        """Return :data:`POINTS` over the duration of the run: heat has no resonance above it."""
+        return POINTS / scene.stop
+
+    def limit_band(
+        self,
+        band: tuple[float, float],
+        key: Mapping[str, Any],
+        full: Callable[[], LinearModel],
+    ) -> tuple[float, float]:
+        """Limit a band that the user did not state to what the mesh resolves."""
+        low, high = band
+        if key["limited"]:
+            high = min(high, full().facts[MESH_LIMIT])
+        return low, high
+
+    def model_key(self, part: Part[HeatBodyKeys], scene: Scene) -> Mapping[str, Any]:
+        chosen = self._stated_reduction(part, scene) is None and not scene.analysis.small
+        return {**super().model_key(part, scene), "limited": chosen}
+
+    def dimensions(self, part: Part[HeatBodyKeys]) -> int:
+        if part.keys.layers:
+            return 1
+        return 2 if part.keys.axisymmetric else 3
+
+    def full_key(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> Mapping[str, Any]:
+        result = dict(super().full_key(part, scene))
+        if part.keys.mesh is not None:
+            result["file"] = hash_file(_mesh_path(part, scene))
+        return result
+
+    def device(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> HeatModel:
+        """Return the full model with its mesh, from the workspace if it is the latest one."""
+        key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
+
+        def make() -> HeatModel:
+            return make_heat_device(part.keys, scene.home, part.name)
+
+        return scene.workspace.latest(f"device {self.name}", key, make)
+
+    def full(self, part: Part[HeatBodyKeys], scene: GovernedScene, clock: Clock) -> LinearModel:
+        with clock.stage("assemble", f"mesh and matrices of {part.name}"):
+            return self.device(part, scene).model
+
+    def reduce_body(
+        self,
+        part: Part[HeatBodyKeys],
+        orders: Orders,
+        model: LinearModel,
+        aims: Mapping[str, Any],
+    ) -> LinearModel:
+        """Reduce the model with given temperatures of isothermal faces and behind films.
+
+        A pin behind thick insulation stays so cold at high frequencies that rounding exceeds the
+        tolerance there. The error is then relative to the largest temperature of each pin.
+        """
+        known = {*part.keys.isothermal, *part.keys.film_pins}
+        given = [*filter(known.__contains__, names_of(model.ports))]
+        try:
+            return reduce_with_interfaces(model, given, **aims)
+        except SimulationError:
+            if aims["norm"] == "peak":
+                raise
+            warnings.warn(
+                f"{part.name}: rounding exceeds the tolerance where pins stay cold; the error "
+                "estimate is relative to the largest temperature of each pin",
+                stacklevel=2,
+            )
+            tolerance = aims["tolerance"] and aims["tolerance"] * PEAK_SHARE
+            changed = {**aims, "norm": "peak", "tolerance": tolerance}
+            return reduce_with_interfaces(model, given, **changed)
+
+    def vectors(self, part: Part[HeatBodyKeys], build: Build) -> Mapping[str, Vector]:
+        """Results of its ports, with the heat flow of ports that one part is joined to."""
+        result = dict(super().vectors(part, build))
+        for port in self.used_ports(part, build.scene):
+            flow = find_current_into(part, port.terminals[0], build)
+            if flow is not None and build.net(part, port.terminals[0]) != "0":
+                result[f"{part.name}.heat.{port.name}"] = flow
+        return result
+
+    def metrics(
+        self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
+    ) -> Mapping[str, object]:
+        """Return the thermal resistances of its ports, and the hottest spot of each material."""
+        result: dict[str, object] = dict(super().metrics(part, build, waves))
+        for name, value in build.facts(part).items():
+            if name.startswith("thermal_resistance_"):
+                result[name] = Metric(value, "K/W")
+        field = self.temperatures(part, build, waves)
+        for spot in field.hottest() if field else ():
+            word = metric_word(spot.material)
+            result[f"hottest_rise_{word}"] = Metric(spot.value, "K")
+            result[f"hottest_time_{word}"] = Metric(spot.instant, "s")
+        return result
+
+    def checks(
+        self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
+    ) -> Iterator[Check | Balance]:
+        yield from super().checks(part, build, waves)
+        for words, error in mesh_errors(build.facts(part)).items():
+            name = f"mesh of {part.name}, {words}"
+            yield Check(name, error, COARSE_MESH[words], "relative, estimated", TOO_COARSE, "warn")
+
+    def figures(
+        self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
+    ) -> Iterator[Figure | FileWriter]:
+        """Yield temperatures over time, the thermal impedance, and the temperature field."""
+        yield from _plot_temperatures(part.name, waves)
+        yield from _plot_thermal_impedance(part.name, build.model(part, LinearModel))
+        field = self.temperatures(part, build, waves)
+        if field is None:
+            return
+        instants = {"": float(field.time[-1])}
+        for number, instant in enumerate(chosen_instants(part), 1):
+            instants[f"_{number}"] = instant
+        for stem, instant in instants.items():
+            rises = field.at(instant)
+            write = partial(write_temperatures, heat=field.heat, rises=rises)
+            yield FileWriter(f"{part.name}_temperatures{stem}.vtu", write)
+            yield from _draw_field(
+                f"{part.name}_field{stem}", part.name, field.heat, instant, rises
+            )
+
+    def temperatures(
+        self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
+    ) -> TemperatureField | None:
+        """Return the temperatures inside the body, None without the key ``fields``.
+
+        Raises
+        ------
+        UsageError : the run does not record the heat flow into a port.
+        """
+        if not part.keys.fields or "time" not in waves:
+            return None
+
+        def recover() -> tuple[Waveforms, TemperatureField]:
+            flows = {}
+            for port in self.used_ports(part, build.scene):
+                flow = waves.data.get(f"{part.name}.heat.{port.name}")
+                if flow is None and build.scene.joined(part.name, port.terminals[0]):
+                    got = f"a heat flow into {port.name} that its part does not record"
+                    expected = "one source, thermal_resistor or other part at each pin"
+                    problem = "fields need every heat flow into the body"
+                    raise wrong(f"{part.name}.fields", problem, got, expected)
+                if flow is not None:
+                    flows[port.name] = flow
+            heat = self.device(part, build.scene)
+            return waves, recover_temperatures(heat, waves["time"], flows)
+
+        # The identity of the waves is a key for as long as the result contains them.
+        kind = f"temperatures of {part.name}"
+        return build.workspace.latest(kind, id(waves), recover)[1]
+
+    def neglected(self, part: Part[HeatBodyKeys], scene: Scene) -> Iterator[Neglected]:
+        yield from super().neglected(part, scene)
+        what = f"{part.name}: conductivity and specific heat that change with temperature"
+        yield Neglected(what, "constants of one temperature", "silicon loses 33 % up to 400 K")
+        if part.keys.layers:
+            what = f"{part.name}: heat that spreads sideways in its layers"
+            why = "heat flows straight down through the area of each layer"
+            yield Neglected(what, why, "lower temperatures than modelled: use a mesh")
+
+
+def _plot_temperatures(name: str, waves: Waveforms) -> Iterator[Figure]:
+    prefix = f"{name}.temperature"
+    rises = {key: values for key, values in waves.data.items() if key.startswith(prefix)}
+    if "time" not in waves or not rises:
+        return
+    label, factor = time_axis(waves["time"])
+    x = factor * waves["time"]
+    curves = tuple(Curve(key.removeprefix(f"{prefix}."), x, rises[key]) for key in rises)
+    panel = Panel(label, "temperature rise in K", curves)
+    yield Figure(f"{name}_temperature", f"Temperatures of {name}", "Rise over ambient.", (panel,))
+
+
+def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
+    """Yield ``Zth(t)``: the temperature rise of each port for a step of 1 W into it alone."""
+    modes = heat_modes(model)
+    times = modes.resistance * modes.capacity
+    moving = times[(times > 0) & (times < 1 / LEAK_RATE)]
+    if not moving.size:
+        return
+    t = np.geomspace(moving.min() / 10, moving.max() * 10, IMPEDANCE_POINTS)
+    settled = -np.expm1(-t[:, None] / np.where(times > 0, times, np.finfo(float).tiny))
+    curves = []
+    for k, port in enumerate(modes.ports):
+        rise = settled @ (modes.resistance * modes.share[:, k] ** 2) + modes.direct[k, k]
+        curves.append(Curve(port.name, t, rise))
+    panel = Panel("time in s", "thermal impedance in K/W", tuple(curves), log_x=True, log_y=True)
+    caption = "Temperature rise of each port after a step of 1 W into it alone."
+    yield Figure(f"{name}_zth", f"Thermal impedance of {name}", caption, (panel,))
+
+
+def _draw_field(
+    figure: str, name: str, heat: HeatModel, instant: float, rises: np.ndarray
+) -> Iterator[Figure]:
+    """Yield a picture of temperature rises (nodes,) [K] on the surface, or over the height."""
+    geometry = heat.solid.geometry
+    mesh, title = geometry.mesh, f"Temperatures in {name}"
+    caption = f"At {instant:.4g} s."
+    values = rises[geometry.basis(1).element_dofs.T]
+    if mesh.dim() == 1:
+        order = np.argsort(geometry.places[0])
+        curve = Curve("", 1e3 * geometry.places[0, order], rises[order])
+        panel = Panel("height in mm", "temperature rise in K", (curve,))
+    else:
+        colours = map_surface(mesh, element_corners(mesh), values, "temperature rise in K")
+        edges = draw_edges("edges", mesh, fine=0)
+        panel = Panel("mm", "mm", (edges,), equal=True, map=colours)
+    yield Figure(figure, title, caption, (panel,))
+
+
+def _mesh_path(part: Part[HeatBodyKeys], scene: DeclaredScene) -> Path:
+    return file_in_folder(scene.home, str(part.keys.mesh), f"{part.name}.mesh")
+
+
+register(HeatBody())
