@@ -556,10 +556,6 @@ class Notch:
             return float(f"{factor * value:.6g}")
         return round(factor * (value - 1)) + 1 if self.spaces else round(factor * value)
 
-    def is_used(self, keys: BaseModel) -> bool:
-        """Whether the table ``keys`` uses the key."""
-        return all(getattr(keys, name) == value for name, value in self.when)
-
 
 class Section(BaseModel):
     """A table of the scene file: no unknown keys, no later change."""

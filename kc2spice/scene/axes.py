@@ -123,8 +123,13 @@ def _list_marked(keys: BaseModel, prefix: str) -> Iterator[Axis]:
         if isinstance(value, BaseModel) and not isinstance(value, Rom):
             yield from _list_marked(value, f"{prefix}.{name}")
         notch = _find_notch(declared)
-        if notch is not None and value is not None and notch.is_used(keys):
+        if notch is not None and value is not None and _is_used(notch, keys):
             yield _make_axis(f"{prefix}.{name}", value, declared)
+
+
+def _is_used(notch: Notch, keys: BaseModel) -> bool:
+    """Return whether the keys of a table have the values that its notch requires."""
+    return all(getattr(keys, name) == value for name, value in notch.when)
 
 
 def _list_reductions(build: Build) -> Iterator[Axis]:
