@@ -56,6 +56,12 @@ def draw_devices(scene: Scene) -> str:
     )
 
 
+def describe_devices(scene: Scene) -> str:
+    """Return the caption of the side view, with all labels; narrow windows cut them off."""
+    names = filter(None, map(attrgetter("label"), _place_shapes(scene)))
+    return f"Side view, to scale. {'; '.join(dict.fromkeys(names))}."
+
+
 def _place_shapes(scene: Scene) -> list[Shape]:
     """Return the shapes of all parts with the bodies beside each other.
 

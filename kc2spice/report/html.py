@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -41,6 +42,11 @@ _UNIT_SUFFIXES = {
     "m per 100 V": "_m_per_100v", "m/V": "_m_per_v", "m/s": "_m_s", "V/m": "_v_m", "N/m": "_n_m",
     "N s/m": "_n_s_m", "Ohm": "_ohm",
 }  # fmt: skip
+# Quantities of the units of keys whose labels would be identical.
+_QUANTITIES = {
+    "s": "time", "m": "position", "m/s": "velocity", "Hz": "frequency", "V": "voltage",
+    "A": "current", "N": "force", "J": "energy",
+}  # fmt: skip
 FEW = 8  # values of a list that one row contains
 
 
@@ -63,6 +69,23 @@ def label_key(key: str, unit: str = "") -> str:
     suffix = _UNIT_SUFFIXES.get(unit, f"_{unit.lower()}" if unit else "")
     words = (_LABEL_WORDS.get(word, word) for word in key.removesuffix(suffix).split("_"))
     return _LABELS.get(key) or " ".join(words)
+
+
+def distinguish_labels(labels: Mapping[str, str], units: Mapping[str, str]) -> dict[str, str]:
+    """Return labels of keys; those of several keys also name the quantity of the unit.
+
+    Examples
+    --------
+    >>> keys = {"turn1_s": "turn1", "turn1_m": "turn1", "speed_m_s": "speed"}
+    >>> distinguish_labels(keys, {"turn1_s": "s", "turn1_m": "m", "speed_m_s": "m/s"})
+    {'turn1_s': 'turn1, time', 'turn1_m': 'turn1, position', 'speed_m_s': 'speed'}
+    """
+    counts = Counter(labels.values())
+    result = dict(labels)
+    for key, label in labels.items():
+        if counts[label] > 1 and units.get(key):
+            result[key] = f"{label}, {_QUANTITIES.get(units[key], units[key])}"
+    return result
 
 
 def format_fact(key: str, value: Any, unit: str = "") -> tuple[str, str]:

@@ -13,10 +13,11 @@ import numpy as np
 from kc2spice.core.figure import Curve, Figure, Panel, label_axis, scale_axis
 from kc2spice.core.prefix import ROUNDING_NOISE, format_quantity, format_value_and_limit
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.drawings import draw_circuit, draw_devices
+from kc2spice.report.drawings import describe_devices, draw_circuit, draw_devices
 from kc2spice.report.html import (
     FEW,
     PageSection,
+    distinguish_labels,
     flatten_mapping,
     format_fact,
     format_times,
@@ -64,7 +65,7 @@ def write_run(
     energies, modes = result.get("energy_j", {}), result.get("modes", {})
     sections = [
         format_summary(result),
-        PageSection("Device", drawing=draw_devices(scene), note="Side view, to scale."),
+        PageSection("Device", drawing=draw_devices(scene), note=describe_devices(scene)),
         PageSection("Main result", figures=figures[:1], note=FIGURES_NOTE),
         PageSection("Circuit", drawing=draw_circuit(scene), note=NETS_NOTE),
         PageSection("Further figures", figures=figures[1:]),
@@ -194,13 +195,13 @@ def _metric_rows(result: Mapping[str, Any]) -> Rows:
     leaves = flatten_mapping(result.get("metrics", {}))
     metrics = {name: value for name, value in leaves if _is_single(value)}
     scales = _largest_by_unit(metrics, units)
-    rows = []
+    rows = {}
     for name, value in metrics.items():
         error = errors.get(name)
         estimate = "" if error is None else f" (error estimate {100 * error:.2g} %)"
         label, text = _fact_row(name, value, units, scales)
-        rows.append((label, text + estimate))
-    return rows
+        rows[name] = label, text + estimate
+    return _label_rows(rows, units)
 
 
 def format_verdict(checks: Sequence[Mapping[str, Any]]) -> str:
@@ -293,7 +294,14 @@ def _fact_rows(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
         if _is_single(value) or _is_short(value):
             values[name] = value
     scales = _largest_by_unit(values, units)
-    return [_fact_row(name, value, units, scales) for name, value in values.items()]
+    rows = {name: _fact_row(name, value, units, scales) for name, value in values.items()}
+    return _label_rows(rows, units)
+
+
+def _label_rows(rows: Mapping[str, tuple[str, str]], units: Mapping[str, str]) -> Rows:
+    """Return rows of keys; a label that several keys have also names the quantity."""
+    labels = distinguish_labels({name: label for name, (label, _) in rows.items()}, units)
+    return [(labels[name], text) for name, (_, text) in rows.items()]
 
 
 def _is_short(values: Sequence[Any]) -> bool:

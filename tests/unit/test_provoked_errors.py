@@ -256,6 +256,15 @@ def test_an_edited_deck_without_analysis_or_library(cli, tmp_path):
     assert "this file contains no analysis of the scene" in done.stderr
 
 
+def test_an_unknown_method_has_five_candidates():
+    chain = kc.LinearModel(M=np.eye(2), K=np.eye(2), B=np.ones((2, 1)))
+    with pytest.raises(kc.errors.UsageError) as caught:
+        kc.reduce(chain, tolerance=1e-3, band=(0, 1), method="response PD")
+    found = rows(str(caught.value))
+    assert found["expected"].count(",") == 5
+    assert found["next"] == "did you mean 'response POD'?"
+
+
 def test_a_failed_check_names_value_and_limit_with_prefixes():
     check = Check("table_left", 0.0316734, 0.0, "m", "widen the table", "fail")
     with pytest.raises(kc.errors.SimulationError) as caught:

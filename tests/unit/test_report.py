@@ -17,7 +17,12 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.charts import render_figure
 from kc2spice.report.figures import draw_pngs
 from kc2spice.report.html import PageSection, write_page
-from kc2spice.report.run_page import format_operating_point, format_results, write_run
+from kc2spice.report.run_page import (
+    format_operating_point,
+    format_results,
+    format_summary,
+    write_run,
+)
 from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
@@ -52,6 +57,15 @@ def test_a_table_has_no_rows_of_numbers() -> None:
     metrics = {"peaks_m": [1.0, 2.0, 3.0], "band_hz": [1.0, 2.0], "first_m": 1.0}
     rows = {s.title: s.rows for s in format_results({"metrics": metrics})}["Metrics"]
     assert [name for name, _ in rows] == ["band hz", "first m"]
+
+
+def test_two_keys_of_one_label_name_their_quantities() -> None:
+    metrics = {"disc_turn_s": 0.0774, "disc_turn_m": 0.0193}
+    result = {"metrics": metrics, "metric_units": {"disc_turn_s": "s", "disc_turn_m": "m"}}
+    expected = [("disc turn, time", "77.4 ms"), ("disc turn, position", "19.3 mm")]
+    assert format_summary(result).rows[1:] == expected
+    rows = {section.title: section.rows for section in format_results(result)}["Metrics"]
+    assert list(rows) == expected
 
 
 def test_words_take_no_prefix():

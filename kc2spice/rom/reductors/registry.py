@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.errors import UsageError, unknown
 from kc2spice.rom.reduced_basis import Task
 from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation
 from kc2spice.rom.reductors.band_limited_balancing import BandLimitedBalancing
@@ -101,13 +101,9 @@ def reductor_named(method: str | Reductor) -> Reductor:
         _require_reductor(method, "method")
         return method
     if method not in _reductors:
-        raise UsageError(
-            "unknown method of reduction",
-            where="method",
-            got=repr(method),
-            expected="one of " + ", ".join(_reductors),
-            hint=" ".join(filter(None, (did_you_mean(method, _reductors), OWN_METHODS))),
-        )
+        error = unknown("unknown method of reduction", method, _reductors, "method")
+        error.hint = error.hint or OWN_METHODS
+        raise error
     return _reductors[method]
 
 
