@@ -5,7 +5,7 @@ PYTEST = .venv/bin/python -m pytest
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test slow campaign pythons bench mutants netlists symbols docs docs-numbers setup lint clean
+.PHONY: demo test slow campaign pythons bench scale mutants netlists symbols docs docs-numbers setup lint clean
 
 demo: setup  ## run the main job: kick, flight and catch in ngspice
 	$(KC2SPICE) run kick_and_catch --png --out out/kick_and_catch
@@ -25,6 +25,9 @@ pythons: setup  ## unit and physics tests on the oldest and the newest Python of
 OUT ?= out/bench
 bench: setup  ## speed against error beside peers: make bench OUT=DIR, 8 minutes on two quiet cores
 	.venv/bin/python -m bench --out $(OUT)
+
+scale: setup  ## cost and true error of reductions of large bodies, ten minutes on a quiet core
+	.venv/bin/python -m bench.scale --before v0.2.0
 
 SAMPLE ?= 60
 SEED ?= 1
