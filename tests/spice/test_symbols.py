@@ -3,11 +3,14 @@
 import re
 from dataclasses import replace
 
+import device
 import pytest
 
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.expression import literal
 from kc2spice.netlist.translate import symbol_files
+from kc2spice.scene.load import load_scene
+from kc2spice.workflow.decks import make_deck
 
 kicadfiles = pytest.importorskip("kicadfiles")
 asy_reader = pytest.importorskip("spicelib.editor.asy_reader")
@@ -79,36 +82,84 @@ def test_kicad_reads_what_the_library_declares(written, deck):
         assert hidden == set(fields) - {"Reference", "Value"}
 
 
-def test_the_sheet_joins_what_the_deck_joins(written, files, deck):
-    """Nets found from coordinates: a pin is on the label or ground that stands at its end."""
+def follow_wires(text):
+    """The name of the net at each point: labels and grounds, passed on along the wires.
+
+    Wires join where they end. A wire that touches the end of another one in its middle, or runs
+    along it, would look joined, and is an error here.
+    """
+    point = r"\(xy (\S+) (\S+)\)"
+    wires = [
+        tuple(zip(map(float, w[::2]), map(float, w[1::2]), strict=True))
+        for w in re.findall(rf"\(wire \(pts {point} {point}\)", text)
+    ]
+    ends = [end for wire in wires for end in wire]
+    for (x1, y1), (x2, y2) in wires:
+        assert (x1 == x2) != (y1 == y2), "wires are horizontal or vertical and have a length"
+        for x, y in ends:
+            on_line = min(x1, x2) <= x <= max(x1, x2) and min(y1, y2) <= y <= max(y1, y2)
+            assert not on_line or (x, y) in ((x1, y1), (x2, y2))
+    crowded = {end for end in ends if ends.count(end) > 2}
+    junctions = re.findall(r"\(junction \(at (\S+) (\S+)\)", text)
+    assert crowded == {(float(x), float(y)) for x, y in junctions}
+    labels = re.findall(r'\(global_label "(\w+)"\s+\(shape passive\)\s+\(at (\S+) (\S+)', text)
+    names = {(float(x), float(y)): name for name, x, y in labels}
+    assert len(names) == len(labels)
+    count = -1
+    while count < len(names):
+        count = len(names)
+        for a, b in (*wires, *(wire[::-1] for wire in wires)):
+            if a in names:
+                assert names.setdefault(b, names[a]) == names[a], "a wire joins two nets"
+    return {(round(x, 3), round(y, 3)): name for (x, y), name in names.items()}, len(wires)
+
+
+def nets_of_sheet(written, files, name):
+    """Net of every pin of the sheet, by reference and number."""
     sheet = kicadfiles.KicadSch.from_file(
-        str(written / "loop.kicad_sch"), kicadfiles.ParseStrictness.STRICT
+        str(written / f"{name}.kicad_sch"), kicadfiles.ParseStrictness.STRICT
     )
     drawn = {s.library_id: s for s in sheet.lib_symbols.symbols}
-    labels = {
-        (round(float(x), 3), round(float(y), 3)): name
-        for name, x, y in re.findall(
-            r'\(global_label "(\w+)"\s+\(shape passive\)\s+\(at (\S+) (\S+)',
-            files["loop.kicad_sch"],
-        )
-    }
-    assert labels
+    names, wires = follow_wires(files[f"{name}.kicad_sch"])
+    assert wires
     ends = {}
     for symbol in sheet.symbols:
         reference = next(p.value for p in symbol.properties if p.key == "Reference")
         for number, pin in pins_of(drawn[symbol.lib_id.value]).items():
             at = (round(symbol.at.x + pin.at.x, 3), round(symbol.at.y - pin.at.y, 3))
             if reference.startswith("#PWR"):
-                labels[at] = "0"
+                assert names.setdefault(at, "0") == "0", "a ground is on a wire"
             else:
                 ends[reference, int(number)] = at
-    named = {key: labels[at].lower() for key, at in ends.items() if not key[0].startswith("#FLG")}
-    for element in deck.scope.elements:
+    return {key: names[at].lower() for key, at in ends.items() if not key[0].startswith("#FLG")}
+
+
+def require_nets_of_elements(named, elements):
+    """Remove the pins of all elements, whose nets must be those of the deck."""
+    for element in elements:
         name = element.name
         reference = name if name[-1].isdigit() else f"{name}1"
         nets = [named.pop((reference, k)) for k, _ in enumerate(element.nodes, 1)]
         assert tuple(nets) == element.ends
+
+
+def test_the_sheet_joins_what_the_deck_joins(written, files, deck):
+    """A pin is on the wire, label or ground that stands at its end."""
+    named = nets_of_sheet(written, files, "loop")
+    require_nets_of_elements(named, deck.scope.elements)
     assert sorted(named.values()) == ["mirror", "spare"]  # what one pin alone is on has a probe
+    assert all(reference.startswith("TP") for reference, _ in named)
+
+
+@pytest.mark.parametrize("name", ["buzzer_self", "harvester_bridge", "kick_and_catch"])
+def test_the_sheets_of_scenes_join_what_their_decks_join(name, tmp_path):
+    built = device.built(load_scene(name), device.chip(), device.magnets(), others=True)
+    deck = make_deck(built)
+    files = symbol_files(deck)
+    sheet = f"{name}.kicad_sch"
+    (tmp_path / sheet).write_text(files[sheet])
+    named = nets_of_sheet(tmp_path, files, name)
+    require_nets_of_elements(named, deck.scope.elements)
     assert all(reference.startswith("TP") for reference, _ in named)
 
 

@@ -1,21 +1,21 @@
 """KiCad: symbols of parts and elements, and decks as projects.
 
-Global labels join the nets. The nets have the node names of the deck, so that a curve has the same
-name in KiCad, in the deck and in the results. The formats are version 20231120 of symbol library
-and schematic (KiCad developer documentation), which releases 8, 9 and 10 read. Their text is
-``templates/kicad.j2``.
+Wires join the pins of a net in one row, and global labels join the rows. The nets have the node
+names of the deck, so that a curve has the same name in KiCad, in the deck and in the results. The
+formats are version 20231120 of symbol library and schematic (KiCad developer documentation), which
+releases 8, 9 and 10 read. Their text is ``templates/kicad.j2``.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
+from itertools import chain, pairwise
 from math import ceil
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from textwrap import shorten
 from types import SimpleNamespace
 from uuid import NAMESPACE_URL, uuid5
@@ -158,7 +158,8 @@ _COLOURS = ("rgb(228, 26, 28)", "rgb(55, 126, 184)", "rgb(77, 175, 74)", "rgb(15
 class _Item:
     """A symbol on the sheet at a grid position, with its fields and nets.
 
-    ``reach`` is the room that it needs to the left, right, top and bottom, in grid units.
+    ``reach`` is the room that it needs to the left, right, top and bottom, in grid units. The room
+    at the left and right includes the columns of its wires.
     """
 
     symbol: Symbol
@@ -295,7 +296,7 @@ def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...])
     """Return an item with the room that its pins, labels and texts need."""
     room = {"left": 1, "right": 1, "top": 1, "bottom": 1}
     for place, net in zip(symbol.places, nets, strict=True):
-        label = 2 if net == "0" else ceil(_LETTER * len(net)) + 2
+        label = _label_length(net) + (len(nets) if place.side in ("left", "right") else 0)
         out = {"left": -place.x, "right": place.x, "top": place.y, "bottom": -place.y}
         for side, far in out.items():
             room[side] = max(room[side], far + (label if side == place.side else 0))
@@ -305,23 +306,129 @@ def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...])
     return _Item(symbol, fields, nets, (room["left"], right, up, room["bottom"]))
 
 
-def _arrange_rows(items: Iterable[_Item], width: int) -> Iterator[_Item]:
-    """Yield the items at their positions, in rows of a width in grid units."""
+def _label_length(net: str) -> int:
+    """Return the length of a label, or of a ground for node 0, in grid units."""
+    return 2 if net == "0" else ceil(_LETTER * len(net)) + 2
+
+
+def _split_rows(items: Iterable[_Item], width: int) -> list[list[_Item]]:
+    """Return the items in rows of a width in grid units, each at its horizontal position."""
+    items = list(items)
+    longest = max(map(_label_length, chain.from_iterable(map(attrgetter("nets"), items))))
+    start = max(MARGIN, longest + MARGIN // 2)
     rows: list[list[_Item]] = []
     x = width
     for item in items:
         needed = item.reach[0] + item.reach[1] + 2
         if not rows or x + needed > width:
             rows.append([])
-            x = MARGIN
+            x = start
         rows[-1].append(replace(item, x=x + item.reach[0]))
         x += needed
+    return rows
+
+
+def _arrange_rows(items: Iterable[_Item], width: int) -> tuple[list[_Item], list[_Track]]:
+    """Return the items at their positions, and the tracks above and below each row."""
+    placed: list[_Item] = []
+    tracks: list[_Track] = []
     y = MARGIN
-    for row in rows:
+    for row in _split_rows(items, width):
         _, _, ups, downs = zip(*map(attrgetter("reach"), row), strict=True)
-        for item in row:
-            yield replace(item, y=y + max(ups))
-        y += max(ups) + max(downs) + 2
+        above = len(_shared_nets(row, upwards=True))
+        y += above + max(ups)
+        row = [replace(item, y=y) for item in row]
+        tracks += _lay_tracks(row, y - max(ups) - 1, upwards=True)
+        below = _lay_tracks(row, y + max(downs) + 1, upwards=False)
+        tracks += below
+        placed += row
+        y += max(downs) + len(below) + 2
+    return placed, tracks
+
+
+@dataclass(frozen=True)
+class _Track:
+    """A horizontal wire of a net at height ``y``, with the ends of pins that it joins.
+
+    Each pin at ``(x, y)`` has a ``column``, the position of the vertical wire to the track.
+    """
+
+    net: str
+    y: int
+    pins: tuple[tuple[int, int], ...]
+    columns: tuple[int, ...]
+
+    @property
+    def label(self) -> tuple[int, int, str, str]:
+        """Position, side and name of the label at the left end."""
+        return min(self.columns) - 1, self.y, "left", self.net
+
+    @property
+    def junctions(self) -> Iterator[tuple[int, int]]:
+        """Points at which three wires meet."""
+        for column in sorted(self.columns)[:-1]:
+            yield column, self.y
+
+    @property
+    def wires(self) -> Iterator[tuple[int, int, int, int]]:
+        """Straight wires between the pins, the track and its label."""
+        for (x, y), column in zip(self.pins, self.columns, strict=True):
+            if column != x:
+                yield x, y, column, y
+            yield column, y, column, self.y
+        for left, right in pairwise((min(self.columns) - 1, *sorted(self.columns))):
+            yield left, self.y, right, self.y
+
+
+def _channel_ends(row: Iterable[_Item], upwards: bool) -> list[tuple[int, int, str, str]]:
+    """Return the ends that lead to the channel above a row, or to the one below."""
+    return [end for end in _free_ends(row) if (end[2] == "top") == upwards]
+
+
+def _shared_nets(row: Iterable[_Item], upwards: bool) -> frozenset[str]:
+    """Return the nets with several ends in one channel; grounds have symbols of their own."""
+    counts = Counter(net for _, _, _, net in _channel_ends(row, upwards))
+    return frozenset(net for net, count in counts.items() if count > 1) - {"0"}
+
+
+def _lay_tracks(row: Iterable[_Item], y: int, upwards: bool) -> list[_Track]:
+    """Return the tracks of a channel that begins at height ``y``.
+
+    The net that begins furthest to the left has the track next to the row. No wire then crosses
+    the label of another one.
+    """
+    shared = _shared_nets(row, upwards)
+    ends: dict[str, dict[tuple[int, int], int]] = {net: {} for net in shared}
+    for item in row:
+        columns = _choose_columns(item, shared)
+        for x, height, _, net in _channel_ends([item], upwards):
+            if net in shared:
+                ends[net][x, height] = columns[x, height]
+    step = -1 if upwards else 1
+    ordered = sorted(ends.items(), key=lambda entry: min(entry[1].values()))
+    return [
+        _Track(net, y + step * k, tuple(pins), tuple(pins.values()))
+        for k, (net, pins) in enumerate(ordered)
+    ]
+
+
+def _choose_columns(item: _Item, shared: Container[str]) -> dict[tuple[int, int], int]:
+    """Return the column of each end of an item, by the position of the end.
+
+    The lowest pin of a side has the column next to the symbol. Each higher pin has a column beyond
+    those of the pins below, and beyond their labels.
+    """
+    result = {}
+    for side, outwards in (("left", -1), ("right", 1), ("top", 0), ("bottom", 0)):
+        occupied = 0
+        ends = (end for end in item.ends if end[2] == side)
+        for x, y, _, net in sorted(ends, key=itemgetter(1), reverse=True):
+            if net in shared:
+                occupied += 1
+                result[x, y] = x + outwards * occupied
+            else:
+                occupied = max(occupied, _label_length(net))
+    return result
 
 
 def _free_ends(items: Iterable[_Item]) -> Iterator[tuple[int, int, str, str]]:
@@ -335,16 +442,21 @@ def _draw_sheet(
 ) -> str:
     """Return the text of the sheet, on the smallest paper of a good shape."""
     for width in _ENOUGH:
-        placed = list(_arrange_rows(items, width))
-        bottom = max(map(attrgetter("bottom"), placed)) + 3
+        placed, tracks = _arrange_rows(items, width)
+        heights = chain(map(attrgetter("bottom"), placed), map(attrgetter("y"), tracks))
+        bottom = max(heights) + 3
         right = GRID * (max(map(attrgetter("right"), placed)) + MARGIN // 2)
         paper = _choose_paper(right, GRID * (bottom + len(commands)) + _STAMP)
         if paper in _ENOUGH[width]:
             break
     every = [*placed, *_draw_grounds(placed, plain)]
+    wired = frozenset(chain.from_iterable(map(attrgetter("pins"), tracks)))
+    single = [end for end in _free_ends(placed) if end[3] != "0" and end[:2] not in wired]
     sheet = SimpleNamespace(
         paper=paper,
-        labels=[end for end in _free_ends(placed) if end[3] != "0"],
+        labels=[*single, *map(attrgetter("label"), tracks)],
+        wires=list(chain.from_iterable(map(attrgetter("wires"), tracks))),
+        junctions=list(chain.from_iterable(map(attrgetter("junctions"), tracks))),
         texts=[(line, MARGIN, bottom + k) for k, line in enumerate(commands)],
         items=every,
     )
