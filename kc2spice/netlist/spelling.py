@@ -56,9 +56,14 @@ def split_infix_unit(text: str) -> tuple[str, str, str] | None:
     return integer, "" if unit.lower() == "r" else unit, decimals
 
 
+def round_to_digits(value: float) -> float:
+    """Return a value with 12 significant digits, without rounding errors of arithmetic."""
+    return float(f"{value:.12g}")
+
+
 def write_rounded(value: float) -> str:
-    """Return a number rounded to 12 digits, without rounding errors of arithmetic."""
-    return number(float(f"{value:.12g}"))
+    """Return the text of a number with 12 significant digits."""
+    return number(round_to_digits(value))
 
 
 def name(text: str, *, where: str = "netlist") -> str:

@@ -30,6 +30,7 @@ from kc2spice.core.quantities import (
 
 Action = Literal["fail", "warn", "off"]
 _ONE_LINE = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"  # the netlist contains texts of this type
+PartNumber = Annotated[str, Field(min_length=1, max_length=40)]
 FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE}+$", max_length=255)]
 
 

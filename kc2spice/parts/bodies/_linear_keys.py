@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field, StringConstraints
+from pydantic import Field
 from typing_extensions import TypeVar
 
 from kc2spice.core.quantities import Section, Time, Voltage
-from kc2spice.scene.settings import Rom
+from kc2spice.scene.settings import PartNumber, Rom
 
 MOST = 20  # instants that one run writes
 
@@ -17,7 +17,7 @@ class LinearKeys(Section):
     """Keys of every linear body."""
 
     rom: Rom | None = None
-    number: Annotated[str, StringConstraints(min_length=1, max_length=40)] | None = Field(
+    number: PartNumber | None = Field(
         None, description="Part number, the name of the exported library; SCENE_PART by default"
     )
     rated_voltage: Voltage | None = Field(

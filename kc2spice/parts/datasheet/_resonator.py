@@ -15,10 +15,10 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from pydantic import Field, StringConstraints
+from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.figure import Figure
@@ -41,6 +41,7 @@ from kc2spice.scene.model import (
     Terminal,
 )
 from kc2spice.scene.rows import Neglected, Vector
+from kc2spice.scene.settings import PartNumber
 
 TWO_PI = 2 * math.pi
 
@@ -48,7 +49,7 @@ TWO_PI = 2 * math.pi
 class NumberedKeys(Section):
     """Key of every part with a data sheet."""
 
-    number: Annotated[str, StringConstraints(min_length=1, max_length=40)] | None = Field(
+    number: PartNumber | None = Field(
         None, description="Part number, the name of the exported library; by default the type"
     )
 
@@ -289,11 +290,6 @@ def tolerance_note(value: float, tolerance: float | None) -> str:
         return ""
     low, high = (abbreviate(value * (1 + sign * tolerance)) for sign in (-1, 1))
     return f", tolerance {100 * tolerance:.4g} % ({low} to {high})"
-
-
-def to_twelve_digits(value: float) -> float:
-    """A value with twelve significant digits, without the rounding errors of its equations."""
-    return float(f"{value:.12g}")
 
 
 def mode_suffixes(modes: int) -> Sequence[str]:

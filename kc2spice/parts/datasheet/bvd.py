@@ -19,6 +19,7 @@ from kc2spice.core.quantities import (
     invalid_value_error,
 )
 from kc2spice.netlist.circuit import Param, positive_parameter
+from kc2spice.netlist.spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
     RatedKeys,
@@ -27,7 +28,6 @@ from kc2spice.parts.datasheet._resonator import (
     ResonatorPart,
     as_function_of_unknowns,
     mode_suffixes,
-    to_twelve_digits,
     tolerance_note,
 )
 from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
@@ -232,9 +232,7 @@ stop = "10 kHz"
             square = f"keff{end}*keff{end}" if ratio == "keff" else "(1-fs*fs/(fp*fp))"
             constants[f"ratio{end}"] = f"{square}/(1-{square})"
             total.append(f"ratio{end}{slow}")
-        value = to_twelve_digits(
-            circuit.c0 if level == "c0" else circuit.capacitance(keys.c_low_at)
-        )
+        value = round_to_digits(circuit.c0 if level == "c0" else circuit.capacitance(keys.c_low_at))
         params.append(positive_parameter(level, value, "F", _key_words(keys, level, value)))
         if level == "c_low":
             constants["c0"] = f"(c_low{''.join(fixed)})/({'+'.join(total)})"
@@ -337,7 +335,7 @@ def _mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end:
     value = PER_MODE[key](circuit, mode)
     if key == "keff":
         value = (circuit.cm[mode] / (circuit.c0 + circuit.cm[mode])) ** 0.5
-    unit, value = UNITS[key] or "-", to_twelve_digits(value)
+    unit, value = UNITS[key] or "-", round_to_digits(value)
     return positive_parameter(f"{key}{end}", value, unit, _key_words(keys, key, value))
 
 

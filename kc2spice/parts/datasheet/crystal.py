@@ -10,6 +10,7 @@ from pydantic import Field
 
 from kc2spice.core.quantities import Capacitance, Frequency, Inductance, Ratio, Resistance
 from kc2spice.netlist.circuit import positive_parameter
+from kc2spice.netlist.spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
     RatedKeys,
@@ -17,7 +18,6 @@ from kc2spice.parts.datasheet._resonator import (
     ResonatorNetlist,
     ResonatorPart,
     as_function_of_unknowns,
-    to_twelve_digits,
     tolerance_note,
 )
 from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
@@ -98,10 +98,10 @@ scale = "linear"
         keys = part.keys
         loaded = "" if keys.cl is None else "(c0+cl)"
         words = "frequency with the load cl" if loaded else "series resonance"
-        f = to_twelve_digits(_loaded_frequency(circuit, keys.cl))
+        f = round_to_digits(_loaded_frequency(circuit, keys.cl))
         params = [
             positive_parameter("f", f, "Hz", words + tolerance_note(f, keys.f_tolerance)),
-            positive_parameter("c0", to_twelve_digits(circuit.c0), "F", "shunt capacitance"),
+            positive_parameter("c0", round_to_digits(circuit.c0), "F", "shunt capacitance"),
         ]
         if keys.cl is not None:
             params.append(
@@ -110,11 +110,11 @@ scale = "linear"
         motion = "c1" if keys.c1 or not keys.l1 else "l1"
         value = circuit.cm[0] if motion == "c1" else circuit.lm[0]
         words = "motional capacitance" if motion == "c1" else "motional inductance"
-        params.append(positive_parameter(motion, to_twelve_digits(value), UNITS[motion], words))
+        params.append(positive_parameter(motion, round_to_digits(value), UNITS[motion], words))
         loss = "r1" if keys.r1 else "q"
         value = circuit.rm[0] if loss == "r1" else circuit.quality(0)
         words = "motional resistance" if loss == "r1" else "Q factor"
-        params.append(positive_parameter(loss, to_twelve_digits(value), UNITS[loss] or "-", words))
+        params.append(positive_parameter(loss, round_to_digits(value), UNITS[loss] or "-", words))
         inverse = f"{TWO_PI**2!r}*f*f*l1" + f"-1/{loaded}" * bool(loaded)
         cm = "c1" if motion == "c1" else f"1/({inverse})"
         equations = {

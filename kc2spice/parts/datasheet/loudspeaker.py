@@ -29,11 +29,11 @@ from kc2spice.core.quantities import (
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
     NumberedKeys,
     NumberedPart,
-    to_twelve_digits,
     tolerance_note,
 )
 from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
@@ -239,7 +239,7 @@ stop = "1 kHz"
         driver, tolerance = self._parameters(part, scene), part.keys.tolerance
         params = []
         for key, (unit, words) in PARAMS.items():
-            value = to_twelve_digits(getattr(driver, key))
+            value = round_to_digits(getattr(driver, key))
             note = words + tolerance_note(value, tolerance.get(key))
             params.append(positive_parameter(key, value, unit, note))
         params.append(positive_parameter("le", driver.le, "H", "inductance of the voice coil"))

@@ -11,10 +11,10 @@ from pydantic import Field
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Inductance, Ratio, Resistance, Section, Time, Voltage
 from kc2spice.netlist.circuit import Param, positive_parameter
+from kc2spice.netlist.spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
     NumberedKeys,
     NumberedPart,
-    to_twelve_digits,
     tolerance_note,
 )
 from kc2spice.physics import Declaration, DeclaredPart, current, voltage
@@ -184,7 +184,7 @@ pins = { a = "relay.com", b = "gnd" }
         detail = record.detail if record is not None else None
         times = detail if isinstance(detail, Timing) else solve_timing(part)
         words = "coil resistance" + tolerance_note(keys.resistance, keys.resistance_tolerance)
-        inductance, armature = map(to_twelve_digits, (times.inductance, times.armature))
+        inductance, armature = map(round_to_digits, (times.inductance, times.armature))
         params = (
             positive_parameter("resistance", keys.resistance, "Ohm", words),
             positive_parameter("inductance", inductance, "H", "coil inductance"),
