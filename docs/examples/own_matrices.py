@@ -1,4 +1,4 @@
-"""Own matrices: a chain of masses as a SPICE subcircuit with a certified error."""
+"""Own matrices: a chain of masses as a SPICE subcircuit with an error estimate."""
 
 import numpy as np
 from scipy.sparse import diags_array
