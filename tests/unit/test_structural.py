@@ -180,6 +180,20 @@ def test_a_ladder_of_real_poles_becomes_a_passive_model_of_first_order(kind):
     assert not reduce_model(heavy, tolerance=1e-2, band=(0.0, 0.1), norm="peak").first_order
 
 
+def test_a_mass_without_effect_on_a_ladder_refuses_nothing():
+    """An RC ladder with masses of 1e-30, whose poles of 1e21 1/s no Gramian can represent."""
+    n = 50
+    K = 1e-3 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    full = LinearModel(M=1e-30 * np.eye(n), E=1e-9 * np.eye(n), K=K, B=np.eye(n)[:, [0]])
+    rom = reduce_model(full, tolerance=1e-3, band=(0.0, 1e4), norm="peak")
+    values, X = np.linalg.eigh(K)
+    frequency = np.linspace(0.0, 1e4, 100)
+    s = 2j * np.pi * frequency[:, None]
+    exact = (X[0] ** 2 / (1e-9 * s + values)).sum(axis=1)
+    error = np.abs(rom.transfer(frequency)[:, 0, 0] - exact).max() / np.abs(exact).max()
+    assert error <= rom.certificate.error_estimate <= 1e-3
+
+
 @pytest.mark.parametrize(("tolerance", "states"), [(1e-2, 6), (1e-3, 8), (1e-4, 11)])
 def test_two_ports_of_a_network_of_resistors_and_capacitors_stay_passive(tolerance, states):
     """In first order. Balanced truncation has 8, 11 and 13 states, and is not passive by its form.

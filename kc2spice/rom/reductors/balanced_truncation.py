@@ -131,9 +131,17 @@ def too_large(states: int, largest: int) -> str:
 
 def balanced_basis(
     task: Task, model: Pencil, controllable: np.ndarray, observable: np.ndarray
-) -> ReducedBasis:
-    """Balance a model ``x' = A x + B u`` by roots of both Gramians."""
-    U, hankel, Zt = np.linalg.svd(observable.T @ controllable)
+) -> ReducedBasis | None:
+    """Balance a model ``x' = A x + B u`` by roots of both Gramians.
+
+    The result is None if double precision cannot represent the product of the roots, such as that
+    of a model with poles at 1e21 1/s.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        product = observable.T @ controllable
+    if not np.isfinite(product).all():
+        return None
+    U, hankel, Zt = np.linalg.svd(product)
     count = int((hankel > HANKEL_ROUNDING * hankel[0]).sum())
     V = controllable @ Zt[:count].T / np.sqrt(hankel[:count])
     W = observable @ U[:, :count] / np.sqrt(hankel[:count])

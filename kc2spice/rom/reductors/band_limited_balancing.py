@@ -54,7 +54,7 @@ class BandLimitedBalancing(Reductor):
             return reason
         return "the eigenvectors of the model are too close to each other for fast samples"
 
-    def basis(self, task: Task) -> ReducedBasis:
+    def basis(self, task: Task) -> ReducedBasis | None:
         """Return the model balanced over the band."""
         estimator, response = task.estimator, task.first_order
         step = 1 if task.norm == "pointwise" else PEAK_NORM_STEP
