@@ -24,13 +24,23 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from skfem.mesh import Mesh, MeshTet, MeshTet2, MeshTri, MeshTri2
+from skfem.mesh import Mesh
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, candidates, unknown, wrong
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.quantities import quantity
 from kc2spice.core.untrusted_files import call_in_child, read_bounded
+from kc2spice.fem.mesh_cells import (
+    CellBlock,
+    divide_cells,
+    divide_faces,
+    edge_nodes,
+    find_columns,
+    is_product_mesh,
+    make_quadratic_mesh,
+    require_right_handed,
+)
 
 STEP = (".step", ".stp")
 # First bytes of each format, and the file name that gmsh receives.
@@ -43,12 +53,6 @@ _HEAD = 200  # first bytes of a file, which identify its format
 LENGTHS = ("m", "cm", "mm", "um")  # units accepted for a file without a unit
 COINCIDENT = 1e-3  # distance of coincident nodes, relative to the shortest edge
 MILLIMETRE = 1e-3  # m; unit to which STEP files are converted
-# By the number of corners of a cell: mesh classes, and edges in the order of the middle nodes in
-# gmsh.
-_CURVED = {
-    4: (MeshTet, MeshTet2, ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1))),
-    3: (MeshTri, MeshTri2, ((0, 1), (1, 2), (2, 0))),
-}
 # Accepted versions of .msh files; the next bytes distinguish text from binary numbers of either
 # byte order.
 _MSH = re.compile(
@@ -74,7 +78,10 @@ class Group(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class GroupedMesh:
-    """A quadratic mesh [m] of tetrahedra or triangles, and its groups by name."""
+    """A quadratic mesh [m] and its groups by name.
+
+    It consists of tetrahedra or hexahedra, in a plane of triangles or quadrilaterals.
+    """
 
     mesh: Mesh
     groups: Mapping[str, Group]
@@ -288,24 +295,21 @@ def _assemble_mesh(
             problem = "the axisymmetric mesh is not plane"
             raise wrong(where, problem, expected="all nodes at z = 0, or all at y = 0")
         points = points[:, [0, 3 - flat[0]]]
-    blocks = [arrays[key] for key in arrays if key.startswith("cells")]
-    if not blocks:
-        shape, what = ("tetrahedra", "solid") if dimension == 3 else ("triangles", "face")
-        raise UsageError(
-            f"the mesh has no {shape}",
-            where=where,
-            expected=f"{shape} in each {what} of the body",
-            hint=f"mesh the {what} with gmsh.model.mesh.generate({dimension}) before gmsh.write",
-        )
+    blocks = []
+    for k, corners in enumerate(arrays["corners"]):
+        blocks.append(CellBlock(arrays[f"cells{k}"], int(corners), arrays[f"local{k}"]))
     record = json.loads(str(arrays["record"]))
+    if not blocks:
+        raise _refuse_empty(dimension, max(map(itemgetter(1), record), default=0), where)
+    require_right_handed(points, blocks, where)
     same = np.arange(len(points))
     if merge:
-        same = merge_nodes(points, blocks, dimension + 1, merge)
-        blocks = list(map(same.__getitem__, blocks))
+        same = merge_nodes(points, blocks, merge)
+        blocks = [block.renumber(same) for block in blocks]
     if merge != 0:
         owners = {name: arrays[f"group{k}"] for k, (name, d) in enumerate(record) if d == dimension}
-        require_joined(points, blocks, dimension + 1, owners, where)
-    mesh, number = _make_quadratic(points, blocks, dimension + 1)
+        require_joined(points, blocks, owners, where)
+    mesh, number, parent = make_quadratic_mesh(points, blocks)
     groups: dict[str, Group] = {}
     for k, (name, d) in enumerate(record):
         members = arrays[f"group{k}"] if d == dimension else same[arrays[f"group{k}"]]
@@ -313,9 +317,11 @@ def _assemble_mesh(
             hint = "rename one of these groups in gmsh"
             raise wrong(where, "two groups have one name", name, "a name for each group", hint)
         if d == dimension:
-            groups[name] = Group(0, members)
+            groups[name] = Group(0, np.flatnonzero(np.isin(parent, members)))
         elif d == dimension - 1:
-            facets = _find_columns(mesh.facets, number[members], mesh.nvertices)
+            if d == 2 and not is_product_mesh(blocks):
+                members = divide_faces(members)
+            facets = find_columns(mesh.facets, number[members])
             groups[name] = Group(1, np.unique(_require_inside(facets, name)))
         else:
             ends = _require_inside(number[members], name)
@@ -324,9 +330,24 @@ def _assemble_mesh(
     return GroupedMesh(mesh, groups)
 
 
-def merge_nodes(
-    points: np.ndarray, blocks: Sequence[np.ndarray], corners: int, distance: float
-) -> np.ndarray:
+def _refuse_empty(dimension: int, grouped: int, where: str) -> UsageError:
+    """Make the error of a mesh without elements of its dimension.
+
+    ``grouped`` is the largest dimension of a group.
+    """
+    shape, what = ("tetrahedra", "solid") if dimension == 3 else ("triangles", "face")
+    problem, hint = f"the mesh has no {shape}", f"mesh the {what} with "
+    hint += f"gmsh.model.mesh.generate({dimension}) before gmsh.write"
+    if grouped == 2 and dimension == 3:
+        problem = "the mesh has faces only, and shells are not modelled"
+        hint = "extrude the faces to their thickness, or set axisymmetric = true for a half plane"
+    expected = f"{shape}, prisms or hexahedra in each solid of the body"
+    if dimension == 2:
+        expected = "triangles or quadrilaterals in each face of the body"
+    return UsageError(problem, where=where, expected=expected, hint=hint)
+
+
+def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float) -> np.ndarray:
     """Number the nodes (n,) so that nodes at most ``distance`` [m] apart are one.
 
     Only nodes of elements are numbered.
@@ -337,38 +358,36 @@ def merge_nodes(
     """
     from scipy.spatial import cKDTree  # imported here, because few meshes need it
 
-    used = np.unique(np.concatenate([*map(np.ravel, blocks)]))
+    used = _used_nodes(blocks)
     pairs = used[cKDTree(points[used]).query_pairs(distance, output_type="ndarray")]
     links = sparse.coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
     _, label = connected_components(links, directed=False)
     lowest = np.full(len(points), len(points))
     np.minimum.at(lowest, label, np.arange(len(points)))
     same = lowest[label]
-    cells = np.sort(same[_corner_nodes(blocks, corners)], axis=1)
-    if (np.diff(cells, axis=1) == 0).any():
-        shortest = f"less than the shortest edge, {_shortest_edge(points, blocks, corners):.4g} m"
+    cells = divide_cells(blocks)[0]
+    if (np.diff(np.sort(same[cells], axis=1), axis=1) == 0).any():
+        shortest = f"less than the shortest edge, {_shortest_edge(points, cells):.4g} m"
         raise wrong(
             "merge", "merging nodes this far apart collapses elements", f"{distance:g} m", shortest
         )
     return np.asarray(same)
 
 
-def _corner_nodes(blocks: Iterable[np.ndarray], corners: int) -> np.ndarray:
-    """Nodes (elements, corners) at the corners of blocks of elements."""
-    return np.concatenate([np.empty((0, corners), int), *(nodes[:, :corners] for nodes in blocks)])
+def _used_nodes(blocks: Sequence[CellBlock]) -> np.ndarray:
+    """Return the nodes of all elements in ascending order."""
+    return np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
 
 
-def _shortest_edge(points: np.ndarray, blocks: Sequence[np.ndarray], corners: int) -> float:
-    """Length of the shortest edge of all elements."""
-    cells = _corner_nodes(blocks, corners)
-    i, j = np.triu_indices(corners, 1)
+def _shortest_edge(points: np.ndarray, cells: np.ndarray) -> float:
+    """Length of the shortest edge of triangles or tetrahedra."""
+    i, j = np.triu_indices(cells.shape[1], 1)
     return float(np.linalg.norm(points[cells[:, i]] - points[cells[:, j]], axis=-1).min())
 
 
 def require_joined(
     points: np.ndarray,
-    blocks: Sequence[np.ndarray],
-    corners: int,
+    blocks: Sequence[CellBlock],
     owners: Mapping[str, np.ndarray],
     where: str,
 ) -> None:
@@ -376,8 +395,8 @@ def require_joined(
 
     Nothing would connect these solids.
 
-    ``points`` (n, d) [m], ``blocks`` of elements (k, nodes) with ``corners`` each, ``owners`` the
-    numbers of the elements of each named group.
+    ``points`` (n, d) [m], ``blocks`` of elements, ``owners`` the numbers of the elements of each
+    named group.
 
     Raises
     ------
@@ -386,8 +405,9 @@ def require_joined(
     # imported here, so that a scene without a mesh does not load it
     from scipy.spatial import cKDTree
 
-    near = COINCIDENT * _shortest_edge(points, blocks, corners)
-    used = np.unique(np.concatenate([*map(np.ravel, blocks)]))
+    cells = divide_cells(blocks)[0]
+    near = COINCIDENT * _shortest_edge(points, cells)
+    used = _used_nodes(blocks)
     pairs = used[cKDTree(points[used]).query_pairs(near, output_type="ndarray")]
     expected = "one node for all elements that are joined there"
     apart = "merge = 0 keeps them apart"
@@ -396,7 +416,7 @@ def require_joined(
         got += _describe_nodes(points, pairs.ravel(), blocks, owners)
         hint = f'merge = "{_format_length(10 * near)}" joins nodes up to that distance; {apart}'
         raise wrong(where, "solids touch but share no nodes", got, expected, hint)
-    strays = _nodes_on_other_pieces(points, blocks, corners, near)
+    strays = _nodes_on_other_pieces(points, cells, near)
     if strays.size:
         got = f"{strays.size} nodes on the surface of another piece, "
         got += _describe_nodes(points, strays, blocks, owners)
@@ -404,20 +424,20 @@ def require_joined(
         raise wrong(where, "solids touch but their meshes do not match", got, expected, hint)
 
 
-def _nodes_on_other_pieces(
-    points: np.ndarray, blocks: Sequence[np.ndarray], corners: int, near: float
-) -> np.ndarray:
-    """Find nodes on the surface of another piece of the mesh."""
+def _nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: float) -> np.ndarray:
+    """Find nodes on the surface of a piece of the mesh that does not contain them.
+
+    The ``cells`` (k, d + 1) are triangles or tetrahedra.
+    """
     from scipy.spatial import cKDTree
 
-    cells = _corner_nodes(blocks, corners)
     ends = np.array([cells[:, :-1].ravel(), cells[:, 1:].ravel()])
     links = sparse.coo_array((np.ones(ends.shape[1]), ends), shape=(len(points),) * 2)
     _, label = connected_components(links, directed=False)
     piece = label[cells[:, 0]]
     if (piece == piece[0]).all():
         return np.empty(0, int)
-    omitted = [np.delete(cells, k, axis=1) for k in range(corners)]
+    omitted = [np.delete(cells, k, axis=1) for k in range(cells.shape[1])]
     faces, count = np.unique(np.sort(np.concatenate(omitted), axis=1), axis=0, return_counts=True)
     faces = faces[count == 1]
     middle = points[faces].mean(axis=1)
@@ -450,7 +470,7 @@ def _on_simplex(places: np.ndarray, simplices: np.ndarray, near: float) -> np.nd
 def _describe_nodes(
     points: np.ndarray,
     nodes: np.ndarray,
-    blocks: Sequence[np.ndarray],
+    blocks: Sequence[CellBlock],
     owners: Mapping[str, np.ndarray],
 ) -> str:
     """Describe the box of nodes in millimetres, and the groups of their elements."""
@@ -460,7 +480,7 @@ def _describe_nodes(
         low, high = float(values.min()), float(values.max())
         flat = high - low <= 1e-6 * np.abs(values).max(initial=0.0)
         spans.append(f"{axis} = {low:.4g} mm" if flat else f"{axis} {low:.4g} … {high:.4g} mm")
-    touched = np.concatenate([np.isin(item, nodes).any(axis=1) for item in blocks])
+    touched = np.concatenate([np.isin(block.nodes, nodes).any(axis=1) for block in blocks])
     names = [name for name, members in owners.items() if touched[members].any()]
     return ", ".join(spans) + (f", groups {', '.join(sorted(names))}" if names else "")
 
@@ -473,48 +493,6 @@ def _format_length(length: float) -> str:
     return f"{length / 1e-9:.1g} nm"
 
 
-def _make_quadratic(
-    points: np.ndarray, blocks: list[np.ndarray], corners: int
-) -> tuple[Mesh, np.ndarray]:
-    """Make a quadratic mesh with the mid-edge nodes of the file.
-
-    Edges without middle nodes are straight.
-
-    The second result is the number of each of the file's nodes in the mesh, -1 if no corner.
-    """
-    vertices, cells = np.unique(_corner_nodes(blocks, corners), return_inverse=True)
-    cells = cells.reshape(-1, corners)
-    kind, curved, ends = _CURVED[corners]
-    mesh = curved.from_mesh(kind(points[vertices].T.copy(), cells.T.copy()))
-    places, start = mesh.doflocs.copy(), 0
-    for nodes in blocks:
-        corners_of = cells[start : start + len(nodes)]
-        start += len(nodes)
-        for edge, middle in zip(ends, nodes.T[corners:], strict=False):
-            places[:, _edge_nodes(mesh, corners_of[:, edge])] = points[middle].T
-    number = np.full(len(points), -1)
-    number[vertices] = np.arange(len(vertices))
-    return curved(places, mesh.t), number
-
-
-def _edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
-    """Nodes in the middle of edges given by vertices (k, 2)."""
-    edges = mesh.edges if mesh.dim() == 3 else mesh.facets
-    return mesh.nvertices + _find_columns(edges, pairs, mesh.nvertices)
-
-
-def _find_columns(simplices: np.ndarray, corners: np.ndarray, vertices: int) -> np.ndarray:
-    """Find the columns of ``simplices`` (corners, n) with these corners, or -1.
-
-    The corners are (k, corners).
-    """
-    base = vertices ** np.arange(len(simplices))
-    keys, corner_keys = base @ np.sort(simplices, axis=0), np.sort(corners, axis=1) @ base
-    order = np.argsort(keys)
-    place = order[np.minimum(np.searchsorted(keys[order], corner_keys), len(keys) - 1)]
-    return np.where(keys[place] == corner_keys, place, -1)
-
-
 def _measure_shares(
     mesh: Mesh, ends: np.ndarray, length: np.ndarray, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -524,7 +502,7 @@ def _measure_shares(
     """
     nodes, weights = ends.ravel(), np.ones(len(ends))
     if ends.shape[1] == 2:
-        middle = _edge_nodes(mesh, ends)
+        middle = edge_nodes(mesh, ends)
         _require_inside(middle - mesh.nvertices, name)
         nodes = np.concatenate([*ends.T, middle])
         weights = np.concatenate([length, length, 4 * length]) / 6  # Simpson's rule
@@ -546,6 +524,9 @@ def _require_inside(places: np.ndarray, name: str) -> np.ndarray:
 
 DIMENSION = {0: "points", 1: "curves", 2: "faces", 3: "solids"}
 TOUCHING = 1e-6  # distance of a face from a point that selects it, over the body's size
+# Numbers of corners of the supported elements of each dimension, and their names.
+CORNERS = {0: (1,), 1: (2,), 2: (3, 4), 3: (4, 5, 6, 8)}
+ELEMENTS = "triangles, quadrilaterals, tetrahedra, pyramids, prisms and hexahedra"
 MOST = 50_000_000  # largest number of elements for a mesh size
 
 Picks = Mapping[str, Mapping[str, Any]]
@@ -561,9 +542,11 @@ def extract_mesh(
     A CAD file is meshed with elements of a ``size`` (in the file's unit). ``picks`` are its groups
     by name: ``dimension``, points ``at``, corners of a ``box``.
 
-    Returns ``points`` (n, 3); ``cells<k>`` (elements, nodes each), blocks of tetrahedra or
-    triangles, corners first; ``group<k>``, numbers of such elements or nodes (elements, corners);
-    and ``record``, JSON: name and dimension of each group.
+    Returns ``points`` (n, 3); ``cells<k>`` (elements, nodes each), blocks of elements of one kind,
+    corners first; ``local<k>``, the places of these nodes on the reference element; ``corners`` of
+    each block; ``group<k>``, numbers of such elements or nodes (elements, corners); and
+    ``record``, JSON: name and dimension of each group. Triangles beside quadrilaterals repeat
+    their last corner.
 
     Raises
     ------
@@ -600,41 +583,51 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
     order = np.argsort(tags)
     ranked = tags[order]
 
-    def simplices(d: int, entities: Sequence[int]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return numbers and nodes of all elements in these entities, which are simplices."""
+    def blocks_of(d: int, entities: Iterable[int]) -> list[tuple[np.ndarray, CellBlock]]:
+        """Return numbers and nodes of all elements in these entities."""
         result = []
         for entity in entities:
             blocks = zip(*gmsh.model.mesh.getElements(d, entity), strict=True)
             for kind, numbers, nodes in blocks:
-                shape, _, _, count, _, corners = gmsh.model.mesh.getElementProperties(kind)
-                if corners != d + 1 or count not in (d + 1, (d + 1) * (d + 2) // 2):
-                    expected = "triangles and tetrahedra of order 1 or 2"
-                    hint = (
-                        "mesh with simplices in gmsh: Mesh.RecombineAll = 0, Mesh.ElementOrder = 2"
-                    )
+                properties = gmsh.model.mesh.getElementProperties(kind)
+                shape, _, degree, count, places, corners = properties
+                if corners not in CORNERS[d] or degree > 2:
+                    expected = "elements of order 1 or 2: " + ELEMENTS
+                    hint = "mesh with Mesh.ElementOrder = 2 in gmsh"
                     raise wrong("mesh", "an element is not supported", shape, expected, hint)
                 at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
                 if len(ranked) == 0 or (ranked[at] != nodes).any():
                     raise UsageError("an element has a node that does not exist", where=where)
-                result.append((numbers, order[at].reshape(-1, count)))
+                local = np.reshape(places, (count, -1))[:, :d]
+                result.append((numbers, CellBlock(order[at].reshape(-1, count), corners, local)))
         return result
 
-    entities = map(itemgetter(1), gmsh.model.getEntities(dimension))
-    body = simplices(dimension, list(entities))
-    arrays = {f"cells{k}": nodes for k, (_, nodes) in enumerate(body)}
+    body = blocks_of(dimension, map(itemgetter(1), gmsh.model.getEntities(dimension)))
+    arrays = {"corners": np.array([block.corners for _, block in body], dtype=int)}
+    for k, (_, block) in enumerate(body):
+        arrays |= {f"cells{k}": block.nodes, f"local{k}": block.local}
     numbers = np.concatenate([np.empty(0, int), *map(itemgetter(0), body)])
     groups: list[tuple[str, int]] = []
     for d, physical in gmsh.model.getPhysicalGroups():
-        members = simplices(d, gmsh.model.getEntitiesForPhysicalGroup(d, physical))
+        members = blocks_of(d, gmsh.model.getEntitiesForPhysicalGroup(d, physical))
         if d == dimension:
             selected = np.concatenate([np.empty(0, int), *map(itemgetter(0), members)])
             result = np.flatnonzero(np.isin(numbers, selected))
         else:
-            result = _corner_nodes(map(itemgetter(1), members), d + 1)
+            result = _corner_nodes(map(itemgetter(1), members), max(CORNERS[d]))
         arrays[f"group{len(groups)}"] = result
         groups.append((gmsh.model.getPhysicalName(d, physical) or str(physical), int(d)))
     arrays |= {"points": coordinates.reshape(-1, 3), "record": np.array(json.dumps(groups))}
     return arrays
+
+
+def _corner_nodes(blocks: Iterable[CellBlock], width: int) -> np.ndarray:
+    """Return the nodes (elements, width) at corners; the last corner fills the row."""
+    rows = [np.empty((0, width), int)]
+    for block in blocks:
+        columns = np.minimum(np.arange(width), block.corners - 1)
+        rows.append(block.nodes[:, columns])
+    return np.concatenate(rows)
 
 
 def _mesh_cad(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:

@@ -1,0 +1,315 @@
+"""Elements of mesh files, and the quadratic meshes that are made of them.
+
+A file contains blocks of elements, each of one kind, of first or second order. Meshes of only
+hexahedra or only quadrilaterals become meshes of 27 or 9 nodes per element. Nodes that the file
+lacks, such as those on the faces of hexahedra with 20 nodes, follow from the shape functions of the
+file's elements. All other meshes become quadratic tetrahedra or triangles. Prisms, pyramids, and
+hexahedra beside other elements are divided at the diagonals through the lowest node number of each
+face, so that neighbours match. Source: J. Dompierre et al., How to subdivide pyramids, prisms and
+hexahedra into tetrahedra, 8th International Meshing Roundtable (1999).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import skfem
+from skfem.mesh import (
+    Mesh,
+    MeshHex,
+    MeshHex2,
+    MeshQuad,
+    MeshQuad2,
+    MeshTet,
+    MeshTet2,
+    MeshTri,
+    MeshTri2,
+)
+
+from kc2spice.core.errors import wrong
+
+# Faces of elements by the number of their corners, in gmsh's order of nodes.
+FACES = {
+    5: ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
+    6: ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
+    8: ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+}  # fmt: skip
+# Neighbours of each corner along edges, in right-handed order.
+NEIGHBOURS = {
+    (2, 4): ((1, 3), (2, 0), (3, 1), (0, 2)),
+    (3, 5): ((1, 3, 4), (2, 0, 4), (3, 1, 4), (0, 2, 4)),
+    (3, 6): ((1, 2, 3), (2, 0, 4), (0, 1, 5), (5, 4, 0), (3, 5, 1), (4, 3, 2)),
+    (3, 8): (
+        (1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3),
+    ),
+}  # fmt: skip
+SIMPLICES = {2: (MeshTri, MeshTri2), 3: (MeshTet, MeshTet2)}
+PRODUCTS = {2: (MeshQuad, MeshQuad2), 3: (MeshHex, MeshHex2)}
+# Elements whose shape functions a file uses, by dimension and number of nodes.
+PRODUCT_ELEMENTS = {
+    (2, 4): skfem.ElementQuad1, (2, 8): skfem.ElementQuadS2, (2, 9): skfem.ElementQuad2,
+    (3, 8): skfem.ElementHex1, (3, 20): skfem.ElementHexS2, (3, 27): skfem.ElementHex2,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class CellBlock:
+    """Elements of one kind: ``nodes`` (elements, l), the ``corners`` first.
+
+    ``local`` (l, d) are the coordinates of these nodes on gmsh's reference element.
+    """
+
+    nodes: np.ndarray
+    corners: int
+    local: np.ndarray
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of the elements."""
+        return self.local.shape[1]
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """Nodes (elements, corners) at the corners."""
+        return self.nodes[:, : self.corners]
+
+    @property
+    def is_product(self) -> bool:
+        """Whether the elements are quadrilaterals or hexahedra."""
+        return self.corners == 2**self.dimension
+
+    def renumber(self, number: np.ndarray) -> CellBlock:
+        """Replace each node by its ``number`` (n,)."""
+        return CellBlock(number[self.nodes], self.corners, self.local)
+
+    def middle_nodes(self) -> dict[tuple[int, int], int]:
+        """Return the local number of each node in the middle of an edge, by the edge's corners."""
+        result: dict[tuple[int, int], int] = {}
+        for edge in combinations(range(self.corners), 2):
+            middle = self.local[list(edge)].mean(axis=0)
+            for node in range(self.corners, len(self.local)):
+                if np.allclose(self.local[node], middle):
+                    result[edge] = node
+        centres = self._centre_nodes(result)
+        return {edge: node for edge, node in result.items() if node not in centres}
+
+    def _centre_nodes(self, middles: dict[tuple[int, int], int]) -> set[int]:
+        """Nodes in the middle of more than one line between corners: those of faces."""
+        nodes = list(middles.values())
+        return {node for node in nodes if nodes.count(node) > 1}
+
+
+def is_product_mesh(blocks: Sequence[CellBlock]) -> bool:
+    """Whether all elements are quadrilaterals, or all are hexahedra."""
+    return bool(blocks) and all(block.is_product for block in blocks)
+
+
+def require_right_handed(points: np.ndarray, blocks: Sequence[CellBlock], where: str) -> None:
+    """Refuse elements whose Jacobian determinant changes its sign between corners.
+
+    Raises
+    ------
+    UsageError : an element is folded or has corners in one plane; the message states where.
+    """
+    for block in blocks:
+        corners = NEIGHBOURS.get((block.dimension, block.corners))
+        if corners is None:
+            continue
+        places = points[block.vertices]
+        edges = (places[:, list(ends)] - places[:, [i]] for i, ends in enumerate(corners))
+        determinant = np.array([*map(np.linalg.det, edges)])
+        folded = np.flatnonzero((determinant.min(axis=0) <= 0) & (determinant.max(axis=0) >= 0))
+        if folded.size:
+            centre = ", ".join(f"{1e3 * x:.4g}" for x in places[folded[0]].mean(axis=0))
+            got = f"{folded.size} elements, such as the one around ({centre}) mm"
+            expected = "Jacobian determinants of one sign at all corners of an element"
+            hint = "repair these elements in the mesher, or mesh the body with tetrahedra"
+            raise wrong(where, "the mesh has elements turned inside out", got, expected, hint)
+
+
+def divide_faces(faces: np.ndarray) -> np.ndarray:
+    """Divide quadrilaterals (n, 4) into triangles (k, 3) at their lowest node number.
+
+    A quadrilateral whose last two nodes are the same is one triangle.
+    """
+    turned = _turn_lowest_first(faces)
+    result = np.concatenate([turned[:, [0, 1, 2]], turned[:, [0, 2, 3]]])
+    return result[(np.diff(np.sort(result, axis=1), axis=1) > 0).all(axis=1)]
+
+
+def _turn_lowest_first(faces: np.ndarray) -> np.ndarray:
+    order = (faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])) % faces.shape[1]
+    return np.take_along_axis(faces, order, axis=1)
+
+
+def divide_cells(blocks: Sequence[CellBlock]) -> tuple[np.ndarray, np.ndarray]:
+    """Divide elements into triangles or tetrahedra (k, d + 1).
+
+    The second result (k,) is the number of the element that each is a part of. A tetrahedron
+    consists of the lowest node of an element and a triangle of a face without this node.
+    """
+    pieces, parents, start = [], [], 0
+    for block in blocks:
+        number = start + np.arange(len(block.nodes))
+        start += len(number)
+        for cells, members in _divide_block(block):
+            pieces.append(cells)
+            parents.append(number[members])
+    width = blocks[0].dimension + 1 if blocks else 0
+    cells = np.concatenate([np.empty((0, width), int), *pieces])
+    parent = np.concatenate([np.empty(0, int), *parents])
+    order = np.argsort(parent, kind="stable")
+    return cells[order], parent[order]
+
+
+def _divide_block(block: CellBlock) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Divide a block into sets of simplices, each with the numbers of the elements."""
+    cells = block.vertices
+    if block.corners == block.dimension + 1:
+        return [(cells, np.arange(len(cells)))]
+    if block.dimension == 2:
+        turned, every = _turn_lowest_first(cells), np.arange(len(cells))
+        return [(turned[:, [0, 1, 2]], every), (turned[:, [0, 2, 3]], every)]
+    result, lowest = [], cells.argmin(axis=1)
+    for corner in range(block.corners):
+        members = np.flatnonzero(lowest == corner)
+        for face in FACES[block.corners]:
+            if corner in face:
+                continue
+            turned = _turn_lowest_first(cells[members][:, face])
+            for triangle in ((0, 1, 2), (0, 2, 3))[: len(face) - 2]:
+                apex = cells[members, corner]
+                result.append((np.column_stack([apex, turned[:, triangle]]), members))
+    return result
+
+
+def _edge_middles(points: np.ndarray, block: CellBlock) -> tuple[np.ndarray, np.ndarray]:
+    """Return ends (k, 2) and middles (k, d) of curved edges and diagonals of a block."""
+    if len(block.local) == block.corners:
+        return np.empty((0, 2), int), np.empty((0, points.shape[1]))
+    middles, nodes = block.middle_nodes(), block.nodes
+    ends = [nodes[:, list(edge)] for edge in middles]
+    places = [points[nodes[:, node]] for node in middles.values()]
+    faces = ((0, 1, 2, 3),) if block.dimension == 2 else FACES.get(block.corners, ())
+    for face in faces if block.corners > block.dimension + 1 else ():
+        if len(face) == 4:
+            around = [middles[_sorted_pair(face[i - 1], face[i])] for i in range(4)]
+            centre = points[nodes[:, around]].sum(axis=1) / 2
+            places.append(centre - points[nodes[:, list(face)]].sum(axis=1) / 4)
+            ends.append(_turn_lowest_first(nodes[:, list(face)])[:, [0, 2]])
+    if block.corners == 8:
+        around = list(middles.values())
+        corner = block.vertices.argmin(axis=1)
+        opposite = np.array([6, 7, 4, 5, 2, 3, 0, 1])[corner]
+        every = np.arange(len(nodes))
+        ends.append(np.column_stack([nodes[every, corner], nodes[every, opposite]]))
+        sums = points[nodes[:, around]].sum(axis=1) - points[block.vertices].sum(axis=1)
+        places.append(sums / 4)
+    return np.concatenate(ends), np.concatenate(places)
+
+
+def _sorted_pair(first: int, second: int) -> tuple[int, int]:
+    return min(first, second), max(first, second)
+
+
+def make_quadratic_mesh(
+    points: np.ndarray, blocks: Sequence[CellBlock]
+) -> tuple[Mesh, np.ndarray, np.ndarray]:
+    """Make a quadratic mesh with the nodes of a file.
+
+    Edges without middle nodes are straight.
+
+    Returns
+    -------
+    mesh : of quadrilaterals, hexahedra, triangles or tetrahedra.
+    number : number (n,) of each of the file's nodes in the mesh, -1 if no corner.
+    parent : number (elements,) of the file's element that each element is a part of.
+    """
+    make = _make_product_mesh if is_product_mesh(blocks) else _make_simplex_mesh
+    return make(points, blocks)
+
+
+def _make_simplex_mesh(
+    points: np.ndarray, blocks: Sequence[CellBlock]
+) -> tuple[Mesh, np.ndarray, np.ndarray]:
+    corners, parent = divide_cells(blocks)
+    vertices, cells = np.unique(corners, return_inverse=True)
+    number = _invert_numbers(vertices, len(points))
+    kind, curved = SIMPLICES[points.shape[1]]
+    mesh = curved.from_mesh(kind(points[vertices].T.copy(), cells.reshape(corners.shape).T.copy()))
+    places = mesh.doflocs.copy()
+    for block in blocks:
+        ends, middle = _edge_middles(points, block)
+        places[:, edge_nodes(mesh, number[ends])] = middle.T
+    return curved(places, mesh.t), number, parent
+
+
+def _make_product_mesh(
+    points: np.ndarray, blocks: Sequence[CellBlock]
+) -> tuple[Mesh, np.ndarray, np.ndarray]:
+    dimension = points.shape[1]
+    kind, curved = PRODUCTS[dimension]
+    corners = np.concatenate([block.vertices for block in blocks])
+    vertices, cells = np.unique(corners, return_inverse=True)
+    order = _match_places(_unit_places(blocks[0])[: corners.shape[1]], kind.elem.doflocs)
+    mesh = curved.from_mesh(
+        kind(points[vertices].T.copy(), cells.reshape(corners.shape)[:, order].T.copy())
+    )
+    numbers = skfem.Dofs(mesh, curved.elem()).element_dofs
+    places, start = mesh.doflocs.copy(), 0
+    for block in blocks:
+        columns = numbers[:, start : start + len(block.nodes)]
+        start += len(block.nodes)
+        places[:, columns] = np.einsum("il,eld->die", _interpolation(block), points[block.nodes])
+    number = _invert_numbers(vertices, len(points))
+    return curved(places, mesh.t), number, np.arange(len(corners))
+
+
+def _unit_places(block: CellBlock) -> np.ndarray:
+    """Nodes (l, d) of gmsh's quadrilateral or hexahedron on the unit square or cube."""
+    return (block.local + 1) / 2
+
+
+def _match_places(places: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the number of the place that is at each of the ``others``."""
+    distance = np.linalg.norm(places[None] - others[:, None], axis=-1)
+    return np.asarray(distance.argmin(axis=1))
+
+
+def _interpolation(block: CellBlock) -> np.ndarray:
+    """Weights (m, l) of a block's nodes in the nodes of its quadratic element."""
+    element = PRODUCT_ELEMENTS[block.dimension, len(block.local)]()
+    curved = PRODUCTS[block.dimension][1].elem.doflocs
+    result = np.empty((len(curved), len(block.local)))
+    order = _match_places(_unit_places(block), element.doflocs)
+    for i, node in enumerate(order):
+        result[:, node] = element.lbasis(curved.T, i)[0]
+    return result
+
+
+def _invert_numbers(vertices: np.ndarray, count: int) -> np.ndarray:
+    number = np.full(count, -1)
+    number[vertices] = np.arange(len(vertices))
+    return number
+
+
+def edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
+    """Nodes in the middle of edges given by vertices (k, 2)."""
+    edges = mesh.edges if mesh.dim() == 3 else mesh.facets
+    return mesh.nvertices + find_columns(edges, pairs)
+
+
+def find_columns(entities: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Find the columns of ``entities`` (corners, n) with these corners (k, corners), or -1."""
+    columns, rows = np.sort(entities, axis=0), np.sort(corners, axis=1)
+    if columns.shape[0] != rows.shape[1]:
+        return np.full(len(rows), -1)
+    base = columns.max(initial=0) + 1
+    powers = base ** np.arange(min(len(columns), 3))  # three corners identify a face
+    keys, row_keys = powers @ columns[: len(powers)], rows[:, : len(powers)] @ powers
+    order = np.argsort(keys)
+    place = order[np.minimum(np.searchsorted(keys[order], row_keys), len(keys) - 1)]
+    return np.where((rows == columns[:, place].T).all(axis=1), place, -1)
