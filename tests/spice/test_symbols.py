@@ -6,6 +6,7 @@ from dataclasses import replace
 import device
 import pytest
 
+import kc2spice as kc
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.expression import literal
 from kc2spice.netlist.translate import symbol_files
@@ -181,3 +182,68 @@ def test_ltspice_reads_what_the_library_declares(written, deck):
         read_values = {k: literal(v) for k, v in (w.split("=") for w in line.split())}
         assert read_values == {k: literal(v) for k, v in params.items()}
         assert all(p.coord.X % 16 == p.coord.Y % 16 == 0 for p in read.pins)
+
+
+SHEET_PARTS = """
+[disc]
+part = "bvd"
+fs = "6.3 kHz"
+keff = 0.36
+zs = "350 Ohm"
+c_low = "10 nF"
+number = "B-1"
+pins = { anode = "drive.out" }
+[quartz]
+part = "crystal"
+f = "10 MHz"
+cl = "18 pF"
+c0 = "5 pF"
+c1 = "20 fF"
+r1 = "20 Ohm"
+pins = { a = "drive.out", b = "gnd" }
+[speaker]
+part = "loudspeaker"
+fs = "50 Hz"
+re = "6 Ohm"
+le = "0.5 mH"
+qms = 4
+qes = 0.5
+mms = "12 g"
+sd = "0.013 m2"
+pins = { plus = "drive.out", minus = "gnd" }
+[switch]
+part = "relay"
+voltage = "12 V"
+resistance = "270 Ohm"
+pick_up = "9 V"
+release = "1.2 V"
+inductance = "0.5 H"
+pins = { plus = "drive.out", minus = "gnd", no = "load.a", com = "drive.out" }
+[load]
+part = "resistor"
+resistance = "1 kOhm"
+[drive]
+part = "source"
+dc = 12
+[analysis]
+stop = "1 ms"
+"""
+
+
+def test_symbols_of_parts_with_data_sheets_have_the_pins_of_their_libraries(tmp_path):
+    (tmp_path / "board.toml").write_text(SHEET_PARTS)
+    deck = kc.deck(tmp_path / "board.toml")
+    files = symbol_files(deck)
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    symbols = {s.library_id: s for s in library(tmp_path).symbols}
+    titles = [part.title for part in deck.parts]
+    assert len(titles) == 4
+    for part in deck.parts:
+        fields = {p.key: p.value for p in symbols[part.name].properties}
+        named = {int(n): p.name.name for n, p in pins_of(symbols[part.name]).items()}
+        assert [named[i] for i in sorted(named)] == card(part)[0]
+        assert (fields["Sim.Library"], fields["Sim.Name"]) == (part.filename, part.name)
+        assert fields["Description"] == part.title
+    named = nets_of_sheet(tmp_path, files, "board")
+    require_nets_of_elements(named, deck.scope.elements)
