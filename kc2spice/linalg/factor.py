@@ -19,7 +19,6 @@ from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.memory import available_bytes
 from kc2spice.linalg.processor import fast_kernels
-from kc2spice.linalg.quasidefinite import QuasiDefinite
 from kc2spice.linalg.solver import DirectSolver, factorise_by, solve_by, supplied_solver
 
 USABLE = 0.9
@@ -272,6 +271,8 @@ def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
         minus = matrix.diagonal() < 0
         trial = np.random.default_rng(0).standard_normal(matrix.shape[0])
         try:
+            from kc2spice.linalg.quasidefinite import QuasiDefinite  # late: loads scipy.linalg
+
             apply = QuasiDefinite(matrix, minus, _group_unknowns(matrix)[0], order).solve
             factor = Factor(matrix, apply, order, negative=int(minus.sum()))
             factor.solve(trial)
