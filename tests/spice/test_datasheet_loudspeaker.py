@@ -1,5 +1,7 @@
 """Loudspeakers from Thiele-Small parameters: their netlists in ngspice against closed forms."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -126,3 +128,13 @@ def test_verify_passes_in_time_and_warns_of_the_excursion():
 @pytest.mark.parametrize("dialect", dialect_names())
 def test_every_dialect_has_it(dialect, tmp_path):
     assert kc.export(scene({name: SHEET[name] for name in BASIS}), tmp_path, dialect=dialect)
+
+
+def test_the_gallery_scene_has_the_extreme_impedances_of_its_data_sheets(tmp_path):
+    """The woofer has ``re (1 + qms / qes)`` at ``fs``, the buzzer ``zs`` beside its capacitance."""
+    result = kc.run("buzzer_and_speaker", out=tmp_path / "out")
+    largest = 6.23 * (1 + 6.657 / 0.538)
+    assert result.metrics["woofer_a"] == pytest.approx(1 / largest, rel=1e-4)
+    parallel = 2 * math.pi * 6300 * 10e-9 * (1 - 0.358**2)
+    smallest = math.hypot(1 / 350, parallel)
+    assert result.metrics["buzzer_a"] == pytest.approx(smallest, rel=2e-3)
