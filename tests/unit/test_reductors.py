@@ -4,14 +4,14 @@ import mor_families as families
 import numpy as np
 import oracle
 import pytest
-from scipy.linalg import eigh, solve_continuous_lyapunov
+from scipy.linalg import eigh, schur, solve_continuous_lyapunov
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.reduced_basis import Task
 from kc2spice.rom.reductors import registry
-from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation
+from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation, _gramian_root
 from kc2spice.rom.reductors.block_krylov import BlockKrylov
 from kc2spice.rom.reductors.rational_krylov import RationalKrylov
 
@@ -206,3 +206,14 @@ def test_structural_damping_needs_a_congruence():
     lossy = kc.LinearModel(M=matrices["M"], K=matrices["K"] * (1 + 0.01j), B=matrices["B"])
     with pytest.raises(UsageError, match="preserves the form"):
         kc.reduce(lossy, tolerance=0.1, band=(0, top), method="balanced truncation")
+
+
+@pytest.mark.parametrize("transposed", [False, True])
+def test_roots_of_gramians_solve_the_lyapunov_equation(transposed):
+    """150 states with pairs of poles, more than one block of the recursion."""
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((150, 150)) - 30 * np.eye(150)
+    T, Q = schur(A)[0], rng.standard_normal((150, 2))
+    root = _gramian_root(T, Q, transposed)
+    exact = solve_continuous_lyapunov(T.T if transposed else T, -Q @ Q.T)
+    assert np.abs(root @ root.T - exact).max() < 1e-12 * np.abs(exact).max()

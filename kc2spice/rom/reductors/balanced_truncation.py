@@ -19,6 +19,7 @@ LARGEST_UNSCALED = 500  # first-order states up to which a second pair of Gramia
 # Least decay of the slowest pole in e-folds per radian at the end of the band. Gramians of slower
 # poles are rounding.
 STRICTLY_STABLE = 1e-9
+SYLVESTER_BLOCK = 64  # largest block of a Lyapunov equation that LAPACK solves at once
 HANKEL_ROUNDING = 1e-13  # Hankel singular values below this, relative to the largest, are rounding
 NOT_STABLE = "the model is not strictly stable"
 
@@ -101,8 +102,8 @@ def _gramian_roots(
     A = -model.coefficients[0]
     if np.linalg.eigvals(A).real.max() > -STRICTLY_STABLE:
         return None
-    controllable = _gramian_root(A, model.B / columns, "N", "T")
-    return controllable, _gramian_root(A, (model.C / rows[:, None]).T, "T", "N")
+    controllable = _gramian_root(A, model.B / columns)
+    return controllable, _gramian_root(A, (model.C / rows[:, None]).T, transposed=True)
 
 
 def has_gramians(task: Task) -> bool:
@@ -165,13 +166,42 @@ def balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.exp(log.mean(axis=-1) - half), np.exp(log.mean(axis=-2) - half)
 
 
-def _gramian_root(T: np.ndarray, Q: np.ndarray, left: str, right: str) -> np.ndarray:
+def _gramian_root(T: np.ndarray, Q: np.ndarray, transposed: bool = False) -> np.ndarray:
     """Compute R with ``X = R R'`` of ``T X + X T' = -Q Q'``, or of T transposed.
 
-    T is in real Schur form.
-
-    Rounding may leave X slightly indefinite.
+    T is in real Schur form. Rounding may leave X slightly indefinite.
     """
-    X, scale, _ = scipy.linalg.lapack.dtrsyl(T, T, -Q @ Q.T, trana=left, tranb=right)
-    values, vectors = np.linalg.eigh(0.5 / scale * (X + X.T))
+    C = -Q @ Q.T
+    if transposed:  # in reverse order the transposed form is again in Schur form
+        X = _solve_sylvester(T.T[::-1, ::-1], T.T[::-1, ::-1], C[::-1, ::-1])[::-1, ::-1]
+    else:
+        X = _solve_sylvester(T, T, C)
+    values, vectors = np.linalg.eigh(0.5 * (X + X.T))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _solve_sylvester(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
+    """Solve ``A X + X B' = C`` for A and B in real Schur form by recursive division.
+
+    Products of large blocks replace most of the columns that LAPACK solves one after the other.
+    (I. Jonsson, B. Kagstrom, ACM Trans. Math. Softw. 28 (2002) 392.)
+    """
+    rows, columns = C.shape
+    if max(rows, columns) <= SYLVESTER_BLOCK:
+        X, scale, _ = scipy.linalg.lapack.dtrsyl(A, B, C, tranb="T")
+        return np.asarray(X / scale)
+    if rows >= columns:
+        k = _schur_half(A)
+        low = _solve_sylvester(A[k:, k:], B, C[k:])
+        high = _solve_sylvester(A[:k, :k], B, C[:k] - A[:k, k:] @ low)
+        return np.concatenate([high, low])
+    k = _schur_half(B)
+    right = _solve_sylvester(A, B[k:, k:], C[:, k:])
+    left = _solve_sylvester(A, B[:k, :k], C[:, :k] - right @ B[:k, k:].T)
+    return np.hstack([left, right])
+
+
+def _schur_half(T: np.ndarray) -> int:
+    """Return an index near the middle of a Schur form that divides no pair of poles."""
+    k = len(T) // 2
+    return k + 1 if T[k, k - 1] else k
