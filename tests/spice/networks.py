@@ -81,7 +81,8 @@ class Network:
                 found = re.findall(r"(\w+)=(\S+)", line)
                 scope = {k: float(v) for k, v in found} | scope
             if name == ".param":
-                scope |= {k: number(v) for k, v in re.findall(r"^\.param (\w+)=(.*)", line)}
+                for key, value in re.findall(r"(\w+)=({[^}]*}|'[^']*'|\S+)", line):
+                    scope[key] = number(value)
             if name == ".ends":
                 return
             tick = name[0] == "v" and "pwl" in line  # which makes the first step small, and is 0
