@@ -523,8 +523,12 @@ def _draw_field(
     caption = f"At {instant:.4g} s."
     values = rises[geometry.basis(1).element_dofs.T]
     if mesh.dim() == 1:
-        order = np.argsort(geometry.places[0])
-        curve = Curve("", 1e3 * geometry.places[0, order], rises[order])
+        # element by element: at a joint with a resistance two temperatures have one height
+        cells = np.argsort(mesh.p[0, mesh.t].mean(axis=0))
+        nodes = geometry.basis(1).element_dofs[:, cells]
+        nodes = np.take_along_axis(nodes, np.argsort(geometry.places[0, nodes], axis=0), axis=0)
+        path = nodes.T.ravel()
+        curve = Curve("", 1e3 * geometry.places[0, path], rises[path])
         panel = Panel("height in mm", "temperature rise in K", (curve,))
     else:
         colours = map_surface(mesh, element_corners(mesh), values, "temperature rise in K")
