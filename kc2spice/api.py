@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from kc2spice.core import __version__
-from kc2spice.core.errors import UsageError, unknown
+from kc2spice.core.errors import NamedValues, UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.core.figure import Figure
 from kc2spice.core.files import stage_directory
@@ -554,7 +554,8 @@ class Result:
     Attributes
     ----------
     scene : name of the scene or deck.
-    metrics : numbers by name, in the SI unit that ``record["metric_units"]`` states.
+    metrics : numbers by name, in the SI unit that ``record["metric_units"]`` states; an unknown
+        name here, in ``waves`` and in ``units`` raises a KeyError that lists similar names.
     waves : arrays (points,) in SI by name, over ``scale``; complex in an ``ac`` analysis.
     units : SI unit of each wave.
     checks : comparisons with physics: ``name``, ``value``, ``limit``, ``passed``, ``advice``.
@@ -729,8 +730,8 @@ def _make_result(
 ) -> Result:
     scale = next(iter(waves.data))
     units = {scale: SCALES.get(scale, ""), **deck.units}
-    metrics = record.get("metrics", {})
-    return Result(record["scene"], metrics, waves.data, units, checks, record, deck, **more)
+    metrics, data = NamedValues(record.get("metrics", {})), NamedValues(waves.data)
+    return Result(record["scene"], metrics, data, NamedValues(units), checks, record, deck, **more)
 
 
 class Table(tuple[dict[str, Any], ...]):

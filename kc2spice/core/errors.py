@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from typing import Any, NoReturn
 
 LONGEST = 200  # characters of a word that is compared with others
 MOST_CHOICES = 5  # candidates that an error lists
@@ -47,6 +48,31 @@ class UsageError(Kc2spiceError):
     """Bad command line, scene, model or included file: exit code 2."""
 
     exit_code = 2
+
+
+class UnknownNameError(UsageError, KeyError):
+    """A name that a mapping of results lacks; also a ``KeyError``."""
+
+
+class NamedValues(dict[str, Any]):
+    """Results by name; an error about an unknown name lists similar names.
+
+    Examples
+    --------
+    >>> NamedValues(resonance_hz=6298.0)["resonance"]
+    Traceback (most recent call last):
+        ...
+    kc2spice.core.errors.UnknownNameError: no such name
+      got:      'resonance'
+      expected: one of resonance_hz
+      next:     did you mean 'resonance_hz'?
+    """
+
+    def __missing__(self, name: object) -> NoReturn:
+        error = unknown("no such name", name, self)
+        raise UnknownNameError(
+            error.message, got=error.got, expected=error.expected, hint=error.hint
+        )
 
 
 class MissingToolError(Kc2spiceError):

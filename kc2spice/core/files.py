@@ -43,14 +43,15 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
     """
     if "\0" in str(out):
         raise UsageError("has a zero byte", where=repr(str(out)), hint=_ELSEWHERE)
+    typed = str(out)
     # the target of a link, on its own file system; the link remains
     out = Path(os.path.realpath(out))
     # os.path answers False where pathlib raises, below directories that may not be entered.
     nearest = next(filter(os.path.exists, (out, *out.parents)))
     if not os.path.isdir(nearest):
-        raise UsageError("is a file, not a directory", where=str(nearest), hint=_ELSEWHERE)
+        raise _unwritable(typed, nearest, "a file, not a directory")
     if not os.access(nearest, os.W_OK | os.X_OK):
-        raise UsageError("cannot be written", where=str(nearest), hint=_ELSEWHERE)
+        raise _unwritable(typed, nearest, "no permission to write")
     # The work directory lies beside ``out``, or inside if ``out`` is another file system or the
     # only writable directory.
     if nearest == out and not os.path.ismount(out) and os.access(out.parent, os.W_OK):
@@ -59,7 +60,7 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
     try:
         work = Path(tempfile.mkdtemp(prefix=prefix, suffix=_SUFFIX, dir=nearest))
     except OSError as error:
-        raise _unwritable(nearest, error) from None
+        raise _unwritable(typed, nearest, error.strerror or str(error)) from None
     try:
         with lock_path(work):
             _clear_abandoned(work, prefix)
@@ -68,18 +69,24 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
             except OSError as error:
                 if error.errno not in FULL:
                     raise
-                raise _unwritable(nearest, error) from None
+                raise _unwritable(typed, nearest, error.strerror or str(error)) from None
             try:
                 _publish(work, out)
             except OSError as error:
-                raise _unwritable(out, error) from None
+                raise _unwritable(typed, out, error.strerror or str(error)) from None
     finally:
         shutil.rmtree(work, ignore_errors=True)
 
 
-def _unwritable(path: Path, error: OSError) -> UsageError:
-    reason = error.strerror or str(error)
-    return UsageError(f"cannot be written: {reason}", where=str(path), hint=_ELSEWHERE)
+def _unwritable(typed: str, directory: Path, reason: str) -> UsageError:
+    """Make the error of the path as the user typed it; ``directory`` is the one that fails."""
+    return UsageError(
+        "cannot be written",
+        where=typed,
+        got=f"{directory}: {reason}",
+        expected="a path in a directory that can be written",
+        hint=_ELSEWHERE,
+    )
 
 
 def _publish(work: Path, out: Path) -> None:

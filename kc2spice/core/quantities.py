@@ -153,10 +153,21 @@ def _explain(
             sign = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
             limit = ", ".join(f"{sign[key]} {bound:g}" for key, bound in context.items())
             unit = _unit_at(schema, path)
-            return "out of range", f"{limit} {unit or ''}".rstrip(), None
+            hint = _suggest_value(join_path(full_path), details["input"], context, unit or "")
+            return "out of range", f"{limit} {unit or ''}".rstrip(), hint
         case "value_error":
             return str(context["error"]), None, None
     return details["msg"], context.get("expected"), None
+
+
+def _suggest_value(key: str, value: object, limits: Mapping[str, float], unit: str) -> str:
+    """Suggest how to bring the value of a key inside the violated one of its limits."""
+    (kind, bound), *_ = limits.items()
+    lower = kind in ("gt", "ge")
+    if lower and isinstance(value, (int, float)) and value < 0 and -value > bound:
+        return "remove the minus sign"
+    preposition = {"gt": "above", "lt": "below"}.get(kind, "to")
+    return f"{'raise' if lower else 'lower'} {key} {preposition} {bound:g} {unit}".rstrip()
 
 
 # Words that another key replaces, and the relation of both.

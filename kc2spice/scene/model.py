@@ -252,6 +252,9 @@ class SceneSource(Protocol):
     def where(self, key: str) -> str:
         """File, line and name of a key."""
 
+    def overrides_key(self, key: str) -> bool:
+        """Whether an override sets the key."""
+
 
 @dataclass(frozen=True, eq=False)
 class DeclaredScene:
@@ -490,6 +493,12 @@ class Scene(WiredScene):
     def where(self, key: str) -> str:
         """Return file, line and name of a key; the name alone without a file."""
         return key if self.source is None else self.source.where(key)
+
+    def overridden(self, first: str, second: str) -> str:
+        """Return ``first`` if an override sets only this key of the two, otherwise ``second``."""
+        if self.source is None or self.source.overrides_key(second):
+            return second
+        return first if self.source.overrides_key(first) else second
 
     @property
     def rests(self) -> dict[str, Rest]:

@@ -34,7 +34,7 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
     yield from _check_largest_step(scene)
     yield from _check_unused_keys(scene.analysis)
     yield from _check_sweep_type(scene)
-    yield from _check_frequencies(scene.analysis)
+    yield from _check_frequencies(scene)
     yield from _check_noise_output(scene.analysis)
     if scene.analysis.type == "dc":
         yield from _check_swept_key(scene)
@@ -111,8 +111,9 @@ def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
             )
 
 
-def _check_frequencies(selected: Analysis) -> Iterator[UsageError]:
+def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
     """Yield errors of the frequency range of ``ac`` and ``noise``."""
+    selected = scene.analysis
     if not selected.small:
         return
     start, stop = selected.start, selected.stop or 0.0
@@ -127,7 +128,7 @@ def _check_frequencies(selected: Analysis) -> Iterator[UsageError]:
     elif not stop - start > SMALLEST_STEP * selected.points * stop:
         yield UsageError(
             "empty frequency range",
-            where="analysis.stop",
+            where=scene.overridden("analysis.start", "analysis.stop"),
             got=f"{start:g} … {stop:g} Hz",
             expected=f"a stop above the start, {start:g} Hz, and points that differ by "
             f"more than {SMALLEST_STEP:g} of the stop",

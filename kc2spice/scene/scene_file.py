@@ -40,6 +40,10 @@ class SceneFile:
         """Return the tables of the text."""
         return parse_toml_file(self.text, self.label)
 
+    def overrides_key(self, key: str) -> bool:
+        """Whether an override sets the key."""
+        return tuple(key.split(".")) in self.overrides
+
     def where(self, key: str) -> str:
         """Return the override or line of a key such as ``disc.layers.0.diameter``."""
         names = tuple(key.split("."))

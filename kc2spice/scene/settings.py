@@ -45,9 +45,10 @@ class Rom(Section):
     order: Annotated[Count | None, Notch(2.0)] = Field(
         None, ge=1, le=2000, description="Number of states, instead of a tolerance"
     )
+    # below 1e-10, rounding errors of double precision exceed the tolerance
     tolerance: Annotated[Ratio | None, Notch(0.1, finest=1e-10)] = Field(
         None,
-        gt=0,
+        ge=1e-10,
         lt=1,
         validate_default=True,
         description=("Largest relative error over the band; by default 1e-4 unless order is set"),

@@ -22,6 +22,13 @@ thickness = "0.2 mm"
 type = "ac"
 stop = "10 kHz"
 """
+LAMP = {
+    "name": "lamp",
+    "drive": {"part": "source", "dc": "12 V"},
+    "lamp": {"part": "resistor", "resistance": "6 Ohm", "pins": {"a": "drive.out"}},
+    "analysis": {"type": "op"},
+    "probes": {"current_a": {"of": "lamp.i"}},
+}
 DIVIDER = """[battery]
 part = "source"
 dc = "10 V"
@@ -271,3 +278,54 @@ def test_a_failed_check_names_value_and_limit_with_prefixes():
         require((check,), "kick_and_catch")
     assert "a check of the result failed: table left" in str(caught.value)
     assert "got:      31.7 mm" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected", "advice"),
+    [
+        ("rom.tolerance", "1e-13", ">= 1e-10", "raise rom.tolerance to 1e-10"),
+        ("rom.tolerance", "2", "< 1", "lower rom.tolerance below 1"),
+        ("disc.layers[1].diameter", "-1 mm", "> 0 m", "remove the minus sign"),
+        ("solver.trtol", "0.5", ">= 1", "raise solver.trtol to 1"),
+    ],
+)
+def test_a_value_out_of_range_names_the_key_and_a_value(cli, key, value, expected, advice):
+    done = cli("run", "buzzer_7bb_20_6", "--set", f"{key}={value}")
+    found = rows(done.stderr)
+    assert done.exit_code == 2
+    assert f"{key}={value}" in found["head"]
+    assert found["expected"].startswith(expected)
+    assert found["next"] == advice
+
+
+@pytest.mark.parametrize("key", ["start", "stop"])
+def test_an_empty_frequency_range_points_at_the_override(cli, key):
+    value = {"start": "1e9", "stop": "1"}[key]
+    done = cli("run", "buzzer_7bb_20_6", "--set", f"analysis.{key}={value}")
+    assert done.exit_code == 2
+    assert f"--set 'analysis.{key}={value}': empty frequency range" in rows(done.stderr)["head"]
+
+
+def test_a_table_with_words_quotes_the_first_line_with_one(cli):
+    Path("own.csv").write_text("frequency,real,imag\n1,2,3\n2,abc,4\n")
+    found = rows(cli("reduce", "own.csv").stderr)
+    assert "line 3, '2,abc,4': 'abc' is no number" in found["got"]
+
+
+def test_an_output_path_in_a_directory_without_files_is_named_as_typed(cli):
+    Path("file").write_text("")
+    found = rows(cli("run", "buzzer_7bb_20_6", "-o", "file/out").stderr)
+    assert "file/out: cannot be written" in found["head"]
+    assert "a file, not a directory" in found["got"]
+
+
+@pytest.mark.parametrize("table", ["metrics", "waves", "units"])
+def test_an_unknown_name_of_a_result_lists_similar_names(table):
+    result = kc.run(LAMP)
+    values = getattr(result, table)
+    name = max(values, key=len)
+    with pytest.raises(KeyError) as caught:
+        values[f"{name}x"]
+    assert isinstance(caught.value, kc.errors.UsageError)
+    assert name in str(caught.value).split("expected:")[1]
+    assert f"{name}x" not in values

@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain, compress, groupby, repeat
+from itertools import chain, compress, filterfalse, groupby, repeat
 from operator import attrgetter, itemgetter
 
 import numpy as np
@@ -91,7 +91,7 @@ def read_tables(text: str) -> list[TextTable]:
         first = next(filter(None, map(str.strip, lines)), "")
         below = f", below the first line {first[:40]!r}" if first else ""
         fewest = f"fewer than {FEWEST_ROWS} rows of {FEWEST_COLUMNS} numbers or more"
-        raise ValueError(f"{fewest}{below}")
+        raise ValueError(f"{fewest}{below}{_describe_word(lines)}")
     tables, end = list[TextTable](), 0
     for run in runs:
         table = _build_table(lines, run, end, separator)
@@ -163,6 +163,17 @@ def _find_runs(lines: list[str], separator: str | None) -> Iterator[_Run]:
         numeric_rows = sum(kinds[k][1] for k in run)
         if width > 0 and numeric_rows >= FEWEST_ROWS:
             yield _Run(run[0], run[-1] + 1, numeric_rows, width)
+
+
+def _describe_word(lines: list[str]) -> str:
+    """Quote the first line that begins with a number and contains a word, if there is one."""
+    for k, line in enumerate(lines):
+        for separator in (*SEPARATORS, None):
+            width, numeric = _measure_line(line, separator)
+            if width > 0 and not numeric:
+                word = next(filterfalse(_is_number, _split_fields(line, separator)))
+                return f"; line {k + 1}, {line.strip()[:40]!r}: {word[:20]!r} is no number"
+    return ""
 
 
 def _build_table(lines: list[str], run: _Run, end: int, separator: str | None) -> TextTable:
