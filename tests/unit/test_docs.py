@@ -12,7 +12,10 @@ ROOT = Path(__file__).parents[2]
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
 PAGES = [page for page in PAGES if page.name != "CHANGELOG.md"]  # tells of what was
 SOURCES = [*(ROOT / "kc2spice").rglob("*.py")]
-SCRIPTS = [*SOURCES, *(s for f in ("tests", "tools", "docs") for s in (ROOT / f).rglob("*.py"))]
+SCRIPTS = [
+    *SOURCES,
+    *(s for f in ("tests", "tools", "docs", "bench") for s in (ROOT / f).rglob("*.py")),
+]
 
 
 def prose(page):
