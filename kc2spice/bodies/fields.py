@@ -25,6 +25,7 @@ from scipy.linalg import eigh
 from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
+from kc2spice.fem.materials import ElementAxes
 from kc2spice.fem.solid import strains, tensors
 from kc2spice.rom.modal import integrate_modes
 from kc2spice.rom.reductors.block_krylov import block_arnoldi
@@ -258,8 +259,10 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
         members = np.flatnonzero(names == name)
         made_of = [solid.materials[k] for k in probe.owner[members]]
         poling = np.array([item.axis for item in made_of])
-        if made_of[0].cylinder is not None and not solid.axisymmetric:
-            frames = made_of[0].cylinder.frames(places[:, members].T)
+        axes = made_of[0].local_axes
+        if isinstance(axes, ElementAxes) or (axes is not None and not solid.axisymmetric):
+            elements = members // probe.basis.X.shape[-1]
+            frames = axes.frames(places[:, members].T, elements)
             poling = np.einsum("pij,pj->pi", frames, poling)
         for quantity, (unit, limit) in QUANTITIES.items():
             if quantity != "principal_stress" and not made_of[0].piezoelectric:

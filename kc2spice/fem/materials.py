@@ -81,8 +81,8 @@ class CylindricalAxes:
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def frames(self, places: np.ndarray) -> np.ndarray:
-        """Rotations (n, 3, 3) to the cylindrical axes at ``places`` (n, 3) [m].
+    def frames(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
+        """Rotations (n, 3, 3) to the cylindrical axes at ``places`` (n, 3) [m] in ``elements``.
 
         The columns of each rotation are the radial, hoop and axial unit vectors.
         """
@@ -95,6 +95,17 @@ class CylindricalAxes:
         radial = radial / np.where(size > 0, size, 1.0)
         hoop = np.cross(axial, radial)
         return np.stack([radial, hoop, np.broadcast_to(axial, radial.shape)], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class ElementAxes(EqualByContent):
+    """Axes of each element of a mesh: ``rotations`` (elements, 3, 3), one axis per column."""
+
+    rotations: np.ndarray
+
+    def frames(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
+        """Rotations (n, 3, 3) to the axes of the ``elements`` (n,) that contain ``places``."""
+        return np.asarray(self.rotations[elements])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,8 +126,8 @@ class Material(EqualByContent):
     residual_stress : (3,) normal stresses at rest along x, y, z [Pa], which supports must hold.
     axis : (3,) unit vector of its z axis (the poling of a ceramic) in the axes of the body.
     dielectric : has a field between its electrodes even where that is coupled to no stress.
-    cylinder : where it is given, all tensors are in the radial, hoop and axial directions about
-        its axis, as those of a ring poled radially.
+    local_axes : axes that differ from place to place, None if they are those of the body. All
+        tensors are in these axes, such as radial, hoop and axial ones of a ring poled radially.
     """
 
     name: str
@@ -133,7 +144,7 @@ class Material(EqualByContent):
     axis: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     dielectric: bool = False
     residual_stress: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    cylinder: CylindricalAxes | None = None
+    local_axes: CylindricalAxes | ElementAxes | None = None
 
     def __repr__(self) -> str:
         kind = "piezoelectric" if self.piezoelectric else "elastic"
@@ -167,15 +178,17 @@ class Material(EqualByContent):
         elastic = C[np.ix_(out, within)].max() > ROUNDING * C.max()
         return bool(elastic or e[np.ix_([0, 2], out)].max() > ROUNDING * e.max())
 
-    def at(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def at(
+        self, places: np.ndarray, elements: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute stiffness (n, 6, 6), coupling (n, 3, 6) and permittivity (n, 3, 3).
 
-        The tensors are those in the axes of the body at ``places`` (n, 3) [m]. Without a
-        :attr:`cylinder` they are the same everywhere, and n = 1.
+        The tensors are those in the axes of the body at ``places`` (n, 3) [m], which lie in the
+        ``elements`` (n,). Without :attr:`local_axes` they are the same everywhere, and n = 1.
         """
-        if self.cylinder is None:
+        if self.local_axes is None:
             return self.C[None], self.e[None], self.eps_S[None]
-        R = self.cylinder.frames(places)
+        R = self.local_axes.frames(places, elements)
         M, back = bond_matrix(R), R.transpose(0, 2, 1)
         turned = M.transpose(0, 2, 1)
         return M @ self.C @ turned, R @ self.e @ turned, R @ self.eps_S @ back
@@ -224,11 +237,16 @@ class Material(EqualByContent):
 
         The rotation is the smallest one; for -z it is half a turn about x.
         """
-        n = np.asarray(direction, float) / np.linalg.norm(direction)
-        if n[2] < -1 + 1e-14:
-            return self.rotated(np.diag([1.0, -1.0, -1.0]))
-        K = np.array([[0, 0, n[0]], [0, 0, n[1]], [-n[0], -n[1], 0.0]])  # Rodrigues
-        return self.rotated(np.eye(3) + K + K @ K / (1 + n[2]))
+        return self.rotated(poling_rotation(direction))
+
+
+def poling_rotation(direction: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Compute the smallest rotation (3, 3) of z to a ``direction``; for -z half a turn about x."""
+    n = np.asarray(direction, float) / np.linalg.norm(direction)
+    if n[2] < -1 + 1e-14:
+        return np.diag([1.0, -1.0, -1.0])
+    K = np.array([[0, 0, n[0]], [0, 0, n[1]], [-n[0], -n[1], 0.0]])  # Rodrigues
+    return np.asarray(np.eye(3) + K + K @ K / (1 + n[2]))
 
 
 _PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))

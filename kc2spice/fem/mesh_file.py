@@ -80,11 +80,13 @@ class Group(EqualByContent):
 class GroupedMesh:
     """A quadratic mesh [m] and its groups by name.
 
-    It consists of tetrahedra or hexahedra, in a plane of triangles or quadrilaterals.
+    It consists of tetrahedra or hexahedra, in a plane of triangles or quadrilaterals. ``numbers``
+    (elements,) are those of the file's elements that the elements are parts of.
     """
 
     mesh: Mesh
     groups: Mapping[str, Group]
+    numbers: np.ndarray
 
     def group(self, name: str, where: str, *codimensions: int) -> Group:
         """Return a group of one of these codimensions, which a key needs.
@@ -327,7 +329,7 @@ def _assemble_mesh(
             ends = _require_inside(number[members], name)
             length = np.linalg.norm(points[members[:, 0]] - points[members[:, -1]], axis=1)
             groups[name] = Group(dimension - d, *_measure_shares(mesh, ends, length, name))
-    return GroupedMesh(mesh, groups)
+    return GroupedMesh(mesh, groups, arrays["numbers"][parent])
 
 
 def _refuse_empty(dimension: int, grouped: int, where: str) -> UsageError:
@@ -544,9 +546,9 @@ def extract_mesh(
 
     Returns ``points`` (n, 3); ``cells<k>`` (elements, nodes each), blocks of elements of one kind,
     corners first; ``local<k>``, the places of these nodes on the reference element; ``corners`` of
-    each block; ``group<k>``, numbers of such elements or nodes (elements, corners); and
-    ``record``, JSON: name and dimension of each group. Triangles beside quadrilaterals repeat
-    their last corner.
+    each block; ``numbers``, those of the elements in the file; ``group<k>``, numbers of such
+    elements or nodes (elements, corners); and ``record``, JSON: name and dimension of each group.
+    Triangles beside quadrilaterals repeat their last corner.
 
     Raises
     ------
@@ -618,6 +620,7 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
         arrays[f"group{len(groups)}"] = result
         groups.append((gmsh.model.getPhysicalName(d, physical) or str(physical), int(d)))
     arrays |= {"points": coordinates.reshape(-1, 3), "record": np.array(json.dumps(groups))}
+    arrays["numbers"] = numbers
     return arrays
 
 

@@ -27,7 +27,7 @@ from scipy import sparse
 from skfem.mesh import Mesh, MeshHex, MeshLine, MeshQuad, MeshTet
 
 from kc2spice.core.errors import wrong
-from kc2spice.fem.materials import Material
+from kc2spice.fem.materials import ElementAxes, Material
 
 CHUNK = 4000  # elements handled at once: bounds the memory of the element matrices
 # Voigt row of the derivative of component i by coordinate j.
@@ -64,11 +64,11 @@ class Solid:
             hint = "repair or refine the mesh"
             raise wrong("mesh", problem, f"{flipped.sum()} of them", expected, hint)
         for material in self.materials if self.axisymmetric else ():
-            if material.cylinder is not None and material.couples_planes:
+            if material.local_axes is not None and material.couples_planes:
                 problem = "a material that twists an axisymmetric body when it is driven"
                 hint = 'use a mesh in three dimensions (part = "body" without axisymmetric)'
                 raise wrong(None, problem, material.name, "a poling in the plane of the mesh", hint)
-            if material.cylinder is None and not material.isotropic_about_z:
+            if material.local_axes is None and not material.isotropic_about_z:
                 problem = "an axisymmetric body needs materials that are isotropic about its axis"
                 hint = 'use a mesh in three dimensions (part = "body"), or give the average in the '
                 hint += 'plane; poling = { GROUP = "radial" } is that of a ring poled radially'
@@ -183,11 +183,13 @@ def tensors(
     axisymmetric solid are cylindrical.
     """
     places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
+    elements = np.arange(len(places)) if basis.tind is None else basis.tind
+    by_element = isinstance(material.local_axes, ElementAxes)
     for q in range(places.shape[1]):
-        if solid.axisymmetric:
+        if solid.axisymmetric and not by_element:
             yield material.C[None], material.e[None], material.eps_S[None]
         else:
-            yield material.at(places[:, q])
+            yield material.at(places[:, q], elements)
 
 
 def _chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:

@@ -8,7 +8,8 @@ Groups of the file name materials, supports, electrodes and ports::
     unit = "mm"                   # needed with .msh and .brep; STEP files state their own
     size = "2 mm"                 # of the elements, CAD files only
     materials = { frame = "aluminium", patch = "PZT-5A" }
-    poling = { patch = [0, 0, 1] }    # "radial" and "tangential" are about the z axis
+    poling = { patch = [0, 0, 1] }    # or "radial" and "tangential" about z, or a CSV file
+    axes = { frame = { z = [0, 0, 1], x = [0, 1, 0] } }    # of all tensors
     fixed = ["foot"]              # or { group = "foot", axes = "z" } for a roller
     electrodes = { anode = "top", cathode = "bottom" }
     ports = [
@@ -44,7 +45,8 @@ from kc2spice.core.untrusted_files import file_in_folder
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
 from kc2spice.fem.body_keys import Damping
-from kc2spice.fem.materials import CylindricalAxes, Material, material
+from kc2spice.fem.element_poling import PolingTable, find_middles, find_parents, read_poling
+from kc2spice.fem.materials import CylindricalAxes, ElementAxes, Material, material, poling_rotation
 from kc2spice.fem.solid import Solid
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._linear_keys import FieldKeys
@@ -193,6 +195,70 @@ class CylindricalKeys(Section):
         return self
 
 
+class PolingFileKeys(Section):
+    """A poling of each element, from a CSV file.
+
+    The columns are ``element, px, py, pz`` with the element numbers of a mesh file, or ``x, y, z,
+    px, py, pz`` in the unit of the mesh. The nearest point determines the poling of an element.
+    """
+
+    file: Annotated[str, StringConstraints(min_length=1, max_length=255)] = Field(
+        description="CSV file beside the scene with the poling of elements or of points"
+    )
+
+
+class AxesKeys(Section):
+    """Axes of all tensors of a material, where ``poling`` turns only the third axis."""
+
+    z: Vector = Field(
+        (0.0, 0.0, 1.0), description="Direction of the third material axis, or axis of a cylinder"
+    )
+    x: Vector | None = Field(
+        None, description="Direction of the first material axis at a right angle to z (default x)"
+    )
+    origin: Point | None = Field(None, description="Point on the axis of a cylinder")
+    kind: Literal["cartesian", "cylindrical"] = Field(
+        "cartesian",
+        description=(
+            "Kind of the axes: cartesian ones, or cylindrical ones, whose first, second and third "
+            "material axis are radial, hoop and axial"
+        ),
+    )
+
+    @model_validator(mode="after")
+    def _require_frame(self) -> AxesKeys:
+        if not any(self.z):
+            raise ValueError("z has no length")
+        if self.kind == "cylindrical":
+            if self.x is not None:
+                raise ValueError("the first axis of cylindrical axes is radial: delete x")
+            return self
+        if self.origin is not None:
+            raise ValueError('origin needs  kind = "cylindrical"')
+        first = np.asarray(self.x or (1.0, 0.0, 0.0))
+        if not first.any():
+            raise ValueError("x has no length")
+        if abs(first @ self.z) > 1e-6 * np.linalg.norm(first) * np.linalg.norm(self.z):
+            problem = "x and z are not at a right angle"
+            raise ValueError(problem if self.x else f"{problem}: state x beside z")
+        return self
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """Rotation (3, 3) whose columns are the cartesian axes."""
+        first, third = np.asarray(self.x or (1.0, 0.0, 0.0)), np.asarray(self.z)
+        third = third / np.linalg.norm(third)
+        first = first - third * (first @ third)
+        first = first / np.linalg.norm(first)
+        return np.stack([first, np.cross(third, first), third], axis=-1)
+
+    def apply(self, plain: Material) -> Material:
+        """Return the material with its tensors in these axes."""
+        if self.kind == "cartesian":
+            return plain.rotated(self.rotation)
+        return replace(plain, local_axes=CylindricalAxes(self.z, self.origin or (0.0, 0.0, 0.0)))
+
+
 class BodyKeys(FieldKeys):
     """Body from a mesh or CAD file.
 
@@ -230,11 +296,21 @@ class BodyKeys(FieldKeys):
     materials: dict[str, str | dict[str, Any]] = Field(
         min_length=1, description="Material of each mesh group, a name or a table"
     )
-    poling: dict[str, Vector | Literal["radial", "tangential"] | CylindricalKeys] = Field(
+    poling: dict[
+        str, Vector | Literal["radial", "tangential"] | CylindricalKeys | PolingFileKeys
+    ] = Field(
         default_factory=dict,
         description=(
             "Direction of the third material axis of each mesh group: a vector (default z), "
-            '"radial" or "tangential" about z, or a table with direction, axis and through'
+            '"radial" or "tangential" about z, a table with direction, axis and through, or a '
+            "table with a CSV file of elements or points"
+        ),
+    )
+    axes: dict[str, AxesKeys] = Field(
+        default_factory=dict,
+        description=(
+            "Axes of all tensors of the material of each mesh group: x and z, or the z and origin "
+            "of cylindrical axes"
         ),
     )
     fixed: tuple[str | FixedKeys, ...] = Field(
@@ -257,6 +333,15 @@ class BodyKeys(FieldKeys):
         return next((name for name in _REFERENCES if name in self.electrodes), last)
 
     @property
+    def poling_files(self) -> dict[str, str]:
+        """CSV files of polings by their group."""
+        result = {}
+        for group, item in self.poling.items():
+            if isinstance(item, PolingFileKeys):
+                result[group] = item.file
+        return result
+
+    @property
     def every_port(self) -> tuple[Port, ...]:
         """All ports of the model, electrical ports first."""
         result = []
@@ -272,6 +357,12 @@ class BodyKeys(FieldKeys):
         stray = set(self.poling) - set(self.materials)
         if stray:
             raise ValueError(f"poling of groups without material: {', '.join(sorted(stray))}")
+        stray = set(self.axes) - set(self.materials)
+        if stray:
+            raise ValueError(f"axes of groups without material: {', '.join(sorted(stray))}")
+        both = set(self.axes) & set(self.poling)
+        if both:
+            raise ValueError(f"poling and axes of one group: {', '.join(sorted(both))}")
         vectors = (item for item in self.poling.values() if isinstance(item, tuple))
         if not all(map(any, vectors)):
             raise ValueError("poling without a direction")
@@ -302,18 +393,9 @@ def device(
     """
     keys = validate(BodyKeys, keys, where)
     with name_part_in_errors(where):
-        path = file_in_folder(home, keys.mesh, "mesh")
-        unit = mesh_file.length_unit(path, keys.unit)
-        result = mesh_file.read_mesh(
-            path,
-            unit=unit,
-            size=None if keys.size is None else keys.size / keys.refine,
-            picks={name: group.pick(unit) for name, group in keys.groups.items()},
-            dimension=2 if keys.axisymmetric else 3,
-            splits=0 if keys.size else int(np.ceil(np.log2(keys.refine))),
-            merge=keys.merge,
-        )
-        solid = _make_solid(keys, result)
+        splits = 0 if keys.size else int(np.ceil(np.log2(keys.refine)))
+        result = _read_mesh(keys, home, splits)
+        solid = _make_solid(keys, result, _read_polings(keys, home, result, splits))
         assembled = fe.make_device(solid, _make_setup(keys, result, solid))
     axes = ("radius", "height") if keys.axisymmetric else "xyz"
     sides = zip(axes, 1e3 * np.ptp(result.mesh.p, axis=1), strict=True)
@@ -323,7 +405,51 @@ def device(
     return replace(assembled, model=assembled.model.copy_with(facts=facts))
 
 
-def _make_solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
+def _read_mesh(keys: BodyKeys, home: Path, splits: int) -> mesh_file.GroupedMesh:
+    path = file_in_folder(home, keys.mesh, "mesh")
+    unit = mesh_file.length_unit(path, keys.unit)
+    return mesh_file.read_mesh(
+        path,
+        unit=unit,
+        size=None if keys.size is None else keys.size / keys.refine,
+        picks={name: group.pick(unit) for name, group in keys.groups.items()},
+        dimension=2 if keys.axisymmetric else 3,
+        splits=splits,
+        merge=keys.merge,
+    )
+
+
+def _read_polings(
+    keys: BodyKeys, home: Path, groups: mesh_file.GroupedMesh, splits: int
+) -> dict[str, ElementAxes]:
+    """Read the axes of each element, by the group that has a file of its poling."""
+    tables: dict[str, PolingTable] = {}
+    for group, file in keys.poling_files.items():
+        where = f"poling.{group}"
+        tables[group] = read_poling(file_in_folder(home, file, where), where, keys.axisymmetric)
+    numbered = [group for group, table in tables.items() if table.numbers is not None]
+    if numbered and keys.size is not None:
+        problem = "a CAD file has no element numbers"
+        hint = "write a file with the columns x, y, z, px, py, pz"
+        raise wrong(f"poling.{numbered[0]}", problem, hint=hint)
+    numbers = groups.numbers
+    if numbered and splits:
+        file_mesh = _read_mesh(keys, home, 0)
+        numbers = file_mesh.numbers[find_parents(file_mesh.mesh, groups.mesh)]
+    result = {}
+    unit = mesh_file.length_unit(file_in_folder(home, keys.mesh, "mesh"), keys.unit)
+    for group, table in tables.items():
+        members = groups.group(group, f"materials.{group}", 0).members
+        rows = table.select_rows(numbers, find_middles(groups.mesh) / unit, members)
+        rotations = np.tile(np.eye(3), (groups.mesh.nelements, 1, 1))
+        rotations[members] = np.array([*map(poling_rotation, table.directions)])[rows]
+        result[group] = ElementAxes(rotations)
+    return result
+
+
+def _make_solid(
+    keys: BodyKeys, groups: mesh_file.GroupedMesh, element_axes: Mapping[str, ElementAxes]
+) -> Solid:
     owner = np.full(groups.mesh.nelements, -1)
     materials = []
     for number, (name, name_or_table) in enumerate(keys.materials.items()):
@@ -339,7 +465,11 @@ def _make_solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
                 hint=f"delete materials.{name}, or take the elements out of one group",
             )
         owner[cells] = number
-        made_of = _pole_material(material(name_or_table, where), keys, name)
+        plain = material(name_or_table, where)
+        if name in element_axes:
+            made_of = replace(plain, local_axes=element_axes[name])
+        else:
+            made_of = _orient_material(plain, keys, name)
         materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
     if (owner < 0).any():
         solids = [name for name, group in groups.groups.items() if group.codimension == 0]
@@ -351,8 +481,8 @@ def _make_solid(keys: BodyKeys, groups: mesh_file.GroupedMesh) -> Solid:
     return Solid(groups.mesh, tuple(materials), owner, keys.axisymmetric)
 
 
-def _pole_material(plain: Material, keys: BodyKeys, group: str) -> Material:
-    """Pole the material of a group.
+def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
+    """Turn the material of a group to its axes or its poling.
 
     In an axisymmetric body, every poling off its axis turns with the angle.
 
@@ -360,22 +490,33 @@ def _pole_material(plain: Material, keys: BodyKeys, group: str) -> Material:
     ------
     UsageError : an axis beside that of an axisymmetric mesh.
     """
+    if group in keys.axes:
+        turned = keys.axes[group].apply(plain)
+        if isinstance(turned.local_axes, CylindricalAxes):
+            _require_axis_of_revolution(keys, turned.local_axes, f"axes.{group}")
+        return turned
     direction = keys.poling.get(group, (0.0, 0.0, 1.0))
     if isinstance(direction, str):
         direction = CylindricalKeys(direction=_CYLINDRICAL[direction])
     if isinstance(direction, CylindricalKeys):
         about = CylindricalAxes(direction.axis, direction.through)
-        along_z = not any(direction.axis[:2]) and not any(direction.through[:2])
-        if keys.axisymmetric and not along_z:
-            problem = "an axisymmetric mesh has one axis, z through the origin"
-            raise wrong(f"poling.{group}", problem, hint="leave out axis and through")
-        return replace(plain.poled(direction.direction), cylinder=about)
+        _require_axis_of_revolution(keys, about, f"poling.{group}")
+        return replace(plain.poled(direction.direction), local_axes=about)
+    assert isinstance(direction, tuple)
     poled = plain.poled(direction)
     return (
-        replace(poled, cylinder=CylindricalAxes())
+        replace(poled, local_axes=CylindricalAxes())
         if keys.axisymmetric and any(direction[:2])
         else poled
     )
+
+
+def _require_axis_of_revolution(keys: BodyKeys, about: CylindricalAxes, where: str) -> None:
+    """Check that cylindrical axes of an axisymmetric mesh are those of the mesh."""
+    if keys.axisymmetric and (any(about.axis[:2]) or any(about.point[:2])):
+        problem = "an axisymmetric mesh has one axis, z through the origin"
+        hint = "leave out axis and through, or z and origin"
+        raise wrong(where, problem, hint=hint)
 
 
 def _make_setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.Setup:
@@ -500,12 +641,14 @@ class Body(MeshedBody[BodyKeys]):
         return result
 
     def files(self, part: Part[BodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
+        _poling_paths(part, scene)
         _mesh_path(part, scene)
-        return (part.keys.mesh,)
+        return (part.keys.mesh, *part.keys.poling_files.values())
 
     def problems(self, part: Part[BodyKeys], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         try:
+            _poling_paths(part, scene)
             path = _mesh_path(part, scene)
             mesh_file.require_format(path)
             if path.is_file():
@@ -547,7 +690,10 @@ class Body(MeshedBody[BodyKeys]):
         return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
 
     def full_key(self, part: Part[BodyKeys], scene: GovernedScene) -> dict[str, Any]:
-        return {**super().full_key(part, scene), "file": hash_file(_mesh_path(part, scene))}
+        result = {**super().full_key(part, scene), "file": hash_file(_mesh_path(part, scene))}
+        for where, path in _poling_paths(part, scene).items():
+            result[where] = hash_file(path)
+        return result
 
     def figures(
         self, part: Part[BodyKeys], build: Build, waves: Waveforms
@@ -567,6 +713,15 @@ class Body(MeshedBody[BodyKeys]):
 
     def make(self, part: Part[BodyKeys], scene: GovernedScene) -> FiniteElementModel:
         return device(part.keys, scene.home, part.name)
+
+
+def _poling_paths(part: Part[BodyKeys], scene: DeclaredScene) -> dict[str, Path]:
+    """Return the CSV files of polings by their key in the scene."""
+    result = {}
+    for group, file in part.keys.poling_files.items():
+        where = f"{part.name}.poling.{group}"
+        result[where] = file_in_folder(scene.home, file, where)
+    return result
 
 
 def _mesh_path(part: Part[BodyKeys], scene: DeclaredScene) -> Path:

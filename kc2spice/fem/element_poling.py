@@ -1,0 +1,183 @@
+"""Polings of single elements of a mesh, read from a CSV file.
+
+The first line names the columns: ``element, px, py, pz`` or ``x, y, z, px, py, pz``. Lines that
+begin with ``#`` are comments. Vectors have any length except zero.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from skfem.mesh import Mesh, MeshHex, MeshHex1, MeshQuad, MeshQuad1, MeshTet, MeshTet1, MeshTri1
+
+from kc2spice.core.equality import EqualByContent
+from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.untrusted_files import decode_text, read_bounded, split_lines
+
+MAX_BYTES = 500_000_000  # size of a file
+VECTOR = ("px", "py", "pz")
+LAYOUTS = (("element", *VECTOR), ("x", "y", "z", *VECTOR))
+EXPECTED = " or ".join(map(", ".join, LAYOUTS))
+LISTED = 5  # element numbers in a message
+
+
+@dataclass(frozen=True, eq=False)
+class PolingTable(EqualByContent):
+    """Rows of a file of polings.
+
+    Attributes
+    ----------
+    where : key of the scene that names the file.
+    rows : line number of each row in the file.
+    directions : (rows, 3) polings.
+    numbers : (rows,) element numbers of the mesh file, None of points.
+    points : (rows, 2 or 3) coordinates in the unit of the mesh, None of element numbers.
+    """
+
+    where: str
+    rows: list[int]
+    directions: np.ndarray
+    numbers: np.ndarray | None
+    points: np.ndarray | None
+
+    def select_rows(
+        self, numbers: np.ndarray, middles: np.ndarray, members: np.ndarray
+    ) -> np.ndarray:
+        """Select the row of each of the elements ``members``.
+
+        ``numbers`` (elements,) and ``middles`` (elements, d) are the numbers in the mesh file and
+        the centres of all elements, in the unit of the mesh.
+
+        Raises
+        ------
+        UsageError : an element has no row, or a row names an element that does not exist.
+        """
+        if self.numbers is None:
+            from scipy.spatial import cKDTree  # imported here, because few meshes need it
+
+            return np.asarray(cKDTree(self.points).query(middles[members])[1])
+        strange = np.flatnonzero(~np.isin(self.numbers, numbers))
+        if strange.size:
+            number = self.numbers[strange[0]]
+            problem = f"row {self.rows[strange[0]]}: this element is not in the mesh"
+            expected = f"numbers of elements of the mesh, {numbers.min()} … {numbers.max()}"
+            got = f"element {number}, and {strange.size - 1} more"
+            raise wrong(self.where, problem, got, expected)
+        order = np.argsort(self.numbers)
+        missing = np.setdiff1d(numbers[members], self.numbers)
+        if missing.size:
+            first = ", ".join(map(str, missing[:LISTED]))
+            more = ", …" if missing.size > LISTED else ""
+            got = f"{missing.size} elements without poling: {first}{more}"
+            expected = "a row for each element of the group"
+            raise wrong(self.where, "elements are missing in the file", got, expected)
+        return np.asarray(order[np.searchsorted(self.numbers[order], numbers[members])])
+
+
+def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
+    """Read a file of polings.
+
+    Raises
+    ------
+    UsageError : a file that cannot be read, wrong columns, a value that is no number, a vector
+        without length, an element with two rows, or a vector that leaves the plane of an
+        axisymmetric mesh.
+    """
+    try:
+        text = decode_text(read_bounded(path, MAX_BYTES))
+    except UnicodeDecodeError:
+        raise wrong(where, "this file is not UTF-8 text", str(path)) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise wrong(where, f"this file cannot be read: {reason}", str(path)) from None
+    lines = _read_rows(text, where)
+    _, titles = next(lines, (0, []))
+    columns = tuple(map(str.lower, titles))
+    if columns not in LAYOUTS:
+        got = ", ".join(titles)[:100] or "an empty file"
+        raise wrong(where, "wrong columns in the file of polings", got, EXPECTED)
+    rows, values = [], []
+    for row, cells in lines:
+        rows.append(row)
+        values.append(_parse_row(cells, columns, row, where))
+    if not rows:
+        raise wrong(where, "the file of polings has no rows", expected="a row for each element")
+    table = np.array(values)
+    _require_directions(table[:, -3:], rows, where, axisymmetric)
+    if columns == LAYOUTS[0]:
+        numbers = _require_numbers(table[:, 0], rows, where)
+        return PolingTable(where, rows, table[:, -3:], numbers, None)
+    points = table[:, [0, 2] if axisymmetric else [0, 1, 2]]
+    return PolingTable(where, rows, table[:, -3:], None, points)
+
+
+def find_middles(mesh: Mesh) -> np.ndarray:
+    """Return the mean (elements, d) of the corners of each element [m]."""
+    return np.asarray(mesh.doflocs[:, mesh.t].mean(axis=1).T)
+
+
+def find_parents(coarse: Mesh, fine: Mesh) -> np.ndarray:
+    """Find the element of a ``coarse`` mesh that contains the centre of each ``fine`` element."""
+    kinds = ((MeshHex, MeshHex1), (MeshTet, MeshTet1), (MeshQuad, MeshQuad1))
+    kind = next((first for base, first in kinds if isinstance(coarse, base)), MeshTri1)
+    straight = kind(coarse.doflocs[:, : coarse.nvertices].copy(), coarse.t)
+    return np.asarray(straight.element_finder()(*find_middles(fine).T))
+
+
+def _read_rows(text: str, where: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the number and the cells of each line that is no comment."""
+    for row, line in enumerate(split_lines(text), 1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            try:
+                yield row, [*map(str.strip, next(csv.reader([line], strict=True)))]
+            except csv.Error as error:
+                raise wrong(where, f"row {row} of the file is not CSV: {error}") from None
+
+
+def _parse_row(cells: list[str], columns: tuple[str, ...], row: int, where: str) -> list[float]:
+    if len(cells) != len(columns):
+        problem, got = f"row {row} has the wrong number of columns", f"{len(cells)} columns"
+        raise wrong(where, problem, got, f"{len(columns)} columns: {', '.join(columns)}")
+    result = []
+    for column, cell in zip(columns, cells, strict=True):
+        try:
+            value = float(cell)
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            raise wrong(where, f"row {row}, column {column}: not a finite number", cell[:50])
+        result.append(value)
+    return result
+
+
+def _require_directions(
+    directions: np.ndarray, rows: list[int], where: str, axisymmetric: bool
+) -> None:
+    zero = np.flatnonzero(~directions.any(axis=1))
+    if zero.size:
+        problem = f"row {rows[zero[0]]}: the poling has no length"
+        raise wrong(where, problem, "px = py = pz = 0", "a vector of any length except zero")
+    out = np.flatnonzero(directions[:, 1])
+    if axisymmetric and out.size:
+        problem = f"row {rows[out[0]]}: the poling leaves the plane of the axisymmetric mesh"
+        hint = "use a mesh in three dimensions for a poling along the hoop direction"
+        raise wrong(where, problem, f"py = {directions[out[0], 1]:g}", "py = 0", hint)
+
+
+def _require_numbers(values: np.ndarray, rows: list[int], where: str) -> np.ndarray:
+    fractions = np.flatnonzero((values != np.rint(values)) | (np.abs(values) > 2**53))
+    if fractions.size:
+        row = rows[fractions[0]]
+        problem = f"row {row}, column element: not an element number"
+        raise wrong(where, problem, f"{values[fractions[0]]:g}", "a whole number")
+    numbers = values.astype(np.int64)
+    _, first = np.unique(numbers, return_index=True)
+    twice = np.setdiff1d(np.arange(len(numbers)), first)
+    if twice.size:
+        problem = f"row {rows[twice[0]]}: this element has a row already"
+        raise UsageError(problem, where=where, got=f"element {numbers[twice[0]]}")
+    return numbers
