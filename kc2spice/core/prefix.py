@@ -8,6 +8,7 @@ PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: 
 # Units that contain a prefix: the unit without it, and the factor of the prefix.
 _PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
 _SHOWN_UNITS = {"Ohm": "Ω"}
+LARGEST_MASS = 1e3  # kg, printed with a prefix below
 _RATIOS = "of ", "relative"  # words with which the unit of a ratio begins
 ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a number
 
@@ -34,6 +35,8 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
         return f"{value:.{digits}g} {unit}".strip()
     if unit in _PREFIXED_UNITS:
         plain, factor = _PREFIXED_UNITS[unit]
+        if unit == "kg" and abs(value) >= LARGEST_MASS:
+            return f"{value:.{digits}g} kg"  # nobody reads gigagrams
         return format_quantity(factor * value, plain, digits)
     return _with_prefix(value, unit, digits, prefix_power(value))
 

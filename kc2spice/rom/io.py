@@ -275,8 +275,9 @@ def parse_ports(records: object) -> tuple[Port, ...]:
     from pydantic import TypeAdapter  # late: a run reads no such file
 
     ports = TypeAdapter(tuple[Port, ...]).validate_python(records)
-    words = ((port.name, port.across, port.flow, *port.pins) for port in ports)
-    for text in chain.from_iterable(words):
+    words = chain.from_iterable((p.name, p.across, p.flow, *p.pins) for p in ports)
+    stated = [record[key] for record in records for key in ("across", "flow") if key in record]  # type: ignore[attr-defined]
+    for text in (*words, *stated):  # a port completes an empty unit
         if len(require_single_line(text, MAX_TEXT).split()) != 1:
             raise ValueError(f"not one word: {text!r}")
     return ports

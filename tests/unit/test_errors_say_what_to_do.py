@@ -1,5 +1,7 @@
 """Mistakes that new users make: each error names what was found and what to write instead."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -228,7 +230,7 @@ def test_at_most_five_candidates_are_listed(cli):
     done = cli("run", "buzer_7bb")
     listed = next(line for line in done.stderr.splitlines() if "expected" in line)
     assert listed.count("buzzer_7bb") == 5
-    assert "(39 in all: kc2spice scenes)" in listed
+    assert re.search(r"\(\d+ in all: kc2spice scenes\)", listed)
 
 
 def test_a_key_of_a_part_that_the_scene_lacks(cli):

@@ -32,10 +32,10 @@ def slips(brass="20 mm", ceramic="14 mm", thickness="0.22 mm", drive="10 V", **d
 
 
 BODIES = [
-    (slips(thickness=0.22), "disc.layers[1].thickness", "0.22 m", 'mean "0.22 mm"'),
+    (slips(thickness=0.22), "disc.layers[1].thickness", "220 mm", 'mean "0.22 mm"'),
     (slips(brass=20.0, ceramic=14.0), "disc.layers[0].diameter", "20 m", 'mean "20 mm"'),
-    (slips(ceramic="22 mm"), "disc.layers[1].diameter", "0.022 m", "wider than its plate"),
-    (slips(ceramic="20 um"), "disc.layers[1].thickness", "0.00022 m", "10 times as thick"),
+    (slips(ceramic="22 mm"), "disc.layers[1].diameter", "22 mm", "wider than its plate"),
+    (slips(ceramic="20 um"), "disc.layers[1].thickness", "220 µm", "10 times as thick"),
     (slips(drive="80 kV"), "drive", "8e+04 V at disc", "depolarises"),
     (slips(drive="8 kV", rated_voltage="0.5 kV"), "drive", "stands 500 V", "depolarises"),
     ({"name": "heavy", "box": {"part": "mass", "mass": 5.68e6, "pins": {"a": "hold.a"}},

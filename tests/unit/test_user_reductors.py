@@ -169,11 +169,11 @@ def test_a_method_without_a_name_is_an_error():
         kc.reduce(chain(), tolerance=1e-3, band=(0, 1e6), method=method)
 
 
-def test_an_unknown_method_lists_all_methods_and_states_where_new_ones_work():
+def test_an_unknown_method_lists_five_methods_and_states_where_new_ones_work():
     with pytest.raises(UsageError, match="Python only") as caught:
         kc.reduce(chain(), tolerance=1e-3, method="OWN")
-    for name in ("response POD of both sides", "IRKA", "block Krylov", "rational Krylov"):
-        assert name in caught.value.expected
+    assert "response POD of both sides" in caught.value.expected
+    assert "(8 in all)" in caught.value.expected
     with pytest.raises(UsageError, match="did you mean 'block Krylov'"):
         kc.reduce(chain(), tolerance=1e-3, method="block Krilov")
 
