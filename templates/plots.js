@@ -163,6 +163,7 @@
     const bar = box.appendChild(document.createElement("div")), [low, ramp, high, value] = ["span", "i", "span", "output"].map((name) => document.createElement(name));
     bar.className = "bar";
     [low.textContent, high.textContent] = [words(p.low, 3), words(p.high, 3)];
+    if (low.textContent === high.textContent) high.textContent = ""; // a constant map has one value
     ramp.style.background = `linear-gradient(to right, ${VIRIDIS})`;
     bar.append(low, ramp, high, value);
     return (u) => {

@@ -7,7 +7,7 @@ import math
 PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 # Units that contain a prefix: the unit without it, and the factor of the prefix.
 _PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
-_SHOWN_UNITS = {"Ohm": "Ω"}
+_SHOWN_UNITS = {"Ohm": "Ω", "kg s2": "kg·s²"}
 LARGEST_MASS = 1e3  # kg, printed with a prefix below
 _RATIOS = "of ", "relative"  # words with which the unit of a ratio begins
 ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a number
@@ -32,7 +32,7 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g} {unit}".strip()
     if not _takes_prefix(unit):
-        return f"{value:.{digits}g} {unit}".strip()
+        return f"{value:.{digits}g} {_SHOWN_UNITS.get(unit, unit)}".strip()
     if unit in _PREFIXED_UNITS:
         plain, factor = _PREFIXED_UNITS[unit]
         if unit == "kg" and abs(value) >= LARGEST_MASS:

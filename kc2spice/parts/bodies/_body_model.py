@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.progress import Clock
 from kc2spice.fem.body_keys import Damping
 from kc2spice.parts.bodies._body_ports import BodyPorts, requires_massless_ports
@@ -390,7 +391,7 @@ def describe_target(rom: Rom) -> str:
     target = f"order {rom.order}"
     if rom.order is None:
         target = f"as many states as keep the error below {rom.tolerance:g}"
-    return f"{target}, band {low:g} … {high:g} Hz"
+    return f"{target}, band {format_quantity(low, 'Hz')} … {format_quantity(high, 'Hz')}"
 
 
 def reduction_target(part: Part, scene: Scene) -> Rom:

@@ -15,6 +15,7 @@ from typing import Literal, cast
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Section, Time
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.scene.model import (
@@ -171,7 +172,8 @@ wiring = "parallel"
 
     def notes(self, part: Part[ControllerKeys], scene: Scene) -> Iterator[str]:
         keys = part.keys
-        yield f"{keys.output} every {keys.period:g} s, held from {keys.delay:g} s later on"
+        period, delay = format_quantity(keys.period, "s"), format_quantity(keys.delay, "s")
+        yield f"{keys.output} every {period}, held from {delay} later on"
 
 
 register(Controller())

@@ -10,6 +10,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Frequency, Length, Section
 from kc2spice.netlist.circuit import Element, Item, Param
 from kc2spice.netlist.elements import attach_comments
@@ -147,7 +148,8 @@ dc = "1 um"
 
     def notes(self, part: Part[SensorKeys], scene: Scene) -> Iterator[str]:
         keys = part.keys
-        yield f"{keys.bandwidth:g} Hz, offset {keys.offset:g} m, noise {keys.noise:g} m rms"
+        offset, noise = format_quantity(keys.offset, "m"), format_quantity(keys.noise, "m")
+        yield f"{format_quantity(keys.bandwidth, 'Hz')}, offset {offset}, noise {noise} rms"
 
 
 register(Sensor())

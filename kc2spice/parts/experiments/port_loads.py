@@ -19,6 +19,7 @@ from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.naming import names_of
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Count, Frequency, Notch, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
@@ -207,7 +208,8 @@ class PortLoads(PartType[PortLoadsKeys]):
 
     def notes(self, part: Part[PortLoadsKeys], scene: Scene) -> Iterator[str]:
         keys = part.keys
-        yield f"{keys.steps} frequencies, {keys.start:g} … {keys.stop:g} Hz"
+        ends = " … ".join(format_quantity(f, "Hz") for f in (keys.start, keys.stop))
+        yield f"{keys.steps} frequencies, {ends}"
 
 
 def body_of(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Stack]:

@@ -10,6 +10,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Count, Length, Section
 from kc2spice.core.waveforms import Waveforms, constant
 from kc2spice.netlist.circuit import Element, Item
@@ -123,7 +124,7 @@ class Push(TouchablePart[PushKeys]):
 
     def notes(self, part: Part[PushKeys], scene: Scene) -> Iterator[str]:
         keys = part.keys
-        yield f"{keys.steps} steps down to {keys.depth:g} m"
+        yield f"{keys.steps} steps down to {format_quantity(keys.depth, 'm')}"
 
 
 def _pair(part: Part[PushKeys], scene: GovernedScene) -> Pair:

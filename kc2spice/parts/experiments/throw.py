@@ -10,6 +10,7 @@ from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Item
@@ -107,7 +108,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
 
     def notes(self, part: Part[ThrowKeys], scene: Scene) -> Iterator[str]:
         keys = part.keys
-        yield f"{keys.velocity:g} m/s from {keys.gap:g} m"
+        yield f"{keys.velocity:g} m/s from {format_quantity(keys.gap, 'm')}"
 
 
 def _impact_speed(part: Part[ThrowKeys], scene: DeclaredScene) -> float:

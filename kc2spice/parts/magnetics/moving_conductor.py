@@ -18,6 +18,7 @@ from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.mesh_error import describe_mesh_errors
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import (
     MU_0,
@@ -272,6 +273,12 @@ class MovingBody(DeclaredPart[MovingT]):
             for side in (-1, 1):
                 label = f"{part.name}: coil {name}, {coil.turns:g} turns" if side > 0 else ""
                 yield Shape(side * coil.radius, coil.y, coil.width, coil.height, "coil", label)
+        for name, ring in part.keys.magnets.items():
+            for side in (-1, 1):
+                label = f"{part.name}: magnet {name}" if side > 0 else ""
+                x, width = side * (ring.inner + ring.outer) / 2, ring.outer - ring.inner
+                yield Shape(x, ring.y, width, ring.height, "magnet", label)
+        yield from _outline_body(part, scene)
 
     # --- model ------------------------------------------------------------------------------------
 
@@ -536,6 +543,30 @@ def _cross_section(ring: Ring) -> Winding:
     """Cross-section of a magnet, as a winding without turns."""
     middle, width = (ring.inner + ring.outer) / 2, ring.outer - ring.inner
     return Winding(middle, width, ring.height, ring.y, 0.0)
+
+
+def _outline_body(part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
+    """Yield the cross-sections of the body at its initial height.
+
+    The height is the key ``position`` of a part ``mass`` at the pin ``a``, within the range of
+    heights.
+    """
+    keys = part.keys
+    y = keys.y_min
+    for name, _ in scene.joined(part.name, "a"):
+        y = getattr(scene.parts[name].keys, "position", y)
+    y = min(max(y, keys.y_min), keys.y_max)
+    sphere = getattr(keys, "shape", "disc") == "sphere"
+    kind: Literal["metal", "magnet"] = "metal" if hasattr(keys, "conductivity") else "magnet"
+    shape = "sphere" if sphere else "disc"
+    label = f"{part.name}: {shape} of {format_quantity(2 * keys.radius, 'm')}"
+    height = _body_height(keys)
+    if not keys.inner:
+        yield Shape(0.0, y, 2 * keys.radius, height, kind, label, round=sphere)
+        return
+    for side in (-1, 1):
+        x, width = side * (keys.inner + keys.radius) / 2, keys.radius - keys.inner
+        yield Shape(x, y, width, height, kind, label if side > 0 else "")
 
 
 def _body_height(keys: Moving) -> float:

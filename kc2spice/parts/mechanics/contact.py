@@ -12,6 +12,7 @@ import numpy as np
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, time_axis
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
@@ -229,8 +230,10 @@ class Contact(DeclaredPart[ContactKeys]):
         keys, pair = part.keys, make_pair(part, scene)
         normal = pair.normal
         if keys.shape == "pressure":
-            detail = f"pressure under a sphere, up to {normal.depth:.3g} m deep; basis functions "
-            detail += f"every {keys.spacing:g} m near the axis"
+            depth = format_quantity(normal.depth, "m", 3)
+            spacing = format_quantity(keys.spacing, "m")
+            detail = f"pressure under a sphere, up to {depth} deep; basis functions "
+            detail += f"every {spacing} near the axis"
         elif normal.power == 1.0:
             detail = f"{len(pair.ports)} unilateral springs, {normal.stiffness:g} N/m each"
         else:

@@ -1,0 +1,48 @@
+"""Device pictures and values of a report in the form that a person reads."""
+
+import re
+from dataclasses import astuple
+
+import pytest
+
+import kc2spice as kc
+from kc2spice.core.prefix import format_quantity
+from kc2spice.parts.bodies._body_model import describe_target
+from kc2spice.report.drawings import describe_devices
+from kc2spice.scene.settings import Rom
+
+RING = {"conductor.inner": "20 mm"}
+
+
+def outline(overrides):
+    scene = kc.load_scene("levitated_disc", overrides)
+    part = scene.part("conductor")
+    return scene, [shape for shape in part.type.outline(part, scene) if shape.kind == "metal"]
+
+
+def test_a_disc_is_drawn_where_it_begins():
+    scene, (disc,) = outline({})
+    # 65 mm radius, 3 mm thickness, position 3.8 mm: the values of the scene's file
+    assert astuple(disc)[:4] == pytest.approx((0.0, 3.8e-3, 0.13, 3e-3))
+    assert "conductor: disc of 130 mm" in describe_devices(scene)
+
+
+def test_a_ring_is_drawn_on_both_sides_of_its_hole():
+    _, sides = outline(RING)
+    edges = sorted((shape.x - shape.width / 2, shape.x + shape.width / 2) for shape in sides)
+    assert edges == [pytest.approx((-0.065, -0.02)), pytest.approx((0.02, 0.065))]
+
+
+def test_descriptions_have_prefixes():
+    text = describe_target(Rom(band=("0 Hz", "500 kHz")))
+    assert text.endswith("band 0 Hz … 500 kHz")
+    scene = kc.load_scene("kick_and_catch")
+    notes = []
+    for part in scene.parts.values():
+        notes += [note for note in part.type.notes(part, scene) if isinstance(note, str)]
+    assert notes
+    assert not [note for note in notes if re.search(r"e-0\d m\b|\d{5} Hz", note)]
+
+
+def test_units_of_couplings_have_superscripts():
+    assert format_quantity(3.25e-9, "kg s2") == "3.25e-09 kg·s²"
