@@ -44,5 +44,22 @@ def test_descriptions_have_prefixes():
     assert not [note for note in notes if re.search(r"e-0\d m\b|\d{5} Hz", note)]
 
 
+@pytest.mark.parametrize(
+    ("scene", "part", "text"),
+    [
+        ("harvester", "load", "resistor of 33 kΩ"),
+        ("harvester_bridge", "store", "capacitor of 1 µF"),
+        ("impact", "contact", "2 unilateral springs, 400 MN/m each"),
+        ("newtons_cradle", "sphere1", "32.92 g, vertical motion"),
+        ("levitated_disc", "conductor", "force up to 1 kHz"),
+    ],
+)
+def test_a_part_is_described_with_prefixes(scene, part, text):
+    loaded = kc.load_scene(scene)
+    described = loaded.part(part)
+    notes = described.type.notes(described, loaded)
+    assert text in next(note for note in notes if isinstance(note, str))
+
+
 def test_units_of_couplings_have_superscripts():
     assert format_quantity(3.25e-9, "kg s2") == "3.25e-09 kg·s²"

@@ -12,6 +12,7 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field, create_model
 
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Section, si
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.expression import Number, Tree
@@ -221,7 +222,8 @@ class LinearElement(DeclaredPart[KeysT]):
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str]:
         row = next(row for row in TABLE if row.name == self.name)
-        yield f"{row.name.replace('_', ' ')} of {getattr(part.keys, row.key):g} {row.unit}"
+        value = format_quantity(getattr(part.keys, row.key), row.unit)
+        yield f"{row.name.replace('_', ' ')} of {value}"
 
 
 def _meter_name(part: Part, build: Build) -> str:

@@ -436,9 +436,10 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
 
     def notes(self, part: Part[MovingConductorKeys], scene: Scene) -> Iterator[str | Neglected]:
         keys, frequency = part.keys, self.resolved_frequency(part, scene)
+        highest = format_quantity(frequency, "Hz")
         yield (
             f"{len(keys.coils)} coils, eddy currents as loops to {keys.tolerance:g} of flux and "
-            f"force up to {frequency:.4g} Hz, exact in currents, power series of the height"
+            f"force up to {highest}, exact in currents, power series of the height"
         )
         depth = 1e3 * _skin_depth(keys, frequency)
         yield Neglected(

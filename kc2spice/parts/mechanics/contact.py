@@ -235,7 +235,8 @@ class Contact(DeclaredPart[ContactKeys]):
             detail = f"pressure under a sphere, up to {depth} deep; basis functions "
             detail += f"every {spacing} near the axis"
         elif normal.power == 1.0:
-            detail = f"{len(pair.ports)} unilateral springs, {normal.stiffness:g} N/m each"
+            stiffness = format_quantity(normal.stiffness, "N/m")
+            detail = f"{len(pair.ports)} unilateral springs, {stiffness} each"
         else:
             detail = f"Hertz's law, {normal.stiffness:g} N/m^1.5"
         if keys.groove is not None:

@@ -13,6 +13,7 @@ from pydantic import Field, field_validator
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
+from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import AIR_DENSITY, Density, Length, Section, Velocity
 from kc2spice.core.waveforms import Waveforms, running_integral
 from kc2spice.fem.materials import Material, material
@@ -314,7 +315,8 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
 
     def notes(self, part: Part[SphereKeys], scene: Scene) -> Iterator[str | Neglected]:
         keys = part.keys
-        yield f"{keys.mass * 1e6:.4g} mg, vertical motion, gravity {scene.gravity:g} m/s2"
+        mass = format_quantity(keys.mass, "kg")
+        yield f"{mass}, vertical motion, gravity {scene.gravity:g} m/s2"
         linear = any(c.keys.law == "linear" for c in scene.of_schema("contact", ContactKeys))
         if linear and part.keys.elastic is None:
             why = f"the part is rigid unless {part.name}.elastic"
