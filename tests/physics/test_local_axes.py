@@ -8,6 +8,7 @@ import pytest
 import skfem
 from pydantic import ValidationError
 
+from kc2spice.bodies.fields import find_extremes, recover_motion
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.element_poling import find_parents
 from kc2spice.parts.bodies.body import BodyKeys, device
@@ -198,6 +199,29 @@ def test_bimorph_poled_by_file_is_that_of_two_groups(bender, refine):
     scale = np.abs(groups.transfer(s)).max()
     assert read.transfer(s) == pytest.approx(groups.transfer(s), rel=1e-7, abs=1e-12 * scale)
     assert groups.facts["free_stroke_tip_m_per_v"] != pytest.approx(0, abs=1e-9)
+
+
+def test_field_against_the_poling_of_each_element(bender):
+    home, numbers, _ = bender
+    write_table(home / "p.csv", COLUMNS, [(n, 0, 0, -1) for n in numbers])
+    extremes = []
+    for poling in ({"file": "p.csv"}, [0, 0, -1], [0, 0, 1]):
+        solid = bend(home, {"b0": poling, "b1": poling})
+        motion = recover_motion(solid, np.linspace(0, 1e-6, 3), {"anode": np.full(3, 30.0)})
+        extremes.append([extreme.value for extreme in find_extremes(motion)])
+    assert extremes[0] == pytest.approx(extremes[1], rel=1e-6)
+    assert extremes[0] != pytest.approx(extremes[2], rel=0.5)
+
+
+@pytest.mark.parametrize(("poling", "message"), [
+    ({}, "state direction or file"),
+    ({"file": "p.csv", "direction": [1, 0, 0]}, "state direction or file"),
+    ({"file": "p.csv", "axis": [0, 0, 1]}, "no effect on a file"),
+    ({"direction": [0, 0, 0]}, "need a length"),
+])  # fmt: skip
+def test_bad_tables_of_polings_are_refused(bender, poling, message):
+    with pytest.raises(ValidationError, match=message):
+        bend(bender[0], {"b1": poling})
 
 
 @pytest.mark.parametrize("kind", [skfem.MeshTet, skfem.MeshHex, skfem.MeshTri, skfem.MeshQuad])

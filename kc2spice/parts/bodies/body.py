@@ -181,30 +181,33 @@ class PortKeys(Section):
         return np.asarray(axis / np.linalg.norm(axis))
 
 
-class CylindricalKeys(Section):
-    """A poling that turns about an axis with its place, as in rings and tubes."""
+class PolingKeys(Section):
+    """A poling that turns about an axis with its place, or one of each element from a CSV file.
 
-    direction: Vector = Field(description="Radial, hoop and axial component of the poling")
-    axis: Vector = Field((0.0, 0.0, 1.0), description="Direction of the cylinder's axis")
-    through: Point = Field((0.0, 0.0, 0.0), description="Point on the cylinder's axis")
-
-    @model_validator(mode="after")
-    def _require_direction(self) -> CylindricalKeys:
-        if not any(self.direction) or not any(self.axis):
-            raise ValueError("direction and axis need a length")
-        return self
-
-
-class PolingFileKeys(Section):
-    """A poling of each element, from a CSV file.
-
-    The columns are ``element, px, py, pz`` with the element numbers of a mesh file, or ``x, y, z,
-    px, py, pz`` in the unit of the mesh. The nearest point determines the poling of an element.
+    The columns of the file are ``element, px, py, pz`` with the element numbers of a mesh file, or
+    ``x, y, z, px, py, pz`` in the unit of the mesh. The nearest point determines the poling of an
+    element.
     """
 
-    file: Annotated[str, StringConstraints(min_length=1, max_length=255)] = Field(
-        description="CSV file beside the scene with the poling of elements or of points"
+    direction: Vector | None = Field(
+        None, description="Radial, hoop and axial component of the poling"
     )
+    axis: Vector = Field((0.0, 0.0, 1.0), description="Direction of the cylinder's axis")
+    through: Point = Field((0.0, 0.0, 0.0), description="Point on the cylinder's axis")
+    file: Annotated[str, StringConstraints(min_length=1, max_length=255)] | None = Field(
+        None, description="CSV file beside the scene with the poling of elements or of points"
+    )
+
+    @property
+    def contradiction(self) -> str:
+        """Reason why the keys state no poling, empty if they state one."""
+        if (self.direction is None) == (self.file is None):
+            return "state direction or file: one of them"
+        if self.file and self.model_fields_set != {"file"}:
+            return "axis and through have no effect on a file of polings"
+        if self.direction and not (any(self.direction) and any(self.axis)):
+            return "direction and axis need a length"
+        return ""
 
 
 class AxesKeys(Section):
@@ -296,9 +299,7 @@ class BodyKeys(FieldKeys):
     materials: dict[str, str | dict[str, Any]] = Field(
         min_length=1, description="Material of each mesh group, a name or a table"
     )
-    poling: dict[
-        str, Vector | Literal["radial", "tangential"] | CylindricalKeys | PolingFileKeys
-    ] = Field(
+    poling: dict[str, Vector | Literal["radial", "tangential"] | PolingKeys] = Field(
         default_factory=dict,
         description=(
             "Direction of the third material axis of each mesh group: a vector (default z), "
@@ -337,7 +338,7 @@ class BodyKeys(FieldKeys):
         """CSV files of polings by their group."""
         result = {}
         for group, item in self.poling.items():
-            if isinstance(item, PolingFileKeys):
+            if isinstance(item, PolingKeys) and item.file is not None:
                 result[group] = item.file
         return result
 
@@ -363,6 +364,9 @@ class BodyKeys(FieldKeys):
         both = set(self.axes) & set(self.poling)
         if both:
             raise ValueError(f"poling and axes of one group: {', '.join(sorted(both))}")
+        for group, item in self.poling.items():
+            if isinstance(item, PolingKeys) and item.contradiction:
+                raise ValueError(f"poling of {group}: {item.contradiction}")
         vectors = (item for item in self.poling.values() if isinstance(item, tuple))
         if not all(map(any, vectors)):
             raise ValueError("poling without a direction")
@@ -497,8 +501,8 @@ def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
         return turned
     direction = keys.poling.get(group, (0.0, 0.0, 1.0))
     if isinstance(direction, str):
-        direction = CylindricalKeys(direction=_CYLINDRICAL[direction])
-    if isinstance(direction, CylindricalKeys):
+        direction = PolingKeys(direction=_CYLINDRICAL[direction])
+    if isinstance(direction, PolingKeys) and direction.direction:
         about = CylindricalAxes(direction.axis, direction.through)
         _require_axis_of_revolution(keys, about, f"poling.{group}")
         return replace(plain.poled(direction.direction), local_axes=about)
