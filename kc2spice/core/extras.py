@@ -36,8 +36,10 @@ class OptionalLibrary(NamedTuple):
 LIBRARIES = {
     "ansys": OptionalLibrary("ansys-mapdl-reader", "ansys"),
     "distributed": OptionalLibrary("dask.distributed", "dask"),
+    "h5py": OptionalLibrary("h5py", "meshes"),
     "InSpice": OptionalLibrary("InSpice", None),
     "mkl": OptionalLibrary("mkl", "fast"),
+    "netCDF4": OptionalLibrary("netCDF4", "meshes"),
     "pandas": OptionalLibrary("pandas", "dataframes"),
     "pyarrow": OptionalLibrary("pyarrow", "parquet"),
     "pymor": OptionalLibrary("pyMOR", "pymor"),

@@ -1,8 +1,9 @@
-"""Meshes and CAD files of the user, read by gmsh, with named groups.
+"""Meshes and CAD files of the user, read by gmsh or meshio, with named groups.
 
-``.msh`` files contain elements and physical groups. This module meshes ``.step`` and ``.brep``
-files. The solids of a CAD file are first modified to share faces. Their groups are the labels of
-the file, and the picks of :func:`read_mesh`.
+:mod:`kc2spice.fem.mesh_formats` reads the meshes of other programs. ``.msh`` and ``.unv`` files
+contain elements and physical groups. This module meshes ``.step`` and ``.brep`` files. The solids
+of a CAD file are first modified to share faces. Their groups are the labels of the file, and the
+picks of :func:`read_mesh`.
 
 gmsh selects the format by extension and content of a file, and runs unknown files as scripts. No
 option of gmsh prevents scripts from starting programs. Therefore gmsh runs in a separate process
@@ -41,12 +42,17 @@ from kc2spice.fem.mesh_cells import (
     make_quadratic_mesh,
     require_right_handed,
 )
+from kc2spice.fem.mesh_formats import READERS, merge_file, require_plain_content
 
 STEP = (".step", ".stp")
-# First bytes of each format, and the file name that gmsh receives.
+CAD = (*STEP, ".brep")
+# First bytes of each format, and the file name that its reader receives.
 FORMATS = {
     ".msh": (b"$MeshFormat", "mesh.msh"), ".brep": (b"DBRep_DrawableShape", "mesh.brep"),
     ".step": (b"ISO-10303-21;", "mesh.step"), ".stp": (b"ISO-10303-21;", "mesh.step"),
+    ".inp": (b"", "mesh.inp"), ".bdf": (b"", "mesh.bdf"), ".nas": (b"", "mesh.nas"),
+    ".unv": (b"    -1", "mesh.unv"), ".vtu": (b"<", "mesh.vtu"), ".med": (b"\x89HDF", "mesh.med"),
+    ".exo": (b"", "mesh.exo"), ".e": (b"", "mesh.e"),
 }  # fmt: skip
 MAX_BYTES = 2_000_000_000  # size of a file
 _HEAD = 200  # first bytes of a file, which identify its format
@@ -59,6 +65,7 @@ _MSH = re.compile(
     rb"\$MeshFormat[ \t\r]*\n[ \t]*(2|2\.[012]|4|4\.[01])[ \t]+"
     rb"(0[ \t]+8[ \t\r]*\n\s*\$EndMeshFormat|1[ \t]+8[ \t\r]*\n(\x01\0\0\0|\0\0\0\x01))"
 )
+_UNV_MARK = re.compile(rb"^    -1[ \t\r]*$", re.MULTILINE)  # begin and end of a dataset
 _STEP_TEXT = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 
 
@@ -150,12 +157,12 @@ def read_mesh(
     data = _read_content(path)
     if path.suffix.lower() in STEP and unit != MILLIMETRE:
         raise wrong("unit", "a STEP file states its own unit", f"{unit:g} m", "no unit, or mm")
-    cad = path.suffix.lower() != ".msh"
+    cad = path.suffix.lower() in CAD
     if cad == (size is None):
         if cad:
             expected = 'a length such as "1 mm"'
             raise wrong("size", "a CAD file needs the size of its elements", expected=expected)
-        problem = "size has no effect on a .msh file, which contains elements already"
+        problem = f"size has no effect on a {path.suffix} file, which contains elements already"
         raise wrong("size", problem, f"{size:g} m", "no size", "delete the key size")
     if picks and not cad:
         problem = "groups are picked in CAD files only"
@@ -219,7 +226,9 @@ def _ask_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[st
     try:
         return call_in_child(f"kc2spice.fem.mesh_file:{function}", request, write_copy)
     except ValueError as error:
-        raise UsageError("gmsh cannot read or mesh this", where=str(path), got=str(error)) from None
+        reader = "meshio" if path.suffix.lower() in READERS else "gmsh"
+        problem = f"{reader} cannot read or mesh this"
+        raise UsageError(problem, where=str(path), got=str(error)) from None
 
 
 def require_format(path: Path, head: bytes | None = None) -> None:
@@ -248,7 +257,7 @@ def require_format(path: Path, head: bytes | None = None) -> None:
         with path.open("rb") as file:
             head = file.read(_HEAD)
     magic = known[0]
-    got, expected = head[:20], f"a file that begins with {magic.decode()}"
+    got, expected = head[:20], f"a file that begins with {magic.decode(errors='backslashreplace')}"
     hint = f"export the file again as {path.suffix}"
     if head.startswith(magic):
         if magic != b"$MeshFormat" or _MSH.match(head):
@@ -273,6 +282,11 @@ def _read_content(path: Path) -> bytes:
         reason = getattr(error, "strerror", None) or str(error)
         raise UsageError(f"cannot be read: {reason}", where=str(path)) from None
     require_format(path, data[:_HEAD])
+    if path.suffix.lower() == ".unv" and len(_UNV_MARK.findall(data)) % 2:
+        hint = "export the file again"
+        raise wrong(str(path), "the file ends within a dataset", None, "two lines -1 each", hint)
+    if path.suffix.lower() in READERS:
+        require_plain_content(path.suffix.lower(), data, str(path))
     if path.suffix.lower() in STEP and b"DOCUMENT_FILE" in _STEP_TEXT.sub(b"", data):
         hint = "export it without external references"
         expected = "one file with all solids"
@@ -557,7 +571,7 @@ def extract_mesh(
     with gmsh_session() as gmsh:
         gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
-        gmsh.merge(file)
+        _merge(gmsh, file, dimension)
         if size is not None:
             _mesh_cad(gmsh, size, dimension, picks)
         for _ in range(splits):
@@ -572,12 +586,20 @@ def measure_box(file: str) -> dict[str, np.ndarray]:
     """
     with gmsh_session() as gmsh:
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
-        gmsh.merge(file)
+        _merge(gmsh, file, 3)
         _, places, _ = gmsh.model.mesh.getNodes()
         points = places.reshape(-1, 3)
         if len(points):
             return {"box": np.array([points.min(axis=0), points.max(axis=0)])}
         return {"box": np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))}
+
+
+def _merge(gmsh: ModuleType, file: str, dimension: int) -> None:
+    """Add the content of a file to the model of gmsh."""
+    if Path(file).suffix in READERS:
+        merge_file(gmsh, file, dimension)
+    else:
+        gmsh.merge(file)
 
 
 def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, np.ndarray]:

@@ -76,7 +76,11 @@ class HeatBodyKeys(FieldKeys):
     """
 
     mesh: Annotated[str, StringConstraints(min_length=1, max_length=255)] | None = Field(
-        None, description="Mesh or CAD file beside the scene: gmsh and other meshes, STEP, BREP"
+        None,
+        description=(
+            "Mesh or CAD file beside the scene: .msh, .unv, .inp, .bdf, .nas, .vtu, .med, .exo, "
+            ".e, .step, .stp or .brep"
+        ),
     )
     unit: str | None = Field(
         None,

@@ -5,7 +5,7 @@ Groups of the file name materials, supports, electrodes and ports::
     [bracket]
     part = "body"
     mesh = "bracket.step"
-    unit = "mm"                   # needed with .msh and .brep; STEP files state their own
+    unit = "mm"                   # needed except with STEP files, which state their own
     size = "2 mm"                 # of the elements, CAD files only
     materials = { frame = "aluminium", patch = "PZT-5A" }
     poling = { patch = [0, 0, 1] }    # or "radial" and "tangential" about z, or a CSV file
@@ -270,7 +270,10 @@ class BodyKeys(FieldKeys):
     """
 
     mesh: Annotated[str, StringConstraints(min_length=1, max_length=255)] = Field(
-        description=("Mesh or CAD file beside the scene: gmsh and other meshes, STEP, BREP, IGES")
+        description=(
+            "Mesh or CAD file beside the scene: .msh, .unv, .inp, .bdf, .nas, .vtu, .med, .exo, "
+            ".e, .step, .stp or .brep"
+        )
     )
     unit: str | None = Field(
         None,

@@ -1,0 +1,265 @@
+"""Meshes of other programs, read by meshio, as discrete entities of gmsh.
+
+Sets of elements, integer cell data, and sets of nodes become physical groups. A set of nodes that
+contains all corners of faces on the surface of the body becomes a group of these faces. Any other
+set of nodes is a group of points.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from importlib import import_module
+from itertools import count
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.extras import import_optional
+from kc2spice.fem.mesh_cells import FACES
+
+# Readers of meshio by suffix, and the library that each needs.
+READERS = {
+    ".inp": ("abaqus", None), ".bdf": ("nastran", None), ".nas": ("nastran", None),
+    ".vtu": ("vtu", None), ".med": ("med", "h5py"), ".exo": ("exodus", "netCDF4"),
+    ".e": ("exodus", "netCDF4"),
+}  # fmt: skip
+# Shape, dimension and number of corners of elements, by the beginning of meshio's name.
+SHAPES = {
+    "vertex": ("Point", 0, 1), "line": ("Line", 1, 2), "triangle": ("Triangle", 2, 3),
+    "quad": ("Quadrangle", 2, 4), "tetra": ("Tetrahedron", 3, 4),
+    "pyramid": ("Pyramid", 3, 5), "wedge": ("Prism", 3, 6), "hexahedron": ("Hexahedron", 3, 8),
+}  # fmt: skip
+TETRAHEDRON = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
+MOST_VALUES = 1000  # largest number of groups of one array of integers
+_INCLUDE = {
+    "abaqus": re.compile(rb"^\s*\*\s*include\b", re.IGNORECASE | re.MULTILINE),
+    "nastran": re.compile(rb"^\s*include\b", re.IGNORECASE | re.MULTILINE),
+    "vtu": re.compile(rb"<!(DOCTYPE|ENTITY)"),
+}
+_ELEMENT = re.compile(rb"^[ \t]*\*ELEMENT[ \t]*,.*", re.IGNORECASE | re.MULTILINE)
+_ELSET = re.compile(rb"ELSET\s*=\s*([^,\s]+)", re.IGNORECASE)
+
+
+def require_plain_content(suffix: str, data: bytes, where: str) -> None:
+    """Refuse files that refer to others, and element sets that meshio would confuse.
+
+    Raises
+    ------
+    UsageError : a reference to another file, or an Abaqus file with elements inside and outside
+        of sets, or with one set for several blocks.
+    MissingToolError : a library of the format is not installed.
+    """
+    reader, library = READERS[suffix]
+    if library:
+        import_optional(library, where)
+    pattern = _INCLUDE.get(reader)
+    match = pattern.search(data) if pattern else None
+    if match:
+        got, expected = match[0].decode().strip(), "one file with nodes and elements"
+        raise wrong(where, "refers to other files", got, expected, "insert their text")
+    if reader == "abaqus":
+        names = list(map(_ELSET.search, _ELEMENT.findall(data)))
+        sets = [name[1].upper() for name in names if name]
+        if sets and (len(sets) < len(names) or len(set(sets)) < len(sets)):
+            expected = "another ELSET for each *ELEMENT line, or none"
+            hint = "name the sets by *ELSET lines"
+            raise wrong(where, "element sets cannot be assigned", None, expected, hint)
+
+
+def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
+    """Add the mesh of a file to gmsh, as ``gmsh.merge`` does with its own formats.
+
+    ``dimension`` is the dimension of the body.
+    """
+    reader = READERS[Path(file).suffix][0]
+    mesh = import_module(f"meshio.{reader}").read(file)
+    points = np.zeros((len(mesh.points), 3))
+    points[:, : np.shape(mesh.points)[1]] = mesh.points
+    blocks, faces = [], []
+    for cells in mesh.cells:
+        shape = SHAPES.get(re.sub(r"\d+$", "", cells.type))
+        if shape is None:
+            expected = "elements of order 1 or 2"
+            raise wrong("mesh", "an element is not supported", cells.type, expected)
+        nodes = np.asarray(cells.data)
+        if nodes.size and not 0 <= nodes.min() <= nodes.max() < len(points):
+            raise UsageError("an element has a node that does not exist", where="mesh")
+        blocks.append((shape, nodes))
+    for (_, d, corners), nodes in blocks:
+        if d == dimension:
+            faces += _list_faces(nodes[:, :corners], d)
+    total = sum(len(nodes) for _, nodes in blocks)
+    owner = np.repeat([d for (_, d, _), _ in blocks], [len(nodes) for _, nodes in blocks])
+    sets = _element_sets(mesh, file, reader, owner)
+    gmsh.model.addDiscreteEntity(dimension, 1)
+    gmsh.model.mesh.addNodes(
+        dimension, 1, np.arange(1, len(points) + 1), points.astype(float).ravel()
+    )
+    tags = count(2)
+    signature = np.zeros(total, int)
+    for members in sets.values():
+        inside = np.isin(np.arange(total), members)
+        signature = np.unique(2 * signature + inside, return_inverse=True)[1]
+    entity_of: dict[tuple[int, int], int] = {}
+    start = 0
+    for (family, d, corners), nodes in blocks:
+        kind = _element_kind(gmsh, family, corners, nodes.shape[1])
+        nodes = _order_nodes(gmsh, kind, family, corners, nodes, points)
+        marks = signature[start : start + len(nodes)]
+        for mark in np.unique(marks):
+            key = (d, int(mark))
+            if key not in entity_of:
+                entity_of[key] = gmsh.model.addDiscreteEntity(d, next(tags))
+            gmsh.model.mesh.addElementsByType(
+                entity_of[key], kind, [], nodes[marks == mark].ravel() + 1
+            )
+        start += len(nodes)
+    for (name, d), members in sets.items():
+        marks = np.unique(signature[members])
+        entities = [entity_of[d, int(mark)] for mark in marks]
+        gmsh.model.addPhysicalGroup(d, entities, name=name)
+    for name, nodes in _node_sets(mesh).items():
+        _add_node_set(gmsh, name, nodes, faces, dimension, next(tags))
+
+
+def _list_faces(cells: np.ndarray, dimension: int) -> list[np.ndarray]:
+    """List the faces of elements by their corners, also the inner ones."""
+    corners = cells.shape[1]
+    if dimension == 2:
+        return [cells[:, [k, (k + 1) % corners]] for k in range(corners)]
+    return [cells[:, face] for face in FACES.get(corners, TETRAHEDRON)]
+
+
+def _element_sets(
+    mesh: Any, file: str, reader: str, dimensions: np.ndarray
+) -> dict[tuple[str, int], np.ndarray]:
+    """Return the numbers of elements of each set, by name and dimension."""
+    result: dict[tuple[str, int], np.ndarray] = {}
+    starts = np.cumsum([0, *(len(cells.data) for cells in mesh.cells)])
+    named = list(_named_sets(mesh, file, reader, starts))
+    for name, members in named:
+        for d in np.unique(dimensions[members]):
+            text = name
+            if any(other == name for other, _ in result):
+                text = f"{name} of dimension {d}"
+            result[text, int(d)] = members[dimensions[members] == d]
+    return result
+
+
+def _named_sets(
+    mesh: Any, file: str, reader: str, starts: np.ndarray
+) -> Iterator[tuple[str, np.ndarray]]:
+    for name, parts in mesh.cell_sets.items():
+        pieces = [start + np.asarray(p, int) for start, p in zip(starts, parts, strict=False)]
+        yield name, np.concatenate([np.empty(0, int), *pieces])
+    if reader == "exodus":
+        for name, k in _exodus_blocks(file):
+            yield name, np.arange(starts[k], starts[k + 1])
+    arrays = {}
+    for name, parts in mesh.cell_data.items():
+        values = np.concatenate([np.asarray(part) for part in parts])
+        if values.ndim == 1 and values.dtype.kind in "iu" and len(np.unique(values)) <= MOST_VALUES:
+            arrays[name] = values
+    names = getattr(mesh, "cell_tags", {})
+    for array, values in arrays.items():
+        members: dict[str, list[np.ndarray]] = {}
+        for value in np.unique(values[values != 0]):
+            texts = names.get(int(value), []) if array == "cell_tags" else []
+            for text in texts or [str(value) if len(arrays) == 1 else f"{array} {value}"]:
+                members.setdefault(text, []).append(np.flatnonzero(values == value))
+        for text, pieces in members.items():
+            yield text, np.concatenate(pieces)
+
+
+def _exodus_blocks(file: str) -> Iterator[tuple[str, int]]:
+    """Names of the element blocks, or their numbers, and their places in the file."""
+    with import_optional("netCDF4", file).Dataset(file) as data:
+        places = [int(key[7:]) - 1 for key in data.variables if re.fullmatch(r"connect\d+", key)]
+        numbers = data.variables["eb_prop1"][:] if "eb_prop1" in data.variables else None
+        names = data.variables.get("eb_names")
+        if names is not None:
+            names.set_auto_mask(False)
+        for k, place in enumerate(places):
+            text = "" if names is None else b"".join(names[place]).decode().strip("\0 ")
+            yield text or str(place + 1 if numbers is None else numbers[place]), k
+
+
+def _node_sets(mesh: Any) -> dict[str, np.ndarray]:
+    result = {name: np.asarray(nodes, int) for name, nodes in mesh.point_sets.items()}
+    tags = np.asarray(mesh.point_data.get("point_tags", []))
+    for tag, names in getattr(mesh, "point_tags", {}).items():
+        for name in names:
+            nodes = np.flatnonzero(tags == tag)
+            result[name] = np.union1d(result.get(name, np.empty(0, int)), nodes)
+    return result
+
+
+def _add_node_set(
+    gmsh: ModuleType,
+    name: str,
+    nodes: np.ndarray,
+    faces: list[np.ndarray],
+    dimension: int,
+    tag: int,
+) -> None:
+    """Add a set of nodes as the faces of the surface that it contains, or as points."""
+    inside = [face[np.isin(face, nodes).all(axis=1)] for face in faces]
+    surface = []
+    for width in (2, 3, 4):
+        parts = [face for face in inside if face.shape[1] == width]
+        corners = np.concatenate([np.empty((0, width), int), *parts])
+        _, first, times = np.unique(
+            np.sort(corners, axis=1), axis=0, return_index=True, return_counts=True
+        )
+        surface.append((width, corners[first[times == 1]]))
+    d = dimension - 1 if any(len(corners) for _, corners in surface) else 0
+    gmsh.model.addDiscreteEntity(d, tag)
+    if d:
+        for width, corners in surface:
+            kind = {2: 1, 3: 2, 4: 3}[width]
+            if len(corners):
+                gmsh.model.mesh.addElementsByType(tag, kind, [], corners.ravel() + 1)
+    else:
+        gmsh.model.mesh.addElementsByType(tag, 15, [], nodes + 1)
+    gmsh.model.addPhysicalGroup(d, [tag], name=name)
+
+
+def _element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -> int:
+    """Return gmsh's number of an element kind of first or second order."""
+    if shape == "Point":
+        return 15
+    if nodes == corners:
+        return int(gmsh.model.mesh.getElementType(shape, 1))
+    for serendipity in (False, True):
+        kind = int(gmsh.model.mesh.getElementType(shape, 2, serendipity))
+        if kind > 0 and gmsh.model.mesh.getElementProperties(kind)[3] == nodes:
+            return kind
+    expected = "elements of order 1 or 2"
+    raise wrong("mesh", "an element is not supported", f"{shape} with {nodes} nodes", expected)
+
+
+def _order_nodes(
+    gmsh: ModuleType, kind: int, shape: str, corners: int, nodes: np.ndarray, points: np.ndarray
+) -> np.ndarray:
+    """Order the nodes on edges and faces as gmsh does, by their places.
+
+    Programs number these nodes differently. The order minimises the distances from the places on
+    elements with straight edges.
+    """
+    extra = nodes[:, corners:]
+    if not extra.size:
+        return nodes
+    local = gmsh.model.mesh.getElementProperties(kind)[4].reshape(nodes.shape[1], -1)
+    places = np.zeros((len(local), 3))
+    places[:, : local.shape[1]] = local
+    linear = gmsh.model.mesh.getElementType(shape, 1)
+    weights = gmsh.model.mesh.getBasisFunctions(linear, places.ravel(), "Lagrange")[1]
+    straight = np.einsum("lc,ecd->eld", weights.reshape(-1, corners), points[nodes[:, :corners]])
+    apart = points[extra][:, None] - straight[:, corners:, None]
+    order = linear_sum_assignment((apart**2).sum(axis=(0, 3)))[1]
+    return np.column_stack([nodes[:, :corners], extra[:, order]])
