@@ -118,8 +118,10 @@ def require(checks: tuple[Check, ...], where: str) -> None:
     for check in checks:
         if check.fatal:
             value, limit = format_value_and_limit(check.value, check.limit, check.unit)
+            # a sentence contains names of keys as the user writes them
+            name = check.name if " " in check.name else check.name.replace("_", " ")
             raise SimulationError(
-                f"a check of the result failed: {check.name.replace('_', ' ')}",
+                f"a check of the result failed: {name}",
                 where=where,
                 got=value,
                 expected=f"at most {limit}",
