@@ -576,7 +576,10 @@ def extract_mesh(
             _mesh_cad(gmsh, size, dimension, picks)
         for _ in range(splits):
             gmsh.model.mesh.refine()
-        return _collect_arrays(gmsh, dimension, name)
+        arrays = _collect_arrays(gmsh, dimension, name)
+    if Path(file).suffix in READERS:  # meshio does not return the numbers of elements
+        arrays["numbers"] = np.full(len(arrays["numbers"]), -1)
+    return arrays
 
 
 def measure_box(file: str) -> dict[str, np.ndarray]:

@@ -85,6 +85,8 @@ def test_formats_give_the_mesh_and_groups_of_gmsh(tmp_path, suffix, splits):
             places.append(np.sort(np.round(1e6 * middles.T) @ [1e8, 1e4, 1]))
         np.testing.assert_array_equal(*places)
     np.testing.assert_allclose(measure_extent(path), [3, 2, 1])
+    if suffix != ".unv":  # no element has a number that a table of poling could contain
+        assert (result.numbers == -1).all()
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
