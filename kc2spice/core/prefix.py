@@ -36,7 +36,7 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
     if unit in _PREFIXED_UNITS:
         plain, factor = _PREFIXED_UNITS[unit]
         if unit == "kg" and abs(value) >= LARGEST_MASS:
-            return f"{value:.{digits}g} kg"  # nobody reads gigagrams
+            return f"{value:.{digits}g} kg"  # gigagrams are unusual
         return format_quantity(factor * value, plain, digits)
     return _with_prefix(value, unit, digits, prefix_power(value))
 
