@@ -33,6 +33,7 @@ from kc2spice.fem.solid import Solid
 from kc2spice.fem.thermal_materials import thermal_library, thermal_material
 from kc2spice.physics import Declaration, DeclaredPart, branch
 from kc2spice.rom.linear_model import Port
+from kc2spice.scene import parttype
 
 STEP = {"width": "1e9 s", "edge": "1e-5 s"}
 
@@ -154,7 +155,7 @@ class FilmKeys(kc.Section):
     square: float = Field(description="Heat flow of each kelvin squared")
 
 
-def test_a_plate_with_a_cooled_face_is_that_of_vm116():
+def test_a_plate_with_a_cooled_face_is_that_of_vm116(monkeypatch):
     """From 500 to 100 degrees across the plate; then a film to 100 degrees cools the hot face.
 
     Its coefficient is 2 + 0.02 (T - 100), which a declared part states. At first a source supplies
@@ -164,7 +165,7 @@ def test_a_plate_with_a_cooled_face_is_that_of_vm116():
         "film", "film", FilmKeys, (branch("temperature"),),
         content="linear*temperature^2/2 + square*temperature^3/3",
     )  # fmt: skip
-    kc.register_part(DeclaredPart(film))
+    monkeypatch.setitem(parttype._types, "film", DeclaredPart(film))
     material = substance(2.0, 800.0, 0.833)
     flow = 2.0 * 400.0 / (8 / 12) + 2.0 * 400.0 + 0.02 * 400.0**2
     found = final_rises(

@@ -94,7 +94,7 @@ def test_ringing_that_the_forces_do_not_explain_is_told(waves, scene, table, mod
 
 def test_contact_beyond_the_last_ring_is_seen(waves, scene, table, model):
     wide = changed(waves, **{"contact.force.ring5": np.full_like(waves["time"], 0.1)})
-    with pytest.raises(SimulationError, match="outer_ring"):
+    with pytest.raises(SimulationError, match="outer ring"):
         require(judged(wide, scene, table, model).checks, "here")
 
 

@@ -49,7 +49,7 @@ def test_what_no_tolerance_cures_is_not_run_again(scene, loop, model, table, tmp
         far = waves.data | {"sphere.y": waves["sphere.y"] + 1.0}
         return verdict(dataclasses.replace(waves, data=far), built(scene, model, table))
 
-    with pytest.raises(RetriesFailedError, match="table_left") as caught:
+    with pytest.raises(RetriesFailedError, match="table left") as caught:
         run_with_retries(loop, tmp_path, batch(tmp_path), retries=3, judge=beyond)
     assert len(caught.value.attempts) == 1
 

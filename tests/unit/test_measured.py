@@ -127,7 +127,7 @@ def test_a_directory_that_cannot_be_written_is_noticed_before_the_fit(tmp_path, 
     )
     Y = admittance()
     path = table(tmp_path / "part.csv", "f_hz,g_s,b_s", F, Y.real, Y.imag)
-    with pytest.raises(kc.errors.UsageError, match="is a file"):
+    with pytest.raises(kc.errors.UsageError, match="a file, not a directory"):
         reduce_file(path, path)
 
 

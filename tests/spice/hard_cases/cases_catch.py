@@ -10,7 +10,7 @@ from kc2spice.scene.load import load_scene
 FEW = 12
 
 
-@case("sphere leaves the field table", "above", refused="table_left")
+@case("sphere leaves the field table", "above", refused="table left")
 def out_at_the_top(bench):
     tables = {
         "name": "kick_and_catch", "kick": {"drive": {"voltage": 150.0}},
@@ -20,7 +20,7 @@ def out_at_the_top(bench):
     return 0.0
 
 
-@case("sphere leaves the field table", "below", refused="table_left")
+@case("sphere leaves the field table", "below", refused="table left")
 def out_at_the_bottom(bench):
     """Rings and springs so soft that the resting sphere sinks below a table cut off just there."""
     study = scene("kick_and_catch", "contact.penalty=1e6 N/m", "catch.y_min=0.99999 mm",

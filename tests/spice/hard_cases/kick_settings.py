@@ -73,7 +73,7 @@ def outcome(number, folder):
         with patience(PATIENCE):
             done = complete(load_scene("kick_and_catch", chosen), folder)
     except (UsageError, SimulationError) as failed:
-        left = "table_left" in failed.message
+        left = "table left" in failed.message
         return LEFT if left else f"refused: {failed.message} {failed.got or ''}", chosen, None
     except TimeoutError:
         return "timed out", chosen, None
