@@ -22,7 +22,6 @@ from scipy.sparse.linalg import splu
 
 from kc2spice.core.errors import wrong
 from kc2spice.core.mesh_error import MESH_ERROR
-from kc2spice.core.naming import names_of
 from kc2spice.fem.heat_conduction import (
     HeatSolid,
     assemble_faces,
@@ -62,6 +61,8 @@ class HeatSetup:
     sources : port and shares of nodes (nodes,) of each heat source.
     films : faces that give off heat.
     interfaces : inner faces and their resistance [m^2 K/W].
+    points : names of sources at a point, whose own resistance grows without bound as the mesh is
+        refined.
     """
 
     fixed: np.ndarray = field(default_factory=lambda: np.empty(0, int))
@@ -69,6 +70,7 @@ class HeatSetup:
     sources: Sequence[tuple[Port, np.ndarray]] = ()
     films: Sequence[HeatFilm] = ()
     interfaces: Sequence[tuple[np.ndarray, float]] = ()
+    points: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,11 +116,13 @@ def make_heat_model(solid: HeatSolid, setup: HeatSetup) -> HeatModel:
     facts[MESH_LIMIT] = _highest_frequency(solid)
     if _leads_away(setup):
         answers = splu(K).solve(B)
-        resistances = dict(zip(names_of(ports), np.einsum("np,np->p", B, answers), strict=True))
-        for name, resistance in resistances.items():
-            facts[f"thermal_resistance_{name}_k_per_w"] = float(resistance)
-        energies = estimate_energy_errors(solid, temperature @ answers)
-        errors = energies / [*resistances.values()] / RECOVERED
+        resistances = np.einsum("np,np->p", B, answers)
+        spread = np.array([port.name not in setup.points for port in ports], dtype=bool)
+        for port, resistance in zip(ports, resistances, strict=True):
+            if port.name not in setup.points:
+                facts[f"thermal_resistance_{port.name}_k_per_w"] = float(resistance)
+        energies = estimate_energy_errors(solid, temperature @ answers[:, spread])
+        errors = energies / resistances[spread] / RECOVERED
         facts[f"{MESH_ERROR}resistance"] = float(max(errors.max(initial=0.0), LEAST_ERROR))
     model = LinearModel(E=E, K=K, B=B, ports=tuple(ports), facts=facts)
     return HeatModel(model, solid, temperature)

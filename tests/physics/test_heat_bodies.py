@@ -424,6 +424,17 @@ def test_split_nodes_separate_two_materials_and_no_others():
     assert np.abs(K @ np.ones(pieces.count)).max() < 1e-9
 
 
+def test_a_point_has_no_resistance_and_no_mesh_error():
+    """The temperature of a point that takes in heat grows without bound as the mesh is refined."""
+    solid, bottom, top = cylinder(8, COPPER)
+    fixed = face_nodes(solid.geometry, bottom)
+    disc = Port("disc", "thermal"), heat_shares(solid, facets=top)
+    spot = Port("spot", "thermal"), np.eye(solid.count)[-1]
+    alone = make_heat_model(solid, HeatSetup(fixed=fixed, sources=[disc])).model.facts
+    setup = HeatSetup(fixed=fixed, sources=[disc, spot], points=frozenset({"spot"}))
+    assert make_heat_model(solid, setup).model.facts == alone
+
+
 def test_areas_of_faces_are_those_of_a_cylinder():
     solid, bottom, top = cylinder(4, COPPER)
     assert assemble_faces(solid, bottom).sum() == pytest.approx(np.pi * 1e-4, rel=1e-12)

@@ -129,6 +129,10 @@ def make_heat_device(keys: HeatBodyKeys, home: Path, where: str = "heat_body") -
         return make_heat_model(geometry.solid, _make_setup(keys, geometry, interfaces))
 
 
+def _is_point(source: str | HeatSourceKeys) -> bool:
+    return isinstance(source, HeatSourceKeys) and source.at is not None
+
+
 def _make_setup(
     keys: HeatBodyKeys, geometry: Geometry, interfaces: list[tuple[np.ndarray, float]]
 ) -> HeatSetup:
@@ -153,6 +157,7 @@ def _make_setup(
         sources=sources,
         films=films,
         interfaces=interfaces,
+        points=frozenset(pin for pin, source in keys.sources.items() if _is_point(source)),
     )
 
 
