@@ -105,8 +105,8 @@ def _main():
     if asked.one:
         print(_measure(asked.one, asked.kind))
         return
-    if asked.error_bound:
-        print(_lower_bound(asked.error_bound, asked.kind))
+    if asked.bound:
+        print(_lower_bound(asked.bound, asked.kind))
         return
     heads = "model", "unknowns", "states", "wall [s]", "CPU [s]", "memory [GB]", "CPU exponent"
     print(f"| {' | '.join(heads)} | CPU / lower bound |")
