@@ -191,7 +191,7 @@ kicked("grazing contact", "1 mm/s", *THROWN, error=height, limit=1e-3, slow=True
 FLAT = ("kick.electrical=short", "sphere.radius=100 mm", "sphere.density=0.1 kg/m3",
         "sphere.velocity=-1 m/s", "sphere.height=1 um", "solver.stop=15 us",
         "checks.plausible=off")  # fmt: skip
-kicked("all six rings closing at once", "refused", *FLAT, error=None, code=5, words="outer_ring",
+kicked("all six rings closing at once", "refused", *FLAT, error=None, code=5, words="outer ring",
        slow=True)  # fmt: skip
 kicked("all six rings closing at once", "as an author insists", *FLAT, "checks.range=warn",
        error=height, limit=1e-3, slow=True)  # fmt: skip
@@ -336,7 +336,7 @@ HIGH = ("catch.y_max=1.2 mm", "control.setpoint=1.1 mm", "solver.stop=0.8 ms")
 LOW = ("catch.y_min=0.99999 mm", "sphere.velocity=-0.1 m/s", "sphere.height=1 um",
        "kick.drive.start=30 us", "control.enable_at=30 us", "solver.stop=80 us")  # fmt: skip
 for side, chosen in {"above": HIGH, "below": LOW}.items():
-    case("sphere leaving the table", side, "run", paper, chosen, code=5, words="table_left",
+    case("sphere leaving the table", side, "run", paper, chosen, code=5, words="table left",
          slow=True)  # fmt: skip
 
 
