@@ -166,7 +166,7 @@ def test_the_table_states_the_order_of_the_given_equations_and_of_the_states(tmp
 
 def test_an_unknown_method_lists_five_methods(tmp_path):
     np.savez(tmp_path / "rod.npz", **chain(10))
-    done = run(tmp_path / "rod", "--method", "modal truncation", "--out", tmp_path / "out")
+    done = run(tmp_path / "rod", "--method", "truncation of modes", "--out", tmp_path / "out")
     assert done.exit_code == 2
     text = " ".join(done.output.split())
     assert "--method: unknown method" in text

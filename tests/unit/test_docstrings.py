@@ -11,6 +11,7 @@ import pytest
 
 import kc2spice as kc
 from kc2spice import pyspice
+from kc2spice.netlist.printers import dialect_registry
 from kc2spice.scene import parttype
 
 ROOT = Path(__file__).parents[2]
@@ -50,9 +51,10 @@ def examples():
 
 @pytest.fixture
 def without_own_type():
-    """Other tests list all part types, so the one of an example must not stay."""
+    """Other tests list all part types and dialects, so those of examples must not stay."""
     yield
     parttype._types.pop("hard_spring", None)
+    dialect_registry._dialects.pop("example", None)
 
 
 @pytest.mark.usefixtures("without_own_type")
