@@ -252,8 +252,7 @@ def node_shares(
 
 def spread(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
     """Spread a unit vector over nodes by their shares: weights (d nodes,)."""
-    axis = axis if solid.components == 3 else axis[[0, 2]]
-    return np.outer(shares, axis).ravel()
+    return np.outer(shares, axis[solid.axes]).ravel()
 
 
 def translation(solid: Solid, axis: np.ndarray) -> np.ndarray:

@@ -182,7 +182,7 @@ def evaluate_at_nodes(
     T, E = probe.stress(u, phi)
     nodes, d = probe.basis.element_dofs.T.ravel(), device.solid.components
     moves = np.zeros((nodes.size, 3))
-    moves[:, [0, 1, 2] if d == 3 else [0, 2]] = u.reshape(-1, d)[nodes]
+    moves[:, device.solid.axes] = u.reshape(-1, d)[nodes]
     result = {"displacement": moves, "potential": phi[nodes, 0], "field": E[..., 0]}
     return result | {"stress": T[..., 0], "material": probe.owner.astype(float)}
 

@@ -136,7 +136,7 @@ def write_temperatures(path: Path, heat: HeatModel, rises: np.ndarray) -> None:
     mesh, element = geometry.mesh, geometry.element
     where = np.moveaxis(mesh.mapping().F(element.doflocs.T), 0, -1).reshape(-1, mesh.dim())
     places = np.zeros((len(where), 3))
-    places[:, heat.solid.axes] = where
+    places[:, geometry.axes] = where
     cells = np.arange(len(where)).reshape(mesh.nelements, -1)
     data = {
         "temperature_rise": rises[geometry.basis(1).element_dofs.T.ravel()],

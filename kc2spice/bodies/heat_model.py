@@ -204,10 +204,11 @@ def estimate_energy_errors(solid: HeatSolid, temperatures: np.ndarray) -> np.nda
         nodes, weights = basis.element_dofs.T, solid.measure(basis, cells)
         active, local = np.unique(nodes, return_inverse=True)
         local = local.reshape(nodes.shape)
-        k = material.conductivity[solid.axes][None, :, None]
+        axes = solid.geometry.axes
+        k = material.conductivity[axes][None, :, None]
         points = list(local_functions(basis))
         mass = np.zeros(())
-        loads = np.zeros((active.size, len(solid.axes), temperatures.shape[1]))
+        loads = np.zeros((active.size, len(axes), temperatures.shape[1]))
         fluxes = [-k * (G @ temperatures[nodes]) for _, G in points]
         for (N, _), q, w in zip(points, fluxes, weights.T, strict=True):
             mass = mass + w[:, None, None] * N[:, :, None] * N[:, None]

@@ -32,7 +32,7 @@ from scipy.special import roots_jacobi
 from skfem.mesh import MeshQuad, MeshTet
 
 from kc2spice.fem.materials import Material
-from kc2spice.fem.solid import FLAT, VOIGT, Solid, tensors
+from kc2spice.fem.solid import VOIGT, Solid, tensors
 
 ORDER = 7  # order of integration, exact for the mass of straight cubic elements of revolution
 BYTES = 64e6  # bytes of the element matrices that are computed at once
@@ -346,7 +346,7 @@ def _reference_tensor(
     field = material.piezoelectric or material.dielectric
     kinds = d + 1 if solid.axisymmetric else d
     strain = np.zeros((*weights.shape, 9, d + field, kinds))
-    axes = np.arange(3) if d == 3 else FLAT
+    axes = solid.axes
     for i, y in enumerate(axes):
         for k, x in enumerate(axes):
             strain[:, :, VOIGT[x, y], k, :d] += inverse[:, :, :, i]

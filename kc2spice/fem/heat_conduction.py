@@ -23,7 +23,7 @@ import skfem
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from kc2spice.fem.solid import CHUNK, FLAT, Solid, sum_matrices, symmetrise
+from kc2spice.fem.solid import CHUNK, Solid, sum_matrices, symmetrise
 from kc2spice.fem.thermal_materials import ThermalMaterial
 
 CANDIDATES = 50  # elements that may contain a point, those with the nearest centres
@@ -46,11 +46,6 @@ class HeatSolid:
     def count(self) -> int:
         """Number of nodes."""
         return int(self.geometry.places.shape[1])
-
-    @property
-    def axes(self) -> np.ndarray:
-        """Coordinates of the mesh among x, y and z."""
-        return {1: np.array([2]), 2: FLAT, 3: np.arange(3)}[self.geometry.mesh.dim()]
 
     def measure(self, basis: skfem.Basis, cells: np.ndarray) -> np.ndarray:
         """Weights (cells, points) of integrals in three dimensions."""
@@ -85,7 +80,7 @@ def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]
     capacities, conductances = [], []
     for material, cells in _chunks(solid):
         basis = solid.geometry.basis(elements=cells)
-        k = material.conductivity[solid.axes][:, None]
+        k = material.conductivity[solid.geometry.axes][:, None]
         e_cell, k_cell = np.zeros(()), np.zeros(())
         weights = solid.measure(basis, cells).T[:, :, None, None]
         for (N, G), w in zip(local_functions(basis), weights, strict=True):

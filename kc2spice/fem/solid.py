@@ -32,7 +32,8 @@ from kc2spice.fem.materials import ElementAxes, Material
 CHUNK = 4000  # elements handled at once: bounds the memory of the element matrices
 # Voigt row of the derivative of component i by coordinate j.
 VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
-FLAT = np.array([0, 2])  # the coordinates of a meridian plane among x, y, z
+# Coordinates of a mesh among x, y and z, by its dimension: a height, a meridian plane, space.
+_AXES = {1: np.array([2]), 2: np.array([0, 2]), 3: np.arange(3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +83,11 @@ class Solid:
     def components(self) -> int:
         """Components of the displacement."""
         return self.mesh.dim()
+
+    @property
+    def axes(self) -> np.ndarray:
+        """Coordinates of the mesh among x, y and z."""
+        return _AXES[self.mesh.dim()]
 
     @property
     def element(self) -> Any:
@@ -155,8 +161,7 @@ def strains(
     the gradient G (elements, 3, l) of the l local shape functions.
     """
     local = [function[0] for function in basis.basis]
-    d = solid.components
-    axes = np.arange(3) if d == 3 else FLAT
+    d, axes = solid.components, solid.axes
     radius = np.asarray(basis.global_coordinates())[0]
     for q in range(basis.X.shape[-1]):
         value = np.stack([np.broadcast_to(np.asarray(f), basis.dx.shape)[:, q] for f in local], -1)

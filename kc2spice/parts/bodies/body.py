@@ -608,7 +608,7 @@ def _node_shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) ->
     """Parts (nodes,) of a unit force over the port's group."""
     shares = np.zeros(solid.places.shape[1])
     if port.at is not None:
-        point = np.array(port.at)[[0, 2] if solid.axisymmetric else [0, 1, 2]]
+        point = np.array(port.at)[solid.axes]
         shares[np.argmin(np.linalg.norm(solid.places.T - point, axis=1))] = 1.0
         return shares
     group = groups.group(str(port.group), f"ports.{port.name}")

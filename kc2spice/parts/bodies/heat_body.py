@@ -105,7 +105,7 @@ class Geometry:
         if isinstance(source, str):
             source = HeatSourceKeys(group=source)
         if source.at is not None:
-            return point_shares(self.solid, np.array(source.at)[self.solid.axes])
+            return point_shares(self.solid, np.array(source.at)[self.solid.geometry.axes])
         group = self._group(str(source.group), where, 0, 1)
         if group.codimension == 0:
             return heat_shares(self.solid, elements=group.members)
