@@ -26,7 +26,7 @@ from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.fem.materials import ElementAxes
-from kc2spice.fem.solid import strains, tensors
+from kc2spice.fem.solid import Solid, strains, tensors
 from kc2spice.rom.modal import integrate_modes
 from kc2spice.rom.reductors.block_krylov import block_arnoldi
 
@@ -38,7 +38,7 @@ SLOWEST = 1e-4  # angle over the whole run of a mode that is free to move
 INSTANTS, WORK = 200, 2_000_000
 CHUNK = 20
 # meshio's cell of each element.
-VTK_CELLS = {
+_VTK_CELLS = {
     "ElementHex1": "hexahedron", "ElementHex2": "hexahedron27", "ElementTetP2": "tetra10",
     "ElementQuad2": "quad9", "ElementTriP2": "triangle6", "ElementLineP2": "line3",
 }  # fmt: skip
@@ -303,24 +303,26 @@ def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
 
 
 def write_vtu(path: Path, device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray) -> None:
-    """Write displacement, potential, field and stresses to a VTU file, in SI units.
+    """Write displacement, potential, field and stresses to a VTU file, in SI units."""
+    data = evaluate_at_nodes(device, z, voltages)
+    data["principal_stress"] = principal_stress(data["stress"])
+    write_nodal_values(path, device.solid, data)
 
-    The values are those at the nodes of every element. Cells share no points.
+
+def write_nodal_values(path: Path, solid: Solid, values: Mapping[str, np.ndarray]) -> None:
+    """Write values at the nodes of every element (points, …) to a VTU file.
+
+    Points are numbered element by element, and cells share none.
     """
     import meshio
     from skfem.io.meshio import HEX_MAPPING
 
-    data, mesh, element = (
-        evaluate_at_nodes(device, z, voltages),
-        device.solid.mesh,
-        device.solid.element,
-    )
+    mesh, element = solid.mesh, solid.element
     where = np.moveaxis(mesh.mapping().F(element.doflocs.T), 0, -1).reshape(-1, mesh.dim())
-    if mesh.dim() == 2:
-        where = np.column_stack([where[:, 0], np.zeros(len(where)), where[:, 1]])
-    cells = np.arange(len(where)).reshape(mesh.nelements, -1)
-    kind = VTK_CELLS[type(element).__name__]
+    points = np.zeros((len(where), 3))
+    points[:, solid.axes] = where
+    cells = np.arange(len(points)).reshape(mesh.nelements, -1)
+    kind = _VTK_CELLS[type(element).__name__]
     if kind.startswith("hexahedron"):
         cells = cells[:, HEX_MAPPING[: cells.shape[1]]]
-    data["principal_stress"] = principal_stress(data["stress"])
-    meshio.Mesh(where, [(kind, cells)], point_data=data).write(path, file_format="vtu")
+    meshio.Mesh(points, [(kind, cells)], point_data=dict(values)).write(path, file_format="vtu")

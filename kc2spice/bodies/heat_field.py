@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.linalg import eigh
 from scipy.sparse.linalg import splu
 
-from kc2spice.bodies.fields import VTK_CELLS
+from kc2spice.bodies.fields import write_nodal_values
 from kc2spice.bodies.heat_model import HeatModel
 from kc2spice.core.errors import wrong
 from kc2spice.rom.reductors.block_krylov import block_arnoldi
@@ -130,17 +130,10 @@ def _integrate(
 
 def write_temperatures(path: Path, heat: HeatModel, rises: np.ndarray) -> None:
     """Write temperature rises (nodes,) [K] to a VTU file."""
-    import meshio
-
     geometry = heat.solid.geometry
-    mesh, element = geometry.mesh, geometry.element
-    where = np.moveaxis(mesh.mapping().F(element.doflocs.T), 0, -1).reshape(-1, mesh.dim())
-    places = np.zeros((len(where), 3))
-    places[:, geometry.axes] = where
-    cells = np.arange(len(where)).reshape(mesh.nelements, -1)
-    data = {
-        "temperature_rise": rises[geometry.basis(1).element_dofs.T.ravel()],
-        "material": np.repeat(geometry.owner, cells.shape[1]).astype(float),
+    nodes = geometry.basis(1).element_dofs.T
+    values = {
+        "temperature_rise": rises[nodes.ravel()],
+        "material": np.repeat(geometry.owner, nodes.shape[1]).astype(float),
     }
-    kind = VTK_CELLS[type(element).__name__]
-    meshio.Mesh(places, [(kind, cells)], point_data=data).write(path, file_format="vtu")
+    write_nodal_values(path, geometry, values)

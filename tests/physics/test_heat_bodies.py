@@ -10,14 +10,16 @@ the manual that were read off charts differ from the series by up to 3 %.
 from pathlib import Path
 
 import gmsh
+import meshio
 import numpy as np
 import pytest
 import scipy
 from pydantic import Field
 from scipy.special import erfc
-from skfem.mesh import MeshLine, MeshTri
+from skfem.mesh import MeshHex, MeshLine, MeshTri
 
 import kc2spice as kc
+from kc2spice.bodies.heat_field import write_temperatures
 from kc2spice.bodies.heat_model import HeatSetup, make_heat_model
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.heat_conduction import (
@@ -550,3 +552,25 @@ def test_a_line_of_layers_has_the_capacity_of_its_volume():
     solid = HeatSolid(Solid(mesh, (), np.zeros(4, int)), (COPPER,), areas=np.full(4, 2e-4))
     E, _ = assemble_heat(solid)
     assert E.sum() == pytest.approx(COPPER.capacity * 2e-6, rel=1e-12)
+
+
+def test_the_file_of_temperatures_holds_right_handed_hexahedra(tmp_path):
+    """Corners and nodes in the middle of edges have the order that VTK states."""
+    side = np.linspace(0.0, 1e-2, 3)
+    geometry = Solid(MeshHex.init_tensor(side, side, side), (), np.zeros(8, int))
+    solid = HeatSolid(geometry, (COPPER,))
+    bottom = geometry.mesh.facets_satisfying(lambda p: p[2] < 1e-9)
+    heat = make_heat_model(solid, HeatSetup(sources=[(Port("in", "thermal"), np.ones(125) / 125)],
+                                            fixed=face_nodes(geometry, bottom)))  # fmt: skip
+    write_temperatures(tmp_path / "a.vtu", heat, 300.0 * geometry.places[2])
+    found = meshio.read(tmp_path / "a.vtu")
+    (block,) = found.cells
+    assert block.type == "hexahedron27"
+    corners = found.points[block.data[:, :8]]
+    assert (np.linalg.det(corners[:, (1, 3, 4)] - corners[:, :1]) > 0).all()
+    rises = found.point_data["temperature_rise"]
+    assert rises == pytest.approx(300.0 * found.points[:, 2], abs=1e-12)
+    edges = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4)]
+    for k, (a, b) in enumerate(edges):
+        halfway = (found.points[block.data[:, a]] + found.points[block.data[:, b]]) / 2
+        assert found.points[block.data[:, 8 + k]] == pytest.approx(halfway, abs=1e-12)
