@@ -28,7 +28,6 @@ from typing import TypeAlias
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from skfem import LinearForm
 from skfem.mesh import MeshHex, MeshQuad
 
 from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
@@ -37,7 +36,7 @@ from kc2spice.core.domains import ACCELERATION, BASE, ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material
-from kc2spice.fem.solid import Solid, assemble_solid
+from kc2spice.fem.solid import Solid, assemble_solid, node_shares
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 from kc2spice.rom.pencil import Schur
@@ -235,19 +234,6 @@ def _add_damping(
         if beta > least:
             E = E + damp(beta - least, number)
     return model.copy_with(E=sparse.csc_array(E), rayleigh=None)
-
-
-def node_shares(
-    solid: Solid, *, facets: np.ndarray | None = None, elements: np.ndarray | None = None
-) -> np.ndarray:
-    """Shares of nodes ``int N / int 1`` (nodes,) over facets or elements.
-
-    The integrals of a body of revolution are over the full turn.
-    """
-    basis = solid.face(facets, 4) if facets is not None else solid.basis(4, elements=elements)
-    form = LinearForm(lambda v, w: v * w.x[0] if solid.axisymmetric else v)
-    shares = form.assemble(basis)
-    return np.asarray(shares / shares.sum())
 
 
 def spread(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:

@@ -104,23 +104,6 @@ def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
     return symmetrise(sum_matrices([(matrix, nodes, nodes)], (solid.count, solid.count)))
 
 
-def heat_shares(
-    solid: HeatSolid, *, facets: np.ndarray | None = None, elements: np.ndarray | None = None
-) -> np.ndarray:
-    """Return shares of nodes ``int N / int 1`` (nodes,) over facets or elements."""
-    if facets is not None:
-        basis = solid.geometry.face(facets, solid.geometry.quadrature)
-        cells = solid.cells_of(facets)
-    else:
-        assert elements is not None, "shares need facets or elements"
-        cells = elements
-        basis = solid.geometry.basis(elements=elements)
-    weights, result = solid.measure(basis, cells), np.zeros(solid.count)
-    for (N, _), w in zip(local_functions(basis), weights.T[:, :, None], strict=True):
-        np.add.at(result, basis.element_dofs.T, w * N)
-    return np.asarray(result / result.sum())
-
-
 def point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
     """Return values (nodes,) of the shape functions at a point, or the nearest node outside."""
     geometry, result = solid.geometry, np.zeros(solid.count)

@@ -265,6 +265,20 @@ def _stress_stiffness(
     return np.asarray(result.reshape(len(result), item.shape[1] * d, -1))
 
 
+def node_shares(
+    solid: Solid, *, facets: np.ndarray | None = None, elements: np.ndarray | None = None
+) -> np.ndarray:
+    """Shares of nodes ``int N / int 1`` (nodes,) over facets or elements.
+
+    The integrals of a body of revolution are over the full turn. The cross-section of a line is
+    constant over the facets or elements.
+    """
+    basis = solid.face(facets, 4) if facets is not None else solid.basis(4, elements=elements)
+    form = skfem.LinearForm(lambda v, w: v * w.x[0] if solid.axisymmetric else v)
+    shares = form.assemble(basis)
+    return np.asarray(shares / shares.sum())
+
+
 def sum_matrices(
     parts: Sequence[tuple[np.ndarray, ...]], shape: tuple[int, int]
 ) -> sparse.csc_array:

@@ -10,10 +10,11 @@ from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import i0, i1, j0, j1
 
-from kc2spice.bodies.device import Block, BondedBlocks, node_shares
+from kc2spice.bodies.device import Block, BondedBlocks
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
+from kc2spice.fem.solid import node_shares
 from kc2spice.parts.bodies import disc, langevin
 
 approx = partial(pytest.approx, abs=0.0)  # its default of 1e-12 is a picofarad

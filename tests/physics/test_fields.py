@@ -7,7 +7,7 @@ from scipy.linalg import eigh
 from scipy.signal import StateSpace, lsim
 from skfem.mesh import MeshHex, MeshQuad, MeshTet, MeshTet2, MeshTri, MeshTri2
 
-from kc2spice.bodies.device import ForceShape, Setup, make_device, node_shares, spread
+from kc2spice.bodies.device import ForceShape, Setup, make_device, spread
 from kc2spice.bodies.fields import (
     FieldProbe,
     evaluate_at_nodes,
@@ -22,7 +22,7 @@ from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
-from kc2spice.fem.solid import Solid
+from kc2spice.fem.solid import Solid, node_shares
 from kc2spice.parts.bodies import disc, langevin
 from kc2spice.parts.bodies._pictures import OBLIQUE, draw_deformed, draw_modes
 from kc2spice.rom.linear_model import Port

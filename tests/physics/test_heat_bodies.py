@@ -28,10 +28,9 @@ from kc2spice.fem.heat_conduction import (
     assemble_heat,
     common_faces,
     face_nodes,
-    heat_shares,
     split_nodes,
 )
-from kc2spice.fem.solid import Solid
+from kc2spice.fem.solid import Solid, node_shares
 from kc2spice.fem.thermal_materials import thermal_library, thermal_material
 from kc2spice.physics import Declaration, DeclaredPart, branch
 from kc2spice.rom.linear_model import Port
@@ -401,7 +400,7 @@ def test_the_mesh_error_of_a_resistance_is_that_of_a_finer_mesh(isothermal):
             nodes = face_nodes(solid.geometry, top)
             setup = HeatSetup(fixed=setup.fixed, isothermal=[(port, nodes)])
         else:
-            shares = heat_shares(solid, facets=top)
+            shares = node_shares(solid.geometry, facets=top)
             setup = HeatSetup(fixed=setup.fixed, sources=[(port, shares)])
         values.append(make_heat_model(solid, setup).model.facts)
     coarse, fine = values
@@ -430,7 +429,7 @@ def test_a_point_has_no_resistance_and_no_mesh_error():
     """The temperature of a point that takes in heat grows without bound as the mesh is refined."""
     solid, bottom, top = cylinder(8, COPPER)
     fixed = face_nodes(solid.geometry, bottom)
-    disc = Port("disc", "thermal"), heat_shares(solid, facets=top)
+    disc = Port("disc", "thermal"), node_shares(solid.geometry, facets=top)
     spot = Port("spot", "thermal"), np.eye(solid.count)[-1]
     alone = make_heat_model(solid, HeatSetup(fixed=fixed, sources=[disc])).model.facts
     setup = HeatSetup(fixed=fixed, sources=[disc, spot], points=frozenset({"spot"}))

@@ -5,11 +5,11 @@ import pytest
 from scipy.optimize import brentq
 from skfem.mesh import MeshHex, MeshTet, MeshTet2
 
-from kc2spice.bodies.device import ForceShape, Setup, make_device, node_shares, spread
+from kc2spice.bodies.device import ForceShape, Setup, make_device, spread
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
-from kc2spice.fem.solid import Solid, assemble_solid
+from kc2spice.fem.solid import Solid, assemble_solid, node_shares
 from kc2spice.rom.linear_model import Port
 
 STEEL = material({"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3})

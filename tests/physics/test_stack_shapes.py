@@ -5,13 +5,13 @@ import pytest
 from closed_forms import rod_resonance
 from skfem.mesh import MeshHex
 
-from kc2spice.bodies.device import ForceShape, Setup, make_device, node_shares, spread
+from kc2spice.bodies.device import ForceShape, Setup, make_device, spread
 from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import validate
 from kc2spice.fem.materials import material
-from kc2spice.fem.solid import Solid
+from kc2spice.fem.solid import Solid, node_shares
 from kc2spice.rom.linear_model import Port
 from kc2spice.rom.reduce import reduce_model
 

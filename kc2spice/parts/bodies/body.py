@@ -47,7 +47,7 @@ from kc2spice.fem import mesh_file
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.element_poling import PolingTable, find_middles, find_parents, read_poling
 from kc2spice.fem.materials import CylindricalAxes, ElementAxes, Material, material, poling_rotation
-from kc2spice.fem.solid import Solid
+from kc2spice.fem.solid import Solid, node_shares
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._linear_keys import FieldKeys
 from kc2spice.parts.bodies._meshed import MeshedBody
@@ -613,9 +613,9 @@ def _node_shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) ->
         return shares
     group = groups.group(str(port.group), f"ports.{port.name}")
     if group.codimension == 0:
-        return fe.node_shares(solid, elements=group.members)
+        return node_shares(solid, elements=group.members)
     if group.codimension == 1:
-        return fe.node_shares(solid, facets=group.members)
+        return node_shares(solid, facets=group.members)
     shares[group.members] = group.shares
     return shares
 

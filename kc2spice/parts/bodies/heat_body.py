@@ -60,11 +60,10 @@ from kc2spice.fem.heat_conduction import (
     HeatSolid,
     common_faces,
     face_nodes,
-    heat_shares,
     point_shares,
     split_nodes,
 )
-from kc2spice.fem.solid import Solid
+from kc2spice.fem.solid import Solid, node_shares
 from kc2spice.fem.thermal_materials import thermal_material
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import hash_file
@@ -108,8 +107,8 @@ class Geometry:
             return point_shares(self.solid, np.array(source.at)[self.solid.geometry.axes])
         group = self._group(str(source.group), where, 0, 1)
         if group.codimension == 0:
-            return heat_shares(self.solid, elements=group.members)
-        return heat_shares(self.solid, facets=group.members)
+            return node_shares(self.solid.geometry, elements=group.members)
+        return node_shares(self.solid.geometry, facets=group.members)
 
 
 def make_heat_device(keys: HeatBodyKeys, home: Path, where: str = "heat_body") -> HeatModel:
