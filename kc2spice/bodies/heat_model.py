@@ -29,6 +29,7 @@ from kc2spice.fem.heat_conduction import (
     assemble_interface,
     local_functions,
 )
+from kc2spice.fem.solid import sum_matrices
 from kc2spice.rom.linear_model import LinearModel, Port
 
 MESH_LIMIT = "mesh_limit_hz"  # fact: frequency above which the mesh determines the response
@@ -213,10 +214,7 @@ def estimate_energy_errors(solid: HeatSolid, temperatures: np.ndarray) -> np.nda
         for (N, _), q, w in zip(points, fluxes, weights.T, strict=True):
             mass = mass + w[:, None, None] * N[:, :, None] * N[:, None]
             np.add.at(loads, local, (w[:, None] * N)[:, :, None, None] * q[:, None])
-        rows = np.broadcast_to(local[:, :, None], mass.shape)
-        columns = np.broadcast_to(local[:, None], mass.shape)
-        entries = (mass.ravel(), (rows.ravel(), columns.ravel()))
-        factor = splu(sparse.csc_array(sparse.coo_array(entries, shape=(active.size,) * 2)))
+        factor = splu(sum_matrices([(mass, local, local)], (active.size, active.size)))
         smooth = factor.solve(loads.reshape(active.size, -1)).reshape(loads.shape)
         for (N, _), q, w in zip(points, fluxes, weights.T, strict=True):
             jump = np.einsum("el,eldc->edc", N, smooth[local]) - q
