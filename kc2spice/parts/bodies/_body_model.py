@@ -57,6 +57,7 @@ SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
     "kc2spice.core.domains", "kc2spice.core.gmsh_session", "kc2spice.core.naming",
     "kc2spice.core.quantities", "kc2spice.core.untrusted_files", "kc2spice.parts.bodies._box",
+    "kc2spice.parts.bodies._mesh_keys",
 )  # fmt: skip
 
 

@@ -6,12 +6,11 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Annotated, Any
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, model_validator
 
 from kc2spice.core.domains import THERMAL
-from kc2spice.core.quantities import Count, Length, Notch, Section, si
-from kc2spice.parts.bodies._linear_keys import FieldKeys
-from kc2spice.parts.bodies.body import GroupKeys, Name, Point
+from kc2spice.core.quantities import Length, Section, si
+from kc2spice.parts.bodies._mesh_keys import MeshKeys, Name, Point
 from kc2spice.rom.linear_model import Port
 
 Area = Annotated[float, si("m2")]
@@ -68,41 +67,13 @@ class HeatSourceKeys(Section):
         return self
 
 
-class HeatBodyKeys(FieldKeys):
+class HeatBodyKeys(MeshKeys):
     """Heat conducting body from a mesh, a CAD file, or a list of layers.
 
     Layers are listed from the top down. Their groups are ``top``, ``bottom``, and ``layer1``,
     ``layer2`` and so on for the volume of each.
     """
 
-    mesh: Annotated[str, StringConstraints(min_length=1, max_length=255)] | None = Field(
-        None,
-        description=(
-            "Mesh or CAD file beside the scene: .msh, .unv, .inp, .bdf, .nas, .vtu, .med, .exo, "
-            ".e, .step, .stp or .brep"
-        ),
-    )
-    unit: str | None = Field(
-        None,
-        description="Length unit of the file's coordinates, required where the file states none",
-    )
-    size: Length | None = Field(
-        None, gt=0, description="Size of the elements that a CAD file is divided into"
-    )
-    refine: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
-        1, ge=1, le=8, description="Factor by which the size of all elements is divided"
-    )
-    merge: Length | None = Field(
-        None, ge=0, description="Distance up to which two nodes are merged; 0 accepts open joints"
-    )
-    axisymmetric: bool = Field(
-        False,
-        description="Whether the mesh is the half plane of a body of revolution, x the radius",
-    )
-    groups: dict[str, GroupKeys] = Field(default_factory=dict)
-    materials: dict[str, str | dict[str, Any]] = Field(
-        default_factory=dict, description="Material of each mesh group, a name or a table"
-    )
     layers: tuple[LayerKeys, ...] = Field(
         (), max_length=50, description="Layers from the top down, in place of a mesh"
     )

@@ -26,7 +26,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from itertools import filterfalse
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -37,10 +36,10 @@ from kc2spice.bodies import device as fe
 from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import ACCELERATION, ELECTRICAL, ROTATION, TRANSLATION
-from kc2spice.core.errors import UsageError, candidates, name_part_in_errors, wrong
+from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel
 from kc2spice.core.naming import names_of
-from kc2spice.core.quantities import Count, Length, Notch, Section, validate
+from kc2spice.core.quantities import Section, validate
 from kc2spice.core.untrusted_files import file_in_folder
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
@@ -49,7 +48,17 @@ from kc2spice.fem.element_poling import PolingTable, find_middles, find_parents,
 from kc2spice.fem.materials import CylindricalAxes, ElementAxes, Material, material, poling_rotation
 from kc2spice.fem.solid import Solid, node_shares
 from kc2spice.parts.bodies._body_model import hash_file
-from kc2spice.parts.bodies._linear_keys import FieldKeys
+from kc2spice.parts.bodies._mesh_keys import (
+    MESH_FILE,
+    MeshFile,
+    MeshKeys,
+    Name,
+    Point,
+    assign_materials,
+    find_mesh_problems,
+    mesh_path,
+    read_groups,
+)
 from kc2spice.parts.bodies._meshed import MeshedBody
 from kc2spice.parts.bodies._neglected import Envelope, box_envelope
 from kc2spice.parts.bodies._pictures import draw_edges
@@ -64,48 +73,11 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 
-Point: TypeAlias = tuple[Length, Length, Length]
 Vector: TypeAlias = tuple[float, float, float]
-Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
 _MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
 # Components of a poling along the radius, around and along the axis.
 _CYLINDRICAL = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0)}
 _REFERENCES = ("cathode", "gnd", "ground")
-
-
-class GroupKeys(Section):
-    """A group of a CAD file: entities that contain one of the points, or that lie in a box."""
-
-    solids: tuple[Point, ...] = Field((), description="Solids that contain one of these points")
-    faces: tuple[Point, ...] = Field((), description="Faces that contain one of these points")
-    curves: tuple[Point, ...] = Field((), description="Curves that contain one of these points")
-    points: tuple[Point, ...] = Field((), description="Geometric points at one of these places")
-    solids_in: tuple[Point, Point] | None = Field(
-        None, description="Solids inside a box, given by two of its corners"
-    )
-    faces_in: tuple[Point, Point] | None = Field(
-        None, description="Faces inside a box, given by two of its corners"
-    )
-    curves_in: tuple[Point, Point] | None = Field(
-        None, description="Curves inside a box, given by two of its corners"
-    )
-    points_in: tuple[Point, Point] | None = Field(
-        None, description="Geometric points inside a box, given by two of its corners"
-    )
-
-    @model_validator(mode="after")
-    def _require_one_selector(self) -> GroupKeys:
-        if len({key.removesuffix("_in") for key in self.model_fields_set}) != 1:
-            raise ValueError("pick solids, faces, curves or points: one of them")
-        return self
-
-    def pick(self, unit: float) -> dict[str, Any]:
-        """Selection for the mesh reader, in a file of this unit [m]."""
-        kind = next(iter(self.model_fields_set)).removesuffix("_in")
-        dimension = ("points", "curves", "faces", "solids").index(kind)
-        at = np.divide(getattr(self, kind), unit)
-        box = np.divide(getattr(self, f"{kind}_in") or (), unit)
-        return {"dimension": dimension, "at": at.tolist(), "box": box.tolist() or None}
 
 
 class FixedKeys(Section):
@@ -262,43 +234,14 @@ class AxesKeys(Section):
         return replace(plain, local_axes=CylindricalAxes(self.z, self.origin or (0.0, 0.0, 0.0)))
 
 
-class BodyKeys(FieldKeys):
+class BodyKeys(MeshKeys):
     """Body from a mesh or CAD file.
 
     The electrode ``cathode`` (otherwise ``gnd``, ``ground``, or the last) is the return pin of all
     others. ``floating`` electrodes are equipotential and carry no charge.
     """
 
-    mesh: Annotated[str, StringConstraints(min_length=1, max_length=255)] = Field(
-        description=(
-            "Mesh or CAD file beside the scene: .msh, .unv, .inp, .bdf, .nas, .vtu, .med, .exo, "
-            ".e, .step, .stp or .brep"
-        )
-    )
-    unit: str | None = Field(
-        None,
-        description=("Length unit of the file's coordinates, required where the file states none"),
-    )
-    size: Length | None = Field(
-        None, gt=0, description="Size of the elements that a CAD file is divided into"
-    )
-    refine: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
-        1, ge=1, le=8, description="Factor by which the size of all elements is divided"
-    )
-    merge: Length | None = Field(
-        None,
-        ge=0,
-        description=(
-            "Distance up to which two nodes are merged; 0 leaves solids that touch unconnected"
-        ),
-    )
-    axisymmetric: bool = Field(
-        False,
-        description=(
-            "Whether the mesh is the half plane of a body of revolution, with x as radius"
-        ),
-    )
-    groups: dict[str, GroupKeys] = Field(default_factory=dict)
+    mesh: MeshFile = Field(description=MESH_FILE)
     materials: dict[str, str | dict[str, Any]] = Field(
         min_length=1, description="Material of each mesh group, a name or a table"
     )
@@ -400,9 +343,8 @@ def device(
     """
     keys = validate(BodyKeys, keys, where)
     with name_part_in_errors(where):
-        splits = 0 if keys.size else int(np.ceil(np.log2(keys.refine)))
-        result = _read_mesh(keys, home, splits)
-        solid = _make_solid(keys, result, _read_polings(keys, home, result, splits))
+        result = read_groups(keys, home, keys.splits)
+        solid = _make_solid(keys, result, _read_polings(keys, home, result))
         assembled = fe.make_device(solid, _make_setup(keys, result, solid))
     axes = ("radius", "height") if keys.axisymmetric else "xyz"
     sides = zip(axes, 1e3 * np.ptp(result.mesh.p, axis=1), strict=True)
@@ -412,22 +354,8 @@ def device(
     return replace(assembled, model=assembled.model.copy_with(facts=facts))
 
 
-def _read_mesh(keys: BodyKeys, home: Path, splits: int) -> mesh_file.GroupedMesh:
-    path = file_in_folder(home, keys.mesh, "mesh")
-    unit = mesh_file.length_unit(path, keys.unit)
-    return mesh_file.read_mesh(
-        path,
-        unit=unit,
-        size=None if keys.size is None else keys.size / keys.refine,
-        picks={name: group.pick(unit) for name, group in keys.groups.items()},
-        dimension=2 if keys.axisymmetric else 3,
-        splits=splits,
-        merge=keys.merge,
-    )
-
-
 def _read_polings(
-    keys: BodyKeys, home: Path, groups: mesh_file.GroupedMesh, splits: int
+    keys: BodyKeys, home: Path, groups: mesh_file.GroupedMesh
 ) -> dict[str, ElementAxes]:
     """Read the axes of each element, by the group that has a file of its poling."""
     tables: dict[str, PolingTable] = {}
@@ -440,8 +368,8 @@ def _read_polings(
         hint = "write a file with the columns x, y, z, px, py, pz"
         raise wrong(f"poling.{numbered[0]}", problem, hint=hint)
     numbers = groups.numbers
-    if numbered and splits:
-        file_mesh = _read_mesh(keys, home, 0)
+    if numbered and keys.splits:
+        file_mesh = read_groups(keys, home, 0)
         numbers = file_mesh.numbers[find_parents(file_mesh.mesh, groups.mesh)]
     result = {}
     unit = mesh_file.length_unit(file_in_folder(home, keys.mesh, "mesh"), keys.unit)
@@ -457,34 +385,15 @@ def _read_polings(
 def _make_solid(
     keys: BodyKeys, groups: mesh_file.GroupedMesh, element_axes: Mapping[str, ElementAxes]
 ) -> Solid:
-    owner = np.full(groups.mesh.nelements, -1)
+    owner = assign_materials(keys.materials, groups)
     materials = []
-    for number, (name, name_or_table) in enumerate(keys.materials.items()):
-        where = f"materials.{name}"
-        cells = groups.group(name, where, 0).members
-        if (owner[cells] >= 0).any():
-            other = list(keys.materials)[int(owner[cells].max())]
-            raise UsageError(
-                "some elements have two materials",
-                where=where,
-                got=f"elements that are also in the group {other}",
-                expected="groups without common elements",
-                hint=f"delete materials.{name}, or take the elements out of one group",
-            )
-        owner[cells] = number
-        plain = material(name_or_table, where)
+    for name, name_or_table in keys.materials.items():
+        plain = material(name_or_table, f"materials.{name}")
         if name in element_axes:
             made_of = replace(plain, local_axes=element_axes[name])
         else:
             made_of = _orient_material(plain, keys, name)
         materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
-    if (owner < 0).any():
-        solids = [name for name, group in groups.groups.items() if group.codimension == 0]
-        rest = [*filterfalse(keys.materials.__contains__, solids)] or solids
-        expected = "a material for every element"
-        got = f"{np.sum(owner < 0)} elements without material"
-        hint = f"add a material for one of these groups: {candidates('', rest)}"
-        raise wrong("materials", "some elements have no material", got, expected, hint)
     return Solid(groups.mesh, tuple(materials), owner, keys.axisymmetric)
 
 
@@ -649,21 +558,16 @@ class Body(MeshedBody[BodyKeys]):
 
     def files(self, part: Part[BodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
         _poling_paths(part, scene)
-        _mesh_path(part, scene)
+        mesh_path(part, scene)
         return (part.keys.mesh, *part.keys.poling_files.values())
 
     def problems(self, part: Part[BodyKeys], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
         try:
             _poling_paths(part, scene)
-            path = _mesh_path(part, scene)
-            mesh_file.require_format(path)
-            if path.is_file():
-                mesh_file.length_unit(path, part.keys.unit)
         except UsageError as error:
-            if error.where == "unit":
-                error.where = f"{part.name}.unit"
             yield error
+        yield from find_mesh_problems(part, scene)
 
     def notes(self, part: Part[BodyKeys], scene: Scene) -> Iterator[str | Neglected]:
         """Yield the bounding box of its file, then the notes of all bodies."""
@@ -676,11 +580,11 @@ class Body(MeshedBody[BodyKeys]):
 
         def size() -> list[float]:
             with name_part_in_errors(part.name):
-                path = _mesh_path(part, scene)
+                path = mesh_path(part, scene)
                 sides = mesh_file.length_unit(path, part.keys.unit) * mesh_file.measure_extent(path)
             return list(map(float, sides))
 
-        key = {"file": hash_file(_mesh_path(part, scene)), "unit": part.keys.unit}
+        key = {"file": hash_file(mesh_path(part, scene)), "unit": part.keys.unit}
         return load_or_build("extent", key, size, sources=self.sources())
 
     def envelope(self, part: Part[BodyKeys], scene: DeclaredScene) -> Envelope:
@@ -697,7 +601,7 @@ class Body(MeshedBody[BodyKeys]):
         return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
 
     def full_key(self, part: Part[BodyKeys], scene: GovernedScene) -> dict[str, Any]:
-        result = {**super().full_key(part, scene), "file": hash_file(_mesh_path(part, scene))}
+        result = {**super().full_key(part, scene), "file": hash_file(mesh_path(part, scene))}
         for where, path in _poling_paths(part, scene).items():
             result[where] = hash_file(path)
         return result
@@ -729,10 +633,6 @@ def _poling_paths(part: Part[BodyKeys], scene: DeclaredScene) -> dict[str, Path]
         where = f"{part.name}.poling.{group}"
         result[where] = file_in_folder(scene.home, file, where)
     return result
-
-
-def _mesh_path(part: Part[BodyKeys], scene: DeclaredScene) -> Path:
-    return file_in_folder(scene.home, part.keys.mesh, f"{part.name}.mesh")
 
 
 register(Body())

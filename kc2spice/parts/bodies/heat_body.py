@@ -31,7 +31,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from itertools import filterfalse
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +43,6 @@ from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import (
     SimulationError,
     UsageError,
-    candidates,
     name_part_in_errors,
     unknown,
     wrong,
@@ -53,7 +51,6 @@ from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, time_axis
 from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
-from kc2spice.core.untrusted_files import file_in_folder
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
 from kc2spice.fem.heat_conduction import (
@@ -69,6 +66,12 @@ from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._heat_keys import HeatBodyKeys, HeatSourceKeys
 from kc2spice.parts.bodies._linear_body import COARSE_MESH, LinearBody
+from kc2spice.parts.bodies._mesh_keys import (
+    assign_materials,
+    find_mesh_problems,
+    mesh_path,
+    read_groups,
+)
 from kc2spice.parts.bodies._meshed import TOO_COARSE, chosen_instants, metric_word
 from kc2spice.parts.bodies._pictures import draw_edges, element_corners, map_surface
 from kc2spice.rom.enriched import Orders
@@ -162,18 +165,8 @@ def _make_setup(
 
 def _read_solid(keys: HeatBodyKeys, home: Path) -> tuple[Geometry, list[tuple[np.ndarray, float]]]:
     """Read the mesh, with double nodes at its interfaces."""
-    path = file_in_folder(home, str(keys.mesh), "mesh")
-    unit = mesh_file.length_unit(path, keys.unit)
-    groups = mesh_file.read_mesh(
-        path,
-        unit=unit,
-        size=None if keys.size is None else keys.size / keys.refine,
-        picks={name: group.pick(unit) for name, group in keys.groups.items()},
-        dimension=2 if keys.axisymmetric else 3,
-        splits=0 if keys.size else int(np.ceil(np.log2(keys.refine))),
-        merge=keys.merge,
-    )
-    owner = _assign_materials(keys, groups)
+    groups = read_groups(keys, home, keys.splits)
+    owner = assign_materials(keys.materials, groups)
     materials = []
     for name, stated in keys.materials.items():
         made_of = thermal_material(stated, f"materials.{name}")
@@ -195,29 +188,6 @@ def _read_solid(keys: HeatBodyKeys, home: Path) -> tuple[Geometry, list[tuple[np
     if interfaces:
         solid = split_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
     return Geometry(HeatSolid(solid, tuple(materials)), groups.group), interfaces
-
-
-def _assign_materials(keys: HeatBodyKeys, groups: mesh_file.GroupedMesh) -> np.ndarray:
-    """Return the number of the material of each element."""
-    owner = np.full(groups.mesh.nelements, -1)
-    for number, name in enumerate(keys.materials):
-        cells = groups.group(name, f"materials.{name}", 0).members
-        if (owner[cells] >= 0).any():
-            other = list(keys.materials)[int(owner[cells].max())]
-            got = f"elements that are also in the group {other}"
-            expected = "groups without common elements"
-            hint = f"delete materials.{name}, or take the elements out of one group"
-            problem = "some elements have two materials"
-            raise wrong(f"materials.{name}", problem, got, expected, hint)
-        owner[cells] = number
-    if (owner < 0).any():
-        solids = [name for name, group in groups.groups.items() if group.codimension == 0]
-        rest = [*filterfalse(keys.materials.__contains__, solids)] or solids
-        got = f"{np.sum(owner < 0)} elements without material"
-        hint = f"add a material for one of these groups: {candidates('', rest)}"
-        expected = "a material for every element"
-        raise wrong("materials", "some elements have no material", got, expected, hint)
-    return owner
 
 
 def _stack_layers(keys: HeatBodyKeys) -> tuple[Geometry, list[tuple[np.ndarray, float]]]:
@@ -296,22 +266,13 @@ dc = "1 W"
     def files(self, part: Part[HeatBodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
         if part.keys.mesh is None:
             return ()
-        _mesh_path(part, scene)
+        mesh_path(part, scene)
         return (part.keys.mesh,)
 
     def problems(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
-        if part.keys.mesh is None:
-            return
-        try:
-            path = _mesh_path(part, scene)
-            mesh_file.require_format(path)
-            if path.is_file():
-                mesh_file.length_unit(path, part.keys.unit)
-        except UsageError as error:
-            if error.where == "unit":
-                error.where = f"{part.name}.unit"
-            yield error
+        if part.keys.mesh is not None:
+            yield from find_mesh_problems(part, scene)
 
     def at_rest(self, part: Part[HeatBodyKeys], scene: WiredScene) -> Rest:
         """Return the paths of heat at rest: to the pin ambient, or among its pins."""
@@ -352,7 +313,7 @@ dc = "1 W"
     def full_key(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> Mapping[str, Any]:
         result = dict(super().full_key(part, scene))
         if part.keys.mesh is not None:
-            result["file"] = hash_file(_mesh_path(part, scene))
+            result["file"] = hash_file(mesh_path(part, scene))
         return result
 
     def device(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> HeatModel:
@@ -539,10 +500,6 @@ def _draw_field(
         edges = draw_edges("edges", mesh, fine=0)
         panel = Panel("mm", "mm", (edges,), equal=True, map=colours)
     yield Figure(figure, title, caption, (panel,))
-
-
-def _mesh_path(part: Part[HeatBodyKeys], scene: DeclaredScene) -> Path:
-    return file_in_folder(scene.home, str(part.keys.mesh), f"{part.name}.mesh")
 
 
 register(HeatBody())

@@ -1,0 +1,170 @@
+"""Mesh or CAD file of a body: its keys, its groups, and the material of each element."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import filterfalse
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+from pydantic import Field, StringConstraints, model_validator
+
+from kc2spice.core.errors import UsageError, candidates, wrong
+from kc2spice.core.quantities import Count, Length, Notch, Section
+from kc2spice.core.untrusted_files import file_in_folder
+from kc2spice.fem import mesh_file
+from kc2spice.parts.bodies._linear_keys import FieldKeys
+from kc2spice.scene.model import DeclaredScene, Part
+
+Point: TypeAlias = tuple[Length, Length, Length]
+Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")]
+MeshFile: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=255)]
+MESH_FILE = (  # description of the key mesh
+    "Mesh or CAD file beside the scene: .msh, .unv, .inp, .bdf, .nas, .vtu, .med, .exo, .e, .step, "
+    ".stp or .brep"
+)
+
+
+class GroupKeys(Section):
+    """A group of a CAD file: entities that contain one of the points, or that lie in a box."""
+
+    solids: tuple[Point, ...] = Field((), description="Solids that contain one of these points")
+    faces: tuple[Point, ...] = Field((), description="Faces that contain one of these points")
+    curves: tuple[Point, ...] = Field((), description="Curves that contain one of these points")
+    points: tuple[Point, ...] = Field((), description="Geometric points at one of these places")
+    solids_in: tuple[Point, Point] | None = Field(
+        None, description="Solids inside a box, given by two of its corners"
+    )
+    faces_in: tuple[Point, Point] | None = Field(
+        None, description="Faces inside a box, given by two of its corners"
+    )
+    curves_in: tuple[Point, Point] | None = Field(
+        None, description="Curves inside a box, given by two of its corners"
+    )
+    points_in: tuple[Point, Point] | None = Field(
+        None, description="Geometric points inside a box, given by two of its corners"
+    )
+
+    @model_validator(mode="after")
+    def _require_one_selector(self) -> GroupKeys:
+        if len({key.removesuffix("_in") for key in self.model_fields_set}) != 1:
+            raise ValueError("pick solids, faces, curves or points: one of them")
+        return self
+
+    def pick(self, unit: float) -> dict[str, Any]:
+        """Selection for the mesh reader, in a file of this unit [m]."""
+        kind = next(iter(self.model_fields_set)).removesuffix("_in")
+        dimension = ("points", "curves", "faces", "solids").index(kind)
+        at = np.divide(getattr(self, kind), unit)
+        box = np.divide(getattr(self, f"{kind}_in") or (), unit)
+        return {"dimension": dimension, "at": at.tolist(), "box": box.tolist() or None}
+
+
+class MeshKeys(FieldKeys):
+    """Keys of a body from a mesh or CAD file."""
+
+    mesh: MeshFile | None = Field(None, description=MESH_FILE)
+    unit: str | None = Field(
+        None,
+        description=("Length unit of the file's coordinates, required where the file states none"),
+    )
+    size: Length | None = Field(
+        None, gt=0, description="Size of the elements that a CAD file is divided into"
+    )
+    refine: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
+        1, ge=1, le=8, description="Factor by which the size of all elements is divided"
+    )
+    merge: Length | None = Field(
+        None,
+        ge=0,
+        description=(
+            "Distance up to which two nodes are merged; 0 leaves solids that touch unconnected"
+        ),
+    )
+    axisymmetric: bool = Field(
+        False,
+        description=(
+            "Whether the mesh is the half plane of a body of revolution, with x as radius"
+        ),
+    )
+    groups: dict[str, GroupKeys] = Field(default_factory=dict)
+    materials: dict[str, str | dict[str, Any]] = Field(
+        default_factory=dict, description="Material of each mesh group, a name or a table"
+    )
+
+    @property
+    def splits(self) -> int:
+        """Number of times that every edge of a mesh file is halved; 0 for a CAD file."""
+        return 0 if self.size else int(np.ceil(np.log2(self.refine)))
+
+
+def mesh_path(part: Part[MeshKeys], scene: DeclaredScene) -> Path:
+    """Return the path of a part's mesh file.
+
+    Raises
+    ------
+    UsageError : the path leads out of the folder of the scene.
+    """
+    return file_in_folder(scene.home, str(part.keys.mesh), f"{part.name}.mesh")
+
+
+def find_mesh_problems(part: Part[MeshKeys], scene: DeclaredScene) -> Iterator[UsageError]:
+    """Yield the error of a part's mesh file that is found without reading the file as a whole."""
+    try:
+        path = mesh_path(part, scene)
+        mesh_file.require_format(path)
+        if path.is_file():
+            mesh_file.length_unit(path, part.keys.unit)
+    except UsageError as error:
+        if error.where == "unit":
+            error.where = f"{part.name}.unit"
+        yield error
+
+
+def read_groups(keys: MeshKeys, home: Path, splits: int) -> mesh_file.GroupedMesh:
+    """Read the mesh with its groups; the path of its file is relative to ``home``.
+
+    Raises
+    ------
+    UsageError : a file that cannot be read, or a group that picks nothing.
+    """
+    path = file_in_folder(home, str(keys.mesh), "mesh")
+    unit = mesh_file.length_unit(path, keys.unit)
+    return mesh_file.read_mesh(
+        path,
+        unit=unit,
+        size=None if keys.size is None else keys.size / keys.refine,
+        picks={name: group.pick(unit) for name, group in keys.groups.items()},
+        dimension=2 if keys.axisymmetric else 3,
+        splits=splits,
+        merge=keys.merge,
+    )
+
+
+def assign_materials(names: Iterable[str], groups: mesh_file.GroupedMesh) -> np.ndarray:
+    """Return the position (elements,) of each element's material among ``names`` of groups.
+
+    Raises
+    ------
+    UsageError : an element without material, or with two.
+    """
+    names = list(names)
+    owner = np.full(groups.mesh.nelements, -1)
+    for number, name in enumerate(names):
+        cells = groups.group(name, f"materials.{name}", 0).members
+        if (owner[cells] >= 0).any():
+            got = f"elements that are also in the group {names[int(owner[cells].max())]}"
+            expected = "groups without common elements"
+            hint = f"delete materials.{name}, or take the elements out of one group"
+            problem = "some elements have two materials"
+            raise wrong(f"materials.{name}", problem, got, expected, hint)
+        owner[cells] = number
+    if (owner < 0).any():
+        solids = [name for name, group in groups.groups.items() if group.codimension == 0]
+        rest = [*filterfalse(names.__contains__, solids)] or solids
+        got = f"{np.sum(owner < 0)} elements without material"
+        hint = f"add a material for one of these groups: {candidates('', rest)}"
+        expected = "a material for every element"
+        raise wrong("materials", "some elements have no material", got, expected, hint)
+    return owner
