@@ -7,32 +7,61 @@ them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 IN_PLANE = 4.0  # number of unknowns of a plane mesh that need as much time as one unknown in space
 MESH_ERROR = "mesh_error_"  # begins the names of facts that are relative errors of other facts
-_MESH_ERRORS = {  # the words for what follows
-    "resonance": "first resonance", "capacitance": "capacitance", "stroke": "stroke",
-    "resistance": "thermal resistance",
-    "compliance": "compliance", "modes": "lowest modes up to", "force": "force",
-    "inductance": "inductance", "rings": "flux, force and loss",
-}  # fmt: skip
 NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"
+
+
+class MeshQuantity(NamedTuple):
+    """Quantity that depends on the mesh.
+
+    ``values`` is the pattern of the facts that state it. A run warns and ``verify`` fails if its
+    relative error exceeds ``coarse``, a usual tolerance of data sheets.
+    """
+
+    words: str
+    values: str = ""
+    coarse: float | None = None
+
+
+MESH_QUANTITIES = {  # by the rest of the name of the fact that states the error
+    "resonance": MeshQuantity("first resonance", "resonance_short_hz", 0.03),
+    "capacitance": MeshQuantity("capacitance", "capacitance_free_f", 0.05),
+    "stroke": MeshQuantity("stroke", "free_stroke_*", 0.1),
+    "resistance": MeshQuantity("thermal resistance", "thermal_resistance_*", 0.05),
+    "compliance": MeshQuantity("compliance"),
+    "modes": MeshQuantity("lowest modes up to"),
+    "force": MeshQuantity("force"),
+    "inductance": MeshQuantity("inductance"),
+    "rings": MeshQuantity("flux, force and loss"),
+}
 
 
 def mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
     """List the estimated relative mesh errors, by words for the quantities."""
-    errors = {}
-    for name, words in _MESH_ERRORS.items():
-        if f"{MESH_ERROR}{name}" in facts:
-            errors[words] = facts[f"{MESH_ERROR}{name}"]
-    return errors
+    return {item.words: error for item, error in _estimates(facts)}
+
+
+def limited_errors(facts: Mapping[str, float]) -> Iterator[tuple[str, float, float]]:
+    """Yield the words, the estimated error and the limit of each quantity that has a limit."""
+    for item, error in _estimates(facts):
+        if item.coarse is not None:
+            yield item.words, error, item.coarse
 
 
 def mesh_facts(facts: Mapping[str, float]) -> dict[str, float]:
     """Select the ``facts`` that :func:`mesh_errors` reads."""
-    names = filter(facts.__contains__, map(MESH_ERROR.__add__, _MESH_ERRORS))
+    names = filter(facts.__contains__, map(MESH_ERROR.__add__, MESH_QUANTITIES))
     return {name: float(facts[name]) for name in names}
+
+
+def _estimates(facts: Mapping[str, float]) -> Iterator[tuple[MeshQuantity, float]]:
+    for name, item in MESH_QUANTITIES.items():
+        if f"{MESH_ERROR}{name}" in facts:
+            yield item, facts[f"{MESH_ERROR}{name}"]
 
 
 def describe_mesh_errors(facts: Mapping[str, float]) -> str:

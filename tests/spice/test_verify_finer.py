@@ -9,10 +9,10 @@ from films import FILM
 from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
+from kc2spice.core.mesh_error import MESH_QUANTITIES
 from kc2spice.core.progress import Clock, silent
 from kc2spice.core.quantities import Notch, submodel
 from kc2spice.equations.scene_laws import SceneLaws
-from kc2spice.parts.bodies._linear_body import COARSE_MESH
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.parttype import part_type, type_names
@@ -99,7 +99,8 @@ DISC = {
 def test_verify_halves_the_mesh_of_a_body(refine, passed, tmp_path, monkeypatch):
     """The error of the resonance is one of the size of an element, squared: against a mesh of a
     quarter of its size by what verify finds."""
-    monkeypatch.setitem(COARSE_MESH, "first resonance", 1e-3)
+    stricter = MESH_QUANTITIES["resonance"]._replace(coarse=1e-3)
+    monkeypatch.setitem(MESH_QUANTITIES, "resonance", stricter)
     scene = load_scene(DISC, {"disc.mesh.refine": refine})
     record = verify.verify_scenes([scene], tmp_path / "out")["scenes"][scene.name]
     (found,) = (c for c in record["checks"] if "half as wide, first resonance" in c["name"])

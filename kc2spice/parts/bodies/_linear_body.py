@@ -15,7 +15,7 @@ import numpy as np
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Figure, FileWriter
-from kc2spice.core.mesh_error import IN_PLANE, NOT_ESTIMATED
+from kc2spice.core.mesh_error import IN_PLANE, MESH_QUANTITIES, NOT_ESTIMATED
 from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
@@ -45,17 +45,6 @@ from kc2spice.synthesis.realize import COARSE
 
 FEEDING = 1e-3  # negative part of an impedance that exceeds rounding errors of a lossless body
 STEP = 1e-2  # relative step of a parameter for sensitivities by central differences
-# Relative error of a mesh above which a run warns and ``verify`` fails, by the fact of the model.
-# The limits are usual tolerances of data sheets.
-COARSE_MESH = {
-    "first resonance": 0.03, "capacitance": 0.05, "stroke": 0.1, "thermal resistance": 0.05,
-}  # fmt: skip
-MESH_FACTS = {
-    "first resonance": "resonance_short_hz",
-    "capacitance": "capacitance_free_f",
-    "stroke": "free_stroke_*",
-    "thermal resistance": "thermal_resistance_*",
-}
 
 
 class LinearBody(BodyChecks[LinearKeysT]):
@@ -224,11 +213,14 @@ class LinearBody(BodyChecks[LinearKeysT]):
         if finer is None:
             yield f"{part.name}: no mesh half as wide ({cause}); {self.discretisation(part, build)}"
             return
-        for words, limit in COARSE_MESH.items():
-            names = fnmatch.filter(facts, MESH_FACTS[words])
+        for item in MESH_QUANTITIES.values():
+            if item.coarse is None:
+                continue
+            names = fnmatch.filter(facts, item.values)
             changes = [abs(facts[name] / finer[name] - 1) for name in names if finer.get(name)]
             if changes:
-                yield Check(f"mesh of {part.name} half as wide, {words}", max(changes), limit)
+                name = f"mesh of {part.name} half as wide, {item.words}"
+                yield Check(name, max(changes), item.coarse)
 
     def discretisation(self, part: Part[LinearKeysT], build: Build) -> str:
         """Error estimate of its mesh, or why there is none."""

@@ -22,10 +22,10 @@ import numpy as np
 from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
-from kc2spice.core.mesh_error import mesh_errors
+from kc2spice.core.mesh_error import limited_errors
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.bodies._linear_body import COARSE_MESH, LinearBody
+from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_keys import FieldKeys, FieldKeysT
 from kc2spice.parts.bodies._neglected import (
     Envelope,
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from kc2spice.bodies.fields import Extreme, NodalMotion
     from kc2spice.bodies.undamped import FiniteElementModel
 
-TOO_COARSE = "refine the mesh (its key refine), or set error_budget, which refines all settings"
+_TOO_COARSE = "refine the mesh (its key refine), or set error_budget, which refines all settings"
 MODES = 6  # drawn at most, the lowest ones
 _SINGULAR = "look at the VTU file: edges of clamps and corners exceed any limit when refined"
 # Word and unit of the metrics, panel and scale of the plot, and the effect of exceeding the limit.
@@ -154,12 +154,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance]:
         yield from super().checks(part, build, waves)
-        for words, error in mesh_errors(build.facts(part)).items():
-            if words in COARSE_MESH:
-                name = f"mesh of {part.name}, {words}"
-                yield Check(
-                    name, error, COARSE_MESH[words], "relative, estimated", TOO_COARSE, "warn"
-                )
+        yield from check_mesh(part, build)
         recovered = self.recovered(part, build, waves)
         for item in recovered.extremes if recovered else ():
             if item.limit is not None:
@@ -233,6 +228,13 @@ class MeshedBody(LinearBody[FieldKeysT]):
         # The identity of the waves is a key for as long as the result contains them.
         kind = f"fields of {part.name}"
         return build.workspace.latest(kind, id(waves), recover_fields)[1]
+
+
+def check_mesh(part: Part, build: Build) -> Iterator[Check]:
+    """Yield checks of the estimated errors of a part's mesh."""
+    for words, error, limit in limited_errors(build.facts(part)):
+        name = f"mesh of {part.name}, {words}"
+        yield Check(name, error, limit, "relative, estimated", _TOO_COARSE, "warn")
 
 
 def chosen_instants(part: Part[FieldKeys]) -> tuple[float, ...]:

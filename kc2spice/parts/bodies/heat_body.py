@@ -48,7 +48,6 @@ from kc2spice.core.errors import (
     wrong,
 )
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, time_axis
-from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
@@ -65,14 +64,14 @@ from kc2spice.fem.thermal_materials import thermal_material
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._heat_keys import HeatBodyKeys, HeatSourceKeys
-from kc2spice.parts.bodies._linear_body import COARSE_MESH, LinearBody
+from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._mesh_keys import (
     assign_materials,
     find_mesh_problems,
     mesh_path,
     read_groups,
 )
-from kc2spice.parts.bodies._meshed import TOO_COARSE, chosen_instants, metric_word
+from kc2spice.parts.bodies._meshed import check_mesh, chosen_instants, metric_word
 from kc2spice.parts.bodies._pictures import draw_edges, element_corners, map_surface
 from kc2spice.rom.enriched import Orders
 from kc2spice.rom.interface_modes import reduce_with_interfaces
@@ -385,9 +384,7 @@ dc = "1 W"
         self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
     ) -> Iterator[Check | Balance]:
         yield from super().checks(part, build, waves)
-        for words, error in mesh_errors(build.facts(part)).items():
-            name = f"mesh of {part.name}, {words}"
-            yield Check(name, error, COARSE_MESH[words], "relative, estimated", TOO_COARSE, "warn")
+        yield from check_mesh(part, build)
 
     def figures(
         self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
