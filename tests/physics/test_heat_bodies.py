@@ -573,3 +573,25 @@ def test_the_file_of_temperatures_holds_right_handed_hexahedra(tmp_path):
     for k, (a, b) in enumerate(edges):
         halfway = (found.points[block.data[:, a]] + found.points[block.data[:, b]]) / 2
         assert found.points[block.data[:, 8 + k]] == pytest.approx(halfway, abs=1e-12)
+
+
+def heated_wall(**changes):
+    """5 cm of copper under a heat flow of 1e5 W from t = 0 on, cold on the other face."""
+    return {
+        "name": "heated", "gravity": 0.0, "solver": {"stop": 20.0, "max_step": 0.01},
+        "wall": wall(substance(400.0, 8960.0, 385.0), 0.05, sources={"face": "top"},
+                     fixed=["bottom"], fields=[5.0], pins={"face": "fire.out"}),
+        "fire": step("heat_flow", 1e5),
+    } | changes  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"solver": {"stop": 1.0}}, "instant outside the run"),
+    ({"analysis": {"type": "ac", "start": 1.0, "stop": 2.0, "points": 2},
+      "fire": {"part": "source", "kind": "heat_flow", "ac": 1.0}},
+     "fields are recovered from waveforms over time"),
+], ids=["instant", "analysis"])  # fmt: skip
+def test_fields_that_a_run_cannot_have_are_refused(changes, words):
+    with pytest.raises(UsageError, match=words) as error:
+        kc.run(heated_wall(**changes))
+    assert error.value.where == "scene, key wall.fields"

@@ -123,17 +123,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
 
     def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
-        kind = scene.analysis.type
-        if kind != "transient" and (chosen_instants(part) or (part.keys.fields and kind != "ac")):
-            expected = "a transient, fields = true in ac for the shapes of modes, or false"
-            problem = "fields are recovered from waveforms over time"
-            yield wrong(f"{part.name}.fields", problem, f"analysis {kind}", expected)
-            return
-        outside = [t for t in chosen_instants(part) if not 0 <= t <= scene.stop]
-        if outside:
-            problem = "instant outside the run"
-            expected = f"0 to {scene.stop:g} s"
-            yield wrong(f"{part.name}.fields", problem, f"{outside[0]:g} s", expected)
+        yield from find_field_problems(part, scene, shapes=True)
 
     def metrics(
         self, part: Part[FieldKeysT], build: Build, waves: Waveforms
@@ -228,6 +218,30 @@ class MeshedBody(LinearBody[FieldKeysT]):
         # The identity of the waves is a key for as long as the result contains them.
         kind = f"fields of {part.name}"
         return build.workspace.latest(kind, id(waves), recover_fields)[1]
+
+
+def find_field_problems(
+    part: Part[FieldKeys], scene: GovernedScene, *, shapes: bool
+) -> Iterator[UsageError]:
+    """Yield the error of the key ``fields``.
+
+    It is accepted in transients only. With ``shapes``, the value ``true`` is also accepted in ac
+    analyses, for the shapes of modes.
+    """
+    kind, instants = scene.analysis.type, chosen_instants(part)
+    drawn = shapes and kind == "ac" and not instants
+    if kind != "transient" and part.keys.fields and not drawn:
+        expected = "a transient, or false"
+        if shapes:
+            expected = "a transient, fields = true in ac for the shapes of modes, or false"
+        problem = "fields are recovered from waveforms over time"
+        yield wrong(f"{part.name}.fields", problem, f"analysis {kind}", expected)
+        return
+    outside = [t for t in instants if not 0 <= t <= scene.stop]
+    if outside:
+        expected = f"0 to {scene.stop:g} s"
+        problem = "instant outside the run"
+        yield wrong(f"{part.name}.fields", problem, f"{outside[0]:g} s", expected)
 
 
 def check_mesh(part: Part, build: Build) -> Iterator[Check]:

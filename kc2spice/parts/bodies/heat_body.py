@@ -71,7 +71,12 @@ from kc2spice.parts.bodies._mesh_keys import (
     mesh_path,
     read_groups,
 )
-from kc2spice.parts.bodies._meshed import check_mesh, chosen_instants, metric_word
+from kc2spice.parts.bodies._meshed import (
+    check_mesh,
+    chosen_instants,
+    find_field_problems,
+    metric_word,
+)
 from kc2spice.parts.bodies._pictures import draw_edges, element_corners, map_surface
 from kc2spice.rom.enriched import Orders
 from kc2spice.rom.interface_modes import reduce_with_interfaces
@@ -270,6 +275,7 @@ dc = "1 W"
 
     def problems(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
+        yield from find_field_problems(part, scene, shapes=False)
         if part.keys.mesh is not None:
             yield from find_mesh_problems(part, scene)
 
