@@ -19,7 +19,7 @@ from scipy.special import erfc
 from skfem.mesh import MeshHex, MeshLine, MeshTri
 
 import kc2spice as kc
-from kc2spice.bodies.heat_field import write_temperatures
+from kc2spice.bodies.heat_field import recover_temperatures, write_temperatures
 from kc2spice.bodies.heat_model import HeatSetup, make_heat_model
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.heat_conduction import (
@@ -583,6 +583,54 @@ def heated_wall(**changes):
                      fixed=["bottom"], fields=[5.0], pins={"face": "fire.out"}),
         "fire": step("heat_flow", 1e5),
     } | changes  # fmt: skip
+
+
+def test_temperatures_inside_a_wall_follow_the_series(tmp_path):
+    """H. S. Carslaw, J. C. Jaeger, Conduction of Heat in Solids, 3.8: a flux into one face."""
+    k, rate, L, q = 400.0, 400.0 / (8960.0 * 385.0), 0.05, 1e5
+    beta = (np.arange(200) + 0.5) * np.pi / L
+
+    def exact(x, t):
+        parts = 2 * (-1.0) ** np.arange(200) / (beta**2 * L) * np.exp(-rate * beta**2 * t)
+        return q / k * (x - np.sin(np.multiply.outer(x, beta)) @ parts)
+
+    done = kc.run(heated_wall(), out=tmp_path / "out")
+    for stem, instant in {"": 20.0, "_1": 5.0}.items():
+        found = meshio.read(tmp_path / "out" / f"wall_temperatures{stem}.vtu")
+        heights = found.points[:, 2]
+        assert np.ptp(heights) == pytest.approx(L)
+        wanted = exact(heights, instant)
+        assert found.point_data["temperature_rise"] == pytest.approx(wanted, abs=2e-3 * q * L / k)
+    assert done.metrics["hottest_rise_layer1_material"] == pytest.approx(exact(L, 20.0), rel=2e-3)
+    assert done.metrics["hottest_time_layer1_material"] == pytest.approx(20.0)
+
+
+def cooled_line():
+    """A line of copper of 5 cm and 1 m2, cold at the bottom, with a heat flow into the top."""
+    geometry = Solid(MeshLine(np.linspace(0.0, 0.05, 9)), (), np.zeros(8, int))
+    heights = geometry.places[0]
+    top = np.asarray(heights == heights.max(), float)
+    setup = HeatSetup(fixed=np.flatnonzero(heights == 0), sources=[(Port("face", "thermal"), top)])
+    return make_heat_model(HeatSolid(geometry, (COPPER,), np.ones(8)), setup), heights
+
+
+def test_temperatures_under_a_ramp_do_not_depend_on_steps():
+    """Heat flows are linear between samples, so that fine and coarse steps are both exact."""
+    heat, _ = cooled_line()
+    ends = []
+    for count in (5, 20_000):  # steps above and below the limit for short steps
+        t = np.linspace(0.0, 10.0, count)
+        ends.append(recover_temperatures(heat, t, {"face": 1e4 * t}).at(10.0))
+    assert ends[1] == pytest.approx(ends[0], rel=1e-8, abs=1e-8 * ends[0].max())
+
+
+def test_a_body_starts_in_equilibrium_with_the_first_heat_flow():
+    heat, heights = cooled_line()
+    t = np.linspace(0.0, 10.0, 11)
+    field = recover_temperatures(heat, t, {"face": np.full(11, 1e5)})
+    for instant in (0.0, 10.0):
+        wanted = 1e5 / COPPER.conductivity[0] * heights
+        assert field.at(instant) == pytest.approx(wanted, rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize(("changes", "words"), [
