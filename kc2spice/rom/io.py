@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
@@ -163,7 +163,7 @@ MAX_BYTES = 1_000_000_000
 MAX_ENTRIES = 50_000_000  # entries of one matrix
 MAX_TEXT = 64  # characters of a name or unit
 _ROM_FILES = "the .npz file that kc2spice reduce wrote, or the .json file beside its matrices"
-RECORD = "record"  # the JSON text beside the arrays
+_RECORD = "record"  # the JSON text beside the arrays
 
 
 def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
@@ -172,27 +172,18 @@ def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
     ``name.json`` holds ports, certificate and error estimates of the mesh for readers of the Matrix
     Market files. Returns the file names, the ``.npz`` first.
     """
-    if model.certificate is None:
-        raise UsageError(
-            "is not a reduced model",
-            where=model.name,
-            expected="a model that 'kc2spice reduce' wrote",
-        )
     letters = _matrix_letters(model.first_order)
     matrices = {letter: getattr(model, letter) for letter in letters}
     content = {
         "ports": list(map(asdict, model.ports)),
-        "certificate": asdict(model.certificate),
+        "certificate": asdict(require_certificate(model.certificate, model.name)),
         "facts": mesh_facts(model.facts),
     }
-    record = json.dumps(content, indent=2)
-    arrays = {**matrices, RECORD: np.array(record)}
-    np.savez(directory / f"{name}.npz", **arrays)
-    (directory / f"{name}.json").write_text(record + "\n", encoding="utf-8")
+    files = write_archive(directory, name, matrices, content)
     for letter, matrix in matrices.items():
         with (directory / f"{name}.{letter}").open("wb") as stream:
             io.mmwrite(stream, matrix, precision=17, symmetry="general")
-    return [f"{name}.npz", f"{name}.json", *(f"{name}.{letter}" for letter in letters)]
+    return [*files, *(f"{name}.{letter}" for letter in letters)]
 
 
 def read_rom(path: Path | str) -> LinearModel:
@@ -221,22 +212,12 @@ def read_rom(path: Path | str) -> LinearModel:
             hint="kc2spice reduce MODEL writes one, NAME_rom/NAME_rom.npz",
         )
     try:
-        matrices, record = _read_npz(path) if path.suffix == ".npz" else _read_family(path)
+        if path.suffix == ".npz":
+            return _build_model(*read_arrays(path, "MEKABCD"))
+        matrices, record = _read_family(path)
         return _build_model(matrices, json.loads(record))
     except Exception as error:  # damaged bytes cause nearly any exception in the parsers
-        raise UsageError(
-            "is not a reduced model",
-            where=str(path),
-            got=" ".join(str(error).split())[:120] or type(error).__name__,
-            expected="a file that 'kc2spice reduce' wrote",
-        ) from None
-
-
-def _read_npz(path: Path) -> tuple[dict[str, np.ndarray], str]:
-    known = {RECORD, *"MEKABCD"}
-    arrays = read_archive(path, known.__contains__, entries=lambda _: MAX_ENTRIES, total=MAX_BYTES)
-    record = arrays.pop(RECORD)
-    return arrays, str(record.item())
+        raise damage_error(path, error) from None
 
 
 def _read_family(path: Path) -> tuple[dict[str, np.ndarray], str]:
@@ -256,6 +237,55 @@ def _require_limits(shape: tuple[int, int], entries: int) -> None:
             f"a matrix of {shape[0]} x {shape[1]} with {entries} entries exceeds the limit of "
             f"{MAX_ENTRIES} entries"
         )
+
+
+# --- functions for archives of models over ranges of parameters --------------------------------
+
+
+def require_certificate(certificate: Certificate | None, name: str) -> Certificate:
+    """Return the certificate of the model ``name``.
+
+    Raises
+    ------
+    UsageError : there is none, because the model is not reduced.
+    """
+    if certificate is None:
+        expected = "a model that 'kc2spice reduce' wrote"
+        raise UsageError("is not a reduced model", where=name, expected=expected)
+    return certificate
+
+
+def write_archive(
+    directory: Path, name: str, arrays: Mapping[str, Any], record: Mapping[str, Any]
+) -> list[str]:
+    """Write ``name.npz``, and its record for readers in ``name.json``; return these file names."""
+    text = json.dumps(record, indent=2)
+    content: dict[str, Any] = {**arrays, _RECORD: np.array(text)}
+    np.savez(directory / f"{name}.npz", **content)
+    (directory / f"{name}.json").write_text(text + "\n", encoding="utf-8")
+    return [f"{name}.npz", f"{name}.json"]
+
+
+def read_arrays(path: Path, names: Iterable[str]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Read the arrays and the record that :func:`write_archive` wrote.
+
+    Raises
+    ------
+    Exception : damaged bytes cause nearly any exception in the parsers.
+    """
+    known = {_RECORD, *names}
+    arrays = read_archive(path, known.__contains__, entries=lambda _: MAX_ENTRIES, total=MAX_BYTES)
+    return arrays, json.loads(str(arrays.pop(_RECORD).item()))
+
+
+def damage_error(path: Path, error: Exception) -> UsageError:
+    """Make the error of a file that is no reduced model from that of its parser."""
+    return UsageError(
+        "is not a reduced model",
+        where=str(path),
+        got=" ".join(str(error).split())[:120] or type(error).__name__,
+        expected="a file that 'kc2spice reduce' wrote",
+    )
 
 
 def require_single_line(text: str, longest: int) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import zipfile
 from dataclasses import asdict
 from pathlib import Path
@@ -10,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import read_archive
 from kc2spice.rom.io import (
-    MAX_BYTES,
-    MAX_ENTRIES,
-    RECORD,
+    damage_error,
     parse_certificate,
     parse_ports,
+    read_arrays,
+    require_certificate,
     require_single_line,
+    write_archive,
 )
 from kc2spice.rom.parametric import Loss, ParameterAxis
 from kc2spice.rom.varying import Varying
@@ -32,15 +30,9 @@ def write_varying(model: Varying, directory: Path, name: str) -> list[str]:
 
     Returns the file names, the ``.npz`` first.
     """
-    if model.certificate is None:
-        raise UsageError(
-            "is not a reduced model",
-            where=model.name,
-            expected="a model that 'kc2spice reduce' wrote",
-        )
     content = {
         "ports": list(map(asdict, model.ports)),
-        "certificate": asdict(model.certificate),
+        "certificate": asdict(require_certificate(model.certificate, model.name)),
         "axes": list(map(asdict, model.axes)),
         "losses": list(map(asdict, model.losses)),
         "blocks": model.blocks,
@@ -49,12 +41,8 @@ def write_varying(model: Varying, directory: Path, name: str) -> list[str]:
         "units": dict(model.units),
         "descriptions": dict(model.descriptions),
     }
-    record = json.dumps(content, indent=2)
     arrays = {key: getattr(model, key) for key in _ARRAYS}
-    arrays[RECORD] = np.array(record)
-    np.savez(directory / f"{name}.npz", **arrays)
-    (directory / f"{name}.json").write_text(record + "\n", encoding="utf-8")
-    return [f"{name}.npz", f"{name}.json"]
+    return write_archive(directory, name, arrays, content)
 
 
 def is_varying(path: Path) -> bool:
@@ -67,7 +55,7 @@ def is_varying(path: Path) -> bool:
 
 
 def read_varying(path: Path | str) -> Varying:
-    """Read a model over ranges of parameters that :func:`write_varying` wrote.
+    """Read a file that :func:`write_varying` wrote.
 
     Raises
     ------
@@ -75,21 +63,9 @@ def read_varying(path: Path | str) -> Varying:
     """
     path = Path(path)
     try:
-        arrays = read_archive(
-            path,
-            {*_ARRAYS, RECORD}.__contains__,
-            entries=lambda _: MAX_ENTRIES,
-            total=MAX_BYTES,
-        )
-        record = json.loads(str(arrays.pop(RECORD).item()))
-        return _build(arrays, record, path.stem)
-    except Exception as error:  # damaged bytes make the parsers raise nearly anything
-        raise UsageError(
-            "is not a reduced model",
-            where=str(path),
-            got=" ".join(str(error).split())[:120] or type(error).__name__,
-            expected="a file that 'kc2spice reduce' wrote",
-        ) from None
+        return _build(*read_arrays(path, _ARRAYS), path.stem)
+    except Exception as error:  # damaged bytes cause nearly any exception in the parsers
+        raise damage_error(path, error) from None
 
 
 def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> Varying:
