@@ -19,13 +19,12 @@ from kc2spice.rom.band import frequency_band
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.linear_model import LinearModel, Norm
-from kc2spice.rom.parametric import ParameterAxis, Values
+from kc2spice.rom.parametric import MOST_PARAMETERS, ParameterAxis, Values
 from kc2spice.rom.pencil import Matrix
 from kc2spice.rom.reduce import Target, choose_band, require_valid
 from kc2spice.rom.stability import is_semidefinite
 from kc2spice.rom.varying import Varying, reduce_over_ranges
 
-MOST = 4  # parameters: more need hundreds of full-order models
 LETTERS = "MK"  # matrices that may depend on parameters
 Factor = Callable[[Values], float]
 
@@ -102,11 +101,10 @@ class AffineTerm:
         return factor * self.matrix
 
     def _factor_error(self, values: Values, got: str) -> UsageError:
-        point = ", ".join(f"{name} = {value:g}" for name, value in values.items())
         return UsageError(
             f"the factor of matrix {self.letter} is not a number",
             where=self.description,
-            got=f"{got} at {point}",
+            got=f"{got} at {_describe_values(values)}",
             expected="a finite number over the ranges of all parameters",
         )
 
@@ -157,12 +155,12 @@ class AffineModel:
 
     def __post_init__(self) -> None:
         names = [item.name.lower() for item in self.parameters]
-        if not 1 <= len(names) <= MOST or len(set(names)) < len(names):
+        if not 1 <= len(names) <= MOST_PARAMETERS or len(set(names)) < len(names):
             raise UsageError(
                 "not the parameters of a model",
                 where=f"{self.model.name}: parameters",
                 got=", ".join(names) or "no parameter",
-                expected=f"1 to {MOST} parameters whose names differ in more than case",
+                expected=f"1 to {MOST_PARAMETERS} parameters whose names differ in more than case",
             )
         terms = [t if isinstance(t, AffineTerm) else AffineTerm(*t) for t in self.terms]
         object.__setattr__(self, "_terms", tuple(terms))
@@ -286,8 +284,11 @@ def _require_semidefinite(affine: AffineModel, values: Values) -> None:
     model = affine.at(values)
     for letter in LETTERS:
         if not is_semidefinite(getattr(model, letter)):
-            point = ", ".join(f"{name} = {value:g}" for name, value in values.items())
-            raise _indefinite(affine, f"matrix {letter} at {point}")
+            raise _indefinite(affine, f"matrix {letter} at {_describe_values(values)}")
+
+
+def _describe_values(values: Values) -> str:
+    return ", ".join(f"{name} = {value:g}" for name, value in values.items())
 
 
 def _indefinite(affine: AffineModel, got: str) -> UsageError:

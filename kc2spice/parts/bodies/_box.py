@@ -16,10 +16,9 @@ from kc2spice.core.quantities import join_path, list_keys, unit_of, validate
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
-from kc2spice.rom.parametric import ParameterAxis
+from kc2spice.rom.parametric import MOST_PARAMETERS, ParameterAxis
 from kc2spice.scene.model import GovernedScene, Part
 
-MOST = 4  # parameters: more need hundreds of full models
 PARAMETERS = "rom.parameters"
 LEAST = 1e-3  # relative width of a range
 
@@ -56,8 +55,8 @@ def varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
     """
     ranges = part.parameter_ranges
     where = f"{part.name}.{PARAMETERS}"
-    if len(ranges) > MOST:
-        raise wrong(where, "too many parameters", f"{len(ranges)}", f"at most {MOST}")
+    if len(ranges) > MOST_PARAMETERS:
+        raise wrong(where, "too many parameters", f"{len(ranges)}", f"at most {MOST_PARAMETERS}")
     result = []
     for key, ends in ranges.items():
         value, unit = number_of(part, key, where)
