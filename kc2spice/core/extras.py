@@ -53,6 +53,8 @@ LIBRARIES = {
 def import_optional(module: str, where: str) -> Any:
     """Import a module of one of the :data:`LIBRARIES`.
 
+    The print options of numpy stay as they are. The library pyyeti would change them.
+
     Parameters
     ----------
     module : str
@@ -69,10 +71,13 @@ def import_optional(module: str, where: str) -> Any:
     ------
     MissingToolError : The library is not installed or cannot be loaded.
     """
+    import numpy as np  # imported here, so that commands without arrays start faster
+
     top = module.partition(".")[0]
     library = LIBRARIES[top]
     try:
-        return import_module(module)
+        with np.printoptions():
+            return import_module(module)
     except ImportError as error:
         name = error.name or ""
         absent = isinstance(error, ModuleNotFoundError) and name.partition(".")[0] == top

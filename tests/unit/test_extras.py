@@ -101,6 +101,17 @@ def test_a_damaged_library_states_its_own_error(tmp_path, monkeypatch):
     assert caught.value.got == "No module named 'no_such_library'"
 
 
+def test_a_library_cannot_change_how_arrays_are_printed(tmp_path, monkeypatch):
+    text = "import numpy\nnumpy.set_printoptions(legacy='1.13', precision=2)"
+    (tmp_path / "pyyeti.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setitem(sys.modules, "pyyeti", None)  # what the test imports goes afterwards
+    del sys.modules["pyyeti"]
+    with np.printoptions():
+        import_optional("pyyeti", "job.op4")
+        assert str(np.array([1.0, 0.125])) == "[1.    0.125]"
+
+
 def test_extras_are_declared_and_documented():
     declared = PROJECT["optional-dependencies"]
     assert set(declared) - FOR_DEVELOPERS == EXTRAS

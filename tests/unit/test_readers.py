@@ -10,6 +10,7 @@ from scipy import sparse
 from kc2spice.bodies.readers import mesh_extent, read_model
 from kc2spice.bodies.readers.sidecar import read_sidecar
 from kc2spice.core.errors import MissingToolError, UsageError
+from kc2spice.core.extras import import_optional
 from kc2spice.rom.linear_model import LinearModel
 
 DATA = Path(__file__).parents[1] / "data" / "matrices"
@@ -189,8 +190,7 @@ def test_calculix_rows_keep_node_numbers_as_text(tmp_path):
 
 
 def test_dmig_agrees_with_another_reader(tmp_path):
-    from pyyeti.nastran import bulk
-
+    bulk = import_optional("pyyeti.nastran.bulk", "bulk data")
     frame = bulk.rddmig(str(DATA / "wing.pch"))["kaax"]
     model = read_model(
         DATA / "wing.pch", sidecar(tmp_path, TIP.replace("300", "5").replace("uy", "uz"))
@@ -276,15 +276,13 @@ def as_dmig_of_its_own(folder, K):
 
 
 def as_op4(folder, K):
-    from pyyeti.nastran import op4
-
+    op4 = import_optional("pyyeti.nastran.op4", "m.op4")
     op4.write(str(folder / "m.op4"), {"KAA": K, "MAA": M})
     return folder / "m.op4"
 
 
 def as_op4_of_its_own(folder, K):
-    from pyyeti.nastran import op4
-
+    op4 = import_optional("pyyeti.nastran.op4", "m.op4")
     op4.write(str(folder / "m.op4"), {"KAA": K.real, "K4AA": K.imag, "MAA": M})
     return folder / "m.op4"
 
