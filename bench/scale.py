@@ -253,7 +253,7 @@ def extract_package(tag, folder):
 
 
 def measure(kind, sizes, work, before=None):
-    """Rows of a kind: results of all stages by size."""
+    """Yield a table row for each size of one kind of model, with the results of all stages."""
     for size in sizes:
         path = work / f"{kind}_{size}.npz"
         row = {"model": run_stage("model", kind, path, size=size)}

@@ -398,7 +398,7 @@ def _scale_to_si(tree: Tree, factor: float) -> Tree:
 
 
 def _format_power_of_ten(value: float) -> Number:
-    """Return a power of ten in the usual spelling, such as 1e-6."""
+    """Return a power of ten as netlists write it: 1e-6, not 1e-06."""
     return ONE if value == 1 else Number(re.sub(r"e([-+])0", r"e\1", f"{value:g}").replace("+", ""))
 
 

@@ -448,7 +448,7 @@ def split_calls(
 
 
 def weighted_sum(calls: WeightedCalls) -> Tree:
-    """Return the sum of calls with their weights."""
+    """Return the expression ``sum_k weight_k call_k``."""
     return plus(*(times(_number(weight), call) for call, weight in calls))
 
 

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares, nnls
 from kc2spice.rom.network import CircuitBranch
 
 ENOUGH = 1e-5  # deviation (rms) below that of every instrument
-ABOVE_ROUNDING = 1.5  # times the effect of rounded frequencies
+ABOVE_ROUNDING = 1.5  # accepted multiple of the effect of rounded frequencies
 HALF = 0.6  # fraction of the last digit: largest rounding error relative to a fitted grid
 FLOOR = 1e-6  # relative deviation that no element has to describe
 TRIAL = 40  # evaluations of a sum of elements to choose one

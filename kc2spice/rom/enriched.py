@@ -31,7 +31,7 @@ from kc2spice.rom.reductors.block_krylov import BlockArnoldi, krylov_space
 # that with 60, 120 and 300 states by 1.9, 1.7 and 1.7 % (rms).
 TIMES = 2
 MORE = 60
-WIDER = 2.0  # times the end of the band, for models that need other vectors than those at zero
+WIDER = 2.0  # multiple of the band's end, for models that need other vectors than those at zero
 TARGET = 1e-6  # target error of the richer model over the wider band
 LIMIT = 1e-3  # largest error of the richer model over the wider band
 AT_ONCE = 4_000_000  # complex numbers, 64 MB: points times modes that are followed together

@@ -26,7 +26,7 @@ from kc2spice.rom.response import (
     sample_resonances,
 )
 
-ABOVE = np.array([2.0, 4.0])  # times the band's end: where contact still excites a body
+ABOVE = np.array([2.0, 4.0])  # multiples of the band's end at which contact still excites a body
 # Numbers of the search for the largest error. Chosen by trial; tests/physics/test_certificates.py
 # compares its result with errors on fine grids.
 NOTCHES = 60  # deepest minima that are refined in each round

@@ -29,7 +29,7 @@ from kc2spice.rom.stability import is_dissipative, is_semidefinite
 POLES, VECTORS, RESTARTS = 4, 40, 12  # settings of the Arnoldi method
 LANCZOS = 6  # restarts of the Lanczos method, of twenty vectors each
 COARSE = 1e-2  # relative error of the softest motion
-ROUNDING = 1e3  # times the rounding error of an energy: smaller values count as zero
+ROUNDING = 1e3  # multiple of the rounding error of an energy, below which the energy counts as zero
 GROWTH = 1e-4  # least real part of a growing pole, of its size
 BACKWARD = 1e-6  # residual of a pole, relative to the terms of its equation
 

@@ -34,8 +34,8 @@ from kc2spice.rom.state_space import ABCD
 
 ITERATIONS = 6  # iterations of vector fitting; more amplify rounding, so least squares continue
 MOST_STEPS = 60  # evaluations of least squares of the poles
-# Decay of a pole: at least this share of the distance between samples, at most so many times the
-# band's end. Samples do not determine others.
+# Slowest decay of a pole as a fraction of the distance between samples, and fastest decay as a
+# multiple of the band's end. Samples do not determine poles beyond these limits.
 NARROWEST, FASTEST = 0.25, 10.0
 # Highest frequency of a pole by the band's end, tried in this order: lines need poles above the
 # band, which are seldom passive in measured data.

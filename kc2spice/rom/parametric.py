@@ -26,7 +26,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, to_dense
 
 DENSE = 700  # unknowns up to which all modes are as fast as a few
-ABOVE = 2.0  # times the band, up to which modes are kept
+ABOVE = 2.0  # multiple of the band's end up to which modes are kept
 LEAST = 10  # modes
 MOST_PARAMETERS = 4  # more need hundreds of full models
 DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # degree by number of parameters; 2 for more

@@ -99,7 +99,7 @@ class Schur:
 
     @property
     def is_large(self) -> bool:
-        """Whether a multifrontal factor takes less time than one with pivoting."""
+        """Whether the matrices are so large that pivoting would take more time."""
         return bool(self.uu.shape[0] + self.pp.shape[0] >= QUASI_DEFINITE)
 
     def is_proven_definite(self, factor: Factor | None) -> bool:
@@ -339,7 +339,7 @@ class Pencil:
 
     @property
     def is_large(self) -> bool:
-        """Whether a multifrontal factor takes less time than one with pivoting."""
+        """Whether the matrices are so large that pivoting would take more time."""
         K = self.coefficients[0]
         return K.is_large if isinstance(K, Schur) else self.size >= QUASI_DEFINITE
 

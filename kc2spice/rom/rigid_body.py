@@ -30,11 +30,11 @@ ROUNDING = 8.0
 # Poles of a first-order model below these shares of the band's end: zero but for rounding, which
 # leaves half of the digits of a pair, and a free motion that something slows down.
 ZERO, SLOW = 1e-6, 1e-2
-# times the change of an energy by random rounding of the entries: larger values are energies
+# Multiple of the change of an energy by random rounding of the entries. Larger values are energies.
 RANDOM = 30.0
 ABOVE_RANDOM = 4.0  # factor on the random rounding: larger energies are no rounding errors
-FAR = 100.0  # times the resonance of a support: at this frequency the response changes by 1e-4
-SURELY = 10.0  # times the limit of a singular matrix: larger values belong to regular matrices
+FAR = 100.0  # multiple of a support's resonance where the support changes the response by 1e-4
+SURELY = 10.0  # multiple of the limit of singular matrices above which a matrix is regular
 DEPENDENT = 1e-9  # rates relative to the end of the band of a chain of integrators in first order
 # bounds on the rounding error of the entries of each coefficient
 Rounding: TypeAlias = tuple[np.ndarray, ...]

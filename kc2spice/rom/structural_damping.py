@@ -35,7 +35,7 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel
 
-FURTHER = 6.0  # slowest and fastest relaxation, times the ends of the band
+FURTHER = 6.0  # factor by which the relaxations extend beyond both ends of the band
 DECADES = 4.0  # decades of a band that starts at zero
 POINTS = 40  # frequencies a decade at which amplitudes are fitted
 DENSEST, FEWEST = 6, 8  # relaxations a decade, and beside these, at most

@@ -42,8 +42,8 @@ from kc2spice.rom.parametric import (
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import prove_stability
 
-ABOVE = 1.2  # times the band's end, up to which modes are kept at least
-MORE = 8  # modes beyond that among which the widest gap is looked for
+ABOVE = 1.2  # multiple of the band's end up to which all modes are kept
+MORE = 8  # further modes; the last mode that is kept lies below their widest gap
 STILL = 1e-6  # squared frequency of a motion without stiffness, relative to the next one
 SILENT = 1e-9  # zero share of a mode in a port, relative to the largest
 GRID = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # points along each axis by number of axes

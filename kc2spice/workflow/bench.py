@@ -49,7 +49,7 @@ NOTCHES = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)  # refinement steps of each axis, co
 CHECK, REFERENCE = 1.5, 2.0  # notches of the run that checks the reference, and of the reference
 MOST_POINTS = 80
 LARGEST_CHANGE = 1e-2  # largest relative change of a converged metric at the finest settings
-SLOW = 5.0  # times the CPU time of the scene's settings; a slower setting is timed once
+SLOW = 5.0  # multiple of the CPU time of the scene's settings; a slower setting is timed once
 EQUAL_TIMES = 1.05  # ratio of times that count as equal in the choice between two errors
 
 Place = tuple[float, ...]  # one setting, as the notches of each axis

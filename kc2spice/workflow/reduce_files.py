@@ -59,7 +59,7 @@ from kc2spice.workflow.decks import spare_other_decks
 TOLERANCE = 1e-4
 LARGEST_MISFIT = 0.1  # error of a measured part above which no model is written
 WARNED_MISFIT = 0.01  # error of a measured part above which the command warns
-ABOVE_NOISE = 3.0  # a larger error is accepted up to that many times the noise (rms)
+ABOVE_NOISE = 3.0  # multiple of the noise (rms) up to which an error is accepted
 
 
 def reduce_file(

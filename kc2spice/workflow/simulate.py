@@ -289,7 +289,9 @@ def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
 
 
 def _failure_folder(out: Path) -> Path:
-    """``<out>.failed``, or ``<out>.failed2`` and so on if this name exists."""
+    """Return the folder for the files of a failed run: ``<out>.failed``, or with a number if it
+    exists.
+    """
     name = f"{out.name}.failed"
     for number in ("", *range(2, 100)):
         result = out.with_name(f"{name}{number}")

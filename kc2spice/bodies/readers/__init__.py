@@ -134,7 +134,7 @@ def read_any_model(
 
 
 def _assemble_at(rows: Rows, terms: list[AffineTerm], values: Mapping[str, float]) -> LinearModel:
-    """Assemble the model at values of the parameters, from the sums of its terms."""
+    """Return the full-order model at these parameter values, with each matrix summed from terms."""
     return assemble_model(replace(rows, matrices=sum_terms(rows.matrices, terms, values)))
 
 

@@ -268,7 +268,7 @@ def _pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
 def _probed(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str, str]]:
     """Yield the names of probes of this part, with their pin, node or ``i(ELEMENT)``.
 
-    Probes of a meter at a pin are not included.
+    Probes of the current or power at a pin are left out.
     """
     for name, probe in scene.probes.items():
         owner, dot, node = probe.of.partition(".")

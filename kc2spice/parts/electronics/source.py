@@ -82,7 +82,7 @@ MAX_ROWS = 100_000  # rows of a file
 # points per period of a sine: linear interpolation has an error of 4e-4 of the amplitude
 PER_PERIOD = 125
 EDGE = 0.5  # factor on the reciprocal of the edge time, above which 1e-4 of the spectrum remains
-# times the frequency of a sine that is switched on; at 3 a mode above the band missed 1.3 %
+# Harmonics of a sine that is switched on. With 3, a mode above the band was wrong by 1.3 %.
 HARMONICS = 8.0
 DEVIATION = 1e-3  # largest deviation of an ideal source from its definition, relative to its swing
 

@@ -33,7 +33,7 @@ from kc2spice.synthesis.realize import COARSE, StepWeights
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, TransverselyIsotropicSphere
 
-BAND = 2.0  # times the lowest mode's frequency: the sphere breathes below
+BAND = 2.0  # multiple of the lowest frequency that limits the band; the sphere breathes below it
 
 
 class ElasticSphereKeys(LinearKeys):

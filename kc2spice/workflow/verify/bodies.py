@@ -35,7 +35,7 @@ from kc2spice.synthesis.realize import apply_unit_load
 FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole
 SMALL = 3000  # unknowns up to which a solution at all frequencies is affordable
 POINTS = 120  # frequencies of the netlist
-LEAKED = 2.0  # times the effect of the leaks of the electrical ports
+LEAKED = 2.0  # accepted multiple of the effect of the electrical ports' leaks
 ROUNDING = 1e-9  # largest difference of two direct solutions of a full model
 NETLIST_ROUNDING = 1e-9  # rounding error of a response that ngspice sums from modes
 OWN_ROUNDING = 1e-11  # rounding error of the reduced model's response
