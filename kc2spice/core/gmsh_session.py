@@ -10,6 +10,9 @@ from types import ModuleType
 
 from kc2spice.core.errors import MissingToolError
 
+# Signals whose handlers gmsh replaces. A broken pipe would end the process without a message.
+REPLACED = ("SIGTERM", "SIGHUP", "SIGPIPE")
+
 
 @contextmanager
 def gmsh_session() -> Iterator[ModuleType]:
@@ -34,8 +37,8 @@ def gmsh_session() -> Iterator[ModuleType]:
         ) from error
     gmsh.initialize([], readConfigFiles=False, interruptible=False)
     if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-            signal.signal(number, signal.getsignal(number))  # gmsh replaces these handlers
+        for number in (getattr(signal, name, signal.SIGTERM) for name in REPLACED):
+            signal.signal(number, signal.getsignal(number))
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.NumThreads", 1)

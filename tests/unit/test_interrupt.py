@@ -85,3 +85,23 @@ def test_signals_while_modules_are_loaded_have_the_same_exit_codes(number, code)
 def test_signals_after_the_end_leave_the_exit_code(number):
     done = subprocess.run([sys.executable, "-c", ENDED, number], capture_output=True)
     assert (done.returncode, done.stderr) == (4, b"")
+
+
+MESHED = """
+import os
+from kc2spice.core.gmsh_session import gmsh_session
+with gmsh_session():
+    pass
+inlet, outlet = os.pipe()
+os.close(inlet)
+try:
+    os.write(outlet, b"x")
+except BrokenPipeError:
+    print("an exception")
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGPIPE"), reason="the system has no such signal")
+def test_a_broken_pipe_after_meshing_is_an_exception():
+    done = subprocess.run([sys.executable, "-c", MESHED], capture_output=True)
+    assert (done.returncode, done.stdout) == (0, b"an exception\n")
