@@ -78,7 +78,8 @@ if ! has_browser; then
         rm "$apt"/archives/*.deb
         cat >"$root/bin/chromium" <<WRAPPER
 #!/bin/sh
-export LD_LIBRARY_PATH="$browser/usr/lib/x86_64-linux-gnu\${LD_LIBRARY_PATH:+:\$LD_LIBRARY_PATH}"
+libraries="$browser/usr/lib/x86_64-linux-gnu"
+export LD_LIBRARY_PATH="\$libraries:\$libraries/pulseaudio\${LD_LIBRARY_PATH:+:\$LD_LIBRARY_PATH}"
 export XDG_DATA_HOME="$browser/usr/share"
 [ -e /etc/fonts/fonts.conf ] || export FONTCONFIG_PATH="$browser/etc/fonts"
 exec "$browser/usr/lib/chromium/chromium" "\$@"
