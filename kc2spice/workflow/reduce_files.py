@@ -87,7 +87,7 @@ def reduce_file(
     path : Path or str
         Matrices as for :func:`kc2spice.read_model`; ``SCENE:PART``, which is the full model of a
         scene's body; or a measured response (``.s1p``, ``.s2p``, ``.ts``, ``.csv``, ``.txt``,
-        ``.tsv``, ``.zma``, ``.frd``, ``.mat``).
+        ``.tsv``, ``.zma``, ``.frd``, ``.z``, ``.dta``, ``.mpt``, ``.mat``).
     out : Path, optional
         Directory for the files. The default is ``NAME_rom``.
     band : tuple of two floats, optional

@@ -48,6 +48,11 @@ def rows(*columns, separator=",", form="{:.9g}"):
 E4990 = "!Keysight Technologies,E4990A,MY00000000,A.02.12\n!Date: x\n\nBEGIN CH1_DATA\n"
 TRACE_A = '"TRACE: A"\n"FORMAT: |Z|"\n"Frequency"\t"Data Trace Real"\t"Data Trace Imag"\n'
 TRACE_B = '\n"TRACE: B"\n"FORMAT: theta(deg)"\n"Frequency"\t"Data Trace Real"\t"Data Trace Imag"\n'
+PARAMETERS = '4294A REV1.11\n"DATE: x"\n\n"MEASURE PARAMETER: {}"\n"SWEEP TYPE: LIN FREQ"\n\n'
+SCALES = [
+    trace.replace("|Z|", "LOG").replace("theta(deg)", "LINEAR") for trace in (TRACE_A, TRACE_B)
+]
+ZPLOT = "  Freq(Hz)    Ampl     Bias   Time(Sec)   Z'(a)    Z''(b)    GD   Err   Range"
 AD2 = "#Digilent WaveForms Impedance Analyzer\n#Device Name: Discovery2\n#Serial Number: SN\n#\n"
 BODE = (
     'Frequency (Hz);"Trace 1: Gain: Real ";"Trace 1: Gain: Imaginary ";'
@@ -82,6 +87,12 @@ LAYOUTS = {
     "4294A, table": Layout("a.csv", TRACE_A, (F, abs(Z), DEG), "\t"),
     "4294A, complex": Layout(
         "a.txt", TRACE_A.replace("|Z|", "COMPLEX Z"), (F, Z.real, Z.imag), "\t", "{:.9e}"),
+    "4294A, scales of two traces": Layout(
+        "a.txt", PARAMETERS.format("IMPEDANCE MAG PHASE (DEG)") + SCALES[0], (F, abs(Z), ZERO),
+        "\t", "{:.9e}", SCALES[1] + rows(F, DEG, ZERO, separator="\t", form="{:.9e}")),
+    "4294A, Cs and Rs": Layout(
+        "a.txt", PARAMETERS.format("CS-RS") + SCALES[0], (F, -1 / (W * Z.imag), ZERO),
+        "\t", "{:.9e}", SCALES[1] + rows(F, Z.real, ZERO, separator="\t", form="{:.9e}")),
     "E5061B, Touchstone": Layout(
         "a.s1p", "!Keysight Technologies,E5061B,MY00000000,A.03.20\n!Date: x\n!Freq S11\n"
         "# Hz S DB R 50\n", (F, 20 * np.log10(abs(S)), np.angle(S, deg=True)), "\t"),
@@ -102,6 +113,9 @@ LAYOUTS = {
         "a.csv", "---Measurement Setup---\nDevice Type: Bode100R2\nSweep Mode: Linear\n-----\n"
         "Frequency (Hz),TR2: Impedance (Real),TR2: Impedance (Imag),TR2: Impedance (Ls)\n",
         (F, Z.real, Z.imag, Z.imag / W)),
+    "Bode 100, absolut": Layout(
+        "a.csv", "---Measurement Setup---\nDevice Type: Bode100\n-----\n"
+        "Frequency (Hz),TR1: Impedance (absolut),TR2: Impedance (Degree)\n", (F, abs(Z), DEG)),
     "Bode 100, gain": Layout("a.csv", BODE, GAIN_COLUMNS, ";", shunt=SHUNT),
     "Hioki": Layout(
         "a.csv", "IM3570\nNo,1\nFREQUENCY[Hz],Z[ohm],PHASE[deg]\n", (F, abs(Z), DEG)),
@@ -149,6 +163,22 @@ LAYOUTS = {
         "a.csv", ",frequency (Hz),Z (Ohm)\n", (np.arange(len(F)), F, Z), form="{:.9g}"),
     "numpy, complex": Layout("a.txt", "# f_hz Z_ohm\n", (F + 0j, Z), " ", "({:.9e})"),
     "potentiostat": Layout("a.csv", "freq/Hz,Re(Z)/Ohm,-Im(Z)/Ohm\n", (F, Z.real, -Z.imag)),
+    "potentiostat, ZPlot": Layout(
+        "a.z", "ZPLOT2 ASCII\n  Date:      10-12-2018\n  Open Circuit Potential (V): 0.0033\n"
+        + ZPLOT + "\n", (F, ZERO, ZERO, F, Z.real, Z.imag, ZERO, ZERO, ZERO), "\t", "{:.9E}"),
+    "potentiostat, ZPlot in quotes": Layout(
+        "a.txt", f'"ZPlotW Data File: Version 3.2c"\n0,3,0,1,300000,0.005\n79\n"{ZPLOT}"\n',
+        (F, ZERO, ZERO, F, Z.real, Z.imag, ZERO, ZERO, ZERO), ", ", "{:.9E}"),
+    "potentiostat, primes": Layout(
+        "a.txt", "A.C. Impedance\nInstrument Model:  CHI660E\n\nInit E (V) = 0\n\n"
+        "Freq/Hz, Z'/ohm, Z\"/ohm, Z/ohm, Phase/deg\n\n", (F, Z.real, Z.imag, abs(Z), DEG), ", ",
+        "{:.9e}"),
+    "potentiostat, double prime at the end": Layout(
+        "a.txt", "Freq\tZ'\tZ\"\n", (F, Z.real, Z.imag), "\t"),
+    "potentiostat, rows of direct current": Layout(
+        "a.txt", "Potential (V)\tElapsed Time (s)\tFrequency (Hz)\tZre (ohms)\tZimg (ohms)\n"
+        "3.49\t10\t0\t0\t0\n3.48\t20\t0\t0\t0\n", (ZERO + 3, F, F, Z.real, Z.imag), "\t"),
+    "primes of Y": Layout("a.csv", "f_hz,Y' (S),Y'' (S)\n", (F, Y.real, Y.imag)),
     "G and B": Layout("a.csv", "Freq(Hz),G(S),B(S)\n", (F, Y.real, Y.imag)),
     "Cs and Rs": Layout("a.csv", "Freq(Hz),Cs(F),Rs(Ohm)\n", (F, -1 / (W * Z.imag), Z.real)),
     "Cp and Rp": Layout("a.csv", "Freq(Hz),Cp(F),Rp(Ohm)\n", (F, Y.imag / W, 1 / Y.real)),

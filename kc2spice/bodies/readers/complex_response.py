@@ -46,6 +46,8 @@ from kc2spice.core.errors import UsageError
 REFERENCE = 50.0  # Ohm, reference resistance of S if the file states none
 FEWEST = 12  # least number of frequencies, for four parameters of one resonance and its noise
 AGREE = 0.05  # median relative difference of two readings, above the rounding of columns
+# largest ratio of turns of the frequency to its steps in a table of sweeps of 10 rows or more
+LARGEST_SHARE_OF_STARTS = 0.1
 LONGEST_NAMES = 50  # characters of the titles in an error that also lists unknown titles
 NAME_COLUMNS = "name the columns in the first line, such as  frequency_hz,real_ohm,imag_ohm"
 ONE_PART = "delete the columns or lines of the other one"
@@ -205,9 +207,7 @@ def response_of(
     _require_complete(titles, columns, shunt)
     frequency = _require_agreement("f", columns.by_quantity["f"])
     f = frequency.values
-    steps = np.diff(f)
-    if not ((steps >= 0).all() or (steps <= 0).all()):
-        raise ValueError("the frequency column goes up and down: is it another one?")
+    _require_one_sweep(f)
     notes = [*notes, *map("not used: {}".format, columns.problems)]
     if columns.complex_columns:
         return _complex_response(frequency, columns, titles, notes)
@@ -228,6 +228,26 @@ def response_of(
     texts = map(attrgetter("title.text"), used)
     summary = ", ".join(map(str, used)) + _describe_unused(titles, texts)
     return _make_response(f, reading.combination.quantity, samples, reference, remarks, summary)
+
+
+def _require_one_sweep(f: np.ndarray) -> None:
+    """Check that frequencies (n,) increase or decrease; those of direct current, 0, do not count.
+
+    Raises
+    ------
+    UsageError : the table contains several sweeps.
+    ValueError : the frequencies are in no order.
+    """
+    (rows,) = np.nonzero(f)
+    steps = np.diff(f[rows])
+    if (steps >= 0).all() or (steps <= 0).all():
+        return
+    starts = rows[np.flatnonzero(steps * np.median(steps) < 0) + 1]
+    if not starts.size or len(starts) > LARGEST_SHARE_OF_STARTS * len(steps):
+        raise ValueError("the frequency column goes up and down: is it another one?")
+    ends = [*starts[:3], len(f)][:3]
+    sweeps = [f"rows {a + 1} to {b}" for a, b in zip((0, *starts), ends, strict=False)]
+    raise ambiguous_file(f"{len(starts) + 1} sweeps in one table", sweeps, ONE_PART)
 
 
 def _classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> _Columns:
@@ -432,7 +452,8 @@ def _make_response(
     notes: Sequence[str],
     summary: str,
 ) -> MeasuredResponse:
-    """Make the response of samples (n,) of one port."""
+    """Make the response of samples (n,) of one port; rows of direct current are left out."""
+    f, samples = f[f != 0], samples[f != 0]
     matrix, z0 = samples[:, None, None], np.array([reference])
     Y = admittance_of(quantity, matrix, z0)
     return MeasuredResponse(f, quantity, matrix, Y, z0, tuple(notes), summary)

@@ -63,8 +63,8 @@ class ColumnKind:
 
 
 _PHASE = r"(phase|theta|th|θ|φ|phi|arg|angle|ang)"
-_SIZE = r"(mag|magnitude|abs|mod|modulus)"
-_REAL, _IMAG = r"(re|real|realpart)", r"(im|imag|imaginary|imagpart)"
+_SIZE = r"(mag|magnitude|abs|absolute|absolut|mod|modulus)"
+_REAL, _IMAG = r"(re|real|realpart)", r"(im|img|imag|imaginary|imagpart)"
 
 
 def _pattern(of: str, word: str) -> str:
@@ -82,6 +82,8 @@ COLUMN_KINDS = (
     ColumnKind("phase", ("angle",), _PHASE),
     ColumnKind("phase_z", ("angle",), _pattern("z", _PHASE)),
     ColumnKind("phase_y", ("angle",), _pattern("y", _PHASE)),
+    ColumnKind("phase_z", ("angle",), "z", needs_unit=True),  # Impedance (Degree)
+    ColumnKind("phase_y", ("angle",), "y", needs_unit=True),
     ColumnKind("r", ("impedance",), rf"r|z?rs|esr|resistance|{_pattern('z', _REAL)}"),
     ColumnKind("x", ("impedance",), rf"x|z?xs|reactance|{_pattern('z', _IMAG)}"),
     ColumnKind("rp", ("impedance",), r"z?rp"),
@@ -111,6 +113,7 @@ COLUMN_KINDS = (
     ColumnKind("gain", ("decibel", "number"), rf"gain|{_pattern('gain', _SIZE)}", needs_unit=True),
     ColumnKind("gain", ("decibel",), _SIZE, needs_unit=True),
     ColumnKind("gain_phase", ("angle",), _pattern("gain", _PHASE)),
+    ColumnKind("gain_phase", ("angle",), "gain", needs_unit=True),
     ColumnKind("gain_real", ("number",), _pattern("gain", _REAL)),
     ColumnKind("gain_imag", ("number",), _pattern("gain", _IMAG)),
     ColumnKind(SOUND, ("decibel",), r"spl|dbspl|soundpressure(level)?"),
@@ -126,6 +129,8 @@ LABELS = {
 COMPLEX_NAMES: dict[Quantity, str] = {
     "Z": "z", "Y": "y", "S": "s|s11|sparameters|scattering|γ|gamma"
 }  # fmt: skip
+# Primes behind Z or Y, with the parts that they mean. ZPlot writes Z'(a) and Z''(b).
+PRIMES = ((r"(''|\")\s*(\(b\))?", "imag"), (r"'\s*(\(a\))?", "real"))
 # Words that instruments add to a title.
 ADDED = re.compile(
     r"trace|tr\d*|trc\d*|ch\d*|channel|data|measured|measurement|meas|value|\d+|parameter|primary|"
@@ -143,6 +148,15 @@ UNTITLED = ("frequency, R and X in Ohm", "frequency, |Z| in Ohm and phase in deg
 # Columns of a trace whose quantity is stated in a line ``FORMAT: |Z|`` above the table.
 TRACE_COLUMN = re.compile(r"((data )?trace( [a-z0-9])?|formatted data)( (real|imag))?", re.I)
 TRACE_FORMAT = re.compile(r"\W*format\s*:\s*(.*\S)", re.I)
+# A format that states the scale of an axis. The quantities of traces A and B are stated above, as
+# in ``MEASURE PARAMETER: IMPEDANCE MAG PHASE (DEG)``.
+TRACE_SCALE = re.compile(r"lin(ear)?( [xy])?|log( [xy])?", re.I)
+TRACE_NAME = re.compile(r"\W*trace\s*:\s*([ab])\W*", re.I)
+TRACE_PARAMETERS = re.compile(r"\W*measure parameter\s*:\s*(.*\S)", re.I)
+TWO_PARTS = re.compile(
+    r"(?P<of>impedance|admittance) (?P<a>\w+) (?P<b>\w+( \(\w+\))?)|"
+    r"(?P<first>\S+)\s*-\s*(?P<second>\S+)", re.I
+)  # fmt: skip
 COMPLEX_FORMATS = {"complex z": ("Re(Z) (Ohm)", "Im(Z) (Ohm)"),
                    "complex y": ("Re(Y) (S)", "Im(Y) (S)")}  # fmt: skip
 # Columns that state no quantity, with their possible quantities.

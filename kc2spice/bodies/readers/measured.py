@@ -52,7 +52,7 @@ MOST = 20_000
 # ratio of negative resistance to |Z| that is no noise, if a tenth of the points exceed it
 ACTIVE = 0.05
 _TOUCHSTONE = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
-_TABLES = (".csv", ".txt", ".tsv", ".zma", ".frd")
+_TABLES = (".csv", ".txt", ".tsv", ".zma", ".frd", ".z", ".dta", ".mpt")
 _RESISTANCE = ("z0", "r0", "zref", "reference")
 _MATRIX = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # NAME_K.txt
 
@@ -276,7 +276,10 @@ def _require_passive(data: MeasuredAdmittance) -> None:
     if np.mean(bad) < 0.1:
         return
     hint = "check the order of the columns and the sign of the phase"
-    if data.Y.shape[1] == 1 and (data.Y.imag[bad] > 0).mean() < 0.5:
+    if data.quantity == "S" and data.samples is not None:
+        largest = np.linalg.norm(data.samples, 2, axis=(1, 2)).max()
+        hint = f"calibrate the analyser: |S| is up to {largest:.4g}, above 1"
+    elif data.Y.shape[1] == 1 and (data.Y.imag[bad] > 0).mean() < 0.5:
         hint = "swap the columns of real and imaginary part, which seem to be interchanged"
     got = f"a real part below zero at {bad.sum()} of {len(bad)} frequencies, "
     got += f"first at {data.f[bad][0]:g} Hz"

@@ -18,7 +18,15 @@ from operator import attrgetter, itemgetter
 
 import numpy as np
 
-from kc2spice.bodies.readers.meanings import COMPLEX_FORMATS, TRACE_COLUMN, TRACE_FORMAT
+from kc2spice.bodies.readers.meanings import (
+    COMPLEX_FORMATS,
+    TRACE_COLUMN,
+    TRACE_FORMAT,
+    TRACE_NAME,
+    TRACE_PARAMETERS,
+    TRACE_SCALE,
+    TWO_PARTS,
+)
 from kc2spice.bodies.readers.titles import COMMENT, is_frequency, parse_units
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.untrusted_files import split_lines
@@ -191,6 +199,8 @@ def _build_table(lines: list[str], run: _Run, end: int, separator: str | None) -
     columns = zip(*rows, strict=True)
     numbers = list(map(_parse_column, columns, repeat(rows), names))
     stated = _find_format(above)
+    if TRACE_SCALE.fullmatch(stated):
+        stated = _find_trace_quantity(lines[: run.first]) or stated
     if titles and stated:
         titles, numbers, more = _apply_format(titles, numbers, stated)
         notes += more
@@ -258,8 +268,11 @@ def _split_titles(line: str, separator: str | None, columns: int, index: bool) -
     splits = [_split_fields(line, separator)]
     if separator is None:  # blanks also divide the words of one title
         splits += map(partial(_split_fields, line), SEPARATORS)
-        splits.append(re.split(r"\s{2,}", line.strip()))
         splits.append(re.findall(r"[^\s()\[\]][^()\[\]]*[(\[][^()\[\]]*[)\]]", line))
+    # titles in columns of a width, above numbers with any separator
+    spaced = re.split(r"\s{2,}", line.strip().strip('"').strip())
+    if any(map(is_frequency, spaced)):
+        splits.append(spaced)
     by_length = {len(fields): fields for fields in reversed(splits)}
     if columns not in by_length and index:
         short = by_length.get(columns - 1)
@@ -272,8 +285,26 @@ def _find_format(above: list[str]) -> str:
 
     The result is empty without such a line.
     """
-    for line in reversed(above):
-        if match := TRACE_FORMAT.fullmatch(line.strip().strip('"')):
+    return _find_last(TRACE_FORMAT, above)
+
+
+def _find_trace_quantity(above: list[str]) -> str:
+    """Find the quantity of the last trace by the line ``MEASURE PARAMETER`` above all traces.
+
+    The result is empty without such a line.
+    """
+    match = TWO_PARTS.fullmatch(_find_last(TRACE_PARAMETERS, above))
+    trace = _find_last(TRACE_NAME, above).upper()
+    if match is None or not trace:
+        return ""
+    part = match["a" if trace == "A" else "b"] or match["first" if trace == "A" else "second"]
+    return f"{match['of']} {part}" if match["of"] else part
+
+
+def _find_last(pattern: re.Pattern[str], lines: list[str]) -> str:
+    """Return the first group of a pattern in the last line that it matches; empty without one."""
+    for line in reversed(lines):
+        if match := pattern.fullmatch(line[:LONGEST_HEADER].strip().strip('"')):
             return match[1]
     return ""
 

@@ -25,6 +25,7 @@ from kc2spice.bodies.readers.meanings import (
     LOST_LETTERS,
     PASSIVE_PHASES,
     PREFIXES,
+    PRIMES,
     RADIANS,
     UNITS,
     ColumnKind,
@@ -107,6 +108,8 @@ def _prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | 
         raise ValueError(f"the unit {text!r} may be {big}: write its prefix in the right case")
     if prefix in PREFIXES:
         return PREFIXES[prefix]
+    if prefix == "F":  # FF is no femtofarad
+        return None
     other = prefix.swapcase()
     known = other in PREFIXES and (other in LARGE) == (measures == "frequency" or prefix == "K")
     return PREFIXES[other] if known else None
@@ -120,7 +123,9 @@ def _clean_text(text: str) -> str:
     text = text[:LONGEST_TITLE]
     for wrong, letter in _TWICE.items():
         text = text.replace(wrong, letter)
-    return text.strip().strip('"').translate(_GREEK_OHM).strip()
+    text = text.strip()
+    text = text[1:].removesuffix('"') if text.startswith('"') else text  # not Z" of Z' and Z"
+    return text.translate(_GREEK_OHM).strip()
 
 
 def read_title(text: str) -> Title | None:
@@ -217,8 +222,9 @@ def _units_of_word(text: str) -> list[Unit]:
 
 def _normalise_words(stem: str) -> str:
     """The words of a title in small letters and in one, without those of instruments."""
-    low = re.sub(r"z\s*''", "zimag", stem.lower())
-    low = re.sub(r"z\s*'", "zreal", low)
+    low = stem.lower()
+    for mark, part in PRIMES:
+        low = re.sub(rf"([zy])\s*{mark}", rf"\1{part}", low)
     words = [w for w in re.findall(r"\|\w+\||[^\W_]+", low) if not ADDED.fullmatch(w)]
     return "".join(words).replace("impedance", "z").replace("admittance", "y")
 

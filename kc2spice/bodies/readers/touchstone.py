@@ -6,6 +6,7 @@ import numpy as np
 
 from kc2spice.bodies.readers.complex_response import MeasuredResponse, admittance_of
 from kc2spice.bodies.readers.meanings import Quantity
+from kc2spice.core.errors import UsageError
 
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
 _FORMS, _KINDS = ("ri", "ma", "db"), tuple("syzgh")
@@ -50,9 +51,10 @@ def touchstone_response(text: str, ports: int) -> MeasuredResponse:
     reference = list(map(float, keys.get("reference", ()))) or reference
     n = int(keys.get("number of ports", [str(ports)])[0])
     order, shape = keys.get("two-port data order"), keys.get("matrix format", ["full"])
-    if kind in "gh" or not 1 <= n <= 64 or shape != ["full"]:
+    if kind in "gh" or not 1 <= n <= 64 or shape not in (["full"], ["lower"], ["upper"]):
         raise ValueError(f"{kind.upper()} parameters of {n} ports, {' '.join(shape)}")
-    width = 1 + 2 * n * n
+    symmetric = shape != ["full"]  # one triangle, row by row
+    width = 1 + (n * (n + 1) if symmetric else 2 * n * n)
     values = np.array(list(map(float, words)))
     table = values[: len(values) // width * width].reshape(-1, width)
     back = np.flatnonzero(np.diff(table[:, 0]) < 0)  # noise parameters of version 1 come last
@@ -64,9 +66,12 @@ def touchstone_response(text: str, ports: int) -> MeasuredResponse:
     size = 10 ** (a / 20) if form == "db" else a
     if form == "ma" and (a < 0).any():
         raise ValueError("a magnitude below zero: the option line states MA, are the data in RI?")
-    P = (a + 1j * b if form == "ri" else size * np.exp(1j * polar)).reshape(-1, n, n)
+    P = a + 1j * b if form == "ri" else size * np.exp(1j * polar)
+    P = _fill_triangle(P, n, shape == ["lower"]) if symmetric else P.reshape(-1, n, n)
     if n == 2 and order in (None, ["21_12"]):
         P = P.swapaxes(1, 2)
+    if kind == "s":
+        _require_driven(P)
     z0 = np.broadcast_to(reference if len(reference) == n else reference[:1], (n,)).astype(float)
     if kind != "s" and "version" not in keys:  # version 1 normalises to the first reference
         P = P * z0[0] if kind == "z" else P / z0[0]
@@ -75,6 +80,36 @@ def touchstone_response(text: str, ports: int) -> MeasuredResponse:
     quantity = _QUANTITIES[kind]
     Y = admittance_of(quantity, P, z0)
     return MeasuredResponse(_HERTZ[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), summary)
+
+
+def _fill_triangle(entries: np.ndarray, n: int, lower: bool) -> np.ndarray:
+    """Return symmetric matrices (m, n, n) of the ``entries`` of one triangle, row by row."""
+    rows, columns = np.tril_indices(n) if lower else np.triu_indices(n)
+    P = np.zeros((len(entries), n, n), dtype=complex)
+    P[:, rows, columns] = P[:, columns, rows] = entries
+    return P
+
+
+def _require_driven(S: np.ndarray) -> None:
+    """Check that each port was driven: analysers with one source write zeros for other ports.
+
+    Raises
+    ------
+    UsageError : all reflections and transmissions of a port are zero, and no other port amplifies.
+    """
+    n = S.shape[1]
+    silent = np.flatnonzero(~S.any(axis=(0, 1)))
+    transmissions = S[:, ~np.eye(n, dtype=bool)]
+    if n == 1 or not silent.size or silent.size == n or np.abs(transmissions).max() > 1:
+        return
+    port = silent[0] + 1
+    names = " and ".join(f"S{row}{port}" for row in range(1, n + 1))
+    raise UsageError(
+        f"contains no measurement from port {port}",
+        got=f"{names} are zero at all frequencies",
+        expected="S parameters of all ports, or of one port in a file .s1p",
+        hint="save S11 of the part at port 1 as .s1p",
+    )
 
 
 def _choose_word(words: list[str], choices: tuple[str, ...], default: str) -> str:
