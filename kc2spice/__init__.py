@@ -19,7 +19,6 @@ if TYPE_CHECKING:
         build,
         deck,
         export,
-        reduce,
         register_part,
         run,
         simulate,
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
     from kc2spice.netlist.printers.dialect_registry import register_dialect
     from kc2spice.rom.affine import AffineModel, ModelParameter
     from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-    from kc2spice.rom.reduction import Reduction
+    from kc2spice.rom.reduction import Reduction, reduce
     from kc2spice.rom.reductors.base import Reductor
     from kc2spice.rom.reductors.rational_krylov import RationalKrylov
     from kc2spice.rom.reductors.registry import register_reductor
@@ -102,7 +101,7 @@ _HOMES = {
     **dict.fromkeys(("Subcircuit", "read_lib"), "netlist.library"),
     **dict.fromkeys(("read_affine_model", "read_model"), "bodies.readers"),
     "RationalKrylov": "rom.reductors.rational_krylov",
-    "Reduction": "rom.reduction",
+    **dict.fromkeys(("Reduction", "reduce"), "rom.reduction"),
     "Reductor": "rom.reductors.base",
     "register_dialect": "netlist.printers.dialect_registry",
     "register_reductor": "rom.reductors.registry",

@@ -14,7 +14,7 @@ from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any
 
 import numpy as np
 
@@ -24,10 +24,9 @@ from kc2spice.core.extras import import_optional
 from kc2spice.core.figure import Figure
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock
-from kc2spice.core.quantities import quantity
 from kc2spice.core.waveforms import SCALES, Waveforms, write_record, write_waveforms
 from kc2spice.netlist.deck import Deck
-from kc2spice.rom.linear_model import LinearModel, Norm
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
@@ -37,19 +36,12 @@ from kc2spice.sim.ngspice import find_ngspice, run_deck, write_files
 from kc2spice.workflow.decks import prepare_deck, spare_other_decks
 from kc2spice.workflow.run import CompletedRun, complete, write_run_files
 
-if TYPE_CHECKING:
-    from kc2spice.linalg.solver import DirectSolver
-    from kc2spice.rom.affine import AffineModel
-    from kc2spice.rom.reductors.base import Reductor
-    from kc2spice.rom.varying import Varying
-
 __all__ = [
     "Result",
     "Table",
     "build",
     "deck",
     "export",
-    "reduce",
     "register_part",
     "run",
     "simulate",
@@ -101,181 +93,6 @@ def build(scene: AnyScene) -> dict[str, LinearModel]:
         if isinstance(part.type, LinearBody):
             models[name] = replace(full_model_alone(part, loaded, Clock()), name=name)
     return models
-
-
-@overload
-def reduce(
-    model: AffineModel,
-    *,
-    tolerance: float,
-    band: tuple[float | str, float | str] | None = None,
-    norm: Norm | None = None,
-    solver: DirectSolver | str | None = None,
-) -> Varying: ...
-
-
-@overload
-def reduce(
-    model: LinearModel,
-    *,
-    tolerance: float | None = None,
-    order: int | None = None,
-    band: tuple[float | str, float | str] | None = None,
-    norm: Norm | None = None,
-    contact: bool = False,
-    method: str | Reductor | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    solver: DirectSolver | str | None = None,
-) -> LinearModel: ...
-
-
-def reduce(
-    model: LinearModel | AffineModel,
-    *,
-    tolerance: float | None = None,
-    order: int | None = None,
-    band: tuple[float | str, float | str] | None = None,
-    norm: Norm | None = None,
-    contact: bool = False,
-    method: str | Reductor | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    solver: DirectSolver | str | None = None,
-) -> LinearModel | Varying:
-    """Reduce a linear model to a tolerance or to a number of states.
-
-    The result has the same ports in the same order. Its ``certificate`` states the largest error of
-    any transfer function over ``band`` with respect to ``model``. With ``order``, a symmetric
-    definite model is reduced by block Arnoldi at s0 = 0 (Schütz, Maeter and Bechtold, Actuators 10
-    (2021) 279, section 2.3).
-
-    Parameters
-    ----------
-    model : LinearModel or AffineModel
-        Full model of n unknowns, in SI units. An affine model is reduced over the ranges of its
-        parameters within a ``tolerance``; ``order``, ``contact`` and ``method`` do not apply.
-    tolerance : float, optional
-        Largest relative error over the band. The result is the smallest model found within it.
-    order : int, optional
-        Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is required.
-    band : tuple of two floats or texts, optional
-        Lowest and highest frequency in Hz or as texts such as ``"20 kHz"``. By default it is the
-        band of the model, otherwise it ends a little above the fifth natural frequency.
-    norm : "pointwise" or "peak", optional
-        Reference of the relative error: the value at the same frequency (``"pointwise"``), or the
-        entry's largest value in the band (``"peak"``). The default is ``"peak"`` for models whose
-        ports are all signals, and ``"pointwise"`` for all others.
-    contact : bool, default False
-        Whether the model also represents responses above the band that a contact excites, as models
-        of scenes do.
-    method : str or Reductor, optional
-        Method of reduction: ``"response POD"``, ``"response POD of both sides"``, ``"balanced
-        truncation"``, ``"balanced truncation of outputs as they are"``, ``"balanced truncation over
-        the band"``, ``"block Krylov"``, ``"rational Krylov"``, ``"IRKA"``, or one of
-        :func:`kc2spice.register_reductor`. By default response POD and the variants of balanced
-        truncation that suit the model are tried.
-    parameters : mapping, optional
-        Refused unless empty: a :class:`kc2spice.AffineModel` contains the ranges of its parameters,
-        and bodies of a scene have ``rom.parameters``.
-    solver : callable or "pardiso", optional
-        Direct solver that replaces CHOLMOD and SuperLU. ``solver(matrix)`` factorises a sparse
-        matrix, and ``solve(rhs)`` of its result solves for (n, k) right-hand sides, as
-        ``scipy.sparse.linalg.splu`` does. ``"pardiso"`` needs ``pip install 'kc2spice[fast]'``.
-
-    Returns
-    -------
-    LinearModel or Varying
-        Reduced model with the ports of ``model`` and with a ``certificate``. That of an affine
-        model is a :class:`kc2spice.rom.varying.Varying`: ``at(values)`` returns it at values of the
-        parameters, and :func:`kc2spice.parametric_subcircuit` writes its netlist.
-
-    Raises
-    ------
-    UsageError : not exactly one of ``tolerance`` and ``order``, or one that is out of range; an
-        unknown norm or method; a method that does not apply; ``parameters`` that are not empty; a
-        ``solver`` that does not solve.
-    SimulationError : the tolerance cannot be met, or a point of the band is a pole.
-
-    Examples
-    --------
-    Four masses in a row, each 1 g on a spring of 2000 N/m, have their first resonance at 78 Hz. The
-    static compliance at the tip is that of four springs in series, 0.002 m/N.
-
-    >>> import numpy as np
-    >>> import kc2spice as kc
-    >>> stiffness = 2e3 * (np.diag([2.0, 2, 2, 1]) - np.eye(4, k=1) - np.eye(4, k=-1))
-    >>> tip = kc.Port("tip", "mechanical")
-    >>> chain = kc.LinearModel(M=1e-3 * np.eye(4), K=stiffness, B=np.eye(4)[:, 3:], ports=(tip,))
-    >>> small = kc.reduce(chain, tolerance=1e-3, band=(0, "100 Hz"))
-    >>> chain.order, small.order
-    (4, 2)
-    >>> small.certificate.error_estimate < 1e-3
-    True
-    >>> print(f"{small.transfer([0.0])[0, 0, 0].real:.5f} m/N")
-    0.00200 m/N
-    """
-    from kc2spice.linalg.solver import solving_with
-    from kc2spice.rom.affine import AffineModel, reduce_affine
-    from kc2spice.rom.band import frequency_band
-    from kc2spice.rom.error_estimate import default_norm
-    from kc2spice.rom.reduce import reduce_model
-
-    if isinstance(model, AffineModel):
-        _refuse_with_parameters(
-            order=order, method=method, contact=contact or None, parameters=parameters or None
-        )
-        if tolerance is None:
-            raise UsageError(
-                "a model with parameters is reduced within a tolerance",
-                where="tolerance",
-                expected="the largest relative error over the ranges",
-                hint="add tolerance=1e-4",
-            )
-        tolerance = quantity(tolerance, "", where="tolerance")
-        with solving_with(solver):
-            return reduce_affine(model, tolerance=tolerance, band=band, norm=norm)
-    if not isinstance(model, LinearModel):
-        raise UsageError(
-            "not a linear model",
-            where="model",
-            got=f"{type(model).__name__} {model!r}"[:120],
-            expected="a kc.LinearModel",
-            hint="kc.read_model(PATH) reads one, kc.LinearModel(M=M, K=K, B=B) makes one",
-        )
-    if parameters:
-        raise UsageError(
-            "matrices have no parameters to vary",
-            where="parameters",
-            got=", ".join(parameters),
-            expected="a kc.AffineModel, or keys of a body in a scene, under its rom.parameters",
-            hint='kc.deck(kc.load_scene(SCENE, {"PART.rom": {"parameters": {KEY: [LOW, HIGH]}}})), '
-            "whose parts are the subcircuits",
-        )
-    if tolerance is not None:
-        tolerance = quantity(tolerance, "", where="tolerance")
-    norm = norm or default_norm(model)
-    return reduce_model(
-        model,
-        tolerance=tolerance,
-        order=order,
-        band=frequency_band(band),
-        norm=norm,
-        contact=contact,
-        method=method,
-        solver=solver,
-    )
-
-
-def _refuse_with_parameters(**options: object) -> None:
-    """Refuse options that have no meaning for a model with parameters."""
-    for name, value in options.items():
-        if value is not None:
-            raise UsageError(
-                "does not apply to a model with parameters",
-                where=name,
-                got=value,
-                expected="a tolerance alone, which determines order and method",
-                hint=f"leave {name} out",
-            )
 
 
 def deck(scene: AnyScene, *, trust: bool = False) -> Deck:

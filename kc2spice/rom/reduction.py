@@ -1,13 +1,19 @@
-"""Several reductions of one full-order model, which share the work on it."""
+"""Public functions for the reduction of models.
+
+:func:`reduce` makes one reduced-order model. :class:`Reduction` makes several of one full-order
+model, which share the work on it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import quantity
 from kc2spice.linalg.solver import DirectSolver, solving_with
 from kc2spice.rom.band import frequency_band
 from kc2spice.rom.certification import certify, with_full_order
@@ -21,6 +27,7 @@ from kc2spice.rom.reduce import (
     find_basis_of_order,
     find_basis_within,
     list_methods,
+    reduce_model,
     require_valid,
     verified_first_step,
     warn_of_rounding_errors,
@@ -30,7 +37,182 @@ from kc2spice.rom.reductors.balanced_truncation import hankel_singular_values
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.rational_krylov import RationalKrylov
 
+if TYPE_CHECKING:
+    from kc2spice.rom.affine import AffineModel
+    from kc2spice.rom.varying import Varying
+
 SMALLEST_TOLERANCE = 1e-6  # by default; one more digit costs one or two more solutions
+
+
+@overload
+def reduce(
+    model: AffineModel,
+    *,
+    tolerance: float,
+    band: tuple[float | str, float | str] | None = None,
+    norm: Norm | None = None,
+    solver: DirectSolver | str | None = None,
+) -> Varying: ...
+
+
+@overload
+def reduce(
+    model: LinearModel,
+    *,
+    tolerance: float | None = None,
+    order: int | None = None,
+    band: tuple[float | str, float | str] | None = None,
+    norm: Norm | None = None,
+    contact: bool = False,
+    method: str | Reductor | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    solver: DirectSolver | str | None = None,
+) -> LinearModel: ...
+
+
+def reduce(
+    model: LinearModel | AffineModel,
+    *,
+    tolerance: float | None = None,
+    order: int | None = None,
+    band: tuple[float | str, float | str] | None = None,
+    norm: Norm | None = None,
+    contact: bool = False,
+    method: str | Reductor | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    solver: DirectSolver | str | None = None,
+) -> LinearModel | Varying:
+    """Reduce a linear model to a tolerance or to a number of states.
+
+    The result has the same ports in the same order. Its ``certificate`` states the largest error of
+    any transfer function over ``band`` with respect to ``model``. With ``order``, a symmetric
+    definite model is reduced by block Arnoldi at s0 = 0 (Schütz, Maeter and Bechtold, Actuators 10
+    (2021) 279, section 2.3).
+
+    Parameters
+    ----------
+    model : LinearModel or AffineModel
+        Full model of n unknowns, in SI units. An affine model is reduced over the ranges of its
+        parameters within a ``tolerance``; ``order``, ``contact`` and ``method`` do not apply.
+    tolerance : float, optional
+        Largest relative error over the band. The result is the smallest model found within it.
+    order : int, optional
+        Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is required.
+    band : tuple of two floats or texts, optional
+        Lowest and highest frequency in Hz or as texts such as ``"20 kHz"``. By default it is the
+        band of the model, otherwise it ends a little above the fifth natural frequency.
+    norm : "pointwise" or "peak", optional
+        Reference of the relative error: the value at the same frequency (``"pointwise"``), or the
+        entry's largest value in the band (``"peak"``). The default is ``"peak"`` for models whose
+        ports are all signals, and ``"pointwise"`` for all others.
+    contact : bool, default False
+        Whether the model also represents responses above the band that a contact excites, as models
+        of scenes do.
+    method : str or Reductor, optional
+        Method of reduction: ``"response POD"``, ``"response POD of both sides"``, ``"balanced
+        truncation"``, ``"balanced truncation of outputs as they are"``, ``"balanced truncation over
+        the band"``, ``"block Krylov"``, ``"rational Krylov"``, ``"IRKA"``, or one of
+        :func:`kc2spice.register_reductor`. By default response POD and the variants of balanced
+        truncation that suit the model are tried.
+    parameters : mapping, optional
+        Refused unless empty: a :class:`kc2spice.AffineModel` contains the ranges of its parameters,
+        and bodies of a scene have ``rom.parameters``.
+    solver : callable or "pardiso", optional
+        Direct solver that replaces CHOLMOD and SuperLU. ``solver(matrix)`` factorises a sparse
+        matrix, and ``solve(rhs)`` of its result solves for (n, k) right-hand sides, as
+        ``scipy.sparse.linalg.splu`` does. ``"pardiso"`` needs ``pip install 'kc2spice[fast]'``.
+
+    Returns
+    -------
+    LinearModel or Varying
+        Reduced model with the ports of ``model`` and with a ``certificate``. That of an affine
+        model is a :class:`kc2spice.rom.varying.Varying`: ``at(values)`` returns it at values of the
+        parameters, and :func:`kc2spice.parametric_subcircuit` writes its netlist.
+
+    Raises
+    ------
+    UsageError : not exactly one of ``tolerance`` and ``order``, or one that is out of range; an
+        unknown norm or method; a method that does not apply; ``parameters`` that are not empty; a
+        ``solver`` that does not solve.
+    SimulationError : the tolerance cannot be met, or a point of the band is a pole.
+
+    Examples
+    --------
+    Four masses in a row, each 1 g on a spring of 2000 N/m, have their first resonance at 78 Hz. The
+    static compliance at the tip is that of four springs in series, 0.002 m/N.
+
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> stiffness = 2e3 * (np.diag([2.0, 2, 2, 1]) - np.eye(4, k=1) - np.eye(4, k=-1))
+    >>> tip = kc.Port("tip", "mechanical")
+    >>> chain = kc.LinearModel(M=1e-3 * np.eye(4), K=stiffness, B=np.eye(4)[:, 3:], ports=(tip,))
+    >>> small = kc.reduce(chain, tolerance=1e-3, band=(0, "100 Hz"))
+    >>> chain.order, small.order
+    (4, 2)
+    >>> small.certificate.error_estimate < 1e-3
+    True
+    >>> print(f"{small.transfer([0.0])[0, 0, 0].real:.5f} m/N")
+    0.00200 m/N
+    """
+    if isinstance(model, LinearModel):
+        if parameters:
+            raise UsageError(
+                "matrices have no parameters to vary",
+                where="parameters",
+                got=", ".join(parameters),
+                expected="a kc.AffineModel, or keys of a body in a scene, under its rom.parameters",
+                hint='kc.deck(kc.load_scene(SCENE, {"PART.rom": {"parameters": {KEY: [LOW, HIGH]}}'
+                "})), whose parts are the subcircuits",
+            )
+        if tolerance is not None:
+            tolerance = quantity(tolerance, "", where="tolerance")
+        return reduce_model(
+            model,
+            tolerance=tolerance,
+            order=order,
+            band=frequency_band(band),
+            norm=norm or default_norm(model),
+            contact=contact,
+            method=method,
+            solver=solver,
+        )
+    # imported here, because models without parameters do not need it
+    from kc2spice.rom.affine import AffineModel, reduce_affine
+
+    if isinstance(model, AffineModel):
+        _refuse_with_parameters(
+            order=order, method=method, contact=contact or None, parameters=parameters or None
+        )
+        if tolerance is None:
+            raise UsageError(
+                "a model with parameters is reduced within a tolerance",
+                where="tolerance",
+                expected="the largest relative error over the ranges",
+                hint="add tolerance=1e-4",
+            )
+        tolerance = quantity(tolerance, "", where="tolerance")
+        with solving_with(solver):
+            return reduce_affine(model, tolerance=tolerance, band=band, norm=norm)
+    raise UsageError(
+        "not a linear model",
+        where="model",
+        got=f"{type(model).__name__} {model!r}"[:120],
+        expected="a kc.LinearModel",
+        hint="kc.read_model(PATH) reads one, kc.LinearModel(M=M, K=K, B=B) makes one",
+    )
+
+
+def _refuse_with_parameters(**options: object) -> None:
+    """Refuse options that have no meaning for a model with parameters."""
+    for name, value in options.items():
+        if value is not None:
+            raise UsageError(
+                "does not apply to a model with parameters",
+                where=name,
+                got=value,
+                expected="a tolerance alone, which determines order and method",
+                hint=f"leave {name} out",
+            )
 
 
 class Reduction:

@@ -28,7 +28,7 @@ MAY = {
     "report": "core netlist scene",
     "workflow": "core linalg netlist rom fem bodies scene synthesis parts sim reference equations "
     "report",
-    "api": "core linalg netlist rom scene parts sim report workflow",
+    "api": "core netlist rom scene parts sim report workflow",
     "pyspice": "core netlist",
     "cli": "core netlist scene sim report workflow",
     "__main__": "core cli",
