@@ -49,6 +49,9 @@ LOWEST = 1e-10
 INTERMEDIATE_SHARE = 0.02
 # Share of the tolerance that the intermediate model may have if rounding prevents the target.
 LARGEST_SHARE = 0.5
+# Share of the tolerance that rounding must leave for the reduced model. A quarter costs one or two
+# states; for less, the estimate exceeds the tolerance, and a warning states the reason.
+LEAST_REMAINDER = 0.25
 # Target of the intermediate model if the order is prescribed. Chosen by trial.
 FIXED_ORDER_TARGET = 1e-8
 
@@ -268,15 +271,21 @@ def find_basis_within(
 ) -> tuple[ReducedBasis, int]:
     """The basis of the fewest states within the tolerance, and the order."""
     assert target.tolerance is not None
-    without_rounding = target.tolerance - task.intermediate.floor
-    enough = without_rounding > LARGEST_SHARE * target.tolerance
-    tolerance = without_rounding if enough else target.tolerance
+    tolerance = _tolerance_beside_rounding(target.tolerance, task.intermediate)
     if target.method is not None:
         return require_order([_prescribed_basis(task, reductors[0])], tolerance)
     basis, order = select_fewest_states(
         task, reductors, tolerance, tighten=not target.contact, keep_form=target.keep_form
     )
     return (basis, order) if target.contact else find_lower_order(basis, order, tolerance)
+
+
+def _tolerance_beside_rounding(tolerance: float, intermediate: IntermediateModel) -> float:
+    """The part of a tolerance that rounding leaves, or all of it if that part is too small."""
+    remaining = tolerance - intermediate.floor
+    attainable = max(LEAST_REMAINDER * tolerance, intermediate.error / LARGEST_SHARE)
+    enough = remaining > min(LARGEST_SHARE * tolerance, attainable)
+    return remaining if enough else tolerance
 
 
 def _prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
