@@ -7,9 +7,10 @@ basis for it, whose leading vectors give the reduced-order models.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 import scipy
@@ -31,6 +32,7 @@ LEAST_ERROR = 1e-11
 # tests/physics/test_certificates.py.
 SAFETY = 1.15
 
+T = TypeVar("T")
 Coordinates = Literal["intermediate", "first order", "full order"]
 DEPENDENT = 1e-10  # distance of a vector from the span of others, relative to its length
 
@@ -40,7 +42,8 @@ class Task:
     """Full-order model ``fom`` to be reduced, and its ``intermediate`` model.
 
     ``pencil`` is the full-order model without constraints and infinite poles. The ``estimator``
-    contains the band and the norm. The ``tolerance`` is None if the order is prescribed.
+    contains the band and the norm. The ``tolerance`` is None if the order is prescribed. ``shared``
+    contains values that are the same for all tolerances, see :meth:`share`.
 
     Examples
     --------
@@ -52,6 +55,7 @@ class Task:
     intermediate: IntermediateModel
     estimator: ErrorEstimator
     tolerance: float | None = None
+    shared: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of(
@@ -99,15 +103,30 @@ class Task:
         """First-order states of the intermediate model."""
         return self.response.pencil.size * self.response.pencil.degree
 
-    @cached_property
+    def share(self, name: str, compute: Callable[[], T]) -> T:
+        """Return a value by its name, which ``compute`` returns at its first use.
+
+        Tasks of the same model that differ in the tolerance only share the value.
+        """
+        if name not in self.shared:
+            self.shared[name] = compute()
+        return cast(T, self.shared[name])
+
+    @property
     def model(self) -> LinearModel:
         """The :attr:`core` as dense ``M E K B C D``, in first order ``A E B C D``."""
-        return make_linear_model(self.core, ports=self.fom.ports, name=self.fom.name)
+        core, fom = self.core, self.fom
+        return self.share("model", lambda: make_linear_model(core, ports=fom.ports, name=fom.name))
 
-    @cached_property
+    @property
     def first_order(self) -> Response:
         """The :attr:`core` as ``x' = A x + B u`` in units of the band's end."""
-        return Response(to_schur_form(self.core, self.band[1]))
+        return self.share("first order", lambda: Response(to_schur_form(self.core, self.band[1])))
+
+    @property
+    def proof(self) -> StabilityProof:
+        """Stability and passivity of the intermediate model."""
+        return self.share("proof", lambda: prove_stability(self.response.pencil, self.band))
 
     def project(
         self, V: np.ndarray, W: np.ndarray | None = None, *, fixed: int = 0

@@ -11,7 +11,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.error_estimate import default_norm, inaccuracy_error
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
-from kc2spice.rom.stability import FORM, StabilityProof, prove_stability
+from kc2spice.rom.stability import FORM, StabilityProof
 
 # States up to which another method is tried only to state in the certificate how many states the
 # form of the matrices costs: a limit of the work, chosen by trial.
@@ -104,7 +104,7 @@ def _prove_stability(task: Task) -> StabilityProof | None:
     """
     pencil = task.response.pencil
     if pencil.degree == 2 or (pencil.symmetric and pencil.collocated):
-        return prove_stability(pencil, task.band)
+        return task.proof
     return None
 
 

@@ -71,6 +71,9 @@ class BalancedTruncation(Reductor):
 
     def basis(self, task: Task) -> ReducedBasis | None:
         """Return the balanced model; None if it is not strictly stable."""
+        return task.share(self.name, lambda: self._balance(task))
+
+    def _balance(self, task: Task) -> ReducedBasis | None:
         rows, columns = balancing_factors(task.estimator.reference[1].peak)
         if not self.scaled:
             rows, columns = np.ones(len(rows)), np.ones(len(columns))

@@ -56,6 +56,9 @@ class BandLimitedBalancing(Reductor):
 
     def basis(self, task: Task) -> ReducedBasis | None:
         """Return the model balanced over the band."""
+        return task.share(self.name, lambda: self._balance(task))
+
+    def _balance(self, task: Task) -> ReducedBasis | None:
         estimator, response = task.estimator, task.first_order
         step = 1 if task.norm == "pointwise" else PEAK_NORM_STEP
         frequency, (H, entries) = estimator.frequency[::step], estimator.reference
