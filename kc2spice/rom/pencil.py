@@ -190,16 +190,13 @@ def is_symmetric(matrix: Matrix) -> bool:
     return matrix.symmetric if isinstance(matrix, Schur) else is_equal(matrix, matrix.T)
 
 
-def congruence(
-    P: Matrix, V: np.ndarray, known: bool = False, image: np.ndarray | None = None
-) -> np.ndarray:
+def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
     """``V'PV``, its symmetric and skew parts each from that part of P alone.
 
-    That P is symmetric may be ``known``: its parts take longer than the product. The ``image`` P V
-    of a symmetric P may be known too.
+    That P is symmetric may be ``known``: its parts take longer than the product.
     """
     if known or isinstance(P, Schur):
-        R = V.T @ (P @ V if image is None else image)
+        R = V.T @ (P @ V)
         return np.asarray(0.5 * (R + R.T) if known or P.symmetric else R)
     total = np.zeros((V.shape[1],) * 2)
     for sign in (1, -1):
@@ -357,6 +354,16 @@ class Pencil:
             return factorise(matrix, definite=False)
         return self.factors.get(self._factorise_stiffness)
 
+    @cached_property
+    def static_response(self) -> np.ndarray:
+        """Static response (n, inputs) ``K^-1 B`` of a model whose K is definite.
+
+        Raises
+        ------
+        SimulationError : K is singular, or not positive definite.
+        """
+        return np.asarray(self.pencil_solver(0.0).solve(self.B))
+
     def _factorise_stiffness(self) -> Factor:
         matrix, K = scipy.sparse.csc_array(self.bordered(1.0, 0.0, 0.0)), self.coefficients[0]
         if isinstance(K, Schur) and self.is_large and self.symmetric:
@@ -382,22 +389,16 @@ class Pencil:
         """Let ``other``, which has the same K, use the factors of this one."""
         other.factors.join(self.factors)
 
-    def project(self, V: np.ndarray, images: tuple[np.ndarray | None, ...] | None = None) -> Pencil:
+    def project(self, V: np.ndarray) -> Pencil:
         """Project by the congruence ``V'PV``, ``V'B``, ``CV``.
-
-        ``images`` may contain ``P V`` of each matrix.
 
         Symmetric and skew-symmetric matrices remain exactly so.
         """
-        known = images or (None,) * len(self.coefficients)
-        parts = zip(self.coefficients, known, strict=True)
         if self.rayleigh is None:
-            reduced = tuple(congruence(P, V, self.symmetric, image) for P, image in parts)
+            reduced = tuple(congruence(P, V, self.symmetric) for P in self.coefficients)
         else:
             alpha, beta = self.rayleigh
-            (K, stiff), _, (M, heavy) = parts
-            K = congruence(K, V, self.symmetric, stiff)
-            M = congruence(M, V, self.symmetric, heavy)
+            K, M = (congruence(P, V, self.symmetric) for P in self.coefficients[::2])
             reduced = (K, alpha * M + beta * K, M)
         B = V.T @ self.B
         return Pencil(reduced, B, B.T.copy() if self.collocated else self.C @ V, self.D)
@@ -523,6 +524,37 @@ class Pencil:
             return np.asarray(-omega * np.linalg.eigvals(np.linalg.solve(inertia, rest)))
         values = scipy.linalg.eigvals(-rest, inertia)
         return np.asarray(omega * values[np.isfinite(values) & (np.abs(values) < INFINITE)])
+
+
+class GrowingProjection:
+    """Projection of a pencil of definite form on a basis V that grows by blocks.
+
+    A block adds rows and columns to ``V'KV`` and ``V'MV``.
+    """
+
+    def __init__(self, pencil: Pencil) -> None:
+        self._full = pencil
+        self._K, self._M = np.empty((0, 0)), np.empty((0, 0))
+        self._B = np.empty((0, pencil.B.shape[1]))
+
+    def extend(self, V: np.ndarray, stiff: np.ndarray, heavy: np.ndarray) -> None:
+        """Take a basis V (n, k) with new last columns, and K and M times these columns (n, m)."""
+        self._K, self._M = _bordered(self._K, V.T @ stiff), _bordered(self._M, V.T @ heavy)
+        self._B = np.vstack([self._B, V[:, len(self._B) :].T @ self._full.B])
+
+    @property
+    def pencil(self) -> Pencil:
+        """The projected pencil."""
+        alpha, beta = self._full.rayleigh or (0.0, 0.0)
+        reduced = self._K, alpha * self._M + beta * self._K, self._M
+        return Pencil(reduced, self._B, self._B.T.copy(), self._full.D)
+
+
+def _bordered(square: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return a symmetric matrix with further ``columns`` (k, m) and the same rows."""
+    old = len(square)
+    corner = 0.5 * (columns[old:] + columns[old:].T)
+    return np.block([[square, columns[:old]], [columns[:old].T, corner]])
 
 
 def explicit_pencil(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> Pencil:

@@ -27,6 +27,8 @@ ZERO_FREQUENCIES = 50  # frequencies of the band at which entries are tested for
 ZERO_SHARE = 0.5  # share of these frequencies at which a zero entry must be faint
 RESONANCES = 8  # lowest and sharpest resonances at which the effect of rounding is evaluated
 TRIALS = 4  # random units of the unknowns
+# Share of the target error below which rounding has no influence. Trials differ by less than 10.
+NEGLIGIBLE = 0.01
 SPREAD = 3.0  # factor on the largest of the trials, which are few
 
 
@@ -134,14 +136,19 @@ def removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]
 
 
 def with_rounding(
-    pencil: Pencil, V: np.ndarray, band: tuple[float, float], model: IntermediateModel
+    pencil: Pencil,
+    V: np.ndarray,
+    band: tuple[float, float],
+    model: IntermediateModel,
+    target: float,
 ) -> IntermediateModel:
     """Return ``model`` with the effect of rounding on the resonances as its ``floor``.
 
     Other units of the unknowns do not change the exact response, but they round the entries of the
     full model differently. The model in other units is projected on the same directions, and the
     floor follows from the change of the response. Thin bodies are sensitive, because their elastic
-    forces are small differences of large forces.
+    forces are small differences of large forces. If the first change is negligible beside
+    ``target``, the error of the model, there are no further trials.
     """
     exact = model.response
     at, ratio = exact.select_visible(band)
@@ -159,5 +166,7 @@ def with_rounding(
         size = relative_size(again.transfer(2j * np.pi * points) - H, H, entries)
         size[:, exact.cancelled_entries(2j * np.pi * points) & ~entries.zero] = 0.0
         apart = max(apart, SPREAD * float(size.max()))
+        if apart < NEGLIGIBLE * target:
+            break
     proof = f"{model.proof}, which rounding moves by {apart:.0e}"
     return replace(model, floor=max(model.floor, apart), proof=proof)

@@ -125,40 +125,80 @@ class BlockArnoldi:
     """
 
     def __init__(self, stiffness: Operator, solve: Operator, mass: Operator, B: np.ndarray) -> None:
-        self._stiffness, self._solve, self._mass = stiffness, solve, mass
-        self._basis = self._images = np.empty((B.shape[0], 0))
+        self._solve, self._mass = solve, mass
+        self._basis = OrthonormalBasis(stiffness, B.shape[0])
         self._right_sides: np.ndarray = B  # of the next block; without columns if there is none
 
     def vectors(self, count: int) -> np.ndarray:
         """Return the first ``count`` columns; fewer if the Krylov space is exhausted."""
-        while self._basis.shape[1] < count and self._right_sides.shape[1]:
-            candidates = self._solve(self._right_sides)
-            columns, images = extend(self._basis, self._images, candidates, self._stiffness)
-            self._basis = np.hstack([self._basis, columns])
-            self._images = np.hstack([self._images, images])
+        while self._basis.vectors.shape[1] < count and self._right_sides.shape[1]:
+            columns, _ = self._basis.extend(self._solve(self._right_sides))
             self._right_sides = self._mass(columns)
-        return self._basis[:, :count]
+        return self._basis.vectors[:, :count]
 
 
-def extend(
-    basis: np.ndarray, images: np.ndarray, candidates: np.ndarray, stiffness: Operator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Extend a K-orthonormal basis by the columns (v, K v) of candidates.
+class OrthonormalBasis:
+    """Basis V (n, k) with ``V'KV = 1`` that grows by blocks, and its images ``K V``.
 
-    ``K V`` are the images of the basis.
+    The images make every inner product an ordinary one.
 
-    The images make every inner product an ordinary one. Dependent candidates are deflated.
+    Examples
+    --------
+    >>> basis = OrthonormalBasis(lambda v: 4 * v, 3)
+    >>> columns, images = basis.extend(np.array([[3.0, 3.0], [4.0, 4.0], [0.0, 0.0]]))
+    >>> columns.T  # the second column depends on the first
+    array([[0.3, 0.4, 0. ]])
     """
-    count = old = basis.shape[1]
-    lengths = np.sqrt(np.einsum("ki,ki->i", candidates, stiffness(candidates)))
-    fresh = np.empty((2, len(basis), candidates.shape[1]))
-    V, KV = map(np.hstack, zip((basis, images), fresh, strict=True))
-    for vector, length in zip(candidates.T, lengths, strict=True):
-        for _ in range(2):  # twice is enough (Kahan, Parlett)
-            vector = vector - V[:, :count] @ (KV[:, :count].T @ vector)
-        image = stiffness(vector)
-        remaining = np.sqrt(max(vector @ image, 0.0))
-        if remaining > DEFLATION * length:
-            V[:, count], KV[:, count] = vector / remaining, image / remaining
-            count += 1
-    return V[:, old:count], KV[:, old:count]
+
+    def __init__(self, stiffness: Operator, size: int) -> None:
+        self._stiffness = stiffness
+        self._vectors, self._images = (np.empty((size, 0), order="F") for _ in range(2))
+        self._count = 0
+
+    @property
+    def vectors(self) -> np.ndarray:
+        """The basis V (n, k)."""
+        return self._vectors[:, : self._count]
+
+    @property
+    def images(self) -> np.ndarray:
+        """The images K V (n, k)."""
+        return self._images[:, : self._count]
+
+    def extend(self, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Extend the basis by candidates (n, m), and return the new columns and their images.
+
+        Dependent candidates are deflated.
+        """
+        lengths = np.sqrt(np.einsum("ki,ki->i", candidates, self._stiffness(candidates)))
+        # One product for the whole block: a product for each column takes several times as long.
+        candidates = candidates - self.vectors @ (self.images.T @ candidates)
+        self._reserve(candidates.shape[1])
+        old = self._count
+        for vector, length in zip(candidates.T, lengths, strict=True):
+            for first in (old, 0):  # twice is enough (Kahan, Parlett)
+                V, KV = self.vectors[:, first:], self.images[:, first:]
+                vector = vector - V @ (KV.T @ vector)
+            image = self._stiffness(vector)
+            remaining = np.sqrt(max(vector @ image, 0.0))
+            if remaining > DEFLATION * length:
+                self._vectors[:, self._count] = vector / remaining
+                self._images[:, self._count] = image / remaining
+                self._count += 1
+        return self.vectors[:, old:], self.images[:, old:]
+
+    def append(self, vectors: np.ndarray) -> None:
+        """Append columns (n, m) that extend the basis as they are."""
+        self._reserve(vectors.shape[1])
+        both = slice(self._count, self._count + vectors.shape[1])
+        self._vectors[:, both], self._images[:, both] = vectors, self._stiffness(vectors)
+        self._count = both.stop
+
+    def _reserve(self, count: int) -> None:
+        """Make room for ``count`` further columns, and for as many again as there are."""
+        if self._count + count <= self._vectors.shape[1]:
+            return
+        shape = len(self._vectors), 2 * self._count + count
+        larger = np.empty((2, *shape[::-1])).swapaxes(1, 2)
+        larger[:, :, : self._count] = self.vectors, self.images
+        self._vectors, self._images = larger

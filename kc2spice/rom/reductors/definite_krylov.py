@@ -17,8 +17,8 @@ from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.error_estimate import relative_size
 from kc2spice.rom.free_body import FreeBody
 from kc2spice.rom.intermediate import IntermediateModel, no_convergence_error
-from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reductors.block_krylov import Operator, extend
+from kc2spice.rom.pencil import GrowingProjection, Pencil
+from kc2spice.rom.reductors.block_krylov import Operator, OrthonormalBasis
 from kc2spice.rom.reductors.rational_krylov import CONFIRMATIONS, MOST_VECTORS
 from kc2spice.rom.response import GRID, Response, sample_band
 from kc2spice.rom.rigid_body import hidden_support
@@ -53,27 +53,27 @@ def definite_krylov_model(
     SimulationError : not even ``limit`` is met.
     """
     K, _, M = pencil.coefficients
+    projection = GrowingProjection(pencil)
     if body is None:
         solve: Operator = pencil.pencil_solver(0.0).solve
-        stiffness: Operator = partial(operator.matmul, K)
-        V = images = stiff = heavy = np.empty((pencil.size, 0))
+        space = OrthonormalBasis(partial(operator.matmul, K), pencil.size)
+        candidates = pencil.static_response
     else:
-        solve, stiffness = body.solve, body.stiffness
-        V = body.vectors
-        images, stiff, heavy = stiffness(V), K @ V, M @ V
-    candidates = solve(pencil.B)
+        solve = body.solve
+        space = OrthonormalBasis(body.stiffness, pencil.size)
+        space.append(body.vectors)
+        projection.extend(space.vectors, K @ space.vectors, M @ space.vectors)
+        candidates = solve(pencil.B)
     used, met, change, before = [0.0], 0, np.inf, np.inf
     blocks = BLOCKS_AT_ZERO
     previous: Response | None = None
-    while V.shape[1] < MOST_VECTORS:
-        columns, column_images = extend(V, images, candidates, stiffness)
-        V, images = np.hstack([V, columns]), np.hstack([images, column_images])
-        inertia = M @ columns
-        stiff, heavy = np.hstack([stiff, K @ columns]), np.hstack([heavy, inertia])
-        projected = pencil.project(V, (stiff, None, heavy))
-        small, basis = projected, V
+    while space.vectors.shape[1] < MOST_VECTORS:
+        columns, images = space.extend(candidates)
+        V, inertia = space.vectors, M @ columns
+        projection.extend(V, images if body is None else K @ columns, inertia)
+        small, basis = projection.pencil, V
         if body is not None:
-            small, coordinates = body.separate(projected, V)
+            small, coordinates = body.separate(projection.pencil, V)
             basis = V @ coordinates
         response = Response(small)
         response.zero = zero_entries(pencil, basis, response, band)
@@ -94,9 +94,9 @@ def definite_krylov_model(
             )
             if small.free:
                 hidden = hidden_support(pencil, basis[:, : small.free], band[0])
-                floor = removed_stiffness(projected, small, band)
+                floor = removed_stiffness(projection.pencil, small, band)
                 result = replace(result, floor=floor, hidden=hidden)
-            return with_rounding(pencil, basis, band, result)
+            return with_rounding(pencil, basis, band, result, target)
         previous = response
         blocks -= 1
         if columns.shape[1] and (blocks >= 0 or change <= before / GAIN):

@@ -149,7 +149,7 @@ def rational_krylov_model(
         search.response, worst, static, proof, floor, hidden=hidden,
         basis=search.basis @ search.turn, points=search.frequencies,
     )  # fmt: skip
-    result = with_rounding(pencil, search.modal_basis, band, result)
+    result = with_rounding(pencil, search.modal_basis, band, result, target)
     if worst > max(limit, result.floor) or not np.isfinite(worst):
         raise no_convergence_error(search.response, band, worst, limit)
     return replace(result, error=min(worst, limit))
