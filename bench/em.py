@@ -6,7 +6,7 @@ import numpy as np
 
 from bench.points import Outcome, Plane, Point, speed_up, timed
 from bench.setup import keys_of
-from kc2spice.core.magnets import em_cases
+from kc2spice.core.magnets import compute_test_forces
 from kc2spice.fem.magnet_field import assemble_heights, catch_table, ring_sign, sphere_heights
 
 HEIGHTS, QUICK_HEIGHTS, FINE_HEIGHTS = (41, 21, 81), (5, 9), 161
@@ -23,7 +23,10 @@ def em(setup):
         return catch_table(catch.model_copy(update={"positions": heights}), radius)
 
     dense = table(17 if setup.quick else FINE_HEIGHTS)
-    exact, largest = em_cases(dense, cases), float(np.abs(em_cases(dense, cases)).max())
+    exact, largest = (
+        compute_test_forces(dense, cases),
+        float(np.abs(compute_test_forces(dense, cases)).max()),
+    )
     points, tables = [], {}
     for heights in QUICK_HEIGHTS if setup.quick else HEIGHTS:
         tables[heights], time = timed(partial(table, heights), setup.repeats)
@@ -36,7 +39,7 @@ def em(setup):
     own = catch.model_copy(update={"positions": chosen})
     count = cases.shape[0] * chosen
     brute, brute_time = timed(lambda: brute_force(own, radius, cases), 1)
-    equal = float(np.abs(em_cases(tables[chosen], cases) - brute).max() / largest)
+    equal = float(np.abs(compute_test_forces(tables[chosen], cases) - brute).max() / largest)
     errors = {"force": superposed.error, "to superposition": equal}
     label = f"brute force, {count} solves"
     points.append(Point("brute force", label, superposed.error, brute_time, errors))

@@ -27,10 +27,10 @@ def harmonic(setup):
     frequency = np.linspace(sweep.start, sweep.stop, sweep.steps + 1)[1:]
     model = stack_device(chip(scene)).model
     taken = frequency[:: frequency.size // SAMPLED][:SAMPLED]
-    with setup.clock.stage("harmonic", f"full model, {taken.size} direct solves"):
+    with setup.clock.time_stage("harmonic", f"full model, {taken.size} direct solves"):
         _, sample = timed(lambda: model.transfer(taken), 1)
     full = scaled(sample, frequency.size / taken.size)
-    with setup.clock.stage("harmonic", "surrogate of the full model"):
+    with setup.clock.time_stage("harmonic", "surrogate of the full model"):
         large, certified = surrogate(model, (0.0, float(frequency[-1])))
     exact = large.transfer(frequency)
     points, notes = [], []

@@ -59,15 +59,15 @@ class _FullModel:
 
         step = 2.5 * PAPER_STEP if setup.quick else PAPER_STEP
         steps = round(self.stop / step)
-        with setup.clock.stage("impact", "full model, converged in time"):
+        with setup.clock.time_stage("impact", "full model, converged in time"):
             fine = step if setup.quick else step / 5
             self.exact = limit(waves(self._run(2 * fine)), waves(self._run(fine)))
         self.travel = float(np.ptp(self.exact["sphere.y"]))
-        with setup.clock.stage("impact", "full model, low rank"):
+        with setup.clock.time_stage("impact", "full model, low rank"):
             result, self.low_rank = timed(lambda: self._run(step), 1)
         self.waves = waves(result)
         touching = replace(self.ball, height=0.0)  # the timed steps are all in contact
-        with setup.clock.stage("impact", f"full model, {SAMPLED} refactorising steps"):
+        with setup.clock.time_stage("impact", f"full model, {SAMPLED} refactorising steps"):
             taken, sample = timed(
                 lambda: self._run(step, touching, SAMPLED * step, "refactorise"), 1
             )

@@ -29,10 +29,10 @@ def imprint(setup):
         "children",
     )  # fmt: skip
     system, surface = full_system(scene), full_surface(scene)
-    with setup.clock.stage("imprint", "full model, low rank"):
+    with setup.clock.time_stage("imprint", "full model, low rank"):
         full, low_rank = timed(lambda: full_imprint(system, surface, depth, electrical), 1)
     taken = depth[-SAMPLED:]
-    with setup.clock.stage("imprint", f"full model, {taken.size} refactorising depths"):
+    with setup.clock.time_stage("imprint", f"full model, {taken.size} refactorising depths"):
         usual, sample = timed(lambda: imprint_refactorised(system, surface, taken, electrical), 1)
     # It starts each depth from the springs that the last one closed.
     count, whole = int(usual.iterations.sum()), factorisations(full.ring_force)

@@ -31,7 +31,7 @@ class Transient:
         self.decks = {}  # what ngspice gave, by label
         self.law = law(self.build)
         self.massless = None  # exact solution of the form without inertia
-        with setup.clock.stage(scene.name, "exact solution"):
+        with setup.clock.time_stage(scene.name, "exact solution"):
             self.exact = located(self.law, scene)
 
     def plane(self):

@@ -21,7 +21,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from kc2spice.core.errors import wrong
-from kc2spice.core.mesh_error import MESH_ERROR
+from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 from kc2spice.fem.heat_conduction import (
     HeatSolid,
     assemble_faces,
@@ -124,7 +124,7 @@ def make_heat_model(solid: HeatSolid, setup: HeatSetup) -> HeatModel:
                 facts[f"thermal_resistance_{port.name}_k_per_w"] = float(resistance)
         energies = estimate_energy_errors(solid, temperature @ answers[:, spread])
         errors = energies / resistances[spread] / RECOVERED
-        facts[f"{MESH_ERROR}resistance"] = float(max(errors.max(initial=0.0), LEAST_ERROR))
+        facts[f"{MESH_ERROR_PREFIX}resistance"] = float(max(errors.max(initial=0.0), LEAST_ERROR))
     model = LinearModel(E=E, K=K, B=B, ports=tuple(ports), facts=facts)
     return HeatModel(model, solid, temperature)
 

@@ -24,7 +24,7 @@ from skfem.mesh import MeshHex
 
 from kc2spice.bodies.enriched_model import correct_responses
 from kc2spice.bodies.undamped import FiniteElementModel, UndampedResponses
-from kc2spice.core.mesh_error import MESH_ERROR
+from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 from kc2spice.fem.recovery import energy_products
 
 # Part of the error that functions of one degree more correct: 0.56 of an energy error whose
@@ -46,8 +46,8 @@ def estimate_mesh_errors(
 ) -> dict[str, float]:
     """Estimate relative errors of facts by the mesh, under names of the facts.
 
-    The names begin with :data:`MESH_ERROR`. The model consists of ``sectors`` bodies like the
-    solid. ``modes`` is the largest error of all modes that were computed.
+    The names begin with :data:`MESH_ERROR_PREFIX`. The model consists of ``sectors`` bodies like
+    the solid. ``modes`` is the largest error of all modes that were computed.
     """
     volts = answers.static.shape[1]
     estimate = (
@@ -66,7 +66,9 @@ def estimate_mesh_errors(
     if not volts and answers.pushed.shape[1]:
         pushed = answers.pushed[:, 0]
         changes["compliance"] = products[-1, -1] / (pushed @ (device.model.K @ pushed))
-    return {f"{MESH_ERROR}{name}": _relative_error(change) for name, change in changes.items()}
+    return {
+        f"{MESH_ERROR_PREFIX}{name}": _relative_error(change) for name, change in changes.items()
+    }
 
 
 def _estimate_by_enrichment(

@@ -1,6 +1,6 @@
-"""Check of the programs and packages that kc2spice needs.
+"""Checks of the programs and packages that kc2spice needs.
 
-Each finding states the command that corrects the problem.
+Each result contains the command that corrects the problem.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from kc2spice.core.packages import install_command
 from kc2spice.netlist.deck import Deck
 from kc2spice.sim.ngspice import find_ngspice, run_deck
 
-_PYTHON = (
+_PYTHON_PACKAGES = (
     "numpy", "scipy", "cvxopt", "scikit-fem", "gmsh", "meshio", "PySpice", "matplotlib", "typer",
     "rich", "pydantic", "Jinja2", "typing_extensions",
 )  # fmt: skip
-# Shared libraries that the gmsh wheel loads, and the Debian and Ubuntu packages that have them.
-_GMSH = {
+# Shared libraries that the gmsh wheel loads, and the Debian and Ubuntu packages that contain them.
+_GMSH_LIBRARIES = {
     "libGLU.so.1": "libglu1-mesa", "libGL.so.1": "libgl1", "libX11.so.6": "libx11-6",
     "libXext.so.6": "libxext6", "libXrender.so.1": "libxrender1", "libXcursor.so.1": "libxcursor1",
     "libXfixes.so.3": "libxfixes3", "libXft.so.2": "libxft2", "libXinerama.so.1": "libxinerama1",
     "libfontconfig.so.1": "libfontconfig1", "libgomp.so.1": "libgomp1",
 }  # fmt: skip
-# A gain block exists only where XSPICE and its code models are loaded.
+# The gain block requires XSPICE and its code models.
 _XSPICE_DECK = """* code model probe
 V1 in 0 DC 1
 A1 in out probe
@@ -41,8 +41,8 @@ R1 out 0 1
 .op
 .end
 """
-# ngspice features that our netlists use: parameters in braces, pwl and max in a behavioural
-# source, and the current of a behavioural source among the results.
+# ngspice features that kc2spice netlists use: parameters in braces, pwl and max in a behavioural
+# source, and its current among the results.
 _FEATURE_DECK = """* feature probe
 .param eps=2
 V1 in 0 PULSE(0 1 0 1e-6 1e-6 1)
@@ -54,8 +54,8 @@ R1 out 0 1
 .save @b1[i]
 .end
 """
-# Feature, deck that tests it, expected last values of its vectors, and remedy.
-_PROBES = (
+# Feature, test deck, expected last values of its vectors, and remedy.
+_FEATURE_TESTS = (
     ("ngspice runs our netlists", _FEATURE_DECK, ("v(out)", "@b1[i]"), 4.0,
      "install a complete ngspice, version 39 or later"),
     ("XSPICE code models", _XSPICE_DECK, ("v(out)",), 2.0,
@@ -65,9 +65,9 @@ _PROBES = (
 
 @dataclass(frozen=True)
 class Finding:
-    """One check.
+    """Result of one check.
 
-    ``fix`` is empty if the check passes; kc2spice cannot run if a ``needed`` check fails.
+    ``fix`` is empty if the check passes. kc2spice cannot run if a ``needed`` check fails.
     """
 
     name: str
@@ -77,24 +77,24 @@ class Finding:
     needed: bool = True
 
 
-def examine() -> Iterator[Finding]:
-    """All checks, the quick ones first."""
+def check_installation() -> Iterator[Finding]:
+    """Return the results of all checks, quick checks first."""
     version = ".".join(map(str, sys.version_info[:3]))
     yield Finding("Python", sys.version_info >= (3, 11), version, "install Python 3.11 or newer")
-    for library in _PYTHON:
+    for library in _PYTHON_PACKAGES:
         try:
             yield Finding(library, True, importlib.metadata.version(library))
         except importlib.metadata.PackageNotFoundError:
             fix = f"{sys.executable} -m pip install {library}"
             yield Finding(library, False, "not installed", fix)
     if sys.platform == "linux":
-        missing = [soname for soname in _GMSH if not _can_import(soname)]
-        result = "missing " + ", ".join(missing) if missing else f"{len(_GMSH)} found"
-        fix = install_command(*(_GMSH[item] for item in missing)) if missing else ""
+        missing = [soname for soname in _GMSH_LIBRARIES if not _can_load_library(soname)]
+        result = "missing " + ", ".join(missing) if missing else f"{len(_GMSH_LIBRARIES)} found"
+        fix = install_command(*(_GMSH_LIBRARIES[item] for item in missing)) if missing else ""
         yield Finding("system libraries of gmsh", not missing, result, fix)
-    yield from _ngspice()
+    yield from _check_ngspice()
     name = ctypes.util.find_library("ngspice")
-    ok = name is not None and _can_import(name)
+    ok = name is not None and _can_load_library(name)
     fix = "" if ok else install_command("libngspice0")
     yield Finding("libngspice", ok, name or "not found", fix, needed=ok)
     folder = cache_dir()
@@ -104,16 +104,16 @@ def examine() -> Iterator[Finding]:
     yield Finding("cache", ok, f"{folder}{'' if ok else ' cannot be written'}", fix, needed=False)
 
 
-def _can_import(soname: str) -> bool:
+def _can_load_library(soname: str) -> bool:
+    """Return whether the shared library ``soname`` can be loaded."""
     try:
         return bool(ctypes.CDLL(soname))
     except OSError:
         return False
 
 
-def _ngspice() -> Iterator[Finding]:
-    """Check the program, the statements that our netlists use, and the code models, which netlists
-    of users may need."""
+def _check_ngspice() -> Iterator[Finding]:
+    """Check the ngspice program, the features that kc2spice uses, and the code models."""
     find_ngspice.cache_clear()
     install, missing = install_command("ngspice"), None
     try:
@@ -122,7 +122,7 @@ def _ngspice() -> Iterator[Finding]:
     except MissingToolError as error:
         missing = error
         yield Finding("ngspice", False, f"{error.message} ({error.where})", install)
-    for name, text, vectors, expected, fix in _PROBES:
+    for name, text, vectors, expected, fix in _FEATURE_TESTS:
         ok, outcome, needed = False, "no ngspice", text == _FEATURE_DECK
         if missing is None:
             deck = Deck(name="probe", text=text, vectors={k: (k, 1.0) for k in vectors})

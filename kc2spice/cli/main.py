@@ -1,9 +1,8 @@
-"""The command line: options, progress and exit codes; the work is done by :mod:`kc2spice.workflow`.
+"""Command line: options, progress and exit codes.
 
 Every argument and option is stated once, under the name of a parameter, or ``command.parameter`` if
-commands differ. Imports that take time stand inside the commands, so that ``--help`` answers at
-once. For the same reason no annotation here is postponed: typer evaluates each such text three
-times.
+commands differ. Slow imports are inside the commands, so that ``--help`` prints without delay. For
+the same reason this module does not postpone annotations: typer evaluates each of them three times.
 """
 
 import gc
@@ -22,12 +21,12 @@ from typing import Annotated, Any
 import typer
 
 from kc2spice.cli.tables import (
-    COLUMNS,
-    INTERRUPTED,
+    INTERRUPTED_EXIT_CODE,
+    PIPED_COLUMNS,
     Caller,
     print_table,
     print_tables,
-    reported_errors,
+    report_errors,
 )
 from kc2spice.cli.usage import CheckedCommand, CheckedCommands
 from kc2spice.core import __version__
@@ -36,13 +35,13 @@ from kc2spice.core.interrupt import end_on_signals
 
 
 def _complete_scene_names(incomplete: str) -> list[str]:
-    """Completions of scene names; the shell completes file names."""
+    """Return the scene names that complete a text; the shell completes file names."""
     names = (item.name for item in (resources.files("kc2spice") / "scenes").iterdir())
     return sorted(n[:-5] for n in names if n.startswith(incomplete) and n.endswith(".toml"))
 
 
-def _dialects() -> str:
-    """Built-in dialects in words, by their files: importing their printers takes 0.2 s."""
+def _list_dialects() -> str:
+    """List the built-in dialects from their file names; importing the printers takes 0.2 s."""
     folder = resources.files("kc2spice") / "netlist" / "printers" / "dialects"
     stems = (item.name.removesuffix(".py") for item in folder.iterdir())
     names = sorted(stem for stem in stems if stem.isidentifier() and stem[0] != "_")
@@ -50,6 +49,7 @@ def _dialects() -> str:
 
 
 def _check_directory(text: str) -> Path:
+    """Return the path of an output directory; raise an error for an empty text."""
     if not text.strip():  # Path("") would be the current directory
         raise UsageError(
             "the name of the directory is empty",
@@ -61,8 +61,8 @@ def _check_directory(text: str) -> Path:
     return Path(text)
 
 
-def _out_option(default: str) -> Any:
-    """The option ``--out`` of a command that writes into ``default`` otherwise."""
+def _make_out_option(default: str) -> Any:
+    """Return the option ``--out`` with the default directory ``default``."""
     text = f"Directory to write into. Default: {default}."
     return typer.Option("--out", "-o", metavar="DIR", parser=_check_directory, help=text)
 
@@ -90,13 +90,13 @@ PARAMETERS = {
     "data": typer.Argument(
         metavar="DATA", help="Measured impedance: .s1p, .csv, .txt, .zma or .mat."
     ),
-    "run.out": _out_option("./SCENE"),
-    "export.out": _out_option("./SCENE, or beside the reduced model"),
-    "verify.out": _out_option("./SCENE_verify"),
-    "reduce.out": _out_option("./NAME_rom"),
-    "fit.out": _out_option("./PART_fit"),
-    "bench.out": _out_option("./SCENE_bench"),
-    "sweep.out": _out_option("./SCENE_sweep"),
+    "run.out": _make_out_option("./SCENE"),
+    "export.out": _make_out_option("./SCENE, or beside the reduced model"),
+    "verify.out": _make_out_option("./SCENE_verify"),
+    "reduce.out": _make_out_option("./NAME_rom"),
+    "fit.out": _make_out_option("./PART_fit"),
+    "bench.out": _make_out_option("./SCENE_bench"),
+    "sweep.out": _make_out_option("./SCENE_sweep"),
     "set_": typer.Option(
         "--set",
         metavar="KEY=VALUE",
@@ -129,7 +129,7 @@ PARAMETERS = {
     "keep": typer.Option("--keep", help="Keep raw file and log of the simulator."),
     "dialect": typer.Option(
         metavar="DIALECT",
-        help=f"Simulator to write for: {_dialects()}, or that of an installed package.",
+        help=f"Simulator to write for: {_list_dialects()}, or that of an installed package.",
     ),
     "export.tolerance": typer.Option(
         metavar="X", help="Tolerance of every reduction. Default: that of the scene."
@@ -264,31 +264,33 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # plain help: loading rich for it takes as long as all the rest
+    # plain help text: rich takes as long to load as all other modules together
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
 def run_command_line() -> None:
-    """Run the command line; ends the program."""
-    # The matrices are sparse and small: threads of BLAS and of ngspice mostly wait for each other.
-    # The variable must be set before numpy is loaded; a number of threads that the user has set is
-    # not changed.
+    """Run the command line and end the program."""
+    # The matrices are sparse and small: threads of BLAS and ngspice mostly wait for each other. The
+    # variable must be set before numpy is loaded. A user's value is not changed.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # a search of all installed packages
+    # skips a search of all installed packages for plugins
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     gc.set_threshold(100_000)  # nearly all imported and loaded objects remain until the end
     try:
-        # also for options outside of the commands, such as --help
-        with end_on_signals(), reported_errors():
+        # includes options outside of the commands, such as --help
+        with end_on_signals(), report_errors():
             app()
     except typer.Exit as end:
         raise SystemExit(end.exit_code) from None
     finally:
-        gc.freeze()  # avoids a last garbage collection of all imported objects
+        gc.freeze()  # skips the last garbage collection of all imported objects
 
 
-def _version(requested: bool) -> None:
+def _print_version(requested: bool) -> None:
+    """Print the version and end the program."""
     if requested:
         print(f"kc2spice {__version__}")
         raise typer.Exit
@@ -299,22 +301,24 @@ def _common_options(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_version, is_eager=True, help="Print the version and exit."
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
         ),
     ] = False,
 ) -> None:
+    """Accept the options that all commands share."""
     pass
 
 
-def _command(function: Callable[..., None]) -> Callable[..., None]:
-    """Make the command ``name`` of the function ``_name(caller, …)``.
+def _register_command(function: Callable[..., None]) -> Callable[..., None]:
+    """Register the command ``name`` of the function ``_name(caller, …)``.
 
     The options of the command are those of ``PARAMETERS``, and ``--json`` and ``--quiet``. An
     exception of the command becomes one message and an exit code.
     """
 
     def call(as_json: bool, quiet: bool, **words: Any) -> None:
-        with reported_errors():
+        """Run the command with its options."""
+        with report_errors():
             function(Caller(as_json, quiet), **words)
 
     name = call.__name__ = function.__name__.removeprefix("_")
@@ -327,19 +331,20 @@ def _command(function: Callable[..., None]) -> Callable[..., None]:
         parameters.append(item.replace(annotation=Annotated[item.annotation, info]))
     call.__annotations__ = {item.name: item.annotation for item in parameters}
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    # typer does not wrap a paragraph that begins with a backspace character.
+    # typer does not wrap a paragraph that begins with a backspace character
     epilog = "\b\nExamples:\n" + "\n".join(f"  {line}" for line in EXAMPLES[name])
     app.command(cls=CheckedCommand, epilog=epilog)(call)
     return function
 
 
-def _load(scene: str, set_: list[str] | None) -> Any:
+def _load_scene(scene: str, set_: list[str] | None) -> Any:
+    """Load a scene with the values of ``--set``."""
     from kc2spice.scene.load import load_scene
 
     return load_scene(scene, set_ or [])
 
 
-@_command
+@_register_command
 def _run(
     caller: Caller,
     scene: str,
@@ -356,18 +361,18 @@ def _run(
     Builds and reduces the models, writes the netlists, runs ngspice and checks the result. All
     files appear in DIR at the end; report.html contains the curves.
     """
-    from kc2spice.cli.tables import show_result
+    from kc2spice.cli.tables import print_result
     from kc2spice.workflow import run as study
 
-    loaded = _load(scene, set_)
+    loaded = _load_scene(scene, set_)
     out = out or Path(loaded.name)
     with caller.progress() as progress:
         result = study.run_scene(loaded, out, progress, trust=trust, deck=deck, keep=keep, png=png)
     if caller.expects_text(result, out):
-        show_result(result, out, verbose=verbose)
+        print_result(result, out, verbose=verbose)
 
 
-@_command
+@_register_command
 def _export(
     caller: Caller,
     scene: str | None = None,
@@ -414,7 +419,7 @@ def _export(
 
         short = [] if tolerance is None else [f"rom.tolerance={tolerance}"]
         try:
-            loaded = _load(scene, [*(set_ or []), *short])
+            loaded = _load_scene(scene, [*(set_ or []), *short])
         except UsageError as error:
             if short and error.where == f"--set {short[0]!r}":
                 error.where, error.got = "--tolerance", f"{tolerance:g}"
@@ -427,7 +432,7 @@ def _export(
         print_table("files", [(str(path),) for path in files])
 
 
-@_command
+@_register_command
 def _verify(
     caller: Caller,
     scene: str | None = None,
@@ -454,7 +459,7 @@ def _verify(
             expected="kc2spice verify SCENE, or kc2spice verify --all",
             hint=f"for example  kc2spice verify {scene or 'impact'}",
         )
-    loaded = [_load(name, set_) for name in ([scene] if scene else list_gallery())]
+    loaded = [_load_scene(name, set_) for name in ([scene] if scene else list_gallery())]
     out = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
     with caller.progress() as progress:
         result = verify_scenes(loaded, out, full=full, deck=deck, trust=trust, progress=progress)
@@ -469,7 +474,7 @@ def _verify(
         raise typer.Exit(GateMissedError.exit_code)
 
 
-@_command
+@_register_command
 def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     """Print what SCENE models and what it leaves out.
 
@@ -481,7 +486,7 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     from kc2spice.scene.model import scene_hash
     from kc2spice.workflow.models import build_models
 
-    loaded = _load(scene, set_)
+    loaded = _load_scene(scene, set_)
     build = build_models(loaded, Clock())
     step = None if build.largest is None else {"s": build.largest.step, "why": build.largest.why}
     head = {"scene": loaded.name, "hash": scene_hash(loaded), "largest_step": step}
@@ -489,7 +494,7 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
     if caller.expects_text(record):
         from kc2spice.report.run_page import format_plan
 
-        print(textwrap.fill(f"{record['scene']}: {loaded.title}", COLUMNS))
+        print(textwrap.fill(f"{record['scene']}: {loaded.title}", PIPED_COLUMNS))
         print(f"scene hash {record['hash']}\n")
         print_table("joined", [(line,) for line in record["joins"]])
         if record["frames"]:
@@ -499,10 +504,10 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
         effect = "refines the settings until every metric's error is below"
         print(f"error_budget = {budget} {effect} {budget}\n")
         if step:
-            print(textwrap.fill(f"largest step {step['s']:.3g} s: {step['why']}", COLUMNS))
+            print(textwrap.fill(f"largest step {step['s']:.3g} s: {step['why']}", PIPED_COLUMNS))
 
 
-@_command
+@_register_command
 def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
     """List the built-in scenes, or all keys or part types."""
     from dataclasses import asdict
@@ -525,16 +530,24 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
         if caller.expects_text(list(map(asdict, every))):
             texts = (": ".join(filter(None, (" | ".join(k.choices), k.doc))) for k in every)
             rows = [
-                (key.name, key.unit or "", _text(key.default), text)
+                (key.name, key.unit or "", _format_help_text(key.default), text)
                 for key, text in zip(every, texts, strict=True)
             ]
             print_table("keys of a scene", rows, ("key", "unit", "default", ""), names=0)
     elif parts:
         docs = list(describe_part_types())
         for doc in docs if caller.expects_text(list(map(asdict, docs))) else ():
-            rows = [("pin", p.name, p.kind, _text(p.default or None, "default ")) for p in doc.pins]
+            rows = [
+                ("pin", p.name, p.kind, _format_help_text(p.default or None, "default "))
+                for p in doc.pins
+            ]
             rows += [
-                ("key", k.name, k.unit or " | ".join(k.choices), _text(k.default, "default "))
+                (
+                    "key",
+                    k.name,
+                    k.unit or " | ".join(k.choices),
+                    _format_help_text(k.default, "default "),
+                )
                 for k in doc.keys
             ]
             print_table(f"{doc.name}: {doc.title}", rows, names=1)
@@ -544,11 +557,12 @@ def _scenes(caller: Caller, keys: bool = False, parts: bool = False) -> None:
             print_table("scenes", list(titles.items()))
 
 
-def _text(value: object, before: str = "") -> str:
+def _format_help_text(value: object, before: str = "") -> str:
+    """Format a text for the terminal."""
     return "" if value is None else f"{before}{value}"
 
 
-@_command
+@_register_command
 def _parts(caller: Caller, search: str | None = None) -> None:
     """List parts that can be bought, with the sources of values.
 
@@ -564,14 +578,14 @@ def _parts(caller: Caller, search: str | None = None) -> None:
         print_table("parts", rows, ("number", "maker", "device", "part type"), names=0)
 
 
-@_command
+@_register_command
 def _doctor(caller: Caller) -> None:
     """Check simulator and packages, and print the fixes."""
     from dataclasses import asdict
 
-    from kc2spice.cli.doctor import examine
+    from kc2spice.cli.doctor import check_installation
 
-    findings = list(examine())
+    findings = list(check_installation())
     if caller.expects_text({"findings": list(map(asdict, findings))}):
         marks = ("ok" if f.ok else "MISSING" if f.needed else "absent" for f in findings)
         rows = [
@@ -583,7 +597,7 @@ def _doctor(caller: Caller) -> None:
         raise typer.Exit(MissingToolError.exit_code)
 
 
-@_command
+@_register_command
 def _reduce(
     caller: Caller,
     model: str,
@@ -611,7 +625,7 @@ def _reduce(
         _compare_methods(caller, model, {**options, "solver": solver}, no_effect)
         return
     options |= {"dc": dc, "shunt": shunt, "method": method, "solver": solver}
-    with _arguments_as_options(options), caller.progress() as progress:
+    with _translate_argument_names(options), caller.progress() as progress:
         result = reduce_study(model, out, **options, progress=progress)
     if caller.expects_text(result):
         from kc2spice.report.run_page import format_above_band
@@ -625,7 +639,7 @@ def _reduce(
             ("band", f"{low:g} … {high:g} Hz"),
             ("error estimate", f"{result['error_estimate']:.3g}, {result['norm']}"),
             *format_above_band(result),
-            *map(_parameter_row, result.get("parameters", {}).values()),
+            *map(_format_parameter_row, result.get("parameters", {}).values()),
             ("stable", {True: "yes", False: "NO", None: "not known"}[result["stable"]]),
             ("passive", "yes" if result["passive"] else "not shown"),
             ("method", result["method"]),
@@ -640,16 +654,16 @@ def _reduce(
     require_stable(result)
 
 
-def _parameter_row(parameter: dict[str, Any]) -> tuple[str, str]:
-    """Range of a parameter of the reduced model."""
+def _format_parameter_row(parameter: dict[str, Any]) -> tuple[str, str]:
+    """Return the table row of a parameter of the reduced model."""
     low, high = parameter["low"], parameter["high"]
     unit = "" if parameter["unit"] == "-" else f" {parameter['unit']}"
     return f"parameter {parameter['name']}", f"{low:g} … {high:g}{unit}"
 
 
 @contextmanager
-def _arguments_as_options(names: Container[str]) -> Iterator[None]:
-    """Name the options of the command in errors of Python calls, which name arguments."""
+def _translate_argument_names(names: Container[str]) -> Iterator[None]:
+    """Replace argument names in errors of Python calls by options of the command."""
     try:
         yield
     except UsageError as error:
@@ -672,24 +686,24 @@ def _compare_methods(
         if value is not None:
             expected = "nothing: --method compare prints a table and writes no files"
             raise UsageError("is not for a comparison", where=option, got=value, expected=expected)
-    with _arguments_as_options(options), caller.progress() as progress:
+    with _translate_argument_names(options), caller.progress() as progress:
         result = compare(model, **options, progress=progress)
     if caller.expects_text(result):
         title = f"{result['unknowns']} equations, error {result['norm']}"
-        print_table(title, list(map(_method_row, result["methods"])), METHOD_COLUMNS)
+        print_table(title, list(map(_format_method_row, result["methods"])), METHOD_COLUMNS)
         print(f"CPU time of the basis that all methods use: {result['shared_cpu_s']:.2g} s")
     require_stable(result)
 
 
-def _method_row(row: dict[str, Any]) -> tuple[str, ...]:
-    """One method of the table, with its reason if it has no model."""
+def _format_method_row(row: dict[str, Any]) -> tuple[str, ...]:
+    """Return the table row of one method; a method without a model has a reason."""
     cpu = f"{row['cpu_s']:.2g} s"
     if row["states"] is None:
         return row["method"], "-", row["reason"], cpu
     return row["method"], str(row["states"]), f"{row['error_estimate']:.2g}", cpu
 
 
-@_command
+@_register_command
 def _fit(
     caller: Caller,
     target: str,
@@ -715,7 +729,7 @@ def _fit(
             expected="SCENE:PART, such as buzzer_7bb_20_6:disc",
             hint=f"write {target}:PART with a part that 'kc2spice explain {target}' lists",
         )
-    scene = _load(name, set_)
+    scene = _load_scene(name, set_)
     with caller.progress() as progress:
         out = out or Path(f"{part}_fit")
         result = fit_study(scene, part, data, vary or (), out, progress, shunt=shunt)
@@ -726,7 +740,7 @@ def _fit(
         print(f"values, for --set: {result['overrides']}\nwith plots: {result['page']}")
 
 
-@_command
+@_register_command
 def _bench(
     caller: Caller,
     scene: str,
@@ -744,7 +758,7 @@ def _bench(
     """
     from kc2spice.workflow.bench import bench as measure
 
-    loaded, names = _load(scene, set_), tuple(metric or ())
+    loaded, names = _load_scene(scene, set_), tuple(metric or ())
     out = out or Path(f"{loaded.name}_bench")
     options: dict[str, Any] = {"error": error, "metric": names, "repeats": repeats, "trust": trust}
     with caller.progress() as progress:
@@ -763,7 +777,7 @@ def _bench(
         raise typer.Exit(GateMissedError.exit_code)
 
 
-@_command
+@_register_command
 def _sweep(
     caller: Caller,
     scene: str,
@@ -813,7 +827,7 @@ def _sweep(
         except KeyboardInterrupt:
             state = f"the points run so far are kept in {out}, the same command runs the rest"
             print(f"kc2spice: interrupted; {state}", file=sys.stderr)
-            raise typer.Exit(INTERRUPTED) from None
+            raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
     if caller.expects_text(result):
         rows = [(name, str(result[name])) for name in ("points", "failed", "resumed", "table")]
         for name, share in result.get("yield", {}).items():

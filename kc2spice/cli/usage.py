@@ -1,8 +1,4 @@
-"""Errors of the command line: options, arguments and commands, with the typed text and a hint.
-typer reports these mistakes in another form. :class:`CheckedCommand` and :class:`CheckedCommands`
-report them in the form of all errors: the mistake, the typed text, what is accepted, what to do
-next.
-"""
+"""Errors of the command line: options, arguments and commands."""
 
 from __future__ import annotations
 
@@ -17,54 +13,59 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from kc2spice.cli.tables import reported_errors
-from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
+from kc2spice.cli.tables import report_errors
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 
 PROGRAM = "kc2spice"
-_ParserError: Any = typer.BadParameter.__base__  # older versions of typer take the class from click
+_ParserError: Any = typer.BadParameter.__base__  # older versions of typer use the class of click
 
 
 class CheckedCommand(TyperCommand):
-    """A command whose usage line shows ``SCENE`` instead of ``{SCENE}``, and whose errors have the
-    form of all others."""
+    """Command whose errors have the common form, and whose usage line shows ``SCENE``."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
+        """Parse the arguments; report mistakes in the common form."""
         typed = list(args)
-        extra.setdefault("allow_extra_args", True)  # refused below, with the typed text
-        with reported_errors():
+        # extra arguments are rejected below, with the typed text
+        extra.setdefault("allow_extra_args", True)
+        with report_errors():
             try:
                 context = super().make_context(info_name, args, parent, **extra)
             except _ParserError as error:
-                raise _parser_error(self, error, typed) from None
+                raise _make_parser_error(self, error, typed) from None
             if context.args and not context.resilient_parsing:
-                raise _extra_word_error(self, context.args[0], typed)
+                raise _make_extra_word_error(self, context.args[0], typed)
         return context
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return the words of the usage line."""
         return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
 
 
 class CheckedCommands(TyperGroup):
-    """All commands. Errors of unknown commands or options have the form of all other errors."""
+    """Group of all commands, whose errors have the common form."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
+        """Parse the options before the command."""
         try:
             return super().make_context(info_name, args, parent, **extra)
         except _ParserError as error:
-            if not hasattr(error, "option_name"):  # no argument at all prints the help
+            if not hasattr(error, "option_name"):  # without any argument the help is printed
                 raise
-            with reported_errors():
-                raise _unknown_option_error(self, error.option_name, PROGRAM) from None
+            with report_errors():
+                raise _make_unknown_option_error(self, error.option_name, PROGRAM) from None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command; report an unknown name in the common form."""
         name = str(args[0])
         if self.get_command(ctx, name) is None and not ctx.resilient_parsing:
-            with reported_errors():
-                raise _unknown_command_error(name, self.list_commands(ctx))
+            with report_errors():
+                raise _make_unknown_command_error(name, self.list_commands(ctx))
         return super().resolve_command(ctx, args)
 
 
-def _unknown_command_error(name: str, commands: list[str]) -> UsageError:
+def _make_unknown_command_error(name: str, commands: list[str]) -> UsageError:
+    """Make the error of an unknown command."""
     error = unknown("no such command", name, commands, command=f"{PROGRAM} --help")
     scene = resources.files("kc2spice") / "scenes" / f"{name}.toml"
     near = difflib.get_close_matches(name, commands, n=1)
@@ -78,44 +79,45 @@ def _unknown_command_error(name: str, commands: list[str]) -> UsageError:
     return error
 
 
-def _parser_error(command: Any, error: Any, typed: list[str]) -> UsageError:
-    """The error of a command whose words ``typed`` the parser refused with ``error``."""
+def _make_parser_error(command: Any, error: Any, typed: list[str]) -> UsageError:
+    """Make the error of the ``typed`` words that the parser rejected with ``error``."""
     param = getattr(error, "param", None)
     name = getattr(error, "option_name", None)
     if name is not None:
         param = next((item for item in command.params if name in item.opts), None)
         if param is None:
-            return _unknown_option_error(command, name, f"{PROGRAM} {command.name}")
-        return _missing_value_error(param, name, typed)
+            return _make_unknown_option_error(command, name, f"{PROGRAM} {command.name}")
+        return _make_missing_value_error(param, name, typed)
     if param is None:
         return UsageError(
-            error.format_message(), where=command.name, got=_typed_line(command, typed)
+            error.format_message(), where=command.name, got=_join_typed_line(command, typed)
         )
     if type(error) is not typer.BadParameter:
-        return _missing_argument_error(command, param, typed)
+        return _make_missing_argument_error(command, param, typed)
     number = re.search("number|integer|float|range", error.message)
-    if number or _option_limits(param) != (None, None):
-        return _invalid_number_error(param, typed, "integer" in error.message)
-    return UsageError(error.message, where=param.opts[0], got=_typed_line(command, typed))
+    if number or _find_option_limits(param) != (None, None):
+        return _make_invalid_number_error(param, typed, "integer" in error.message)
+    return UsageError(error.message, where=param.opts[0], got=_join_typed_line(command, typed))
 
 
-def _typed_line(command: Any, typed: list[str]) -> str:
-    """The command line as typed."""
+def _join_typed_line(command: Any, typed: list[str]) -> str:
+    """Return the command line as typed."""
     return " ".join([PROGRAM, command.name, shlex.join(typed)]).strip()
 
 
-def _unknown_option_error(command: Any, name: str, line: str) -> UsageError:
+def _make_unknown_option_error(command: Any, name: str, line: str) -> UsageError:
+    """Make the error of an unknown option."""
     words = chain.from_iterable(item.opts for item in command.params)
     options = [word for word in words if word.startswith("--")]
-    expected = f"one of {candidates(name, options, f'{line} --help')}"
+    expected = f"one of {list_candidates(name, options, f'{line} --help')}"
     hint = did_you_mean(name, options) or f"{line} --help describes all options"
     where = line.removeprefix(PROGRAM).strip() or None
     return UsageError("no such option", where=where, got=name, expected=expected, hint=hint)
 
 
-def _missing_value_error(param: Any, name: str, typed: list[str]) -> UsageError:
-    """The error of an option without its value, or of a flag with one."""
-    words = _option_words(param, typed)
+def _make_missing_value_error(param: Any, name: str, typed: list[str]) -> UsageError:
+    """Make the error of an option without a value, or of a flag with a value."""
+    words = _find_option_words(param, typed)
     if getattr(param, "is_flag", False):
         got = next((word for word in typed if word.startswith(f"{name}=")), name)
         return UsageError(
@@ -132,20 +134,20 @@ def _missing_value_error(param: Any, name: str, typed: list[str]) -> UsageError:
     return UsageError(problem, where=name, got=got, expected=expected, hint=hint)
 
 
-def _missing_argument_error(command: Any, param: Any, typed: list[str]) -> UsageError:
-    """The error of a command without one of its arguments."""
+def _make_missing_argument_error(command: Any, param: Any, typed: list[str]) -> UsageError:
+    """Make the error of a command whose argument is missing."""
     arguments = [item.metavar for item in command.params if item.param_type_name == "argument"]
     return UsageError(
         f"the argument {param.metavar} is missing",
         where=command.name,
-        got=_typed_line(command, typed),
+        got=_join_typed_line(command, typed),
         expected=" ".join([PROGRAM, command.name, *arguments]),
-        hint=f"for example  {_example(command)}",
+        hint=f"for example  {_find_example(command)}",
     )
 
 
-def _extra_word_error(command: Any, word: str, typed: list[str]) -> UsageError:
-    """The error of a word that is neither an option nor an argument of the command."""
+def _make_extra_word_error(command: Any, word: str, typed: list[str]) -> UsageError:
+    """Make the error of a word that is neither an option nor an argument of the command."""
     place = typed.index(word) if word in typed else 0
     hint = f"delete {shlex.quote(word)}"
     if typed[max(0, place - 2) : place - 1] == ["--set"]:
@@ -167,14 +169,14 @@ def _extra_word_error(command: Any, word: str, typed: list[str]) -> UsageError:
     )
 
 
-def _example(command: Any) -> str:
-    """The first example of the help text."""
+def _find_example(command: Any) -> str:
+    """Return the first example of the help text."""
     lines = [line.strip() for line in (command.epilog or "").splitlines()]
     return next((line for line in lines if line.startswith(PROGRAM)), f"{PROGRAM} --help")
 
 
-def _option_words(param: Any, typed: list[str]) -> list[str]:
-    """Words typed as the last value of an option."""
+def _find_option_words(param: Any, typed: list[str]) -> list[str]:
+    """Return the words typed as the last value of an option."""
     words: list[str] = []
     for k, word in enumerate(typed):
         if word in param.opts:
@@ -184,14 +186,14 @@ def _option_words(param: Any, typed: list[str]) -> list[str]:
     return words
 
 
-def _invalid_number_error(param: Any, typed: list[str], fractional: bool) -> UsageError:
-    """The error of an option whose value in the words ``typed`` is no number or out of range.
+def _make_invalid_number_error(param: Any, typed: list[str], fractional: bool) -> UsageError:
+    """Make the error of an option whose value is not a number or out of range.
 
     ``fractional`` states that the value is not a whole number although the option needs one.
     """
-    name, words = param.opts[0], _option_words(param, typed)
+    name, words = param.opts[0], _find_option_words(param, typed)
     wrong = next((word for word in words if not _is_number(word)), None)
-    low, high = _option_limits(param)
+    low, high = _find_option_limits(param)
     limits = f"{low:g} to {high:g}" if high is not None else f"at least {low or 0:g}"
     if wrong is None:
         problem = "not a whole number" if fractional else "out of range"
@@ -209,13 +211,14 @@ def _invalid_number_error(param: Any, typed: list[str], fractional: bool) -> Usa
     return UsageError("not a number", where=name, got=wrong, expected="numbers in Hz", hint=hint)
 
 
-def _option_limits(param: Any) -> tuple[float | None, float | None]:
-    """Least and greatest value of an option; older versions of typer store both in its type."""
+def _find_option_limits(param: Any) -> tuple[float | None, float | None]:
+    """Return the smallest and largest value of an option."""
     owner = param if hasattr(param, "min") else getattr(param, "type", None)
     return getattr(owner, "min", None), getattr(owner, "max", None)
 
 
 def _is_number(word: str) -> bool:
+    """Return whether a word is a number."""
     try:
         float(word)
     except ValueError:

@@ -1,3 +1,3 @@
-"""The version, for whoever writes it down."""
+"""Version of kc2spice."""
 
 __version__ = "0.2.0"

@@ -1,8 +1,8 @@
-"""Cache of expensive results on disk, by a hash of everything they depend on.
+"""Cache of expensive results on disk; the key of an entry is a hash of all inputs.
 
 An entry is an ``.npz`` archive: arrays without pickle, and one JSON text with their structure. An
 entry is written under a temporary name and then renamed, so other processes read complete entries
-only. Checksums of the members show that an entry is damaged, and the result is then built again.
+only. Checksums of the members show that an entry is damaged, and a damaged entry is computed again.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ from kc2spice.core.untrusted_files import read_archive
 
 T = TypeVar("T")
 MAX_TOTAL_BYTES = 2_000_000_000
-_ABANDONED = 3600.0  # s
+_INCOMPLETE_FILE_AGE = 3600.0  # s after which an incomplete file of a killed process is deleted
 _LIBRARIES = ("numpy", "scipy", "scikit-fem", "gmsh")
 # Environment variable of the cache directory of each platform, and its default below the home
 # directory.
-_PLACES = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
+_CACHE_DIRECTORIES = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
 
 
 def cache_dir() -> Path:
     """Return ``$KC2SPICE_CACHE``, or the platform's directory for caches."""
     if selected := os.environ.get("KC2SPICE_CACHE"):
         return Path(selected)
-    variable, below = _PLACES.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
+    variable, below = _CACHE_DIRECTORIES.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
     return Path(os.environ.get(variable) or _home() / below) / "kc2spice"
 
 
 @cache
 def _home() -> Path:
-    """Return the user's home, or a private directory if there is none.
+    """Return the user's home directory, or a private directory if there is none.
 
     An unknown uid in a container has no home. A fixed name in the common temporary directory could
     belong to another user.
@@ -75,7 +75,7 @@ def load_or_build(
 
     Parameters
     ----------
-    kind : sub-directory for this sort of result.
+    kind : sub-directory for this kind of result.
     key : values on which the result depends: scene sections, numbers, strings, lists, mappings.
     build : makes the result: dataclasses, arrays, tuples, dicts with string keys, numbers, strings,
         None, nested at will.
@@ -89,10 +89,11 @@ def load_or_build(
     known = {cls.__name__: cls for cls in classes}
     modules = {__name__, *sources, *(cls.__module__ for cls in known.values())}
     path = cache_dir() / kind / f"{_compute_digest(key, modules)}.entry"
-    answer = _load(path, known)
+    answer = _load_entry(path, known)
     if answer is None:
         with _lock_entry(path):
-            answer = _load(path, known)  # another process may have built the entry in the meantime
+            # another process may have stored the entry while this one waited for the lock
+            answer = _load_entry(path, known)
             if answer is None:
                 _store(path, result := build(), known)
                 return result
@@ -113,22 +114,24 @@ def _lock_entry(path: Path) -> Iterator[None]:
 
 
 def _compute_digest(key: Mapping[str, Any], sources: Iterable[str]) -> str:
+    """Compute the SHA-256 hash of a key, the sources and the versions of the libraries."""
     versions = {name: _version(name) for name in _LIBRARIES}
     texts = {name: _source_digest(name) for name in sources}
     content = {"key": key, "libraries": versions, "sources": texts}
-    text = json.dumps(content, sort_keys=True, default=_to_json)
+    text = json.dumps(content, sort_keys=True, default=_convert_to_json)
     return hashlib.sha256(text.encode()).hexdigest()[:40]
 
 
 @cache
 def _version(library: str) -> str:
+    """Return the installed version of a library, empty if it is missing."""
     try:
         return importlib.metadata.version(library)
     except importlib.metadata.PackageNotFoundError:
         return "absent"
 
 
-def _to_json(value: Any) -> Any:
+def _convert_to_json(value: Any) -> Any:
     """Convert values of a key that JSON lacks: scene sections and numpy scalars."""
     return value.model_dump(mode="json") if hasattr(value, "model_dump") else value.item()
 
@@ -151,8 +154,9 @@ def _source_digest(module: str) -> str:
 
 
 def _store(path: Path, result: Any, known: Mapping[str, type]) -> None:
+    """Write a result as a cache entry."""
     arrays: dict[str, np.ndarray] = {}
-    structure = json.dumps(_encode(result, arrays, known)).encode()
+    structure = json.dumps(_encode_value(result, arrays, known)).encode()
     arrays["structure"] = np.frombuffer(structure, dtype=np.uint8)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.part")
     try:
@@ -160,7 +164,7 @@ def _store(path: Path, result: Any, known: Mapping[str, type]) -> None:
         with temporary.open("wb") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
         os.replace(temporary, path)
-        _prune(cache_dir())
+        _delete_unused_entries(cache_dir())
     except OSError as error:
         warnings.warn(f"cannot write the cache {cache_dir()}: {error.strerror}", stacklevel=3)
     finally:
@@ -168,15 +172,15 @@ def _store(path: Path, result: Any, known: Mapping[str, type]) -> None:
             temporary.unlink()
 
 
-def _prune(root: Path) -> None:
-    """Delete the entries that were unused for longest if the cache is too large.
+def _delete_unused_entries(root: Path) -> None:
+    """Delete the least recently used entries if the cache exceeds its size limit.
 
     Files that a killed process left incomplete are deleted after an hour.
     """
     for part in root.glob("*/.*.part"):
         # another process may have completed or deleted the entry
         with contextlib.suppress(OSError):
-            if time.time() - part.stat().st_mtime > _ABANDONED:
+            if time.time() - part.stat().st_mtime > _INCOMPLETE_FILE_AGE:
                 part.unlink()
     entries = [(entry, entry.stat()) for entry in root.glob("*/*.entry")]
     total = sum(stat.st_size for _, stat in entries)
@@ -187,15 +191,15 @@ def _prune(root: Path) -> None:
         total -= stat.st_size
 
 
-def _load(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
-    """A tuple with the cached result, or None if the entry is missing or unreadable."""
+def _load_entry(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
+    """Return a tuple with the cached result, or None if the entry is missing or unreadable."""
     if not path.exists():
         return None
     try:
         arrays = read_archive(
             path, lambda name: True, entries=lambda name: MAX_TOTAL_BYTES, total=MAX_TOTAL_BYTES
         )
-        result = _decode(json.loads(arrays["structure"].tobytes()), arrays, known)
+        result = _decode_value(json.loads(arrays["structure"].tobytes()), arrays, known)
     except Exception as error:
         warnings.warn(f"damaged cache entry {path.name} is built again: {error}", stacklevel=3)
         return None
@@ -204,7 +208,7 @@ def _load(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
     return (result,)
 
 
-def _encode(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str, type]) -> Any:
+def _encode_value(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str, type]) -> Any:
     """Convert a value to a JSON structure, and move its arrays to ``arrays``.
 
     Types that JSON lacks become ``{tag: …}``.
@@ -213,23 +217,24 @@ def _encode(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str, type]
         arrays[name := f"a{len(arrays)}"] = value
         return {"array": name}
     if isinstance(value, (list, tuple)):
-        return [_encode(item, arrays, known) for item in value]
+        return [_encode_value(item, arrays, known) for item in value]
     tag, content = "dict", value
     if known.get(type(value).__name__) is type(value):
         tag = type(value).__name__
         content = {item.name: getattr(value, item.name) for item in fields(known[tag])}
     if isinstance(content, Mapping):
-        return {tag: {name: _encode(item, arrays, known) for name, item in content.items()}}
+        return {tag: {name: _encode_value(item, arrays, known) for name, item in content.items()}}
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _decode(node: Any, arrays: Mapping[str, np.ndarray], known: Mapping[str, type]) -> Any:
+def _decode_value(node: Any, arrays: Mapping[str, np.ndarray], known: Mapping[str, type]) -> Any:
+    """Restore a value from its JSON structure and its arrays."""
     if isinstance(node, list):
-        return tuple(_decode(item, arrays, known) for item in node)
+        return tuple(_decode_value(item, arrays, known) for item in node)
     if not isinstance(node, dict):
         return node
     ((tag, content),) = node.items()
     if tag == "array":
         return arrays[content]
-    result = {name: _decode(item, arrays, known) for name, item in content.items()}
+    result = {name: _decode_value(item, arrays, known) for name, item in content.items()}
     return result if tag == "dict" else known[tag](**result)

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-# Power that enters a part through a pin, in words of the quantities across and through the pin.
+# Descriptions of the power that enters a part through a pin, in terms of its two quantities.
 Power = Literal[
     "across * through",
     "d(across)/dt * through",
@@ -25,7 +25,7 @@ SPICE_UNITS = "V", "A"  # units across and through the nodes of a simulator
 
 @dataclass(frozen=True)
 class Quantity:
-    """A physical quantity on a pin.
+    """Physical quantity on a pin.
 
     ``name`` is its name in sources and branches, ``symbol`` the word in names of results and
     ``unit`` its SI unit. One volt or one ampere on a pin is one ``pin_unit``, which is ``factor``
@@ -60,7 +60,7 @@ class Domain:
 
     ``port`` is the kind of a model's port. The input of a port is the ``driven`` quantity; its
     output has the unit ``answer_unit`` and the short name ``word`` in results; ``response`` is the
-    name of the wave that answers in a first deck and ``compliance`` the unit of a static output for
+    name of the output wave in a first deck and ``compliance`` the unit of a static output for
     each input. The value across a pin counts from the pin ``reference``; without one, ports are
     pairs of pins. ``rate`` is a second quantity across pins, the rate of ``across``. ``frame`` is
     the domain whose quantity shakes the frame that ``across`` is relative to.
@@ -96,31 +96,32 @@ class Domain:
     adrift: str = ""
 
     def __repr__(self) -> str:
+        """Return a short text of the domain for the interpreter."""
         text = f"<Domain {self.name}: 1 V is 1 {self.across.pin_unit or 'unit'}"
         return f"{text}, 1 A is 1 {self.flow}; power: {self.power}>"
 
     @property
     def conservative(self) -> bool:
-        """Whether its pins exchange energy."""
+        """Whether the pins of the domain exchange energy."""
         return self.through is not None
 
     @property
     def flow(self) -> str:
-        """Unit of 1 A through a pin, ``-`` for a signal."""
+        """Unit that 1 A through a pin represents, ``-`` for a signal."""
         return SIGNAL if self.through is None else self.through.pin_unit
 
     @property
     def admittance(self) -> float:
-        """Amperes per volt on pins for one SI unit of the quantity through by that across."""
+        """Circuit admittance [A/V] that represents an admittance of 1 in SI units."""
         return 1.0 if self.through is None else self.across.factor * self.through.per_unit
 
     @property
     def units(self) -> tuple[str, str]:
-        """Units of 1 V and 1 A on a pin."""
+        """Units that 1 V and 1 A on a pin represent."""
         return self.across.pin_unit, self.flow
 
     def value_unit(self, letter: str) -> str:
-        """Unit of the value of a V, I, R, C or L card; "" if it is the card's own.
+        """Unit of the value of a V, I, R, C or L element; empty if SPICE has the same unit.
 
         Examples
         --------
@@ -141,7 +142,7 @@ class Domain:
 
     @property
     def position(self) -> bool:
-        """Whether the value across a pin is a position, whose rate makes the power."""
+        """Whether the value across a pin is a position, whose rate determines the power."""
         return self.power == "d(across)/dt * through"
 
     @property
@@ -151,34 +152,34 @@ class Domain:
 
     @property
     def relaxes(self) -> bool:
-        """Whether nothing has inertia, because the flow is the power: heat."""
+        """Whether responses decay without oscillation, because no quantity has inertia (heat)."""
         return self.power == "through"
 
     @property
     def metered(self) -> bool:
-        """Whether the quantities at one pin determine the power through this pin."""
+        """Whether the two quantities at one pin determine the power through this pin."""
         return self.conservative and self.power != "velocity of the frame * through"
 
     @property
     def kind_of_law(self) -> str:
-        """Kind of its pins in the laws of the reference; a frame is a signal."""
+        """Kind of the pins in the equations of the reference solver; a frame is a signal."""
         return "signal" if self.power == "velocity of the frame * through" else self.name
 
     @property
     def quantities(self) -> Iterator[tuple[Quantity, Side]]:
-        """The quantities that a source can prescribe."""
+        """Quantities that a source can prescribe."""
         yield self.across, "across"
         if self.through is not None:
             yield self.through, "through"
 
     @property
     def through_variable(self) -> Quantity:
-        """The quantity through a pin of a conservative domain."""
+        """Quantity through a pin of a conservative domain."""
         assert self.through is not None, f"{self.name} has nothing through its pins"
         return self.through
 
     def quantity(self, side: Side) -> Quantity:
-        """The quantity across or through a pin."""
+        """Return the quantity across or through a pin."""
         return self.across if side == "across" else self.through_variable
 
 
@@ -291,8 +292,8 @@ CONSERVATIVE = tuple(domain for domain in TABLE if domain.conservative)
 REFERENCES = frozenset({"ref", *(domain.reference for domain in TABLE if domain.reference)})
 
 
-def _by_quantity() -> dict[str, tuple[Domain, Side]]:
-    """Domain and side of each quantity; a force belongs to translation."""
+def _list_quantities() -> dict[str, tuple[Domain, Side]]:
+    """Return the domain and the side of each quantity; a force belongs to translation."""
     result: dict[str, tuple[Domain, Side]] = {}
     for domain in CONSERVATIVE:
         for quantity, side in domain.quantities:
@@ -300,8 +301,8 @@ def _by_quantity() -> dict[str, tuple[Domain, Side]]:
     return result
 
 
-QUANTITIES = _by_quantity()
-# Words of flows in names of results by the names of the quantities: ``i`` of a ``current``.
+QUANTITIES = _list_quantities()
+# Symbols of through quantities in names of results, such as ``i`` of a ``current``.
 FLOW_SYMBOLS = {
     name: domain.quantity(side).symbol
     for name, (domain, side) in QUANTITIES.items()
@@ -309,19 +310,19 @@ FLOW_SYMBOLS = {
 }
 
 
-def _pin_units() -> Iterator[tuple[str, str]]:
-    """Units that 1 V and 1 A represent on each kind of conservative pin."""
+def _list_pin_units() -> Iterator[tuple[str, str]]:
+    """Yield the units that 1 V and 1 A represent on each kind of conservative pin."""
     for domain in CONSERVATIVE:
         yield domain.units
         if domain.rate is not None:
             yield domain.rate.pin_unit, domain.flow
 
 
-PIN_UNITS = tuple(_pin_units())
+PIN_UNITS = tuple(_list_pin_units())
 
 
 def domain_of(unit: str, flow: str) -> Domain | None:
-    """Return the domain of a pin by the meaning of 1 V and 1 A on the pin.
+    """Return the domain of a pin from the units that 1 V and 1 A represent.
 
     The result is None for signals and unknown units.
 
@@ -340,7 +341,7 @@ def domain_of(unit: str, flow: str) -> Domain | None:
 
 
 def across_of(unit: str) -> Quantity | None:
-    """Return the quantity across pins of this unit, None for a signal in another unit.
+    """Return the quantity across pins with this unit; None for a signal in another unit.
 
     Examples
     --------
@@ -355,7 +356,7 @@ def across_of(unit: str) -> Quantity | None:
 
 
 def describe_units(units: Collection[str]) -> str:
-    """Describe 1 V and 1 A in the domains that have one of these units.
+    """Describe what 1 V and 1 A mean in the domains that have one of these units.
 
     Examples
     --------
@@ -366,7 +367,8 @@ def describe_units(units: Collection[str]) -> str:
     for domain in CONSERVATIVE:
         across = [domain.across, *([domain.rate] if domain.rate else [])]
         through = domain.through_variable
-        letters = "VIRCL" if QUANTITIES[through.name][0] is domain else "VRCL"  # a shared force
+        # two domains have the force as through quantity
+        letters = "VIRCL" if QUANTITIES[through.name][0] is domain else "VRCL"
         of_pins = set(map(domain.value_unit, letters)) | {q.pin_unit for q in across}
         if domain.units != SPICE_UNITS and of_pins & {*units}:
             words |= dict.fromkeys(f"1 V = 1 {q.pin_unit} ({q.plural})" for q in across)

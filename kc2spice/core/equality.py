@@ -13,23 +13,24 @@ from typing import Any
 
 
 class EqualByContent:
-    """Base of ``@dataclass(eq=False)`` records that are equal if all their fields are.
+    """Base of ``@dataclass(eq=False)`` records that are equal if all fields are equal.
 
-    Arrays are equal if their shapes and all their elements are, NaN being equal to NaN. Such
+    Arrays are equal if their shapes and all their elements are equal; two NaN are equal. Such
     records have no hash.
     """
 
     def __eq__(self, other: object) -> bool:
+        """Return whether the other record has the same class and equal fields."""
         if type(other) is not type(self):
             return NotImplemented
         names = [item.name for item in fields(self) if item.compare]  # type: ignore[arg-type]
-        return all(same_content(getattr(self, name), getattr(other, name)) for name in names)
+        return all(have_same_content(getattr(self, name), getattr(other, name)) for name in names)
 
     __hash__ = None  # type: ignore[assignment]
 
 
-def same_content(a: Any, b: Any) -> bool:
-    """Compare two values, arrays and containers of arrays included.
+def have_same_content(a: Any, b: Any) -> bool:
+    """Return whether two values are equal, including arrays and containers of arrays.
 
     Parameters
     ----------
@@ -43,9 +44,9 @@ def same_content(a: Any, b: Any) -> bool:
     Examples
     --------
     >>> import numpy as np
-    >>> same_content({"x": np.array([1.0, np.nan])}, {"x": np.array([1.0, np.nan])})
+    >>> have_same_content({"x": np.array([1.0, np.nan])}, {"x": np.array([1.0, np.nan])})
     True
-    >>> same_content((np.zeros(2), 1), (np.zeros(3), 1))
+    >>> have_same_content((np.zeros(2), 1), (np.zeros(3), 1))
     False
     """
     import numpy as np  # imported here, so that commands without arrays start faster
@@ -58,7 +59,7 @@ def same_content(a: Any, b: Any) -> bool:
     if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
         return False
     if isinstance(a, Mapping) and isinstance(b, Mapping):
-        return a.keys() == b.keys() and all(same_content(a[key], b[key]) for key in a)
+        return a.keys() == b.keys() and all(have_same_content(a[key], b[key]) for key in a)
     if isinstance(a, (list, tuple)) and type(a) is type(b):
-        return len(a) == len(b) and all(map(same_content, a, b))
+        return len(a) == len(b) and all(map(have_same_content, a, b))
     return bool(a == b)

@@ -1,4 +1,4 @@
-"""Exceptions with place, value, expected values and the next step."""
+"""Exceptions with location, faulty value, expected values and next step."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
-LONGEST = 200  # characters of a word that is compared with others
-MOST_CHOICES = 5  # candidates that an error lists
-SHORTEST = 4  # least number of letters and digits of a word that is searched inside other names
+LONGEST_WORD = 200  # characters of a word that is compared with others
+MAX_CANDIDATES = 5  # candidates that an error lists
+# least number of letters and digits of a word that is searched inside other names
+SHORTEST_FRAGMENT = 4
 
 
 class Kc2spiceError(Exception):
@@ -51,11 +52,11 @@ class UsageError(Kc2spiceError):
 
 
 class UnknownNameError(UsageError, KeyError):
-    """A name that a mapping of results lacks; also a ``KeyError``."""
+    """Name that a mapping of results lacks; also a ``KeyError``."""
 
 
 class NamedValues(dict[str, Any]):
-    """Results by name; an error about an unknown name lists similar names.
+    """Results by name; the error for an unknown name lists similar names.
 
     Examples
     --------
@@ -69,6 +70,7 @@ class NamedValues(dict[str, Any]):
     """
 
     def __missing__(self, name: object) -> NoReturn:
+        """Raise an error that lists similar names."""
         error = unknown("no such name", name, self)
         raise UnknownNameError(
             error.message, got=error.got, expected=error.expected, hint=error.hint
@@ -82,7 +84,7 @@ class MissingToolError(Kc2spiceError):
 
 
 class GateMissedError(Kc2spiceError):
-    """A result is less accurate than its stated gate: exit code 4."""
+    """A result exceeds its error limit: exit code 4."""
 
     exit_code = 4
 
@@ -95,7 +97,7 @@ class SimulationError(Kc2spiceError):
 
 @contextmanager
 def name_part_in_errors(where: str) -> Iterator[None]:
-    """Errors within say which part they are about."""
+    """Add the name of a part to errors of the block."""
     try:
         yield
     except UsageError as error:
@@ -110,7 +112,7 @@ def wrong(
     expected: str | None = None,
     hint: str | None = None,
 ) -> UsageError:
-    """Make the error of a file or key, with the fields of :class:`Kc2spiceError`."""
+    """Make a :class:`UsageError` about a file or key."""
     return UsageError(problem, where=where, got=got, expected=expected, hint=hint)
 
 
@@ -121,13 +123,13 @@ def unknown(
     where: str | None = None,
     command: str | None = None,
 ) -> UsageError:
-    """The error of a ``name`` that is not ``known``, with similar names.
+    """Make the error of a ``name`` that is not ``known``; it lists similar names.
 
     ``command`` is the command line that lists all known names.
     """
     choices = list(known)
     expected = (
-        "one of " + candidates(name, choices, command)
+        "one of " + list_candidates(name, choices, command)
         if choices
         else "nothing: there are no names to choose from"
     )
@@ -135,50 +137,53 @@ def unknown(
     return UsageError(message, where=where, got=repr(name), expected=expected, hint=near)
 
 
-def candidates(word: object, choices: Iterable[str], command: str | None = None) -> str:
-    """List at most five choices, those nearest to ``word`` if there are more.
+def list_candidates(word: object, choices: Iterable[str], command: str | None = None) -> str:
+    """List at most five choices, the most similar to ``word`` first.
 
     ``command`` is the command line that lists all.
 
-    >>> candidates("v", ["a", "b"])
+    >>> list_candidates("v", ["a", "b"])
     'a, b'
-    >>> candidates("c4", [f"c{k}" for k in range(9)])
+    >>> list_candidates("c4", [f"c{k}" for k in range(9)])
     'c4, c0, c1, c2, c3, … (9 in all)'
     """
     names = list(choices)
-    if len(names) <= MOST_CHOICES:
+    if len(names) <= MAX_CANDIDATES:
         return ", ".join(names)
     import difflib  # imported here, because most errors do not need it
 
     def edit_distance(name: str) -> float:
-        return -difflib.SequenceMatcher(None, str(word)[:LONGEST], name).ratio()
+        """Return the dissimilarity of a name and the word."""
+        return -difflib.SequenceMatcher(None, str(word)[:LONGEST_WORD], name).ratio()
 
-    nearest = sorted(names, key=edit_distance)[:MOST_CHOICES]
+    nearest = sorted(names, key=edit_distance)[:MAX_CANDIDATES]
     where = "" if command is None else f": {command}"
     return f"{', '.join(nearest)}, … ({len(names)} in all{where})"
 
 
 def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
-    """Suggest ``did you mean 'x'?`` for a near miss.
+    """Return ``did you mean 'x'?`` for a name similar to ``word``.
 
     Only the last parts of dotted keys are compared.
     """
     import difflib  # imported here, because most errors do not need it
 
-    if len(word) > LONGEST:
+    if len(word) > LONGEST_WORD:
         return None  # the time of a comparison is proportional to the square of the length
     leaves: dict[str, str] = {}
     for choice in choices:
         leaves.setdefault(choice.rpartition(".")[2], choice)
     near = difflib.get_close_matches(word.rpartition(".")[2], leaves, n=1, cutoff=0.7)
-    if not near:  # part numbers in the maker's spelling: 7BB-20-6 of buzzer_7bb_20_6
-        plain = _letters_and_digits(word)
+    if not near:  # manufacturer's spelling of part numbers, such as 7BB-20-6 for buzzer_7bb_20_6
+        plain = _normalise_word(word)
         near = [
-            leaf for leaf in leaves if len(plain) >= SHORTEST and plain in _letters_and_digits(leaf)
+            leaf
+            for leaf in leaves
+            if len(plain) >= SHORTEST_FRAGMENT and plain in _normalise_word(leaf)
         ][:1]
     return f"did you mean {leaves[near[0]]!r}?" if near else None
 
 
-def _letters_and_digits(word: str) -> str:
-    """Letters and digits of a word in lower case."""
+def _normalise_word(word: str) -> str:
+    """Return the letters and digits of a word in lower case."""
     return "".join(ch for ch in word.lower() if ch.isalnum())

@@ -13,7 +13,7 @@ from kc2spice.core.errors import MissingToolError
 
 
 class OptionalLibrary(NamedTuple):
-    """Library by its name in the Python Package Index, and its extra of kc2spice.
+    """Optional library: its name in the Python Package Index and its extra of kc2spice.
 
     ``extra`` is None for a library without an extra, which is installed by its name.
     """
@@ -23,7 +23,7 @@ class OptionalLibrary(NamedTuple):
 
     @property
     def install(self) -> str:
-        """The command that installs it.
+        """Command that installs the library.
 
         >>> OptionalLibrary("pyyeti", "nastran").install
         "pip install 'kc2spice[nastran]'"

@@ -1,4 +1,4 @@
-"""Figures as data, without a plotting library."""
+"""Figures as data, independent of plotting libraries."""
 
 from __future__ import annotations
 
@@ -101,8 +101,8 @@ class Shape:
     round: bool = False
 
 
-def window(t: np.ndarray, first: float, last: float) -> np.ndarray:
-    """Mask (n,) of the points from ``first`` to ``last`` and one more on either side."""
+def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
+    """Return a mask (n,) of the points from ``first`` to ``last`` and one more on each side."""
     import numpy as np  # imported here, because modules that draw load this module first
 
     low, high = np.searchsorted(t, (first, last))
@@ -111,7 +111,7 @@ def window(t: np.ndarray, first: float, last: float) -> np.ndarray:
     return inside
 
 
-def time_axis(t: np.ndarray) -> tuple[str, float]:
+def scale_time_axis(t: np.ndarray) -> tuple[str, float]:
     """Return the label of an axis with times [s], and the factor to its unit.
 
     The unit is µs, and ms from 1 ms on.
@@ -119,7 +119,7 @@ def time_axis(t: np.ndarray) -> tuple[str, float]:
     return ("time in ms", 1e3) if t[-1] - t[0] >= 1e-3 else ("time in µs", 1e6)
 
 
-def label_axis(name: str, unit: str) -> str:
+def format_axis_label(name: str, unit: str) -> str:
     """Return the label ``quantity in unit``, or the quantity alone if it has no unit."""
     return f"{name} in {unit}" if unit else name
 
@@ -130,7 +130,7 @@ def scale_axis(name: str, x: np.ndarray) -> tuple[str, float]:
     The scale is ``time``, ``frequency`` or a swept key, with values in SI.
     """
     if name == "time":
-        return time_axis(x)
+        return scale_time_axis(x)
     if name == "frequency":
         return ("frequency in kHz", 1e-3) if x[-1] > 5e3 else ("frequency in Hz", 1.0)
     return name, 1.0
@@ -138,7 +138,7 @@ def scale_axis(name: str, x: np.ndarray) -> tuple[str, float]:
 
 @dataclass(frozen=True)
 class FileWriter:
-    """A further file of a run; ``write(path)`` writes it."""
+    """Additional output file of a run; ``write(path)`` writes the file."""
 
     name: str
     write: Callable[[Path], None]

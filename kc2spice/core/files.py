@@ -1,4 +1,4 @@
-"""Results that appear in their directory all at once after success, or not."""
+"""Output directories whose files all appear together after success, or not at all."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from pathlib import Path
 
 from kc2spice.core.errors import UsageError
 
-# Entry files: deleted first and written last, so that a reader never finds a partial set, even
-# after a kill between two renames.
-RESULT = "result.json"
-ENTRIES = (".cir", "verify.json", RESULT)
-_SUFFIX = ".part"
-_ELSEWHERE = "choose another --out"
-_PLAIN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
-_LARGEST = 10_000_000  # bytes of a record that is read back
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_ABANDONED = 60.0  # s after which a work directory without a running owner is deleted
+# Main output files. They are deleted first and written last, so that a reader never finds an
+# incomplete set, even after a kill between two renames.
+RESULT_FILE = "result.json"
+MAIN_SUFFIXES = (".cir", "verify.json", RESULT_FILE)
+_WORK_SUFFIX = ".part"
+_OTHER_DIRECTORY_HINT = "choose another --out"
+_SAFE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
+_MAX_RECORD_BYTES = 10_000_000  # bytes of a record that is read back
+DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_ABANDONED_AGE = 60.0  # s after which a work directory without a running owner is deleted
 
 
 @contextmanager
@@ -42,67 +42,68 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
     UsageError : ``out`` is a file, or cannot be created or written.
     """
     if "\0" in str(out):
-        raise UsageError("has a zero byte", where=repr(str(out)), hint=_ELSEWHERE)
+        raise UsageError("has a zero byte", where=repr(str(out)), hint=_OTHER_DIRECTORY_HINT)
     typed = str(out)
-    # the target of a link, on its own file system; the link remains
+    # resolve a link to its target, on the file system of the target; the link remains
     out = Path(os.path.realpath(out))
-    # os.path answers False where pathlib raises, below directories that may not be entered.
+    # os.path returns False for a path in a directory without permission; pathlib raises an error.
     nearest = next(filter(os.path.exists, (out, *out.parents)))
     if not os.path.isdir(nearest):
-        raise _unwritable(typed, nearest, "a file, not a directory")
+        raise _make_write_error(typed, nearest, "a file, not a directory")
     if not os.access(nearest, os.W_OK | os.X_OK):
-        raise _unwritable(typed, nearest, "no permission to write")
-    # The work directory lies beside ``out``, or inside if ``out`` is another file system or the
-    # only writable directory.
+        raise _make_write_error(typed, nearest, "no permission to write")
+    # The work directory is created next to ``out``, or inside ``out`` if that is a mount point or
+    # the only writable directory.
     if nearest == out and not os.path.ismount(out) and os.access(out.parent, os.W_OK):
         nearest = out.parent
     prefix = f".kc2spice.{out.name}."
     try:
-        work = Path(tempfile.mkdtemp(prefix=prefix, suffix=_SUFFIX, dir=nearest))
+        work = Path(tempfile.mkdtemp(prefix=prefix, suffix=_WORK_SUFFIX, dir=nearest))
     except OSError as error:
-        raise _unwritable(typed, nearest, error.strerror or str(error)) from None
+        raise _make_write_error(typed, nearest, error.strerror or str(error)) from None
     try:
         with lock_path(work):
-            _clear_abandoned(work, prefix)
+            _delete_abandoned_directories(work, prefix)
             try:
                 yield work
             except OSError as error:
-                if error.errno not in FULL:
+                if error.errno not in DISK_FULL_ERRORS:
                     raise
-                raise _unwritable(typed, nearest, error.strerror or str(error)) from None
+                raise _make_write_error(typed, nearest, error.strerror or str(error)) from None
             try:
-                _publish(work, out)
+                _publish_files(work, out)
             except OSError as error:
-                raise _unwritable(typed, out, error.strerror or str(error)) from None
+                raise _make_write_error(typed, out, error.strerror or str(error)) from None
     finally:
         shutil.rmtree(work, ignore_errors=True)
 
 
-def _unwritable(typed: str, directory: Path, reason: str) -> UsageError:
-    """Make the error of the path as the user typed it; ``directory`` is the one that fails."""
+def _make_write_error(typed: str, directory: Path, reason: str) -> UsageError:
+    """Make the error for an output path, as typed by the user, that cannot be written."""
     return UsageError(
         "cannot be written",
         where=typed,
         got=f"{directory}: {reason}",
         expected="a path in a directory that can be written",
-        hint=_ELSEWHERE,
+        hint=_OTHER_DIRECTORY_HINT,
     )
 
 
-def _publish(work: Path, out: Path) -> None:
+def _publish_files(work: Path, out: Path) -> None:
+    """Move the files of the work directory to the output directory."""
     out.mkdir(parents=True, exist_ok=True)
     with lock_path(out):
         files = [path.relative_to(work) for path in sorted(work.rglob("*")) if path.is_file()]
-        if Path(RESULT) in files:
+        if Path(RESULT_FILE) in files:
             _record_hashes(work, files)
         stale = list_earlier_files(out) - set(map(str, files))
         for name in files:
-            if _entry_rank(name) >= 0:
+            if _rank_main_file(name) >= 0:
                 (out / name).unlink(missing_ok=True)
         for old in stale:
             with contextlib.suppress(OSError):
                 (out / old).unlink()
-        for name in sorted(files, key=lambda path: (_entry_rank(path), path)):
+        for name in sorted(files, key=lambda path: (_rank_main_file(path), path)):
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(work / name, out / name)
 
@@ -112,26 +113,27 @@ def _record_hashes(work: Path, files: list[Path]) -> None:
 
     A later run into the same directory deletes only files whose content has this hash.
     """
-    path = work / RESULT
+    path = work / RESULT_FILE
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
-        return  # no record of a run
+        return  # the directory contains no result of a run
     if not isinstance(record, dict):
         return
     record["sha256"] = {
-        str(name): _hash_file(work / name) for name in files if name != Path(RESULT)
+        str(name): _hash_file(work / name) for name in files if name != Path(RESULT_FILE)
     }
     path.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
 
 def _hash_file(path: Path) -> str:
+    """Compute the SHA-256 hash of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def list_earlier_files(out: Path) -> set[str]:
-    """Names of unchanged files that an earlier run wrote into ``out``.
+    """List unchanged files that an earlier run wrote into ``out``.
 
     ``result.json`` of that run contains their hashes. Ignored are
 
@@ -141,40 +143,40 @@ def list_earlier_files(out: Path) -> set[str]:
     * links.
     """
     try:
-        if (out / RESULT).stat().st_size > _LARGEST:
+        if (out / RESULT_FILE).stat().st_size > _MAX_RECORD_BYTES:
             return set()
-        record = json.loads((out / RESULT).read_text(encoding="utf-8"))
+        record = json.loads((out / RESULT_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return set()
     hashes = record.get("sha256") if isinstance(record, dict) and "scene" in record else None
     if not isinstance(hashes, dict):
         return set()
-    plain = filter(_PLAIN.fullmatch, hashes)
+    plain = filter(_SAFE_NAME.fullmatch, hashes)
     present = (name for name in plain if (out / name).is_file() and not (out / name).is_symlink())
-    return {RESULT, *(name for name in present if hashes[name] == _hash_file(out / name))}
+    return {RESULT_FILE, *(name for name in present if hashes[name] == _hash_file(out / name))}
 
 
-def _entry_rank(path: Path) -> int:
-    """Position among the files that are opened first; -1 for all others."""
-    return next((rank for rank, end in enumerate(ENTRIES) if path.name.endswith(end)), -1)
+def _rank_main_file(path: Path) -> int:
+    """Return the position of a main output file in :data:`MAIN_SUFFIXES`; otherwise -1."""
+    return next((rank for rank, end in enumerate(MAIN_SUFFIXES) if path.name.endswith(end)), -1)
 
 
-def _clear_abandoned(directory: Path, prefix: str) -> None:
-    """Remove work directories of killed runs, which no process locks any more."""
+def _delete_abandoned_directories(directory: Path, prefix: str) -> None:
+    """Delete work directories of killed runs, which no process locks any more."""
     for other in directory.parent.iterdir():
         if other == directory or not (
-            other.name.startswith(prefix) and other.name.endswith(_SUFFIX)
+            other.name.startswith(prefix) and other.name.endswith(_WORK_SUFFIX)
         ):
             continue
         with contextlib.suppress(OSError):
-            if time.time() - other.stat().st_mtime > _ABANDONED:
+            if time.time() - other.stat().st_mtime > _ABANDONED_AGE:
                 with lock_path(other, wait=False):
                     shutil.rmtree(other, ignore_errors=True)
 
 
 @contextmanager
 def lock_path(path: Path, *, wait: bool = True) -> Iterator[None]:
-    """Lock a file or directory exclusively, without a lock file.
+    """Lock a file or directory exclusively; no lock file is created.
 
     Raises
     ------

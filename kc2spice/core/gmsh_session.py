@@ -1,4 +1,4 @@
-"""The only import of gmsh: a quiet, single-threaded session that always ends."""
+"""Session of the mesh generator gmsh without output or threads; no other module imports gmsh."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from types import ModuleType
 
 from kc2spice.core.errors import MissingToolError
 
-# Signals whose handlers gmsh replaces. A broken pipe would end the process without a message.
-REPLACED = ("SIGTERM", "SIGHUP", "SIGPIPE")
+# Signals whose handlers gmsh replaces. A broken pipe would then end the process silently.
+REPLACED_SIGNALS = ("SIGTERM", "SIGHUP", "SIGPIPE")
 
 
 @contextmanager
@@ -37,7 +37,7 @@ def gmsh_session() -> Iterator[ModuleType]:
         ) from error
     gmsh.initialize([], readConfigFiles=False, interruptible=False)
     if threading.current_thread() is threading.main_thread():
-        for number in (getattr(signal, name, signal.SIGTERM) for name in REPLACED):
+        for number in (getattr(signal, name, signal.SIGTERM) for name in REPLACED_SIGNALS):
             signal.signal(number, signal.getsignal(number))
     try:
         gmsh.option.setNumber("General.Terminal", 0)

@@ -1,8 +1,8 @@
-"""Signals that end the program even within a long call of a numerical library.
+"""Signal handlers that end the program even during a long call of a numerical library.
 
 Python handles a signal between two of its own instructions, but the factorisation of a large matrix
-is one instruction of minutes. Therefore a separate thread waits for each signal. The thread ends
-the process and its children if the main thread does not begin to handle the signal.
+is one instruction that takes minutes. Therefore a separate thread waits for each signal. The thread
+ends the process and its children if the main thread does not begin to handle the signal.
 """
 
 from __future__ import annotations
@@ -15,22 +15,23 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
-GRACE = 0.5  # s in which the main thread must begin to handle a signal
-ENDING = ("SIGTERM", "SIGHUP")
-STUCK = b"kc2spice: interrupted; nothing was written\n"
+GRACE_PERIOD = 0.5  # s in which the main thread must begin to handle a signal
+END_SIGNALS = ("SIGTERM", "SIGHUP")
+INTERRUPT_MESSAGE = b"kc2spice: interrupted; nothing was written\n"
 
 
 @contextlib.contextmanager
-def end_on_signals(grace: float = GRACE) -> Iterator[None]:
+def end_on_signals(grace: float = GRACE_PERIOD) -> Iterator[None]:
     """Convert signals to exceptions that stop simulators and remove files.
 
     Ctrl-C raises KeyboardInterrupt, SIGTERM and SIGHUP raise SystemExit. A program that still runs
-    after ``grace`` [s] ends at once, with the same exit code 128 + signal. Handlers of others
-    remain.
+    after ``grace`` [s] ends at once, with the same exit code 128 + signal. Handlers that the caller
+    has set remain.
 
-    A KeyboardInterrupt that leaves the block ends the program with that exit code too. Behind the
-    block the exit code stands, and signals are ignored: the end of the interpreter would take back
-    the handlers, and a late signal then kill a program that has written all its results.
+    A KeyboardInterrupt that leaves the block ends the program with that exit code too. After the
+    block, signals are ignored and cannot change the exit code. Otherwise the interpreter would
+    restore its handlers at the end, and a late signal could kill a program that has written all
+    results.
     """
     try:
         signals = _handle_signals(grace)
@@ -41,7 +42,7 @@ def end_on_signals(grace: float = GRACE) -> Iterator[None]:
                 signal.signal(number, signal.SIG_IGN)
     except KeyboardInterrupt:
         with contextlib.suppress(OSError):
-            os.write(2, STUCK)
+            os.write(2, INTERRUPT_MESSAGE)
         raise SystemExit(128 + signal.SIGINT) from None
 
 
@@ -50,19 +51,21 @@ def _handle_signals(grace: float) -> set[int]:
     handled = threading.Semaphore(0)
 
     def interrupt(number: int, frame: FrameType | None) -> None:
+        """Raise KeyboardInterrupt once per signal."""
         handled.release()
         raise KeyboardInterrupt
 
     def leave(number: int, frame: FrameType | None) -> None:
+        """Ignore further signals of this kind and raise SystemExit."""
         handled.release()
-        signal.signal(number, signal.SIG_IGN)  # once is enough
+        signal.signal(number, signal.SIG_IGN)  # a second signal must not interrupt the clean-up
         raise SystemExit(128 + number)
 
     signals = set[int]()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
         signals.add(int(signal.SIGINT))
-    for number in (getattr(signal, name, None) for name in ENDING):
+    for number in (getattr(signal, name, None) for name in END_SIGNALS):
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, leave)
             signals.add(int(number))
@@ -71,16 +74,21 @@ def _handle_signals(grace: float) -> set[int]:
     inlet, outlet = os.pipe()
     os.set_blocking(outlet, False)
     signal.set_wakeup_fd(outlet, warn_on_full_buffer=False)
-    threading.Thread(target=_watch, args=(inlet, signals, handled, grace), daemon=True).start()
+    threading.Thread(
+        target=_watch_signals, args=(inlet, signals, handled, grace), daemon=True
+    ).start()
     return signals
 
 
-def _watch(inlet: int, signals: set[int], handled: threading.Semaphore, grace: float) -> None:
+def _watch_signals(
+    inlet: int, signals: set[int], handled: threading.Semaphore, grace: float
+) -> None:
+    """End the process if the main thread has not handled a signal after ``grace`` [s]."""
     while arrived := os.read(inlet, 1):
         if arrived[0] in signals and not handled.acquire(timeout=grace):
             processes = sys.modules.get("multiprocessing")  # importing it takes 7 ms
             for child in processes.active_children() if processes else ():
                 child.kill()
             with contextlib.suppress(OSError):
-                os.write(2, STUCK)
+                os.write(2, INTERRUPT_MESSAGE)
             os._exit(128 + arrived[0])

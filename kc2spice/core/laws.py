@@ -1,4 +1,4 @@
-"""Laws of parts: equations of each part type for the independent integrator.
+"""Constitutive equations (laws) of parts for the independent integrator.
 
 A law is plain data in SI with named, typed pins, without a scene or a netlist. A pin's kind is the
 name of a domain (:mod:`kc2spice.core.domains`). All pins of a net share the *across* quantity of
@@ -27,18 +27,18 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Function
 
 
-def _names_of(domains: Iterable[Domain]) -> tuple[str, ...]:
-    """Names of domains, which are kinds of pins."""
+def _collect_names(domains: Iterable[Domain]) -> tuple[str, ...]:
+    """Return the names of domains, which are kinds of pins."""
     return tuple(map(attrgetter("name"), domains))
 
 
-MECHANICAL = _names_of(filter(attrgetter("position"), CONSERVATIVE))
-POTENTIALS = _names_of(filter(attrgetter("potential"), CONSERVATIVE))
-# Kinds whose port answers a flow with a potential: the flow is an unknown.
-HEATED = _names_of(d for d in CONSERVATIVE if d.potential and d.driven == "through")
-# Kinds of ports whose input is a potential and whose output is the integral of the flow, such as a
-# charge.
-CHARGED = _names_of(filter(attrgetter("charged"), CONSERVATIVE))
+MECHANICAL = _collect_names(filter(attrgetter("position"), CONSERVATIVE))
+POTENTIALS = _collect_names(filter(attrgetter("potential"), CONSERVATIVE))
+# Kinds whose port input is a flow and whose output is a potential: the flow is an unknown.
+FLOW_DRIVEN = _collect_names(d for d in CONSERVATIVE if d.potential and d.driven == "through")
+# Kinds of ports whose input is a potential and whose output is the time integral of the flow, such
+# as a charge.
+CHARGE_OUTPUTS = _collect_names(filter(attrgetter("charged"), CONSERVATIVE))
 GROUND = "gnd"
 
 
@@ -46,7 +46,7 @@ GROUND = "gnd"
 class LawPin:
     """Named pin of a law.
 
-    A ``grounded`` pin is on the reference if it is joined to no other pin.
+    A ``grounded`` pin is connected to the reference if no other pin is joined to it.
     """
 
     name: str
@@ -56,7 +56,7 @@ class LawPin:
 
 @dataclass(frozen=True)
 class Reading:
-    """A result by the integrator's waves: ``sum factor wave + constant``.
+    """Result as a linear combination of the integrator's waves: ``sum factor wave + constant``.
 
     ``terms`` are the pairs ``(factor, wave)``. ``charge`` divides an ac result by ``j omega``, and
     a current becomes a charge.
@@ -76,13 +76,13 @@ class Reading:
         return np.asarray(sum(factor * waves[wave] for factor, wave in self.terms))
 
 
-def reading(wave: str, factor: float = 1.0, constant: float = 0.0) -> Reading:
-    """Make the reading ``factor`` times one wave, plus ``constant``."""
+def scaled_wave(wave: str, factor: float = 1.0, constant: float = 0.0) -> Reading:
+    """Make a reading of ``factor`` times one wave, plus ``constant``."""
     return Reading(((factor, wave),), constant)
 
 
-def difference(plus: str, minus: str) -> Reading:
-    """Make the reading of one wave less another."""
+def wave_difference(plus: str, minus: str) -> Reading:
+    """Make a reading of one wave minus another."""
     return Reading(((1.0, plus), (-1.0, minus)))
 
 
@@ -107,7 +107,7 @@ class Equations:
 
 @dataclass(frozen=True)
 class LawPort:
-    """A port of a :class:`SecondOrderBody`: one column of B, one row of C.
+    """Port of a :class:`SecondOrderBody`: one column of B, one row of C.
 
     Electrical: voltage in, charge out; ``ret`` names the pin of its return. Acoustic: pressure in,
     volume out. Mechanical: force in, displacement out. ``acceleration``: acceleration of the base
@@ -121,7 +121,7 @@ class LawPort:
 
 @dataclass(frozen=True, eq=False)
 class SecondOrderBody:
-    """Body ``M x'' + E x' + K x = B in``, ``out = C x + D in`` of a small model.
+    """Body with the equations ``M x'' + E x' + K x = B in``, ``out = C x + D in``.
 
     The ``model`` has a dense ``pencil`` of second order, or of first order without M. The unknowns
     of the body are unknowns of the system of equations.
@@ -136,25 +136,26 @@ class SecondOrderBody:
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        return port_pins(self.ports)
+        """Pins of the ports and their returns."""
+        return make_port_pins(self.ports)
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Forces at mechanical ports with additional compliance, and flows of heat."""
+        """Forces at mechanical ports with additional compliance, and flows of heat, as states."""
         pairs = zip(self.ports, self.model.D, strict=True)
         return tuple(
             port.name
             for port, row in pairs
-            if port.kind in HEATED or (port.kind in MECHANICAL and row.any())
+            if port.kind in FLOW_DRIVEN or (port.kind in MECHANICAL and row.any())
         )
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Scales of the errors of the states."""
+        """Error scales of the states."""
         return (1e-3,) * len(self.states)
 
 
-def port_pins(ports: tuple[LawPort, ...]) -> tuple[LawPin, ...]:
+def make_port_pins(ports: tuple[LawPort, ...]) -> tuple[LawPin, ...]:
     """Make a pin for each port, and for the returns.
 
     Accelerations, inputs and outputs are signals.
@@ -170,7 +171,7 @@ def port_pins(ports: tuple[LawPort, ...]) -> tuple[LawPin, ...]:
 
 @dataclass(frozen=True)
 class IdealSource:
-    """A prescribed quantity between ``out`` and ``ret``.
+    """Source that prescribes a quantity between ``out`` and ``ret``.
 
     ``kind`` is a quantity of :mod:`kc2spice.core.domains`, such as ``voltage`` between the pins or
     ``current`` out of ``out``, or ``signal``. An ``acceleration`` is on a signal pin. ``ac`` is the
@@ -184,7 +185,7 @@ class IdealSource:
 
     @property
     def domain(self) -> Domain:
-        """Domain of its pins."""
+        """Domain of the pins of the source."""
         return SIGNALS if self.kind == SIGNALS.name else QUANTITIES[self.kind][0]
 
     @property
@@ -199,6 +200,7 @@ class IdealSource:
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
+        """Pins of the source."""
         kind = self.domain.kind_of_law
         if self.signal:
             return (LawPin("out", kind),)
@@ -207,7 +209,7 @@ class IdealSource:
 
 @dataclass(frozen=True)
 class Tap:
-    """Input of a device: across of ``pin`` less ``minus`` and ``less``, or its rate."""
+    """Input of a device: across quantity of ``pin`` minus ``minus`` and ``less``, or its rate."""
 
     pin: str
     minus: str = ""
@@ -247,21 +249,21 @@ class Device(ABC):
     @property
     @abstractmethod
     def pins(self) -> tuple[LawPin, ...]:
-        """All pins."""
+        """All pins of the device."""
 
     @property
     @abstractmethod
     def taps(self) -> tuple[Tap, ...]:
-        """Waves that the law reads."""
+        """Across quantities and rates that are inputs of the law."""
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Flows that the law exerts."""
+        """Through quantities that the law exerts."""
         return ()
 
     @property
     def charged(self) -> tuple[int, ...]:
-        """Numbers of the flows that contain the rate of a charge or the like."""
+        """Indices of the flows that contain the rate of a stored quantity, such as a charge."""
         return ()
 
     @property
@@ -276,7 +278,7 @@ class Device(ABC):
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Scales of the errors of the states: currents in A, forces in N."""
+        """Error scales of the states: currents in A, forces in N."""
         return (1e-3,) * len(self.states)
 
     @property
@@ -299,23 +301,23 @@ class Device(ABC):
 
     @abstractmethod
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """``out`` (k,) and its derivative (k, m) by ``e``."""
+        """Return ``out`` (k,) and its derivative (k, m) with respect to ``e``."""
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Stored quantities (len(states) + len(charged),) and their derivatives by ``e``."""
+        """Return the stored quantities (len(states) + len(charged),) and their derivatives."""
         k, m = len(self.states), len(e)
         return e[m - k :], np.eye(k, m, m - k)
 
     def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """``out`` (k,) without its derivative."""
+        """Return ``out`` (k,) without its derivative."""
         return self.evaluate(e, mode)[0]
 
     def evaluate_store(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Stored quantities without their derivatives."""
+        """Return the stored quantities without their derivatives."""
         return self.store(e, mode)[0]
 
     def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Compute derivatives for small signals ``exp(s t)`` about ``e``.
+        """Compute derivatives for small signals ``exp(s t)`` around ``e``.
 
         The results are the derivatives of ``out`` (k, m) and of the store (len(states), m).
 
@@ -336,7 +338,7 @@ class Device(ABC):
         return None
 
     def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Compute values (g,) that are positive within the mode."""
+        """Compute values (g,) that stay positive within the mode."""
         return np.empty(0)
 
     def switch(self, mode: Any, guard: int) -> Any:
@@ -358,12 +360,12 @@ class Device(ABC):
 Law = SecondOrderBody | IdealSource | Device
 
 MICRO = 1e-6  # m, unit of displacements in the scaled equations
-GROWING = 1e3  # 1/s, rate of growth of a load on a body that is free to move
+GROWTH_RATE = 1e3  # 1/s, growth rate of the load on an unsupported body
 
 
 @dataclass(frozen=True, eq=False)
 class Relation:
-    """Relation ``y = H a + free`` of loads (inputs,) and outputs (outputs,).
+    """Relation ``y = H a + free`` between loads (inputs,) and outputs (outputs,).
 
     A relation describes a linear body at rest, at one frequency, or within one stage of an implicit
     time step; ``free`` is then the effect of the past.
@@ -375,7 +377,7 @@ class Relation:
 
 @dataclass(frozen=True, eq=False)
 class PortBody(Device):
-    """Linear model of any size as a relation at its ports.
+    """Linear model of any size, represented by a relation at its ports.
 
     The mode of the body is a :class:`Relation`. Loads are forces [N], voltages [V], accelerations
     and signals, in the order of the ports with a column of B. Outputs are displacements [m],
@@ -392,7 +394,8 @@ class PortBody(Device):
     known: dict[complex, np.ndarray] = field(default_factory=dict)
 
     @cached_property
-    def _loads(self) -> tuple[LawPort, ...]:
+    def _load_ports(self) -> tuple[LawPort, ...]:
+        """Ports whose input is a load of the model."""
         return tuple(port for port in self.ports if port.kind != "output")
 
     @cached_property
@@ -402,43 +405,48 @@ class PortBody(Device):
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        return port_pins(self.ports)
+        """Pins of the ports."""
+        return make_port_pins(self.ports)
 
     @property
     def taps(self) -> tuple[Tap, ...]:
-        return tuple(Tap(port.name, port.ret) for port in self._loads)
+        """Across quantities that are inputs of the device."""
+        return tuple(Tap(port.name, port.ret) for port in self._load_ports)
 
     @property
     def flows(self) -> tuple[Flow, ...]:
+        """Through quantities that the device exerts."""
         return tuple(Flow(port.name, port.ret) for port in self._flow_ports)
 
     @property
     def states(self) -> tuple[str, ...]:
+        """Names of the through quantities that are unknowns."""
         return tuple(f"{port.name}.through" for port in self._flow_ports)
 
     @property
     def prescribes(self) -> tuple[str, ...]:
+        """Signal pins that the body sets."""
         return tuple(port.name for port in self.ports if port.kind == "output")
 
     @cached_property
     def _port_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Matrices of ``a = load @ e``, ``charges = stored @ y`` and the outputs.
+        """Matrices of the loads ``a = load @ e``, of the charges and of the outputs.
 
-        The outputs are ``out = direct @ e + answered @ y``.
+        The charges are ``stored @ y`` and the outputs ``out = direct @ e + answered @ y``.
         """
-        n, k, drives = len(self._loads), len(self._flow_ports), len(self.prescribes)
+        n, k, drives = len(self._load_ports), len(self._flow_ports), len(self.prescribes)
         rows = [port for port in self.ports if port.kind != "input"]
         load, stored = np.zeros((n, n + k)), np.zeros((k, len(rows)))
         direct, answered = np.zeros((2 * k + drives, n + k)), np.zeros((2 * k + drives, len(rows)))
         direct[:k, n:] = np.eye(k)
-        for row, port in enumerate(self._loads):
-            force = port.kind in (*MECHANICAL, *HEATED)
+        for row, port in enumerate(self._load_ports):
+            force = port.kind in (*MECHANICAL, *FLOW_DRIVEN)
             load[row, n + self._flow_ports.index(port) if force else row] = 1.0
         for at, port in enumerate(self._flow_ports):
-            if port.kind in POTENTIALS and port.kind not in HEATED:
+            if port.kind in POTENTIALS and port.kind not in FLOW_DRIVEN:
                 stored[at, rows.index(port)] = direct[k + at, n + at] = 1.0
             else:
-                direct[k + at, self._loads.index(port)] = 1 / MICRO
+                direct[k + at, self._load_ports.index(port)] = 1 / MICRO
                 answered[k + at, rows.index(port)] = -1 / MICRO
         for at, name in enumerate(self.prescribes, 2 * k):
             answered[at, list(map(attrgetter("name"), rows)).index(name)] = 1.0
@@ -452,13 +460,13 @@ class PortBody(Device):
     def at_rest(self) -> Relation:
         """Static relation of loads and displacements.
 
-        A body that is free to move has no constant load, because such a scene is refused. Any
+        A scene with a constant load on an unsupported body is rejected. Any
         finite relation keeps the body in place; this one is the response to a growing load.
         """
         try:
             H = self.transfer(0.0)
         except SimulationError:
-            H = self.known[0.0] = self.transfer(GROWING)
+            H = self.known[0.0] = self.transfer(GROWTH_RATE)
         return Relation(H.real, np.zeros(len(H)))
 
     def transfer(self, s: complex) -> np.ndarray:
@@ -468,25 +476,30 @@ class PortBody(Device):
         return self.known[s]
 
     def mode(self, e: np.ndarray) -> Relation:
+        """Return the relation at rest."""
         return self.at_rest
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        slope = self._slope(mode.H)
+        """Return ``out`` and its derivative from the relation of the mode."""
+        slope = self._compute_slope(mode.H)
         return slope @ e + self._port_matrices[3] @ mode.free, slope
 
-    def _slope(self, H: np.ndarray) -> np.ndarray:
+    def _compute_slope(self, H: np.ndarray) -> np.ndarray:
+        """Return the derivative of ``out`` for a response matrix ``H``."""
         load, _, direct, answered = self._port_matrices
         return direct + answered @ H @ load
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the charges and their derivatives."""
         load, stored, _, _ = self._port_matrices
         slope = stored @ mode.H @ load
         return slope @ e + stored @ mode.free, slope
 
     def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives of ``out`` and of the charges at ``s``."""
         load, stored, _, _ = self._port_matrices
         H = self.transfer(s) if s else self.at_rest.H
-        return self._slope(H), stored @ H @ load
+        return self._compute_slope(H), stored @ H @ load
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
         """Compute noise of the density ``4 k T (s H + (s H)^H) / (2 |s|^2)``.
@@ -495,7 +508,7 @@ class PortBody(Device):
 
         Loads times rates of outputs are power.
         """
-        if any(port.kind in ("input", "output", *HEATED) for port in self.ports):
+        if any(port.kind in ("input", "output", *FLOW_DRIVEN) for port in self.ports):
             return None
         _, stored, _, answered = self._port_matrices
         Y = s * self.transfer(s)
@@ -526,35 +539,42 @@ class SignalBlock(Device):
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
+        """Pins of the inputs and outputs."""
         kinds = dict.fromkeys(self.inputs, self.kind) | dict.fromkeys(self.outputs, "signal")
         return tuple(LawPin(*pin) for pin in kinds.items())
 
     @property
     def taps(self) -> tuple[Tap, ...]:
+        """Inputs of the block."""
         return tuple(map(Tap, self.inputs))
 
     @property
     def states(self) -> tuple[str, ...]:
+        """Names of the states."""
         return tuple(map("x{}".format, range(len(self.A))))
 
     @property
     def scales(self) -> tuple[float, ...]:
+        """Error scales of the states."""
         return (1.0,) * len(self.A)
 
     @property
     def prescribes(self) -> tuple[str, ...]:
+        """Signal pins that the block sets."""
         return self.outputs
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return outputs and rates, with their derivatives."""
         slope = np.block([[self.B, self.A], [self.D, self.C]])
         return slope @ e, slope
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return ``E x`` and its derivative."""
         slope = np.hstack([0.0 * self.B, self.E])
         return slope @ e, slope
 
 
-def sensor(name: str, gain: float, kind: str) -> SignalBlock:
+def sensor_block(name: str, gain: float, kind: str) -> SignalBlock:
     """Make a block with the signal ``out = gain across(a)``."""
     none, column = np.zeros((0, 0)), np.zeros((0, 1))
     D = np.array([[gain]])

@@ -1,4 +1,4 @@
-"""Two coils and a moving magnet: coenergy of height and currents, and its table.
+"""Coenergy of two coils and a moving magnet as a function of height and currents.
 
 The splines use numpy only, because loading the splines of scipy would take most of the loading time
 of a run with cached models.
@@ -15,22 +15,22 @@ import numpy as np
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.mesh_error import MESH_ERROR
+from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 
 
 @dataclass(frozen=True, eq=False)
 class Piecewise(EqualByContent):
-    """``p(x) = sum_k c[k, j] (x - knots[j])^k`` in the cell j that holds ``x``.
+    """Piecewise polynomial ``p(x) = sum_k c[k, j] (x - knots[j])^k`` in cell j.
 
-    ``knots`` (n,) ascend; ``c`` (degree + 1, n - 1, m) are m functions. The polynomials of the
-    outer cells go on beyond the knots.
+    ``knots`` (n,) ascend; ``c`` (degree + 1, n - 1, m) are m functions. The outer polynomials
+    continue beyond the first and last knot.
     """
 
     knots: np.ndarray
     c: np.ndarray
 
     def __call__(self, x: np.ndarray | float) -> np.ndarray:
-        """Values (..., m) at ``x`` (...)."""
+        """Return the values (..., m) at ``x`` (...)."""
         x = np.asarray(x, dtype=float)
         cell = np.searchsorted(self.knots[1:-1], x, side="right")
         step = (x - self.knots[cell])[..., None]
@@ -40,7 +40,7 @@ class Piecewise(EqualByContent):
         return value
 
     def integral(self) -> Piecewise:
-        """Antiderivative, continuous and 0 at the first knot."""
+        """Return the antiderivative, which is continuous and 0 at the first knot."""
         power = np.arange(1, self.c.shape[0] + 1)[:, None, None]
         rising = self.c / power
         cells = np.sum(rising * np.diff(self.knots)[:, None] ** power, axis=0)
@@ -52,11 +52,11 @@ class Piecewise(EqualByContent):
         return Piecewise(self.knots, self.c[1:] * np.arange(1, self.c.shape[0])[:, None, None])
 
     def add_constant(self, by: np.ndarray) -> Piecewise:
-        """The same functions plus the constants ``by`` (m,)."""
+        """Return the same functions plus the constants ``by`` (m,)."""
         return Piecewise(self.knots, np.concatenate([self.c[:1] + by, self.c[1:]]))
 
 
-def cubic_spline(x: np.ndarray, values: np.ndarray) -> Piecewise:
+def interpolate_by_splines(x: np.ndarray, values: np.ndarray) -> Piecewise:
     """Interpolate ``values`` (n, m) at ascending ``x`` (n,) by not-a-knot cubics.
 
     With two or three points the result is a line or a parabola.
@@ -88,22 +88,30 @@ def cubic_spline(x: np.ndarray, values: np.ndarray) -> Piecewise:
     return Piecewise(x, np.stack([values[:-1], slope, s[:-1] / 2, np.diff(s, axis=0) / (6 * h)]))
 
 
-CASES = np.array(list(product((-0.1, 0.0, 0.1), repeat=2)))  # A
-NEAR = 1e-6  # distance of two equal heights, relative to the range of the table
+TEST_CURRENTS = np.array(list(product((-0.1, 0.0, 0.1), repeat=2)))  # A, pairs of coil currents
+# largest distance of two equal heights, relative to the height range of the table
+HEIGHT_TOLERANCE = 1e-6
 # Order of convergence of the force on quadratic triangles: 4 where the field is smooth, less at
 # corners of magnets and coils; tests/physics/test_magnetostatic.py limits the remaining error.
-ORDER = 3
+FORCE_CONVERGENCE_ORDER = 3
 
 
 # Linear magnetics: exponents of both currents that multiply each coefficient of the force.
-POWERS = {"c0": (0, 0), "c1": (1, 0), "c2": (0, 1), "c11": (2, 0), "c12": (1, 1), "c22": (0, 2)}
-FORCE = tuple(POWERS)
+CURRENT_EXPONENTS = {
+    "c0": (0, 0),
+    "c1": (1, 0),
+    "c2": (0, 1),
+    "c11": (2, 0),
+    "c12": (1, 1),
+    "c22": (0, 2),
+}
+FORCE_COEFFICIENTS = tuple(CURRENT_EXPONENTS)
 
 
-def products(i1: Any, i2: Any) -> np.ndarray:
-    """The currents to all of these powers (..., 6)."""
+def current_products(i1: Any, i2: Any) -> np.ndarray:
+    """Return the products of both currents with all exponents (..., 6)."""
     i1, i2 = np.broadcast_arrays(np.asarray(i1, dtype=float), i2)
-    return np.stack([i1**a * i2**b for a, b in POWERS.values()], axis=-1)
+    return np.stack([i1**a * i2**b for a, b in CURRENT_EXPONENTS.values()], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -118,12 +126,12 @@ class Coenergy:
 
     @cached_property
     def slopes(self) -> tuple[Piecewise, Piecewise, Piecewise]:
-        """p and its first and second derivatives by the height."""
+        """Return ``p`` and its first and second derivatives with respect to the height."""
         first = self.terms.derivative()
         return self.terms, first, first.derivative()
 
     def inside(self, y: Any, where: str) -> np.ndarray:
-        """``y``, if it lies in the table.
+        """Return ``y`` if the table contains this height.
 
         Raises
         ------
@@ -142,17 +150,17 @@ class Coenergy:
         return y
 
     def force(self, y: Any, i1: Any, i2: Any) -> np.ndarray:
-        """Force on the sphere [N]; arguments broadcast. Raises as :meth:`inside`."""
+        """Return the force on the sphere [N]; arguments broadcast."""
         slopes = self.slopes[1](self.inside(y, "catch"))
-        return np.asarray((slopes * products(i1, i2)).sum(axis=-1))
+        return np.asarray((slopes * current_products(i1, i2)).sum(axis=-1))
 
     def inductances(self, y: Any) -> np.ndarray:
-        """Symmetric L (..., 2, 2) [H]. Raises as :meth:`inside`."""
+        """Return the symmetric inductance matrix (..., 2, 2) [H]."""
         return _current_hessian(self.terms(self.inside(y, "catch")))
 
 
 def _current_hessian(p: np.ndarray) -> np.ndarray:
-    """Second derivatives (..., 2, 2) of ``p . products`` by the currents."""
+    """Return the second derivatives (..., 2, 2) of ``p . products`` by the currents."""
     return np.stack([2 * p[..., 3], p[..., 4], p[..., 4], 2 * p[..., 5]], -1).reshape(
         *p.shape[:-1], 2, 2
     )
@@ -160,7 +168,7 @@ def _current_hessian(p: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class EMTable(EqualByContent):
-    """Result of the magnetostatic FE sweep over heights.
+    """Table of the magnetostatic FE solutions at several heights.
 
     The table is exact in the currents because the materials are linear.
 
@@ -175,7 +183,7 @@ class EMTable(EqualByContent):
     """
 
     def scale_magnets(self, remanence: float, shift: float) -> EMTable:
-        """Make the table of magnets with another remanence and height.
+        """Return the table for magnets with another remanence and height.
 
         The remanence is multiplied by ``remanence``, and the magnets are ``shift`` [m] higher. In
         linear materials the force between the magnets is proportional to the square of the
@@ -193,12 +201,13 @@ class EMTable(EqualByContent):
         )
 
     y: np.ndarray
-    coefficients: np.ndarray  # (n, 6) of the force, in the order of :data:`FORCE`
+    coefficients: np.ndarray  # (n, 6) of the force, in the order of :data:`FORCE_COEFFICIENTS`
     flux0: np.ndarray  # (n, 2)
     inductance: np.ndarray  # (n, 2, 2)
     resistance: np.ndarray  # (2,)
     unknowns: int
-    coarser: EMTable | None = None  # table at some of the heights, on a mesh half as fine
+    # the table at some of the heights, from a mesh with elements of twice the size
+    coarser: EMTable | None = None
 
     @cached_property
     def splines(self) -> Piecewise:
@@ -207,7 +216,7 @@ class EMTable(EqualByContent):
         These splines preserve the accuracy of the finite elements between 41 nodes; other end
         conditions and monotone interpolants do not.
         """
-        return cubic_spline(self.y, self.coefficients)
+        return interpolate_by_splines(self.y, self.coefficients)
 
     @cached_property
     def coenergy(self) -> Coenergy:
@@ -227,11 +236,11 @@ class EMTable(EqualByContent):
 
     @cached_property
     def facts(self) -> dict[str, float]:
-        """Characteristic values of the actuator.
+        """Characteristic values of the actuator: force, resistance and inductance.
 
         The force is the largest of the nine pairs of -0.1, 0 and 0.1 A in the coils.
         """
-        forces = em_cases(self, CASES)
+        forces = compute_test_forces(self, TEST_CURRENTS)
         return self.mesh_errors | {
             "unknowns": self.unknowns,
             "force_max_n": float(abs(forces).max()),
@@ -242,28 +251,31 @@ class EMTable(EqualByContent):
 
     @cached_property
     def mesh_errors(self) -> dict[str, float]:
-        """Estimated errors by the mesh: ``|f(2 h) - f(h)| / (2^p - 1)`` with p = 3.
+        """Estimated mesh errors ``|f(2 h) - f(h)| / (2^p - 1)`` with p = 3.
 
-        The errors are relative to the largest force of :data:`CASES` and to the largest inductance.
+        The errors are relative to the largest force for :data:`TEST_CURRENTS` and to the largest
+        inductance.
         """
         if self.coarser is None:
             return {}
-        rows = np.searchsorted(self.y, self.coarser.y - NEAR * np.ptp(self.y))
-        force = em_cases(self, CASES)
+        rows = np.searchsorted(self.y, self.coarser.y - HEIGHT_TOLERANCE * np.ptp(self.y))
+        force = compute_test_forces(self, TEST_CURRENTS)
         pairs = {
-            "force": (force, em_cases(self.coarser, CASES) - force[:, rows]),
+            "force": (force, compute_test_forces(self.coarser, TEST_CURRENTS) - force[:, rows]),
             "inductance": (self.inductance, self.coarser.inductance - self.inductance[rows]),
         }
         return {
-            f"{MESH_ERROR}{name}": float(abs(apart).max() / abs(fine).max() / (2**ORDER - 1))
+            f"{MESH_ERROR_PREFIX}{name}": float(
+                abs(apart).max() / abs(fine).max() / (2**FORCE_CONVERGENCE_ORDER - 1)
+            )
             for name, (fine, apart) in pairs.items()
             if fine.any()
         }
 
 
-def em_cases(table: EMTable, currents: np.ndarray) -> np.ndarray:
+def compute_test_forces(table: EMTable, currents: np.ndarray) -> np.ndarray:
     """Compute forces (m, n) [N] at the nodes for ``currents`` (m, 2).
 
-    The forces are the curves of Fig. 6 of the paper.
+    The paper shows these curves in Fig. 6.
     """
-    return np.array([products(i1, i2) @ table.coefficients.T for i1, i2 in currents])
+    return np.array([current_products(i1, i2) @ table.coefficients.T for i1, i2 in currents])

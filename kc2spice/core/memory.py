@@ -1,4 +1,4 @@
-"""Memory that this process can still use.
+"""Memory that this process can still allocate.
 
 The machine, control groups, and a shell or batch system limit the memory of a process.
 
@@ -12,8 +12,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-PAGE = "SC_PAGE_SIZE"
-UNLIMITED = 2**62  # bytes; control groups of version 1 write almost 2^63 for no limit
+PAGE_SIZE_NAME = "SC_PAGE_SIZE"
+UNLIMITED_BYTES = 2**62  # bytes; control groups of version 1 write almost 2^63 for no limit
 
 
 def available_bytes(root: Path = Path("/")) -> float:
@@ -24,24 +24,26 @@ def available_bytes(root: Path = Path("/")) -> float:
     """
     known = [
         *_free_memory_of_machine(root),
-        *_free_memory_of_groups(root),
+        *_free_memory_of_control_groups(root),
         *_free_memory_below_limits(root),
     ]
     return max(min(known), 0.0) if known else _free_pages()
 
 
 def _free_pages() -> float:
-    return float(os.sysconf(PAGE)) * os.sysconf("SC_PHYS_PAGES")
+    """Return the size of the free pages [B]."""
+    return float(os.sysconf(PAGE_SIZE_NAME)) * os.sysconf("SC_PHYS_PAGES")
 
 
 def _free_memory_of_machine(root: Path) -> Iterator[float]:
+    """Yield the available memory of the machine [B]."""
     free = _read_field(root / "proc/meminfo", "MemAvailable:")
     if free is not None:
         yield 1024.0 * free
 
 
-def _free_memory_of_groups(root: Path) -> Iterator[float]:
-    """Free memory of each control group of this process.
+def _free_memory_of_control_groups(root: Path) -> Iterator[float]:
+    """Yield the free memory of each control group of this process [B].
 
     File pages that can be reclaimed are free.
     """
@@ -59,7 +61,7 @@ def _free_memory_of_groups(root: Path) -> Iterator[float]:
         # the path of the control group may be invisible in a container
         for folder in (here, *here.parents):
             limit, used = (_read_number(mount / folder / name) for name in names)
-            if limit is None or used is None or limit >= UNLIMITED:
+            if limit is None or used is None or limit >= UNLIMITED_BYTES:
                 continue
             stat = mount / folder / "memory.stat"
             files = (
@@ -71,7 +73,7 @@ def _free_memory_of_groups(root: Path) -> Iterator[float]:
 
 
 def _free_memory_below_limits(root: Path) -> Iterator[float]:
-    """Memory below the limits of address space and data segment (``ulimit``)."""
+    """Yield the free memory below the limits of address space and data segment (``ulimit``) [B]."""
     try:
         import resource
     except ImportError:  # Windows
@@ -85,7 +87,7 @@ def _free_memory_below_limits(root: Path) -> Iterator[float]:
 
 
 def _read_field(path: Path, name: str) -> float | None:
-    """The number behind a name in a file of lines ``NAME NUMBER``."""
+    """Return the number behind a name in a file of lines ``NAME NUMBER``."""
     for line in _read_text(path).splitlines():
         words = line.split()
         if len(words) > 1 and words[0] == name:
@@ -94,11 +96,13 @@ def _read_field(path: Path, name: str) -> float | None:
 
 
 def _read_number(path: Path) -> float | None:
+    """Return the number in a file, None if there is none."""
     text = _read_text(path).strip()
     return float(text) if text.isdigit() else None
 
 
 def _read_text(path: Path) -> str:
+    """Return the text of a file, empty if it is unreadable."""
     try:
         return path.read_text(encoding="ascii")
     except (OSError, UnicodeDecodeError):

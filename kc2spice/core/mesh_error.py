@@ -1,7 +1,7 @@
-"""Names and words of the facts of a model that state the error of its mesh.
+"""Estimated mesh errors of a model: names of the values, and their descriptions.
 
 ``mesh_error_resonance`` is the estimated relative error of the first resonance, and so on. Parts
-that solve a field on a mesh or on rings write these facts; results, headers and ``explain`` print
+that solve a field on a mesh or on rings write these values; results, headers and ``explain`` print
 them.
 """
 
@@ -10,15 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-IN_PLANE = 4.0  # number of unknowns of a plane mesh that need as much time as one unknown in space
-MESH_ERROR = "mesh_error_"  # begins the names of facts that are relative errors of other facts
+# number of unknowns of a plane mesh that take as long as one unknown of a solid mesh
+PLANE_UNKNOWN_RATIO = 4.0
+MESH_ERROR_PREFIX = "mesh_error_"  # prefix of values that are relative errors of other values
 NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"
 
 
 class MeshQuantity(NamedTuple):
-    """Quantity that depends on the mesh.
+    """Quantity of a model that depends on the mesh.
 
-    ``values`` is the pattern of the facts that state it. A run warns and ``verify`` fails if its
+    ``values`` is the pattern of the names of its values. A run warns and ``verify`` fails if its
     relative error exceeds ``coarse``, a usual tolerance of data sheets.
     """
 
@@ -27,7 +28,7 @@ class MeshQuantity(NamedTuple):
     coarse: float | None = None
 
 
-MESH_QUANTITIES = {  # by the rest of the name of the fact that states the error
+MESH_QUANTITIES = {  # keyed by the suffix of the name of the error
     "resonance": MeshQuantity("first resonance", "resonance_short_hz", 0.03),
     "capacitance": MeshQuantity("capacitance", "capacitance_free_f", 0.05),
     "stroke": MeshQuantity("stroke", "free_stroke_*", 0.1),
@@ -41,31 +42,32 @@ MESH_QUANTITIES = {  # by the rest of the name of the fact that states the error
 
 
 def mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
-    """List the estimated relative mesh errors, by words for the quantities."""
+    """List the estimated relative mesh errors, keyed by a description of the quantity."""
     return {item.words: error for item, error in _estimates(facts)}
 
 
 def limited_errors(facts: Mapping[str, float]) -> Iterator[tuple[str, float, float]]:
-    """Yield the words, the estimated error and the limit of each quantity that has a limit."""
+    """Yield description, estimated error and limit of each quantity that has a limit."""
     for item, error in _estimates(facts):
         if item.coarse is not None:
             yield item.words, error, item.coarse
 
 
-def mesh_facts(facts: Mapping[str, float]) -> dict[str, float]:
-    """Select the ``facts`` that :func:`mesh_errors` reads."""
-    names = filter(facts.__contains__, map(MESH_ERROR.__add__, MESH_QUANTITIES))
+def select_mesh_values(facts: Mapping[str, float]) -> dict[str, float]:
+    """Select the values of a model that :func:`mesh_errors` reads."""
+    names = filter(facts.__contains__, map(MESH_ERROR_PREFIX.__add__, MESH_QUANTITIES))
     return {name: float(facts[name]) for name in names}
 
 
 def _estimates(facts: Mapping[str, float]) -> Iterator[tuple[MeshQuantity, float]]:
+    """Yield each quantity with its estimated error."""
     for name, item in MESH_QUANTITIES.items():
-        if f"{MESH_ERROR}{name}" in facts:
-            yield item, facts[f"{MESH_ERROR}{name}"]
+        if f"{MESH_ERROR_PREFIX}{name}" in facts:
+            yield item, facts[f"{MESH_ERROR_PREFIX}{name}"]
 
 
 def describe_mesh_errors(facts: Mapping[str, float]) -> str:
-    """Estimated errors of a mesh in words, empty without an estimate.
+    """Describe the estimated mesh errors; the text is empty without an estimate.
 
     Parameters
     ----------

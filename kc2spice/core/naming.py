@@ -1,4 +1,4 @@
-"""Names of things that have one: ports, pins, parts, branches."""
+"""Names of objects such as ports, pins, parts and branches."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class Named(Protocol):
-    """An object with a name."""
+    """Protocol of an object with a name."""
 
     @property
     def name(self) -> str:

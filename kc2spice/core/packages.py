@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 
 _OS_RELEASE = Path("/etc/os-release")
-# First words of the command for each ID or ID_LIKE of /etc/os-release(5).
-_COMMANDS = {
+# First words of the install command, keyed by ID or ID_LIKE of /etc/os-release(5).
+_INSTALL_COMMANDS = {
     "debian": "apt-get install",
     "ubuntu": "apt-get install",
     "fedora": "dnf install",
@@ -21,10 +21,10 @@ _COMMANDS = {
     "darwin": "brew install",
     "win32": "scoop bucket add extras; scoop install",  # its bucket contains ngspice
 }
-# Package on other systems for each Debian package. The gmsh wheels of macOS and Windows contain the
-# libraries that the mesher loads.
-_NAMES = {
-    _COMMANDS["fedora"]: {
+# Package names on other systems, keyed by Debian package. The gmsh wheels of macOS and Windows
+# contain the libraries that gmsh loads.
+_PACKAGE_NAMES = {
+    _INSTALL_COMMANDS["fedora"]: {
         "ngspice": "ngspice",
         "libngspice0": "libngspice",
         "libglu1-mesa": "mesa-libGLU",
@@ -39,8 +39,8 @@ _NAMES = {
         "libfontconfig1": "fontconfig",
         "libgomp1": "libgomp",
     },
-    _COMMANDS["darwin"]: {"ngspice": "ngspice", "libngspice0": "libngspice"},
-    _COMMANDS["win32"]: {"ngspice": "ngspice"},
+    _INSTALL_COMMANDS["darwin"]: {"ngspice": "ngspice", "libngspice0": "libngspice"},
+    _INSTALL_COMMANDS["win32"]: {"ngspice": "ngspice"},
 }
 
 
@@ -64,8 +64,8 @@ def install_command(*packages: str) -> str:
     True
     """
     command = _find_command(sys.platform, _read_os_release())
-    names = _NAMES.get(command, {})
-    if command == _COMMANDS["debian"]:
+    names = _PACKAGE_NAMES.get(command, {})
+    if command == _INSTALL_COMMANDS["debian"]:
         names = dict(zip(packages, packages, strict=True))
     if set(packages) <= set(names):
         return " ".join((command, *map(names.__getitem__, packages)))
@@ -73,16 +73,16 @@ def install_command(*packages: str) -> str:
 
 
 def _find_command(platform: str, release: str) -> str:
-    """First words of the install command of a system; empty if it is unknown."""
+    """Return the first words of the install command of a system; empty if unknown."""
     systems = [platform]
     if platform == "linux":
         fields = dict(line.split("=", 1) for line in release.splitlines() if "=" in line)
         systems = f"{fields.get('ID', '')} {fields.get('ID_LIKE', '')}".replace('"', "").split()
-    return next(filter(None, map(_COMMANDS.get, systems)), "")
+    return next(filter(None, map(_INSTALL_COMMANDS.get, systems)), "")
 
 
 def _read_os_release() -> str:
-    """Text of /etc/os-release, empty on systems without that file."""
+    """Return the text of /etc/os-release, empty on systems without that file."""
     try:
         return _OS_RELEASE.read_text(encoding="utf-8")
     except OSError:

@@ -1,20 +1,20 @@
-"""Numbers in readable form: SI prefixes, percent, and 0 for rounding errors."""
+"""Readable numbers: SI prefixes, percent, and 0 for rounding errors."""
 
 from __future__ import annotations
 
 import math
 
 PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
-# Units that contain a prefix: the unit without it, and the factor of the prefix.
+# Units with a prefix: the unit without its prefix, and the factor of the prefix.
 _PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
 _SHOWN_UNITS = {"Ohm": "Ω", "kg s2": "kg·s²"}
-LARGEST_MASS = 1e3  # kg, printed with a prefix below
-_RATIOS = "of ", "relative"  # words with which the unit of a ratio begins
+LARGEST_MASS = 1e3  # kg; larger masses are printed without a further prefix
+_RATIO_WORDS = "of ", "relative"  # first words of the unit of a ratio
 ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a number
 
 
 def prefix_power(value: float) -> int:
-    """Exponent of the SI prefix of a number, 0 if no prefix exists.
+    """Return the exponent of the SI prefix of a number, 0 if no prefix exists.
 
     Examples
     --------
@@ -36,17 +36,18 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
     if unit in _PREFIXED_UNITS:
         plain, factor = _PREFIXED_UNITS[unit]
         if unit == "kg" and abs(value) >= LARGEST_MASS:
-            return f"{value:.{digits}g} kg"  # gigagrams are unusual
+            return f"{value:.{digits}g} kg"  # gigagrams are not in use
         return format_quantity(factor * value, plain, digits)
-    return _with_prefix(value, unit, digits, prefix_power(value))
+    return _format_with_prefix(value, unit, digits, prefix_power(value))
 
 
 def _takes_prefix(unit: str) -> bool:
-    """Return False for an empty unit and for a phrase such as ``of the peak``."""
+    """Return whether a unit takes a prefix; a phrase such as ``of the peak`` does not."""
     return bool(unit) and (" " not in unit or " per " in unit)
 
 
-def _with_prefix(value: float, unit: str, digits: int, power: int) -> str:
+def _format_with_prefix(value: float, unit: str, digits: int, power: int) -> str:
+    """Return the number with the SI prefix of 10^``power``."""
     sign = "−" if value < 0.0 else ""
     digits_text = f"{abs(value) / 10.0**power:.{digits}g}"
     return f"{sign}{digits_text} {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
@@ -65,7 +66,7 @@ def format_ratio(value: float | None) -> str:
 
 
 def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
-    """Return both with one prefix: 406 kHz and 500 kHz for 4.06e5, 5e5 and ``Hz``.
+    """Return a value and its limit with the same prefix: 406 kHz and 500 kHz.
 
     A limit of another order of magnitude has its own prefix. Rounding errors, relative to the
     limit, or to 1 for ratios, are printed as 0. Ratios, whose unit is ``of …`` or ``relative …``,
@@ -81,7 +82,7 @@ def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, 
     prefixed = _takes_prefix(unit)
     if abs(value) < ROUNDING_NOISE * max(abs(limit), 0.0 if prefixed else 1.0):
         value = 0.0
-    if unit.startswith(_RATIOS):
+    if unit.startswith(_RATIO_WORDS):
         words = unit.removeprefix("relative")
         joint = "" if words.startswith(",") else " "
         return f"{100 * value:.3g} %{joint}{words}".rstrip(), f"{100 * limit:.3g} %"
@@ -95,4 +96,6 @@ def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, 
     power = prefix_power(value)
     digits_text = f"{abs(limit) / 10.0**power:.10g}"
     digits = max(3, len(digits_text.partition(".")[0]))
-    return _with_prefix(value, unit, 3, power), _with_prefix(limit, unit, digits, power)
+    return _format_with_prefix(value, unit, 3, power), _format_with_prefix(
+        limit, unit, digits, power
+    )

@@ -1,4 +1,4 @@
-"""Progress and wall time of the stages of a study.
+"""Progress and wall time of the stages of a run.
 
 ``logging.getLogger("kc2spice")`` logs the start of every stage at the level INFO, and its wall time
 at DEBUG. Nothing is printed unless the caller adds a handler.
@@ -14,26 +14,26 @@ from dataclasses import dataclass, field
 
 Progress = Callable[[str, float | None, str], None]
 
-ERROR_BUDGET = "error budget"  # stage that announces the limits of refined meshes
+ERROR_BUDGET = "error budget"  # stage that logs the error limits of the refined settings
 LOGGER = logging.getLogger("kc2spice")
 LOGGER.addHandler(logging.NullHandler())
 STAGES = ("mesh", "assemble", "reduce", "magnetics", "export", "simulate", "report")
 
 
-def silent(stage: str, done: float | None, text: str) -> None:
-    """Report nothing."""
+def ignore_progress(stage: str, done: float | None, text: str) -> None:
+    """Accept a progress value without any effect."""
 
 
 @dataclass
 class Clock:
-    """Wall time by stage; 0 for a stage that was skipped or came from the cache."""
+    """Wall time [s] of each stage; 0 for a stage that was skipped or cached."""
 
-    progress: Progress = silent
+    progress: Progress = ignore_progress
     wall_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))
 
     @contextmanager
-    def stage(self, name: str, text: str) -> Iterator[Callable[[float], None]]:
-        """Announce and time a stage, and yield a function that takes the share done."""
+    def time_stage(self, name: str, text: str) -> Iterator[Callable[[float], None]]:
+        """Log and time a stage, and yield a function that reports the completed fraction."""
         self.progress(name, None, text)
         LOGGER.info("%s: %s", name, text)
         start = time.perf_counter()

@@ -30,14 +30,14 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from kc2spice.core.domains import QUANTITIES
-from kc2spice.core.errors import UsageError, candidates, did_you_mean
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 
 AIR_DENSITY = 1.204  # kg/m3 at 20 °C and 1013 hPa
 SOUND_SPEED = 343.2  # m/s in dry air at 20 °C
 
 KeyPath = tuple[str | int, ...]
 # Names that pydantic gives to members of a union, such as ``dict[str,float]``; they are not keys.
-_MEMBER = re.compile(r"\]$|^(float|int|str|bool)$")
+_UNION_MEMBER = re.compile(r"\]$|^(float|int|str|bool)$")
 
 
 def describe_invalid(
@@ -47,30 +47,30 @@ def describe_invalid(
     also: Sequence[str] = (),
     table: object = None,
 ) -> tuple[KeyPath, dict[str, Any]]:
-    """Path of the first invalid key, and its message, got, expected and hint.
+    """Return the path of the first invalid key, and its message, got, expected and hint.
 
-    An unknown key comes before one that is missing, which it may stand for. ``at`` is the path of
-    the table, ``also`` are accepted keys besides those of the ``schema``, ``table`` is the table as
-    typed.
+    An unknown key is reported before a missing key, because it may be a misspelling of it. ``at``
+    is the path of the table, ``also`` are accepted keys besides those of the ``schema``, ``table``
+    is the table as typed.
     """
     every = error.errors()
     result = next((item for item in every if item["type"] == "extra_forbidden"), every[0])
-    path = tuple(step for step in result["loc"] if not _MEMBER.search(str(step)))
-    typed = _value_at(table, path, result["input"])
-    # the error belongs to a table that is checked as a whole
+    path = tuple(step for step in result["loc"] if not _UNION_MEMBER.search(str(step)))
+    typed = _find_value(table, path, result["input"])
+    # the error belongs to a whole table
     if key := result.get("ctx", {}).get("key"):
         below = tuple(int(step) if step.isdecimal() else step for step in key.split("."))
-        path, typed = (*path, *below), _value_at(typed, below, None)
+        path, typed = (*path, *below), _find_value(typed, below, None)
     full_path, kind = (*at, *path), result["type"]
-    message, expected, hint = _explain(result, schema, full_path, also)
-    # If keys contradict each other, the message contains the reason.
+    message, expected, hint = _explain_invalid(result, schema, full_path, also)
+    # for contradictory keys, the message of the validator contains the reason
     contradicts = kind == "value_error" and isinstance(typed, Mapping)
     got = None if contradicts or kind in ("extra_forbidden", "missing") else display_text(typed)
     return full_path, {"message": message, "got": got, "expected": expected, "hint": hint}
 
 
-def _value_at(table: object, path: KeyPath, converted: Any) -> Any:
-    """Return the value at ``path`` of a table, or the value in SI if ``converted``."""
+def _find_value(table: object, path: KeyPath, converted: Any) -> Any:
+    """Return the value at ``path`` of a table, in SI units if ``converted``."""
     if isinstance(converted, Mapping):
         return converted
     for step in path:
@@ -83,22 +83,27 @@ def _value_at(table: object, path: KeyPath, converted: Any) -> Any:
     return table
 
 
-def _explain(
+def _explain_invalid(
     details: ErrorDetails, schema: type[BaseModel], full_path: KeyPath, also: Sequence[str]
 ) -> tuple[str, str | None, str | None]:
+    """Return message, got, expected and hint of a validation error."""
     path, context = details["loc"], details.get("ctx", {})
     match details["type"]:
         case "extra_forbidden":
-            table_schema = _schema_at(schema, path)
+            table_schema = _find_schema(schema, path)
             fields = [*table_schema.model_fields, *(also if len(path) == 1 else ())]
             word, every = str(path[-1]), (join_path(item) for item, _ in list_keys(schema))
             near = did_you_mean(word, fields) or did_you_mean(word, every)
             near = (
-                _replacement_hints(table_schema).get(word)
-                or _suggest_other_word(word, fields)
+                _list_replacement_hints(table_schema).get(word)
+                or _suggest_key(word, fields)
                 or near
             )
-            return "unknown key", "one of " + candidates(word, fields, _key_list(schema)), near
+            return (
+                "unknown key",
+                "one of " + list_candidates(word, fields, _help_command(schema)),
+                near,
+            )
         case "missing":
             return (
                 f"{join_path(full_path)} is missing",
@@ -109,7 +114,9 @@ def _explain(
             if full_path[0] in (
                 "title",
                 "include",
-            ):  # the text is written into the netlist, where a line is a command
+                # the text is written into the netlist, where a line break would begin a new
+                # statement
+            ):
                 expected = "one line of text without control characters"
             return "not allowed", expected, None
         case "quantity":
@@ -117,7 +124,7 @@ def _explain(
         case "literal_error":
             choices = re.findall(r"'?(\w+)'?(?:, | or |$)", context["expected"])
             near = did_you_mean(str(details["input"]), choices)
-            listed = candidates(details["input"], choices, _key_list(schema))
+            listed = list_candidates(details["input"], choices, _help_command(schema))
             return "no such choice", f"one of {listed}", near
         case "int_type":
             return "not a whole number", "a whole number, without quotes", None
@@ -138,7 +145,7 @@ def _explain(
             )
             one = (
                 " … " if keys is None else f"{{ {keys} }}"
-            )  # user wrote a table where a list of tables is required
+            )  # the user wrote a table, but the schema requires a list of tables
             return "not a list", f"a list, {full_path[-1]} = [{one}]", None
         case "too_short" | "too_long" as kind:
             too_short = kind == "too_short"
@@ -152,7 +159,7 @@ def _explain(
         case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal":
             sign = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
             limit = ", ".join(f"{sign[key]} {bound:g}" for key, bound in context.items())
-            unit = _unit_at(schema, path)
+            unit = _find_unit(schema, path)
             hint = _suggest_value(join_path(full_path), details["input"], context, unit or "")
             return "out of range", f"{limit} {unit or ''}".rstrip(), hint
         case "value_error":
@@ -161,7 +168,7 @@ def _explain(
 
 
 def _suggest_value(key: str, value: object, limits: Mapping[str, float], unit: str) -> str:
-    """Suggest how to bring the value of a key inside the violated one of its limits."""
+    """Suggest a value within the limits of the key."""
     (kind, bound), *_ = limits.items()
     lower = kind in ("gt", "ge")
     if lower and isinstance(value, (int, float)) and value < 0 and -value > bound:
@@ -170,8 +177,8 @@ def _suggest_value(key: str, value: object, limits: Mapping[str, float], unit: s
     return f"{'raise' if lower else 'lower'} {key} {preposition} {bound:g} {unit}".rstrip()
 
 
-# Words that another key replaces, and the relation of both.
-_OTHER_WORDS = {
+# Common names that the schema replaces by another key, and their relation.
+_REPLACED_NAMES = {
     "radius": ("diameter", "use the key diameter, which is twice the radius"),
     "diameter": ("radius", "use the key radius, which is half the diameter"),
     "height": ("thickness", "did you mean 'thickness'?"),
@@ -181,14 +188,14 @@ _OTHER_WORDS = {
 }
 
 
-def _suggest_other_word(word: str, fields: Sequence[str]) -> str | None:
-    """Suggest the key that the table has for the meaning of ``word``."""
-    key, hint = _OTHER_WORDS.get(word.lower(), ("", ""))
+def _suggest_key(word: str, fields: Sequence[str]) -> str | None:
+    """Suggest the key of the table that has the meaning of ``word``."""
+    key, hint = _REPLACED_NAMES.get(word.lower(), ("", ""))
     return hint if key in fields else None
 
 
-def _replacement_hints(table: type[BaseModel]) -> Mapping[str, str]:
-    """Return hints that replace the use of keys that a table lacks."""
+def _list_replacement_hints(table: type[BaseModel]) -> Mapping[str, str]:
+    """Return hints about which keys replace unsupported keys of a table."""
     return getattr(table, "absent", {})
 
 
@@ -196,7 +203,7 @@ def _explain_missing(
     schema: type[BaseModel], path: KeyPath, full_path: KeyPath
 ) -> tuple[str | None, str | None]:
     """Return the values that a missing key accepts, and the line to add."""
-    unit = _unit_at(schema, path)
+    unit = _find_unit(schema, path)
     table = join_path(full_path[:-1])
     value = f'"1 {unit}"' if unit else "VALUE"
     place = f"  to {table}" if table else ""
@@ -204,22 +211,22 @@ def _explain_missing(
     return expected, f"add  {full_path[-1]} = {value}{place}"
 
 
-def _unit_at(schema: type[BaseModel], path: KeyPath) -> str | None:
-    """SI unit of the key at ``path``, None without one.
+def _find_unit(schema: type[BaseModel], path: KeyPath) -> str | None:
+    """Return the SI unit of the key at ``path``, None without a unit.
 
     Numbers of list entries in the path are ignored.
     """
     names = tuple(step for step in path if isinstance(step, str))
     field = dict(list_keys(schema)).get(names)
-    return None if field is None else unit_of(field)
+    return None if field is None else find_unit(field)
 
 
-def _key_list(schema: type[BaseModel]) -> str | None:
+def _help_command(schema: type[BaseModel]) -> str | None:
     """Return the command or page that lists all keys of a table."""
     return getattr(schema, "listed", None)
 
 
-def _schema_at(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
+def _find_schema(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
     """Return the innermost schema that contains ``path``."""
     for step in path[:-1]:
         if step in schema.model_fields:
@@ -249,27 +256,27 @@ def submodel(annotation: Any) -> type[BaseModel] | None:
     return None
 
 
-def _metadata(field: FieldInfo) -> Iterator[Any]:
-    """Yield the metadata of a field, and those of its elements."""
+def _field_metadata(field: FieldInfo) -> Iterator[Any]:
+    """Yield the metadata of a field and of its elements."""
     yield from field.metadata
     for argument in get_args(field.annotation):
         yield from get_args(argument)[1:]
 
 
-def unit_of(field: FieldInfo) -> str | None:
+def find_unit(field: FieldInfo) -> str | None:
     """Return the SI unit to which the validator of a number converts.
 
     The unit may apply to each number of a list.
     """
-    for meta in _metadata(field):
+    for meta in _field_metadata(field):
         if isinstance(meta, BeforeValidator) and isinstance(meta.func, partial):
             return str(meta.func.args[0])
     return None
 
 
-def role_of(field: FieldInfo) -> Plausible | None:
-    """Range of plausible values of a key, None if the key declares none."""
-    return next((meta for meta in _metadata(field) if isinstance(meta, Plausible)), None)
+def plausible_range_of(field: FieldInfo) -> Plausible | None:
+    """Return the range of plausible values of a key, None if the key declares none."""
+    return next((meta for meta in _field_metadata(field) if isinstance(meta, Plausible)), None)
 
 
 def join_path(path: KeyPath) -> str:
@@ -279,7 +286,7 @@ def join_path(path: KeyPath) -> str:
 
 
 def display_text(value: Any) -> str:
-    """Format a value as TOML, or describe a number of too many digits."""
+    """Format a value as TOML, or describe a number with too many digits."""
     try:
         return clip_text(_format_toml(value))
     except ValueError:
@@ -306,7 +313,7 @@ EPSILON_0 = 8.8541878188e-12  # F/m, CODATA 2022; scipy.constants takes long to 
 MU_0 = 4e-7 * math.pi  # H/m
 
 BOLTZMANN = 1.380649e-23  # J/K, exact (SI, 2019)
-TEMPERATURE = 300.15  # K, of a simulation by default
+DEFAULT_TEMPERATURE = 300.15  # K, default temperature of a simulation (27 °C in SPICE)
 ELEMENTARY_CHARGE = 1.602176634e-19  # C, exact (SI, 2019)
 
 _PREFIX = {
@@ -328,8 +335,11 @@ _UNITS = {
 }  # fmt: skip
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)\s*(.*?)\s*", re.DOTALL)
 _FACTOR = re.compile(r"([A-Za-zµμ%]+|1)\^?(\d?)")
-_SPELLINGS = str.maketrans({"\u2126": "Ohm", "Ω": "Ohm", "²": "2", "³": "3", "·": " ", "*": " "})
-_LONGEST = 200  # characters, far above any meaningful text
+_UNIT_SPELLINGS = str.maketrans(
+    {"\u2126": "Ohm", "Ω": "Ohm", "²": "2", "³": "3", "·": " ", "*": " "}
+)
+# characters of a quantity with its unit; no meaningful text is that long
+_MAX_QUANTITY_LENGTH = 200
 
 
 def _look_up_unit(text: str) -> tuple[int, ...] | None:
@@ -344,12 +354,12 @@ def _look_up_unit(text: str) -> tuple[int, ...] | None:
 
 
 def _parse_unit(text: str) -> tuple[int, ...] | None:
-    """Parse a unit such as ``"A/(m s)"``; None if the text is no unit.
+    """Parse a unit such as ``"A/(m s)"``; return None for other text.
 
     A unit is a product divided by another product. Blanks separate factors, each with an optional
     one-digit power.
     """
-    top, slash, bottom = text.translate(_SPELLINGS).partition("/")
+    top, slash, bottom = text.translate(_UNIT_SPELLINGS).partition("/")
     if slash and not bottom.strip():
         return None
     below = bottom.strip().removeprefix("(").removesuffix(")")
@@ -365,9 +375,9 @@ def _parse_unit(text: str) -> tuple[int, ...] | None:
     return tuple(result)
 
 
-def _parse_text(text: str, si: str) -> float:
-    """Parse a number with a unit; the message of a ValueError describes the fault."""
-    match = _NUMBER.fullmatch(text) if len(text) <= _LONGEST else None
+def _parse_quantity(text: str, si: str) -> float:
+    """Parse a number with a unit; raise a ValueError that describes the fault."""
+    match = _NUMBER.fullmatch(text) if len(text) <= _MAX_QUANTITY_LENGTH else None
     if match is not None and match[2].startswith(","):
         raise ValueError("a comma in a number")
     if match is None:
@@ -397,7 +407,7 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
     expected = f'a number in {si}, or a string with a unit such as "1 {si}"'
     try:
         if isinstance(value, str):
-            result = _parse_text(value, si)
+            result = _parse_quantity(value, si)
         elif isinstance(value, Real) and not isinstance(value, bool):
             result = float(value)
         else:
@@ -405,21 +415,25 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
         if not math.isfinite(result):
             raise ValueError("not a finite number")
     except (ValueError, OverflowError) as error:
-        got = repr(value) if len(repr(value)) <= _LONGEST else repr(value)[:_LONGEST] + " ..."
+        got = (
+            repr(value)
+            if len(repr(value)) <= _MAX_QUANTITY_LENGTH
+            else repr(value)[:_MAX_QUANTITY_LENGTH] + " ..."
+        )
         message = "not a finite number" if isinstance(error, OverflowError) else str(error)
         expected = expected if si else "a plain number"
-        hint = _correct_spelling(value, si)
+        hint = _suggest_spelling(value, si)
         raise UsageError(message, where=where, got=got, expected=expected, hint=hint) from None
     return result
 
 
-def _correct_spelling(value: object, si: str) -> str | None:
-    """Return a corrected spelling of a quantity with a decimal comma or without its unit."""
-    if not isinstance(value, str) or len(value) > _LONGEST:
+def _suggest_spelling(value: object, si: str) -> str | None:
+    """Suggest the spelling of a quantity with a decimal comma or without a unit."""
+    if not isinstance(value, str) or len(value) > _MAX_QUANTITY_LENGTH:
         return None
     for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):
         with contextlib.suppress(ValueError):
-            _parse_text(text, si)
+            _parse_quantity(text, si)
             number, unit = _NUMBER.fullmatch(text).groups()  # type: ignore[union-attr]
             return f'write  "{f"{number} {unit}".strip()}"'
     return None
@@ -428,12 +442,13 @@ def _correct_spelling(value: object, si: str) -> str | None:
 def invalid_value_error(
     reason: str, expected: str | None, key: str | None = None, hint: str | None = None
 ) -> PydanticCustomError:
-    """Error of a validator for an invalid value, or for the ``key`` of a table."""
+    """Make the error of a validator for an invalid value, or for the ``key`` of a table."""
     context = {"reason": reason, "expected": expected, "key": key, "hint": hint}
     return PydanticCustomError("quantity", "{reason}", context)
 
 
 def _parse_number(si: str, value: object) -> float:
+    """Convert a number or a quantity with a unit to the unit ``si``."""
     try:
         return quantity(value, si)
     except UsageError as error:
@@ -441,28 +456,32 @@ def _parse_number(si: str, value: object) -> float:
 
 
 def _parse_number_with_unit(si: str, value: object) -> float:
+    """Convert a quantity to the unit ``si``; a number without a unit is an error."""
     if not isinstance(value, str):
         raise invalid_value_error("needs its unit", f'a string such as "1 {si}"')
     return _parse_number(si, value)
 
 
-def _require_rings(value: object) -> object:
+def _require_ring_radii(value: object) -> object:
+    """Raise an error if the radii of the contact rings are not valid."""
     if value in ("needed", "all") or (type(value) is int and value >= 1):
         return value
     raise invalid_value_error("no such choice", "needed, all, or a whole number from 1 on")
 
 
 class ScalePlace(float):
-    """Place on the scale of an analysis; ``unit`` is empty if none was written."""
+    """Position on the scale of an analysis; ``unit`` is empty if the text has none."""
 
     unit: str = ""
 
 
-# Units of the range of an analysis: units of scales, and of quantities that a source prescribes.
+# Units of the range of an analysis: units of scales, and units of quantities that a source
+# prescribes.
 SCALE_UNITS = ("Hz", "s", *dict.fromkeys(d.quantity(side).unit for d, side in QUANTITIES.values()))
 
 
 def _parse_place(value: object) -> ScalePlace:
+    """Parse a position on the scale of an analysis."""
     if isinstance(value, ScalePlace):
         return value
     for unit in SCALE_UNITS:
@@ -476,6 +495,7 @@ def _parse_place(value: object) -> ScalePlace:
 
 
 def _parse_mounting(value: object) -> object:
+    """Parse the mounting of a body: a name or a stiffness."""
     known = ("roller", "glued", "free")
     try:
         if value in known or 0 < quantity(value, "N/m3") < float("inf"):
@@ -487,16 +507,16 @@ def _parse_mounting(value: object) -> object:
 
 
 def si(unit: str) -> BeforeValidator:
-    """Mark a number in ``unit`` that may be a string with any other unit."""
+    """Return the type of a number in ``unit``; a string may have another unit."""
     return BeforeValidator(partial(_parse_number, unit))
 
 
 @dataclass(frozen=True)
 class Plausible:
-    """Marks a key by the role of its number, with a range of plausible values.
+    """Mark of a key with a range of plausible values.
 
     Plausible values lie between ``low`` and ``high`` in ``unit``, and ``why`` states the reason.
-    Zero is outside of the role, such as no mass at a tip.
+    Zero is accepted, for example if a tip has no mass.
     """
 
     unit: str
@@ -528,15 +548,17 @@ Rate = Annotated[float, si("1/s")]
 Resistance = Annotated[float, si("Ohm")]
 Capacitance = Annotated[float, si("F")]
 Inductance = Annotated[float, si("H")]
-MASSES = Plausible("kg", 1e-18, 1e3, "no transducer moves less than a femtogram or more than a ton")
-Mass = Annotated[float, si("kg"), MASSES]
+PLAUSIBLE_MASS = Plausible(
+    "kg", 1e-18, 1e3, "no transducer moves less than a femtogram or more than a ton"
+)
+Mass = Annotated[float, si("kg"), PLAUSIBLE_MASS]
 MechanicalDamping = Annotated[float, si("N s/m")]
 Charge = Annotated[float, si("C")]
 Slew = Annotated[float, si("V/s")]
 Ratio = Annotated[float, si("")]
 Count = Annotated[int, Strict()]
 Place = Annotated[float, PlainValidator(_parse_place)]
-Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_require_rings)]
+Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_require_ring_radii)]
 Mounting = Annotated[Literal["roller", "glued", "free"] | float, BeforeValidator(_parse_mounting)]
 GateLength = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "m"))]
 GateTime = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "s"))]
@@ -544,7 +566,7 @@ GateTime = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "s"
 
 @dataclass(frozen=True)
 class Notch:
-    """Marks a key that trades time for error.
+    """Mark of a key that trades computing time for accuracy.
 
     One notch finer multiplies the key by ``factor``. With ``spaces`` the key counts points, and the
     number of spaces between them is multiplied. ``finest`` is a value below which rounding
@@ -561,7 +583,7 @@ class Notch:
     when: tuple[tuple[str, object], ...] = ()
 
     def moved(self, value: float, notches: float) -> float:
-        """``value`` so many notches finer, rounded to six digits or a whole number."""
+        """Return ``value`` refined by so many notches, rounded to six digits or an integer."""
         factor = self.factor**notches
         if not isinstance(value, int):
             return float(f"{factor * value:.6g}")
@@ -569,7 +591,7 @@ class Notch:
 
 
 class Section(BaseModel):
-    """A table of the scene file: no unknown keys, no later change."""
+    """Table of a scene file; it rejects unknown keys and later changes."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, defer_build=True)
     listed: ClassVar[str] = "kc2spice scenes --keys"  # command or page with all keys and choices
@@ -585,7 +607,7 @@ def validate(
     where: str,
     context: Mapping[str, Any] | None = None,
 ) -> Schema:
-    """``table`` as a ``schema``; one that is already passes unchanged.
+    """Convert a table to a ``schema``; an instance of the schema is returned unchanged.
 
     ``where`` is a key, or ends in a colon and is a file; validators see the ``context``.
 

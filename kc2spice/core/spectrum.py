@@ -1,4 +1,4 @@
-"""Frequency that bounds nearly all of the energy of a waveform or record."""
+"""Frequency below which a waveform has nearly all of its energy."""
 
 from __future__ import annotations
 
@@ -8,22 +8,25 @@ import numpy as np
 
 from kc2spice.core.waveforms import Waveform
 
-ENERGY = 0.999  # share of its energy that a signal has up to its highest frequency
-SAMPLES = 2**16  # samples of a signal; a pulse of a train of 13 000 has 5 of them
-BEGINNING = 400  # number of first corners of a long train that are also sampled separately
-# number of time constants for which the output of a low-pass filter continues after the signal
-AFTER = 20.0
-FEWEST = 20  # least number of samples of the signal itself
+ENERGY_SHARE = 0.999  # share of the energy of a signal below its highest frequency
+SIGNAL_SAMPLES = (
+    2**16
+)  # number of samples of a signal; a pulse in a train of 13 000 pulses has 5 samples
+LEADING_CORNERS = 400  # number of first corners of a long train that are also sampled separately
+# number of time constants for which the output of a low-pass filter is sampled after the end of the
+# signal
+DECAY_TIME_CONSTANTS = 20.0
+MIN_SAMPLES = 20  # smallest number of samples within the signal
 
 
-def energy_frequency(
-    time: np.ndarray, values: np.ndarray, constant: float = 0.0, share: float = ENERGY
+def find_energy_frequency(
+    time: np.ndarray, values: np.ndarray, constant: float = 0.0, share: float = ENERGY_SHARE
 ) -> float:
-    """Frequency [Hz] that bounds the ``share`` of the energy of a signal.
+    """Return the frequency [Hz] below which a signal has the ``share`` of its energy.
 
     The energy refers to ``x(t) - x(0)`` with straight lines between the points, so a constant
-    signal has no energy. A signal that has not returned at its end returns as it came, without a
-    jump.
+    signal has no energy. A signal that does not end at its initial value is mirrored in time, so
+    that it returns without a jump.
 
     Parameters
     ----------
@@ -35,25 +38,28 @@ def energy_frequency(
     span = time[-1] - time[0]
     if not span > 0 or not np.ptp(values):
         return 0.0
-    step = max(span, min(AFTER * constant, SAMPLES / FEWEST * span)) / SAMPLES
+    step = (
+        max(span, min(DECAY_TIME_CONSTANTS * constant, SIGNAL_SAMPLES / MIN_SAMPLES * span))
+        / SIGNAL_SAMPLES
+    )
     places = np.arange(int(np.ceil(span / step)) + 1)
     x = np.interp(time[0] + step * places, time, values - values[0])
     if x[-1]:
         x = np.concatenate([x, x[-2::-1]])
-    spectrum = np.fft.rfft(x, 4 * SAMPLES)
-    f = np.fft.rfftfreq(4 * SAMPLES, step)
+    spectrum = np.fft.rfft(x, 4 * SIGNAL_SAMPLES)
+    f = np.fft.rfftfreq(4 * SIGNAL_SAMPLES, step)
     power = np.abs(spectrum) ** 2 / (1 + (2 * np.pi * f * constant) ** 2)
-    power[0] /= 2  # counted once; all other frequencies also occur at -f
+    power[0] /= 2  # counted once, because all other frequencies also occur at -f
     risen = np.cumsum(power)
     return float(f[np.searchsorted(risen, share * risen[-1])])
 
 
 @lru_cache(maxsize=64)
-def waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) -> float:
-    """Frequency that bounds nearly all of the energy of a waveform up to ``stop`` [s].
+def find_waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) -> float:
+    """Return the frequency [Hz] below which a waveform has nearly all of its energy.
 
-    For a sine, the result is its frequency. An endless train is evaluated for one period, and a
-    train of many pulses at its beginning.
+    For a sine, the result is its frequency. Up to ``stop`` [s] is evaluated. An endless train is
+    evaluated over one period, and a long train at its beginning.
     """
     if not wave.straight:
         return wave.frequency
@@ -64,5 +70,5 @@ def waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) -> fl
         times = np.append(times[times < stop], stop)
     times = times[times <= stop]
     values = wave(times)
-    parts = {times.size, min(times.size, BEGINNING)}
-    return max(energy_frequency(times[:n], values[:n], constant) for n in parts)
+    parts = {times.size, min(times.size, LEADING_CORNERS)}
+    return max(find_energy_frequency(times[:n], values[:n], constant) for n in parts)

@@ -1,8 +1,8 @@
-"""Errors of TOML files: the line as typed, and a repair that the parser accepts.
+"""Errors of TOML files: the faulty line, and a correction that the parser accepts.
 
 The parser reports the position at which it stopped, which is seldom the position of the mistake.
-Each function of this module proposes repaired lines for one kind of mistake. :func:`invalid_toml`
-suggests the first repair behind which the parser comes further.
+Each function of this module proposes repaired lines for one kind of mistake.
+:func:`make_toml_error` suggests the first repair with which the parser advances.
 """
 
 from __future__ import annotations
@@ -14,10 +14,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import DEEPEST, LONGEST_KEY, MAX_BYTES, parse_toml, split_lines
+from kc2spice.core.untrusted_files import (
+    LONGEST_KEY,
+    MAX_NESTING,
+    MAX_TEXT_BYTES,
+    parse_toml,
+    split_lines,
+)
 
-MOST_LINES = 40  # between an opening bracket and the line at which the parser stops
-LONGEST_LINE = 500  # characters of a line that are searched
+# largest number of lines between an opening bracket and the line at which the parser stops
+MAX_BRACKET_LINES = 40
+MAX_LINE_LENGTH = 500  # characters of a line that the repairs search
 _STRING = re.compile(r"\"(?:[^\"\\]|\\.)*\"|'[^']*'")
 _BARE_VALUE = re.compile(r"(?<=[=,\[])\s*([^\"'\[\]{},=#\s][^\"'\[\]{},=#]*?)\s*(?=[,\]}#]|$)")
 _HEADER = re.compile(r"\s*(\[+)([\w.\-\"' ]+)\]*\s*(?:#.*)?")
@@ -25,7 +32,7 @@ _HEADER = re.compile(r"\s*(\[+)([\w.\-\"' ]+)\]*\s*(?:#.*)?")
 
 @dataclass(frozen=True)
 class _Repair:
-    """The fault of a line, and the text that replaces the line ``number``."""
+    """Repair of a line: its fault, and the text that replaces the line ``number``."""
 
     problem: str
     number: int
@@ -43,11 +50,11 @@ def parse_toml_file(text: str, label: str) -> dict[str, Any]:
     try:
         return parse_toml(text)
     except ValueError as error:
-        raise invalid_toml(text, error, label) from None
+        raise make_toml_error(text, error, label) from None
 
 
-def invalid_toml(text: str, error: ValueError, label: str) -> UsageError:
-    """The error of a ``text`` that the parser refused with ``error``.
+def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
+    """Make the error of a ``text`` that the parser rejected with ``error``.
 
     Parameters
     ----------
@@ -55,29 +62,29 @@ def invalid_toml(text: str, error: ValueError, label: str) -> UsageError:
     error : the exception of ``parse_toml``.
     label : name of the file.
     """
-    number = _line_number(text, str(error))
-    if number is None:  # too long or nested too deeply
+    number = _find_line_number(text, str(error))
+    if number is None:  # the text is too long or nested too deeply
         return UsageError(
             "not valid TOML",
             where=label,
             got=str(error),
-            expected=f"at most {MAX_BYTES} characters, keys of at most {LONGEST_KEY} characters, "
-            f"and tables and arrays nested at most {DEEPEST} deep",
+            expected=f"at most {MAX_TEXT_BYTES} characters, keys of at most {LONGEST_KEY} "
+            f"characters, and tables and arrays nested at most {MAX_NESTING} deep",
             hint=f"delete from {label} what exceeds these limits",
         )
-    # only a part of long lines, because the time of patterns is proportional to the square of the
-    # length
-    lines = [line[:LONGEST_LINE] for line in split_lines(text)] or [""]
+    # Only a part of long lines is searched, because the time of the patterns grows with the square
+    # of the length.
+    lines = [line[:MAX_LINE_LENGTH] for line in split_lines(text)] or [""]
     number = min(number, len(lines))
-    known = _duplicate_name(lines, number, str(error), label) or _table_on_several_lines(
+    known = _make_duplicate_error(lines, number, str(error), label) or _make_inline_table_error(
         lines, number, label
     )
     if known is not None:
         return known
-    reached = _error_position(text, str(error))
-    for propose in _PROPOSALS:
+    reached = _find_error_position(text, str(error))
+    for propose in _REPAIR_FUNCTIONS:
         for repair in propose(lines, number):
-            if _parser_position(lines, repair) > reached:
+            if _measure_parser_position(lines, repair) > reached:
                 return UsageError(
                     repair.problem,
                     where=f"{label}, line {repair.number}",
@@ -94,25 +101,26 @@ def invalid_toml(text: str, error: ValueError, label: str) -> UsageError:
 
 
 def _parse_header(line: str) -> tuple[str, str]:
-    """Return opening brackets and name of a table's header; empty of other lines."""
-    header = _HEADER.fullmatch(line) if len(line) <= LONGEST_LINE else None
+    """Return the opening brackets and the name of a table header; empty for other lines."""
+    header = _HEADER.fullmatch(line) if len(line) <= MAX_LINE_LENGTH else None
     return ("", "") if header is None else (header[1], header[2].strip())
 
 
 def _quote_line(lines: Sequence[str], number: int) -> str:
+    """Return a line with its number for an error message."""
     line = lines[number - 1].strip() if number <= len(lines) else ""
     return line if len(line) <= 120 else line[:120] + " …"
 
 
-def _error_position(text: str, message: str) -> tuple[float, float]:
-    """Line and column at which the parser stopped."""
+def _find_error_position(text: str, message: str) -> tuple[float, float]:
+    """Return the line and column at which the parser stopped."""
     if match := re.search(r"at line (\d+), column (\d+)\)", message):
         return float(match[1]), float(match[2])
     return math.inf, 0.0
 
 
-def _line_number(text: str, message: str) -> int | None:
-    """Line at which the parser stopped; None if the message names no line."""
+def _find_line_number(text: str, message: str) -> int | None:
+    """Return the line at which the parser stopped; None if the message contains no line."""
     if match := re.search(r"at line (\d+), column", message):
         return int(match[1])
     if "end of document" in message:
@@ -120,15 +128,15 @@ def _line_number(text: str, message: str) -> int | None:
     return None
 
 
-def _parser_position(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
-    """Return the position that the parser reaches with the repaired line."""
+def _measure_parser_position(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
+    """Return the position at which the parser stops with the repaired line."""
     changed = [*lines[: repair.number - 1], repair.line, *lines[repair.number :]]
     text = "\n".join(changed) + "\n"
     try:
         parse_toml(text)
     except ValueError as error:
-        line, column = _error_position(text, str(error))
-        # every repair of the line shifts its columns
+        line, column = _find_error_position(text, str(error))
+        # a repair shifts the columns of its line
         return (line, column) if line > repair.number else (0.0, column)
     return math.inf, math.inf
 
@@ -151,6 +159,7 @@ def _guess_value(value: str) -> str:
 
 
 def _is_value(text: str) -> bool:
+    """Return whether a text is a valid TOML value."""
     try:
         return set(parse_toml(f"x = {text}")) == {"x"}
     except ValueError:
@@ -158,11 +167,12 @@ def _is_value(text: str) -> bool:
 
 
 def _suggest_line(line: str) -> str:
+    """Return a hint that contains the corrected line."""
     return f"write  {line.strip()}"
 
 
 def _repair_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
-    """Text, quantities and numbers that TOML does not read without quotes."""
+    """Yield repairs of text, quantities and numbers that need quotes in TOML."""
     line = lines[number - 1]
     bare = [m for m in _BARE_VALUE.finditer(_mask_strings(line)) if not _is_value(m[1])]
     repaired = line
@@ -176,15 +186,15 @@ def _repair_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
 
 
 def _find_lone_quote(line: str) -> str:
-    """Find the quote that opens no string or closes none; empty without one."""
+    """Find a quote without its counterpart; return an empty string without one."""
     masked = _STRING.sub(lambda found: "_" * len(found[0]), line)
     lone = [mark for mark in "\"'" if masked.count(mark) == 1]
     return lone[0] if len(lone) == 1 else ""
 
 
 def _repair_lone_quote(lines: Sequence[str], number: int) -> Iterator[_Repair]:
-    """A quote that opens no string or closes none."""
-    # the parser finds the missing end of 'text at the next apostrophe or at the end of the file
+    """Yield repairs of a quote without its counterpart."""
+    # the parser reports the missing end of 'text at the next apostrophe or at the end of the file
     above = (at for at, line in enumerate(lines[:number], start=1) if _find_lone_quote(line))
     for at in (number, next(above, number)):
         line = lines[at - 1]
@@ -201,7 +211,7 @@ def _repair_lone_quote(lines: Sequence[str], number: int) -> Iterator[_Repair]:
 
 
 def _repair_header(lines: Sequence[str], number: int) -> Iterator[_Repair]:
-    """The header of a table whose brackets do not match."""
+    """Yield repairs of a table header whose brackets do not match."""
     brackets, name = _parse_header(lines[number - 1])
     if not name:
         return
@@ -211,8 +221,8 @@ def _repair_header(lines: Sequence[str], number: int) -> Iterator[_Repair]:
 
 
 def _repair_brackets(lines: Sequence[str], number: int) -> Iterator[_Repair]:
-    """A list or table between brackets that lacks its end."""
-    for opening in range(number, max(0, number - MOST_LINES), -1):
+    """Yield repairs of a list or table whose closing bracket is missing."""
+    for opening in range(number, max(0, number - MAX_BRACKET_LINES), -1):
         masked = _mask_strings(lines[opening - 1])
         for left, right in ("{}", "[]"):
             if masked.count(left) <= masked.count(right) or "=" not in masked:
@@ -227,14 +237,14 @@ def _repair_brackets(lines: Sequence[str], number: int) -> Iterator[_Repair]:
 
 
 def _repair_backslash(lines: Sequence[str], number: int) -> Iterator[_Repair]:
-    """A backslash that begins no escape sequence, as in a path of Windows."""
+    """Yield repairs of a backslash that begins no escape sequence, as in a Windows path."""
     line = lines[number - 1]
     plain = re.sub(r'"([^"\']*)"', r"'\1'", line)
     if "\\" in line and plain != line:
         yield _Repair("a backslash between double quotes", number, plain, _suggest_line(plain))
 
 
-_PROPOSALS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
+_REPAIR_FUNCTIONS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
     _repair_header,
     _repair_quotes,
     _repair_lone_quote,
@@ -243,20 +253,20 @@ _PROPOSALS: tuple[Callable[[Sequence[str], int], Iterator[_Repair]], ...] = (
 )
 
 
-def _table_on_several_lines(lines: Sequence[str], number: int, label: str) -> UsageError | None:
-    """The error of an inline table { } that does not end on its line."""
+def _make_inline_table_error(lines: Sequence[str], number: int, label: str) -> UsageError | None:
+    """Make the error of an inline table { } that does not end on its line."""
     if not 1 <= number <= len(lines) or "=" not in lines[number - 1]:
         return None
     if _mask_strings(lines[number - 1]).rstrip()[-1:] not in ("{", ","):
         return None
     joined = ""
-    for line in lines[number - 1 : number + MOST_LINES]:
+    for line in lines[number - 1 : number + MAX_BRACKET_LINES]:
         joined += " " + line[: len(_mask_strings(line).rstrip())].strip()
         masked = _mask_strings(joined)
         if masked.count("{") == masked.count("}"):
             break
     joined = re.sub(r",\s*}", " }", joined.strip())
-    if len(joined) > LONGEST_LINE or not _is_value(joined.partition("=")[2]):
+    if len(joined) > MAX_LINE_LENGTH or not _is_value(joined.partition("=")[2]):
         return None
     return UsageError(
         "a table between { and } must be on one line",
@@ -266,17 +276,17 @@ def _table_on_several_lines(lines: Sequence[str], number: int, label: str) -> Us
     )
 
 
-def _duplicate_name(
+def _make_duplicate_error(
     lines: Sequence[str], number: int, message: str, label: str
 ) -> UsageError | None:
-    """The error of a table or key that the file has twice."""
+    """Make the error of a table or key that occurs twice in a file."""
     twice = "Cannot declare" in message or "Cannot overwrite" in message
     if not twice:
         return None
     line = _quote_line(lines, number)
     _, header = _parse_header(line)
     name = f"[{header}]" if header else line.partition("=")[0].strip()
-    first = _first_line(lines, number, name)
+    first = _find_first_line(lines, number, name)
     before = "" if first is None else f" is on line {first} already"
     kind = "table" if header else "key"
     action = f"rename the second {name} (line {number}), or delete it with its keys"
@@ -290,7 +300,7 @@ def _duplicate_name(
     )
 
 
-def _first_line(lines: Sequence[str], number: int, name: str) -> int | None:
+def _find_first_line(lines: Sequence[str], number: int, name: str) -> int | None:
     """Find the line above ``number`` with the first occurrence of ``name``.
 
     The name belongs to a table, or to a key within one table.

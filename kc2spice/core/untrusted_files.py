@@ -1,7 +1,7 @@
-"""Files of others: regular, of limited size, with safe names, checked before use.
+"""Safe reading of untrusted files: size, names and types are checked before use.
 
-The TOML parser of the standard library takes time with the square of the length of a dotted key,
-and calls itself once for every bracket; an archive unpacks to any size. The declared sizes in a
+The time of the standard TOML parser grows with the square of the length of a dotted key,
+and calls itself once for every bracket; an archive may unpack to any size. The declared sizes in a
 file are therefore compared with limits before the file is parsed or unpacked.
 
 Parsers written in C can crash, fill the memory or execute commands in a file. The parsers run in a
@@ -37,14 +37,16 @@ import numpy as np
 from kc2spice.core import errors
 from kc2spice.core.errors import Kc2spiceError, UsageError
 
-# One part of a path: no hidden file, no parent directory, no shell expansion and no line break.
-_PART = re.compile(r"\w[\w .+-]{0,127}(?<![ .])")
-_UNSAFE = re.compile(r"[^A-Za-z0-9_.+-]")
-_ITEM = 1_000_000  # bytes of one entry, which may be a number or a text
-MAX_BYTES = 1_000_000  # a scene is a page of text; more is a mistake or an attack
-DEEPEST = 32  # tables and arrays within each other
+# One part of a path. Hidden files, parent directories, shell expansions and line breaks are
+# rejected.
+_PATH_PART = re.compile(r"\w[\w .+-]{0,127}(?<![ .])")
+_UNSAFE_CHARACTER = re.compile(r"[^A-Za-z0-9_.+-]")
+_MAX_ITEM_BYTES = 1_000_000  # bytes of one array element, which may be a number or a text
+# a scene is about one page of text; a larger file is a mistake or an attack
+MAX_TEXT_BYTES = 1_000_000
+MAX_NESTING = 32  # depth of nested tables and arrays
 LONGEST_KEY = 200  # characters of one part of a key
-# Strings and comments with any content first, then nested values, then chained keys.
+# Alternatives in this order: strings and comments, nested values, chained keys.
 _TOKEN = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*"*|\'\'\'(?:[^\']|\'(?!\'\'))*\'*'
     r'|"(?:[^"\\\n]|\\.)*"?|\'[^\'\n]*\'?|#[^\n]*|[\w-]+|[\[{]|[\]}]|\.|[ \t]+'
@@ -55,13 +57,13 @@ _BEHIND_KEY = re.compile(r"[ \t]{0,200}[.=\]]")
 
 
 def read_bounded(path: Path, limit: int) -> bytes:
-    """Read the regular file ``path``, but never more than ``limit`` bytes.
+    """Read the regular file ``path`` if it has at most ``limit`` bytes.
 
-    A pipe or a device, which could keep a reader waiting for ever, is refused.
+    A pipe or a device, which could keep a reader waiting for ever, is rejected.
 
     Raises
     ------
-    OSError : it is not there, no regular file, longer, or cannot be read.
+    OSError : the file is missing, not regular, too long or unreadable.
     ValueError : the name has a zero byte.
     """
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -99,7 +101,7 @@ def split_lines(text: str) -> list[str]:
     return lines if lines[-1] else lines[:-1]
 
 
-def name_threat(name: str) -> str | None:
+def explain_unsafe_name(name: str) -> str | None:
     """Explain why ``name`` is unsafe as the name of a file; None if it is safe.
 
     A name is one or more parts between slashes. Parts are letters, digits and ``_ . + -`` with
@@ -112,19 +114,19 @@ def name_threat(name: str) -> str | None:
     parts = re.split(r"[/\\]", name)
     if ".." in parts:
         return "a parent directory"
-    if "\\" in name or any(_PART.fullmatch(part) is None for part in parts if part != "."):
+    if "\\" in name or any(_PATH_PART.fullmatch(part) is None for part in parts if part != "."):
         return "a name with characters that are not allowed"
     return None
 
 
-def file_in_folder(home: Path, name: str, where: str) -> Path:
-    """The file ``name`` in the folder ``home`` of the scene that names it, or below.
+def locate_file_in_folder(home: Path, name: str, where: str) -> Path:
+    """Return the path of the file ``name`` in the folder ``home`` of a scene or below.
 
     Tables from a Python program have no folder (``Path()``), so the program may name any file.
 
     Raises
     ------
-    UsageError : an absolute path, one with ``..``, or behind a link that leads elsewhere.
+    UsageError : the path is absolute, contains ``..``, or leads out of the folder through a link.
     """
     path = home / name
     if home == Path():
@@ -132,7 +134,8 @@ def file_in_folder(home: Path, name: str, where: str) -> Path:
     relative = Path(name)
     try:
         outside = not path.resolve().is_relative_to(home.resolve())
-    except (OSError, ValueError, RuntimeError):  # a zero byte, too long, a circle of links
+    # the name contains a zero byte, is too long, or links form a circle
+    except (OSError, ValueError, RuntimeError):
         outside = True
     if relative.is_absolute() or ".." in relative.parts or outside:
         raise UsageError(
@@ -145,42 +148,42 @@ def file_in_folder(home: Path, name: str, where: str) -> Path:
     return path
 
 
-def identifier(name: str, otherwise: str) -> str:
+def make_identifier(name: str, otherwise: str) -> str:
     """Replace all characters of ``name`` except letters, digits and ``_``.
 
-    ``otherwise_`` precedes a name that begins with another character than a letter.
+    ``otherwise_`` precedes a name that does not begin with a letter.
     """
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)[:48]
     return plain if plain[:1].isalpha() else f"{otherwise}_{plain}"
 
 
-def plain_name(name: str) -> str:
+def make_plain_name(name: str) -> str:
     """Replace unusual characters in the last part of ``name`` for a netlist.
 
     Letters, digits and ``_ . + -`` remain.
     """
-    plain = _UNSAFE.sub("_", name.replace("\\", "/").rpartition("/")[2])
+    plain = _UNSAFE_CHARACTER.sub("_", name.replace("\\", "/").rpartition("/")[2])
     return plain if plain[:1].isalnum() or plain[:1] == "_" else f"_{plain}"
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """``tomllib.loads`` in a time and at a depth that the text cannot choose.
+    """Parse TOML text with limits on its length and its nesting.
 
     Raises
     ------
-    ValueError : not TOML, or longer or deeper than any honest file.
+    ValueError : the text is not TOML, too long, or nested too deeply.
     """
-    if len(text) > MAX_BYTES:
-        raise ValueError(f"longer than {MAX_BYTES} characters")
-    _require_simple(text)
+    if len(text) > MAX_TEXT_BYTES:
+        raise ValueError(f"longer than {MAX_TEXT_BYTES} characters")
+    _require_simple_syntax(text)
     try:
         return tomllib.loads(text)
     except RecursionError:
         raise ValueError("nested too deeply") from None
 
 
-def _require_simple(text: str) -> None:
-    """Refuse deep brackets, long chains of dots, and long words as keys."""
+def _require_simple_syntax(text: str) -> None:
+    """Raise an error for deep brackets, long chains of dots, or long keys."""
     depth = dots = 0
     for token in _TOKEN.finditer(text):
         first = token[0][0]
@@ -194,14 +197,14 @@ def _require_simple(text: str) -> None:
             dots = 0
         elif len(token[0]) > LONGEST_KEY and (dots or _BEHIND_KEY.match(text, token.end())):
             raise ValueError(f"a key of more than {LONGEST_KEY} characters")
-        if depth > DEEPEST or dots > DEEPEST:
-            raise ValueError(f"nested more than {DEEPEST} deep")
+        if depth > MAX_NESTING or dots > MAX_NESTING:
+            raise ValueError(f"nested more than {MAX_NESTING} deep")
 
 
 def read_archive(
     path: Path, select: Callable[[str], bool], *, entries: Callable[[str], int], total: int
 ) -> dict[str, np.ndarray]:
-    """Read the arrays of an ``.npz`` file whose names ``select`` accepts.
+    """Read the arrays of an ``.npz`` file whose names are accepted by ``select``.
 
     Nothing is unpickled.
 
@@ -210,7 +213,7 @@ def read_archive(
 
     Raises
     ------
-    ValueError : too large, or a member that is no plain array.
+    ValueError : the file is too large, or a member is not a plain array.
     """
     with zipfile.ZipFile(path) as archive:
         members = {item.filename.removesuffix(".npy"): item for item in archive.infolist()}
@@ -225,7 +228,7 @@ def read_archive(
                 raise ValueError(f"{name} has {count} entries, more than {entries(name)}")
             if kind.hasobject:
                 raise ValueError(f"{name} is a Python object, no array of numbers")
-            if kind.itemsize > _ITEM or size > item.file_size:
+            if kind.itemsize > _MAX_ITEM_BYTES or size > item.file_size:
                 raise ValueError(f"{name} is not a plain array of its declared size")
             declared += size
         if declared > total:
@@ -238,6 +241,7 @@ def read_archive(
 
 
 def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
+    """Return shape and type from the header of an array."""
     version = np.lib.format.read_magic(stream)
     readers = {
         (1, 0): np.lib.format.read_array_header_1_0,
@@ -251,25 +255,24 @@ def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
     return shape, kind
 
 
-ANSWER, REASON = "answer.npz", "reason.json"
-LARGEST = 8_000_000_000  # bytes of memory, libraries included
-MAX_ANSWER = 4_000_000_000  # bytes of the answer
-MAX_ENTRIES = 200_000_000  # entries of one array in the answer
+ANSWER_FILE, REASON_FILE = "answer.npz", "reason.json"
+MAX_CHILD_BYTES = 8_000_000_000  # bytes of memory of the child process, libraries included
+MAX_ANSWER_BYTES = 4_000_000_000  # bytes of the arrays that the child returns
+MAX_ANSWER_ENTRIES = 200_000_000  # entries of one array that the child returns
 
 
 def call_in_child(
     function: str,
     request: Mapping[str, Any],
     prepare: Callable[[Path], None] = lambda folder: None,
-    memory: int = LARGEST,
+    memory: int = MAX_CHILD_BYTES,
     seconds: int = 0,
 ) -> dict[str, np.ndarray]:
     """Call ``function`` (``"package.module:name"``) in a separate process.
 
-    The result are its arrays for the keywords ``request``.
-
-    ``request`` is JSON. The function runs with a new folder as its working directory, in which
-    ``prepare`` may put files first, and ends with this process.
+    The function gets the keywords ``request`` (JSON), and its arrays are returned. The function
+    runs with a new folder as its working directory, in which ``prepare`` may put files first, and
+    ends with this process.
 
     Raises
     ------
@@ -296,19 +299,23 @@ def call_in_child(
             assert process.stdin is not None
             with contextlib.suppress(BrokenPipeError):
                 process.stdin.write(json.dumps(dict(request)).encode() + b"\n")
-                process.stdin.flush()  # left open: the child ends when this pipe closes
+                process.stdin.flush()  # stays open, because the child ends when this pipe closes
             code = process.wait()
         if code != 0:
-            raise _explain_exit(folder / REASON, code, memory)
+            raise _explain_exit(folder / REASON_FILE, code, memory)
         try:
             return read_archive(
-                folder / ANSWER, lambda _: True, entries=lambda _: MAX_ENTRIES, total=MAX_ANSWER
+                folder / ANSWER_FILE,
+                lambda _: True,
+                entries=lambda _: MAX_ANSWER_ENTRIES,
+                total=MAX_ANSWER_BYTES,
             )
         except (OSError, BadZipFile) as error:
             raise ValueError(f"its answer cannot be read: {error}") from None
 
 
 def _explain_exit(path: Path, code: int, memory: int) -> Exception:
+    """Return the exception that describes how the child process ended."""
     try:
         kind, attributes = json.loads(path.read_bytes())
     except (OSError, ValueError):
@@ -324,6 +331,7 @@ def _explain_exit(path: Path, code: int, memory: int) -> Exception:
 
 
 def _run_in_child(function: str, memory: str, seconds: str) -> None:
+    """Call the function in the child process and write its answer."""
     line = b""
     while not line.endswith(b"\n"):
         more = os.read(0, 1 << 16)
@@ -335,24 +343,26 @@ def _run_in_child(function: str, memory: str, seconds: str) -> None:
         module, _, name = function.partition(":")
         call = getattr(import_module(module), name)
         _limit_resources(int(memory), int(seconds))
-        np.savez(ANSWER, **call(**json.loads(line)))
+        np.savez(ANSWER_FILE, **call(**json.loads(line)))
     except Exception as error:  # a damaged file causes nearly any exception in a parser
         text = " ".join(str(error).split())[:300] or type(error).__name__
         attributes = vars(error) if isinstance(error, Kc2spiceError) else {"message": text}
         record = (type(error).__name__, attributes)
-        Path(REASON).write_text(json.dumps(record, default=str), encoding="utf-8")
+        Path(REASON_FILE).write_text(json.dumps(record, default=str), encoding="utf-8")
         os._exit(1)
-    os._exit(0)  # destructors of libraries are not executed
+    os._exit(0)  # skips the destructors of libraries
 
 
 def _end_with_parent() -> None:
+    """End this process when the pipe from its parent closes."""
     while os.read(0, 1 << 16):
         pass
     os._exit(1)
 
 
 def _limit_resources(memory: int, seconds: int) -> None:
-    with contextlib.suppress(ImportError):  # not a POSIX system
+    """Limit the memory and the processor time of this process."""
+    with contextlib.suppress(ImportError):  # POSIX systems only
         import resource
 
         limits = {"RLIMIT_AS": memory, "RLIMIT_NPROC": 0, "RLIMIT_CORE": 0}

@@ -1,4 +1,4 @@
-"""Waveforms of sources and of results.
+"""Waveforms of sources and of results, for netlists, reference solver and checks.
 
 Netlist, reference and checks use one definition.
 """
@@ -22,12 +22,13 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Frequency, Section, Time
 
-MOST_PULSES = 25_000  # pulses of a finite train: as many corners as rows of a file
+# pulses of a finite train; its corners are as many as the rows of the largest waveform file
+MAX_PULSES = 25_000
 
 
 @dataclass(frozen=True, eq=False)
 class Waveforms(EqualByContent):
-    """SI arrays over one scale, named as in ``waveforms.npz``.
+    """Arrays of results in SI units over one scale, named as in ``waveforms.npz``.
 
     The scale is ``time`` or ``frequency``.
 
@@ -44,37 +45,40 @@ class Waveforms(EqualByContent):
         return next(iter(self.data.values()))
 
     def __getitem__(self, name: str) -> np.ndarray:
+        """Return the array with this name."""
         return self.data[name]
 
     def __contains__(self, name: str) -> bool:
+        """Return whether there is an array with this name."""
         return name in self.data
 
     def __iter__(self) -> Iterator[str]:
+        """Iterate over the names of the arrays."""
         return iter(self.data)
 
 
 SCALES = {"time": "s", "frequency": "Hz"}  # units
 
 
-def plain_cell(text: str) -> str:
-    """Quote a text as a cell of a CSV file that no spreadsheet evaluates as a formula.
+def quote_csv_cell(text: str) -> str:
+    """Quote a text as a CSV cell that no spreadsheet evaluates as a formula.
 
     Spreadsheets evaluate cells that begin with ``=``, ``+``, ``-``, ``@``, a tab or a carriage
     return (OWASP, CSV injection); an apostrophe in front makes them text.
 
-    >>> plain_cell("=1+1")
+    >>> quote_csv_cell("=1+1")
     "'=1+1"
     """
     return f"'{text}" if text[:1] in tuple("=+-@\t\r") else text
 
 
 def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path) -> list[str]:
-    """Write ``waveforms.npz`` with all digits, and ``waveforms.csv`` with units."""
+    """Write the arrays to ``waveforms.npz`` and ``waveforms.csv``; the CSV titles contain units."""
     save_arrays(waves, directory / "waveforms.npz")
     columns = dict[str, np.ndarray]()
     for name, values in waves.data.items():
         columns.update(_split_columns(name, values, units.get(name) or SCALES.get(name, "")))
-    head, table = ",".join(map(plain_cell, columns)), np.column_stack(list(columns.values()))
+    head, table = ",".join(map(quote_csv_cell, columns)), np.column_stack(list(columns.values()))
     np.savetxt(directory / "waveforms.csv", table, "%.10g", ",", header=head, comments="")
     return ["waveforms.npz", "waveforms.csv"]
 
@@ -85,7 +89,7 @@ def save_arrays(waves: Waveforms, path: Path) -> None:
 
 
 def _split_columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield heads and columns of one array.
+    """Yield titles and columns of one array.
 
     A complex array has a real and an imaginary part.
     """
@@ -96,8 +100,8 @@ def _split_columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[s
         yield (f"{name} [{unit}]" if unit else name), values
 
 
-def running_integral(values: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """Compute the running trapezoidal integral (..., n) of ``values`` d ``over``.
+def integrate_running(values: np.ndarray, over: np.ndarray) -> np.ndarray:
+    """Compute the running trapezoidal integral (..., n) of ``values`` over ``over``.
 
     The integral is zero at the first point.
     """
@@ -106,8 +110,8 @@ def running_integral(values: np.ndarray, over: np.ndarray) -> np.ndarray:
     return np.concatenate([start, np.cumsum(steps, axis=-1)], axis=-1)
 
 
-def slope(values: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """Compute the derivative (n,) of ``values`` (n,) by ``over`` (n,).
+def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
+    """Compute the derivative (n,) of ``values`` (n,) with respect to ``over`` (n,).
 
     Points of ``over`` may be equal.
 
@@ -122,13 +126,14 @@ def slope(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
 
 def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
-    """Interpolate ``values`` (n,) linearly at ``at``; ``scale`` (n,) rises or falls."""
+    """Interpolate ``values`` (n,) linearly at the points ``at``; ``scale`` (n,) is monotonic."""
     direction = -1 if scale[0] > scale[-1] else 1
     return np.interp(at, scale[::direction], values[::direction])
 
 
-TOP = 1e-6  # ratio of the flat top of a repeated triangle to its edge
-NEVER = 1e4  # s; a period that no run reaches (newer ngspice repeats a pulse that has none)
+FLAT_TOP_RATIO = 1e-6  # duration of the flat top of a repeated triangle, relative to its edge
+# s, longer than any run; newer versions of ngspice repeat a pulse without a period
+ENDLESS_PERIOD = 1e4
 
 
 class PulseKeys(Section):
@@ -151,7 +156,7 @@ class PulseKeys(Section):
 
 
 class SineKeys(Section):
-    """``amplitude sin(2 pi frequency (t - start))`` from ``start`` on, zero before."""
+    """Sine ``amplitude sin(2 pi frequency (t - start))`` from ``start`` on, zero before."""
 
     amplitude: float | str = Field(
         1.0, description="Amplitude of the sine, in the unit of the source"
@@ -162,12 +167,12 @@ class SineKeys(Section):
 
 @dataclass(frozen=True)
 class Waveform:
-    """Function of time in SI: straight lines, or a sine from ``start`` on.
+    """Function of time in SI units: straight lines, or a sine from ``start`` on.
 
     A sine has a ``frequency``.
 
     ``points`` (n, 2) are times [s] and values, held before the first and behind the last. With a
-    ``period`` [s] the part from the first point on repeats, which a ``PULSE`` writes shortly.
+    ``period`` [s] the part from the first point on repeats, written as a ``PULSE`` if possible.
 
     Raises UsageError unless times increase strictly (edges take time).
     """
@@ -179,29 +184,30 @@ class Waveform:
     start: float = 0.0
 
     def __post_init__(self) -> None:
+        """Raise an error if the times do not increase."""
         times = list(map(itemgetter(0), self.points))
         if not times or np.any(np.diff(times) <= 0.0):
             raise UsageError("times of a waveform must increase strictly", got=times)
 
     @property
     def straight(self) -> bool:
-        """Whether it is straight between its corners."""
+        """Whether the waveform is straight between its corners."""
         return not self.frequency
 
     @property
     def pace(self) -> float:
-        """Largest step [s] that cannot miss a zero of a guard between two of its ends."""
+        """Largest time step [s] that cannot miss two zeros of a guard."""
         return np.inf if self.straight else 0.05 / self.frequency
 
     @cached_property
-    def _corners(self) -> tuple[np.ndarray, np.ndarray]:
+    def _corner_points(self) -> tuple[np.ndarray, np.ndarray]:
         times, values = np.array(self.points, dtype=float).T
         return times, values
 
     @cached_property
-    def _slopes(self) -> np.ndarray:
-        """Slopes before the first corner, between corners, and after the last one."""
-        times, values = self._corners
+    def _line_slopes(self) -> np.ndarray:
+        """Slopes before the first corner, between corners, and after the last corner."""
+        times, values = self._corner_points
         return np.concatenate(([0.0], np.diff(values) / np.diff(times), [0.0]))
 
     def _fold_time(self, t: Any) -> np.ndarray:
@@ -212,28 +218,30 @@ class Waveform:
         return np.where(t > first, first + np.mod(t - first, self.period), t)
 
     def __call__(self, t: Any) -> Any:
+        """Return the values at ``t`` [s]."""
         if self.straight:
-            return np.interp(self._fold_time(t), *self._corners)
+            return np.interp(self._fold_time(t), *self._corner_points)
         return self._evaluate_sine(t, t, 0)
 
     def _evaluate_sine(self, t: Any, within: Any, order: int) -> Any:
+        """Return the sine or its derivative of ``order``."""
         w = 2 * np.pi * self.frequency
         turned = np.sin(w * (np.asarray(t) - self.start) + 0.5 * np.pi * order)
         return (np.asarray(within) > self.start) * self.amplitude * w**order * turned
 
     def rate(self, t: Any, within: Any, order: int = 1) -> Any:
-        """Compute time derivatives at ``t``, of the smooth pieces that contain ``within``."""
+        """Compute time derivatives at ``t`` on the smooth pieces that contain ``within``."""
         if not self.straight:
             return self._evaluate_sine(t, within, order)
-        piece = np.searchsorted(self._corners[0], self._fold_time(within))
-        return self._slopes[piece] * (order == 1) + 0.0 * np.asarray(t)
+        piece = np.searchsorted(self._corner_points[0], self._fold_time(within))
+        return self._line_slopes[piece] * (order == 1) + 0.0 * np.asarray(t)
 
     def knots(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
         """List times [s] and values of all points in all periods.
 
         The periods begin before ``stop``.
         """
-        times, values = self._corners
+        times, values = self._corner_points
         if self.period is not None:
             turns = self.period * np.arange(max(1, int((stop - times[0]) / self.period) + 1))
             times, first = np.unique((times + turns[:, None]).ravel(), return_index=True)
@@ -246,7 +254,7 @@ class Waveform:
         return result[(result > 0) & (result < stop)]
 
     def spice(self, scale: float = 1.0) -> str:
-        """Format an independent source in SPICE syntax, multiplied by ``scale``.
+        """Format the value of an independent source in SPICE syntax, times ``scale``.
 
         A flat top of zero length is written as corners: ngspice reads a ``PULSE`` width of zero as
         "until the end".
@@ -256,51 +264,51 @@ class Waveform:
             return f"SIN({' '.join(map(_format_number, numbers))})"
         if len(self.points) == 1:
             return f"DC {_format_number(scale * self.points[0][1])}"
-        pulse = self._pulse(scale)
+        pulse = self._format_pulse(scale)
         if pulse is not None:
             return pulse
-        times, values = self._corners
+        times, values = self._corner_points
         corners = np.column_stack([times, scale * values]).ravel().tolist()
         return f"PWL({' '.join(map(_format_number, corners))})"
 
-    def _pulse(self, scale: float) -> str | None:
-        """Format a trapezoid with a flat top, or triangles without end, as a ``PULSE``."""
+    def _format_pulse(self, scale: float) -> str | None:
+        """Format a trapezoid or an endless triangle as a ``PULSE``."""
         if len(self.points) not in (3, 4):
             return None
         (t0, v0), (t1, v1), *_, (t2, v2), (last, end) = self.points[:2] + self.points[-2:]
         if len(self.points) == 3 and self.period is not None:
-            rise = _shortest_difference(t0, t1)
-            top = TOP * rise  # a width of zero means "until the end"
-            fall = _shortest_difference(t1, last) - top
+            rise = _format_difference(t0, t1)
+            top = FLAT_TOP_RATIO * rise  # ngspice treats a width of zero as "until the end"
+            fall = _format_difference(t1, last) - top
         elif len(self.points) == 4 and v0 == end and v1 == v2:
             rise, fall, top = (
-                _shortest_difference(t0, t1),
-                _shortest_difference(t2, last),
-                _shortest_difference(t1, t2),
+                _format_difference(t0, t1),
+                _format_difference(t2, last),
+                _format_difference(t1, t2),
             )
         else:
             return None
-        period = NEVER if self.period is None else self.period
+        period = ENDLESS_PERIOD if self.period is None else self.period
         numbers = (scale * v0, scale * v1, t0, rise, fall, top, period)
         return f"PULSE({' '.join(map(_format_number, numbers))})"
 
 
-def constant(value: float) -> Waveform:
-    """Make a waveform with the same value at all times."""
+def constant_waveform(value: float) -> Waveform:
+    """Make a constant waveform."""
     return Waveform(((0.0, value),))
 
 
-def sine(amplitude: float, frequency: float, start: float = 0.0) -> Waveform:
-    """Make a sine from ``start`` on."""
+def sine_waveform(amplitude: float, frequency: float, start: float = 0.0) -> Waveform:
+    """Make a sine that begins at ``start`` [s]."""
     return Waveform(((start, 0.0),), None, amplitude, frequency, start)
 
 
-def linear(points: Iterable[tuple[float, float]] | np.ndarray) -> Waveform:
-    """Make straight lines through ``points`` (n, 2)."""
+def linear_waveform(points: Iterable[tuple[float, float]] | np.ndarray) -> Waveform:
+    """Make a waveform of straight lines through ``points`` (n, 2)."""
     return Waveform(tuple((float(t), float(v)) for t, v in points))
 
 
-def pulse(
+def pulse_waveform(
     low: float,
     high: float,
     start: float,
@@ -309,18 +317,18 @@ def pulse(
     period: float | None = None,
     count: int | None = None,
 ) -> Waveform:
-    """Make trapezoids: one, ``count`` of them, or without end.
+    """Make one trapezoidal pulse, ``count`` pulses, or an endless train.
 
     ``width`` is the width at half height.
 
     Raises
     ------
-    UsageError : a count without a period, or of so many that a netlist cannot have their corners.
+    UsageError : the count has no period, or is too large for a netlist.
     """
     if count is not None and period is None:
         raise UsageError("a count of pulses without their period", expected="period and count")
-    if count is not None and not 1 <= count <= MOST_PULSES:
-        expected = f"1 to {MOST_PULSES}; without a count the train has no end"
+    if count is not None and not 1 <= count <= MAX_PULSES:
+        expected = f"1 to {MAX_PULSES}; without a count the train has no end"
         raise UsageError("not a number of pulses", got=count, expected=expected)
     edges = ((0.0, low), (edge, high), (width, high), (width + edge, low))
     one = tuple((start + t, v) for t, v in edges)
@@ -336,7 +344,7 @@ def pulse(
 
 @dataclass(frozen=True, eq=False)
 class RecordedWave(EqualByContent):
-    """Smooth curve through ``values`` at ``times`` (n,), constant outside.
+    """Smooth curve through the values ``values`` at ``times`` (n,), constant outside.
 
     The curve consists of cubics (Akima, J. ACM 17, 589, 1970).
 
@@ -351,17 +359,22 @@ class RecordedWave(EqualByContent):
 
     @cached_property
     def _curve(self) -> Any:
-        from scipy.interpolate import Akima1DInterpolator  # late: loads scipy
+        """Interpolating spline of the values."""
+        # imported here, because scipy takes long to load
+        from scipy.interpolate import Akima1DInterpolator
 
         return Akima1DInterpolator(self.times, self.values)
 
     def __call__(self, t: Any) -> Any:
+        """Return the values at ``t`` [s]."""
         return self.rate(t, t, 0)
 
     def rate(self, t: Any, within: Any, order: int = 1) -> Any:
+        """Return the derivative of ``order``."""
         return self._curve(np.clip(t, self.times[0], self.times[-1]), order)
 
     def corners(self, stop: float) -> np.ndarray:
+        """List the corners [s] up to ``stop``."""
         times = self.times[::16]
         return times[(times > 0.0) & (times < stop)]
 
@@ -369,8 +382,8 @@ class RecordedWave(EqualByContent):
 Function = Waveform | RecordedWave
 
 
-def _shortest_difference(first: float, last: float) -> float:
-    """Compute ``last - first`` with as few digits as the rounding of both allows."""
+def _format_difference(first: float, last: float) -> float:
+    """Compute ``last - first`` with as few digits as rounding permits."""
     exact = last - first
     slack = 2 * np.spacing(max(abs(first), abs(last)))
     rounded = (float(f"{exact:.{digits}g}") for digits in range(1, 17))
@@ -378,7 +391,7 @@ def _shortest_difference(first: float, last: float) -> float:
 
 
 def _format_number(value: float) -> str:
-    """Format a number with 15 digits if it equals these but for the rounding of a sum."""
+    """Format a number with 15 digits if this changes only the rounding of a sum."""
     short = float(f"{value:.15g}")
     return repr(short if abs(short - value) <= 4 * np.spacing(abs(value)) else float(value))
 
@@ -386,17 +399,17 @@ def _format_number(value: float) -> str:
 def write_record(
     record: Mapping[str, Any], directory: Path, name: str = "result.json"
 ) -> dict[str, Any]:
-    """Write a JSON file, non-finite numbers as null, and return its content."""
-    result: dict[str, Any] = _to_json(record)
+    """Write a JSON file with non-finite numbers as null, and return its content."""
+    result: dict[str, Any] = _convert_to_json_types(record)
     (directory / name).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result
 
 
-def _to_json(value: Any) -> Any:
+def _convert_to_json_types(value: Any) -> Any:
     """Convert a value to types of JSON."""
     value = value.item() if isinstance(value, np.generic) else value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {key: _to_json(item) for key, item in value.items()}
-    return list(map(_to_json, value)) if isinstance(value, (list, tuple)) else value
+        return {key: _convert_to_json_types(item) for key, item in value.items()}
+    return list(map(_convert_to_json_types, value)) if isinstance(value, (list, tuple)) else value

@@ -1,4 +1,4 @@
-"""Large results in memory, beside those on disk in :mod:`kc2spice.core.cache`.
+"""Large results in memory; :mod:`kc2spice.core.cache` stores results on disk.
 
 A scene, a build and a sweep have one :class:`Workspace` each, so that no module holds results.
 """
@@ -12,28 +12,28 @@ T = TypeVar("T")
 
 
 class Workspace:
-    """The latest result of each kind, with the key that it follows from.
+    """Most recent result of each kind, with the key of its inputs.
 
-    Threads may share it: one thread never gets the result of another key.
+    Threads may share a workspace: a thread never gets the result of another key.
 
     Examples
     --------
     >>> workspace = Workspace()
-    >>> workspace.latest("square", 3, lambda: 9)
+    >>> workspace.get_or_compute("square", 3, lambda: 9)
     9
-    >>> workspace.latest("square", 3, lambda: 0)  # the same key: not computed again
+    >>> workspace.get_or_compute("square", 3, lambda: 0)  # the same key: not computed again
     9
-    >>> workspace.latest("square", 4, lambda: 16)
+    >>> workspace.get_or_compute("square", 4, lambda: 16)
     16
     """
 
     def __init__(self) -> None:
         self._entries: dict[str, tuple[Any, Any]] = {}
 
-    def latest(self, kind: str, key: Any, compute: Callable[[], T]) -> T:
-        """Return the result of ``key``, computed unless it is the latest of its kind.
+    def get_or_compute(self, kind: str, key: Any, compute: Callable[[], T]) -> T:
+        """Return the stored result of ``key``, or compute it if the key has changed.
 
-        The former result is dropped first: two at a time would need twice the memory.
+        The previous result is deleted first, because two results would need twice the memory.
         """
         entry = self._entries.get(kind)
         if entry is None or entry[0] != key:
@@ -44,5 +44,5 @@ class Workspace:
         return result
 
     def __reduce__(self) -> tuple[type[Workspace], tuple[()]]:
-        """Another process begins with an empty workspace."""
+        """Return an empty workspace for pickling: another process begins without results."""
         return Workspace, ()

@@ -1,4 +1,4 @@
-"""Laws of a scene: the equations of its parts, joined like their pins.
+"""Equations of a scene: the laws of its parts, joined like the pins of the parts.
 
 The input is a scene and the models of its parts. The output is networks of laws in SI units.
 Solvers of these networks are in :mod:`kc2spice.reference`. Begin to read at

@@ -1,4 +1,4 @@
-"""Networks of laws that share only ground, with their results.
+"""Networks of laws without common nets apart from ground, and their results.
 
 The functions take laws and groups of joined pins, without a scene. A pin of a law is written
 ``LAW.PIN``.
@@ -21,16 +21,16 @@ from kc2spice.core.laws import (
     PortBody,
     Reading,
     SecondOrderBody,
-    sensor,
+    sensor_block,
 )
 
-# SI units of 1 V on a node, by kind of pin.
+# SI values that 1 V on a node represents, keyed by kind of pin.
 NODE_UNITS = {domain.kind_of_law: domain.across.factor for domain in TABLE}
 
 
 @dataclass(frozen=True)
 class Network:
-    """Laws that are joined, directly or through other laws.
+    """Laws that are joined directly or through other laws.
 
     ``joins`` are the pins of each net, by its name; ``readings`` map results to waves of the laws;
     ``sweeps`` map ``(part, key)`` to a source and its value per SI unit of the key.
@@ -43,7 +43,7 @@ class Network:
 
     @property
     def has_sources_only(self) -> bool:
-        """Whether each law is a source, so that nothing remains to solve."""
+        """Whether each law is a source, so that there is nothing to solve."""
         return all(isinstance(law, IdealSource) for law in self.laws)
 
     @property
@@ -51,8 +51,8 @@ class Network:
         """Names of the laws."""
         return frozenset(map(attrgetter("name"), self.laws))
 
-    def determined_by(self, driven: set[str]) -> bool:
-        """Whether sources at these pins set the value of every net, and no body moves."""
+    def is_determined_by(self, driven: set[str]) -> bool:
+        """Return whether sources at these pins set all nets, and no body moves."""
         if not driven or any(isinstance(law, SecondOrderBody | PortBody) for law in self.laws):
             return False
         ungrounded = dict(self.joins)
@@ -90,7 +90,7 @@ class Network:
 def _evaluate_reading(
     item: Reading, waves: Mapping[str, np.ndarray], scale: np.ndarray
 ) -> np.ndarray:
-    """Return the values of one result; the values of small signals have no constant part."""
+    """Return the values of one result; constants are omitted for small signals."""
     value = item.combine(waves)
     if not np.iscomplexobj(value):
         return np.asarray(value + item.constant)
@@ -120,7 +120,7 @@ def connect_sensors(
 
     The output of the sensor is the voltage of the netlist's node: volts or micrometres.
     """
-    kinds, sensors, result = pin_kinds(laws), [], dict(joins)
+    kinds, sensors, result = list_pin_kinds(laws), [], dict(joins)
     for net, pins in joins.items():
         signals, others = list[str](), list[str]()
         for pin in pins:
@@ -129,7 +129,7 @@ def connect_sensors(
             continue
         kind = kinds[others[0]]
         name = f"{net} signals"
-        sensors.append(sensor(name, 1 / NODE_UNITS[kind], kind))
+        sensors.append(sensor_block(name, 1 / NODE_UNITS[kind], kind))
         result[net] = (*others, f"{name}.a")
         result[name] = (*signals, f"{name}.out")
     return [*laws, *sensors], result
@@ -140,7 +140,7 @@ def law_of(pin: str) -> str:
     return pin.partition(".")[0]
 
 
-def pin_kinds(laws: Iterable[Law]) -> dict[str, str]:
+def list_pin_kinds(laws: Iterable[Law]) -> dict[str, str]:
     """Return the kind of each pin ``LAW.PIN`` of the laws."""
     result: dict[str, str] = {}
     for law in laws:
@@ -149,8 +149,8 @@ def pin_kinds(laws: Iterable[Law]) -> dict[str, str]:
     return result
 
 
-def prescribes(laws: Mapping[str, Law], pin: str) -> bool:
-    """Whether the law of a pin ``LAW.PIN`` sets its across quantity.
+def prescribes_value(laws: Mapping[str, Law], pin: str) -> bool:
+    """Return whether the law of a pin ``LAW.PIN`` sets its across quantity.
 
     A voltage source does, for example.
     """

@@ -1,6 +1,6 @@
-"""Sources that replay the values of a net in place of parts without a law.
+"""Sources with recorded net values that replace the parts without equations.
 
-A scene with parts without a law, for example a netlist of the user, can then be integrated.
+The reference solver can then integrate a scene that contains, for example, a user's netlist.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ import numpy as np
 from kc2spice.core.domains import TABLE
 from kc2spice.core.laws import Device, IdealSource, SecondOrderBody
 from kc2spice.core.waveforms import RecordedWave, Waveforms
-from kc2spice.equations.networks import NODE_UNITS, Network, prescribes
+from kc2spice.equations.networks import NODE_UNITS, Network, prescribes_value
 from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.scene.model import Build
 
-# Kind of the source that replays a net, by the kind of the pins there.
-SOURCES = {d.name: d.across.name for d in TABLE if d.kind_of_law == d.name}
-SHORTEST = 1e-6  # time between samples, relative to the run; shorter ones have rounded differences
+# Kind of the source that prescribes the values of a net, keyed by the kind of its pins.
+SOURCE_KINDS = {d.name: d.across.name for d in TABLE if d.kind_of_law == d.name}
+# time between samples, relative to the run; differences of shorter times are rounding errors
+SHORTEST_INTERVAL = 1e-6
 
 
-def replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
+def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
     """Return the kind of each net that joins a part without a law to parts with laws.
 
     Sources on these nets replace the parts without a law: they reproduce the voltage, displacement
@@ -41,17 +42,21 @@ def replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
     for pins in laws.joins({}).values():
         pins_joined |= dict.fromkeys(pins, pins)
     for net, name, pin, law_pin in laws.links:
-        prescribed = map(partial(prescribes, laws.laws), pins_joined.get(law_pin, (law_pin,)))
-        if _meets_missing_part(laws, name, pin) and not any(prescribed):
+        prescribed = map(partial(prescribes_value, laws.laws), pins_joined.get(law_pin, (law_pin,)))
+        if _meets_part_without_law(laws, name, pin) and not any(prescribed):
             kind = result.get(net, "signal")
             result[net] = laws.kinds[law_pin] if kind == "signal" else kind
-    if not laws.laws or not set(result.values()) <= set(SOURCES) or _have_coils_on_body(laws):
+    if (
+        not laws.laws
+        or not set(result.values()) <= set(SOURCE_KINDS)
+        or _couples_coils_to_body(laws)
+    ):
         return None
     return result
 
 
-def _have_coils_on_body(laws: SceneLaws) -> bool:
-    """Whether a nonlinear stored quantity, such as a flux, meets an elastic body."""
+def _couples_coils_to_body(laws: SceneLaws) -> bool:
+    """Return whether a nonlinear stored quantity, such as a flux, acts on an elastic body."""
     nonlinear = elastic = False
     for law in laws.laws.values():
         elastic |= isinstance(law, SecondOrderBody)
@@ -59,16 +64,16 @@ def _have_coils_on_body(laws: SceneLaws) -> bool:
     return nonlinear and elastic
 
 
-def _meets_missing_part(laws: SceneLaws, name: str, pin: str) -> bool:
-    """Whether a part without a law may change the value on the net of a pin."""
+def _meets_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:
+    """Return whether a part without a law may change the value on the net of a pin."""
     for part, end in laws.build.scene.joined(name, pin):
-        if part in laws.missing and _may_act(laws.build, part, end):
+        if part in laws.missing and _may_change_net(laws.build, part, end):
             return True
     return False
 
 
-def _may_act(build: Build, name: str, pin: str) -> bool:
-    """Whether a part may change the value on the net of a pin.
+def _may_change_net(build: Build, name: str, pin: str) -> bool:
+    """Return whether a part may change the value on the net of a pin.
 
     A signal input of one of our own parts takes no current.
     """
@@ -76,44 +81,46 @@ def _may_act(build: Build, name: str, pin: str) -> bool:
     return end.flow != "-" or end.signal_out or build.scene.parts[name].netlist
 
 
-def networks_to_solve(
+def select_networks_to_solve(
     laws: SceneLaws, waves: Waveforms, replayed: Mapping[str, str]
 ) -> list[Network]:
-    """Return the networks of the scene that sources do not determine completely.
+    """Return the networks of the scene that sources do not completely determine.
 
     Sources on the nets ``replayed`` (by net, the kind of its pins) have the values of ``waves``,
-    the results of ngspice. If these parts are on every net of a network, such as a capacitor behind
-    a rectifier, the network contains no unknown.
+    the results of ngspice. If these sources are on every net of a network, such as a capacitor
+    behind a rectifier, the network contains no unknown.
     """
     sources, driven = {}, set()
     for net, kind in replayed.items():
-        source = _recorded_source(net, kind, waves)
+        source = _make_recorded_source(net, kind, waves)
         sources[net] = source
         driven.add(f"{source.name}.out")
     networks = laws.networks_with(sources) if sources else laws.networks
     result = []
     for network in networks:
-        if not network.has_sources_only and not network.determined_by(driven):
+        if not network.has_sources_only and not network.is_determined_by(driven):
             result.append(network)
     return result
 
 
-def replayed_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
-    """Return the results that record values on these nets.
+def list_recorded_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
+    """Return the result vectors that record values on these nets.
 
-    Each is an expression with the SI value of its unit.
+    Each vector is an expression with the SI value of its unit.
     """
     return {f"net {net}": (f"v({net})", NODE_UNITS[kind]) for net, kind in nets.items()}
 
 
-def _recorded_source(net: str, kind: str, waves: Waveforms) -> IdealSource:
-    """Return a source of the recorded values on a net."""
+def _make_recorded_source(net: str, kind: str, waves: Waveforms) -> IdealSource:
+    """Return a source with the recorded values on a net."""
     times, values = waves["time"], waves[f"net {net}"]
-    # When a contact closes, points are picoseconds apart, and their differences are rounding
+    # When a contact closes, time points are picoseconds apart, and their differences are rounding
     # errors.
-    shortest = SHORTEST * float(np.ptp(times))
+    shortest = SHORTEST_INTERVAL * float(np.ptp(times))
     places = [0]
     for k in range(1, times.size):
         if times[k] - times[places[-1]] >= shortest:
             places.append(k)
-    return IdealSource(f"net {net}", SOURCES[kind], RecordedWave(times[places], values[places]))
+    return IdealSource(
+        f"net {net}", SOURCE_KINDS[kind], RecordedWave(times[places], values[places])
+    )

@@ -1,7 +1,7 @@
 """Laws of all parts of a scene, and the nets that join their pins.
 
-:func:`scene_laws` is the entry point: the choice of the time step, the resonances of small signals,
-the check of the time steps, and ``verify`` use its laws.
+:func:`scene_laws` is the entry point: its laws are used to choose and check the time step, to find
+resonances, and in ``verify``.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from kc2spice.core.domains import FLOW_SYMBOLS
 from kc2spice.core.laws import GROUND, Equations, IdealSource, Law, Reading
 from kc2spice.equations.networks import (
     Network,
+    list_pin_kinds,
     merge_groups,
-    pin_kinds,
-    prescribes,
+    prescribes_value,
     split_networks,
 )
 from kc2spice.scene.model import Build
 
 
 class PinLink(NamedTuple):
-    """A pin of a part on a net of the scene, and the pin ``LAW.PIN`` of its law."""
+    """Pin of a part on a net of the scene, and the pin ``LAW.PIN`` of its law."""
 
     net: str
     part: str
@@ -36,7 +36,7 @@ class PinLink(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneLaws:
-    """Laws of the parts of a build, which are made when they are first needed.
+    """Laws of the parts of a build, created at first use.
 
     A part without cards has no law, because another part contains its copy or moves it. A part
     that drives a load by a signal has none either, because a signal carries no current.
@@ -46,13 +46,13 @@ class SceneLaws:
 
     @cached_property
     def with_cards(self) -> tuple[str, ...]:
-        """Names of the parts that have cards."""
+        """Names of the parts that have netlist statements."""
         scene = self.build.scene
         return tuple(filterfalse(scene.without_cards.__contains__, scene.parts))
 
     @cached_property
     def stated_equations(self) -> Mapping[str, Equations]:
-        """Equations of each part with cards, from the method of its type."""
+        """Equations of each part with netlist statements, from the method of its type."""
         result = {}
         for part in map(self.build.scene.parts.__getitem__, self.with_cards):
             item = part.type.law(part, self.build)
@@ -72,17 +72,17 @@ class SceneLaws:
 
     @cached_property
     def laws(self) -> dict[str, Law]:
-        """All laws by name."""
-        return _laws_by_name(self.equations)
+        """All laws, keyed by name."""
+        return _index_laws(self.equations)
 
     @cached_property
     def kinds(self) -> dict[str, str]:
-        """Kind of each pin of a law."""
-        return pin_kinds(self.laws.values())
+        """Kind of each pin, keyed by pin of a law."""
+        return list_pin_kinds(self.laws.values())
 
     @cached_property
     def links(self) -> tuple[PinLink, ...]:
-        """Pins of the parts with a law, and the pins of laws that represent them."""
+        """Pins of the parts with a law, and the corresponding pins of the laws."""
         return tuple(_list_links(self.build, self.equations))
 
     @cached_property
@@ -91,16 +91,16 @@ class SceneLaws:
 
         Raises
         ------
-        UsageError : the laws do not fit each other.
+        UsageError : the laws are incompatible.
         """
         return self.networks_with({})
 
     def networks_with(self, sources: Mapping[str, IdealSource]) -> tuple[Network, ...]:
-        """Return the networks with further ``sources``, each on the net that is its key."""
+        """Return the networks with further ``sources``, keyed by net."""
         readings: dict[str, Reading] = {}
         sweeps: dict[tuple[str, str], tuple[str, float]] = {}
         for name, item in self.equations.items():
-            readings |= _with_quantity_names(name, item.results)
+            readings |= _add_quantity_names(name, item.results)
             for key, source in item.sweeps.items():
                 sweeps[name, key] = source
         laws = [*self.laws.values(), *sources.values()]
@@ -130,19 +130,19 @@ class SceneLaws:
     @cached_property
     def _loaded_signals(self) -> frozenset[str]:
         """Names of the parts that set a signal on a net where a current or a force acts."""
-        laws = _laws_by_name(self.stated_equations)
-        kinds = pin_kinds(laws.values())
+        laws = _index_laws(self.stated_equations)
+        kinds = list_pin_kinds(laws.values())
         loaded, drivers = set[str](), list[PinLink]()
         for link in _list_links(self.build, self.stated_equations):
             if kinds[link.law_pin] != "signal":
                 loaded.add(link.net)
-            elif prescribes(laws, link.law_pin):
+            elif prescribes_value(laws, link.law_pin):
                 drivers.append(link)
         return frozenset(link.part for link in drivers if link.net in loaded)
 
 
-def _with_quantity_names(part: str, results: Mapping[str, Reading]) -> dict[str, Reading]:
-    """Return the results of a part, with flows such as ``r.i`` as ``r.current`` too."""
+def _add_quantity_names(part: str, results: Mapping[str, Reading]) -> dict[str, Reading]:
+    """Return the results of a part, with a second name ``r.current`` for ``r.i``."""
     names = dict(results)
     for quantity_name, symbol in FLOW_SYMBOLS.items():
         if f"{part}.{symbol}" in results:
@@ -150,12 +150,14 @@ def _with_quantity_names(part: str, results: Mapping[str, Reading]) -> dict[str,
     return names
 
 
-def _laws_by_name(equations: Mapping[str, Equations]) -> dict[str, Law]:
+def _index_laws(equations: Mapping[str, Equations]) -> dict[str, Law]:
+    """Return all laws, keyed by name."""
     laws = chain.from_iterable(map(attrgetter("laws"), equations.values()))
     return {law.name: law for law in laws}
 
 
 def _list_links(build: Build, equations: Mapping[str, Equations]) -> Iterator[PinLink]:
+    """Yield the links between pins of parts and pins of laws."""
     nets = build.scene.nets
     for name, item in equations.items():
         for pin, law_pin in item.pins:
@@ -165,19 +167,20 @@ def _list_links(build: Build, equations: Mapping[str, Equations]) -> Iterator[Pi
 def scene_laws(build: Build) -> SceneLaws:
     """Return the laws of the scene with the models of its parts.
 
-    These are the laws that the build carries (:func:`with_laws`). If the keys or models of a build
-    have changed, its laws are built again.
+    These are the laws stored in the build (:func:`with_laws`). If the keys or models of a build
+    have changed, the laws are created again.
     """
     laws = build.laws
-    if isinstance(laws, SceneLaws) and _share_parts(laws.build, build):
+    if isinstance(laws, SceneLaws) and _have_common_parts(laws.build, build):
         return laws
     return SceneLaws(build)
 
 
 def with_laws(build: Build) -> Build:
-    """Return a build that carries its laws, so that they are built once."""
+    """Return a build with stored laws, so that they are created only once."""
     return replace(build, laws=scene_laws(build))
 
 
-def _share_parts(a: Build, b: Build) -> bool:
+def _have_common_parts(a: Build, b: Build) -> bool:
+    """Return whether two builds have the same parts and models."""
     return a.scene is b.scene and a.models is b.models

@@ -19,7 +19,7 @@ from numpy.polynomial import chebyshev
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
-from kc2spice.core.mesh_error import MESH_ERROR
+from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 from kc2spice.core.quantities import MU_0
 
 NODES = 40  # number of Chebyshev heights at which the couplings are computed
@@ -294,7 +294,7 @@ class Ladder(EqualByContent):
         if not self.rates.size:
             return {}
         known = {"rings": float(self.rings), "loops": float(self.rates.size)}
-        return known | {f"{MESH_ERROR}rings": self.rough, "loop_error": self.error}
+        return known | {f"{MESH_ERROR_PREFIX}rings": self.rough, "loop_error": self.error}
 
     def effect(self, heights: np.ndarray, s: complex, conductivity: float) -> CurrentEffect:
         """Compute the effect of the body's currents on coils and force at ``heights`` [m]."""

@@ -32,7 +32,13 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.errors import UsageError, candidates, did_you_mean, name_part_in_errors, wrong
+from kc2spice.core.errors import (
+    UsageError,
+    did_you_mean,
+    list_candidates,
+    name_part_in_errors,
+    wrong,
+)
 from kc2spice.core.quantities import (
     EPSILON_0,
     Density,
@@ -595,7 +601,7 @@ def material(
             return table.build(where.rsplit(".", 1)[-1])
     if name_or_table.lower() not in _library_names():
         names = list(_load_tables())
-        expected = f"one of {candidates(name_or_table, names, 'docs/reference/materials.md')}"
+        expected = f"one of {list_candidates(name_or_table, names, 'docs/reference/materials.md')}"
         hint = did_you_mean(name_or_table, names)
         hint = hint or 'write a table: { density = …, youngs_modulus = "… GPa", poisson_ratio = … }'
         raise wrong(where, "no such material", repr(name_or_table), expected, hint)

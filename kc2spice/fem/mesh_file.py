@@ -28,7 +28,7 @@ from scipy.sparse.csgraph import connected_components
 from skfem.mesh import Mesh
 
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.errors import UsageError, candidates, unknown, wrong
+from kc2spice.core.errors import UsageError, list_candidates, unknown, wrong
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.quantities import quantity
 from kc2spice.core.untrusted_files import call_in_child, read_bounded
@@ -125,7 +125,9 @@ class GroupedMesh:
             got = f"{name}, a group of {kinds[result.codimension]}"
             fitting = [k for k, group in self.groups.items() if group.codimension in codimensions]
             needed = " or ".join(kinds[c] for c in codimensions)
-            expected = f"a group of {needed}: {candidates(name, fitting) or 'the mesh has none'}"
+            expected = (
+                f"a group of {needed}: {list_candidates(name, fitting) or 'the mesh has none'}"
+            )
             raise wrong(where, f"this group does not consist of {needed}", got, expected)
         return result
 

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from kc2spice.core.equality import EqualByContent
-from kc2spice.core.errors import UsageError, candidates, did_you_mean, wrong
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, wrong
 from kc2spice.core.quantities import Density, Section, si, validate
 from kc2spice.fem.materials import material
 
@@ -136,5 +136,5 @@ def _unknown_material(name: str, where: str) -> UsageError:
     names = list(thermal_library())
     hint = did_you_mean(name, names)
     hint = hint or 'write a table: { density = …, conductivity = "… W/(m K)", specific_heat = … }'
-    expected = f"one of {candidates(name, names, 'docs/reference/thermal_materials.md')}"
+    expected = f"one of {list_candidates(name, names, 'docs/reference/thermal_materials.md')}"
     return wrong(where, "no material with thermal constants", repr(name), expected, hint)

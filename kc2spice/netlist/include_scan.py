@@ -23,7 +23,7 @@ from operator import attrgetter
 from pathlib import Path, PurePosixPath
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import name_threat, plain_name, read_bounded
+from kc2spice.core.untrusted_files import explain_unsafe_name, make_plain_name, read_bounded
 from kc2spice.netlist.expression import BUILT_IN, FUNCTIONS
 from kc2spice.netlist.read import OPTION_CARDS, Statement, split_comment, statements
 from kc2spice.netlist.spelling import comment
@@ -78,7 +78,7 @@ def flatten(path: Path, home: Path, *, trust: bool, inside: bool = False) -> Fla
         leads out of ``home``.
     """
     lines = _Reader(path, home, trust, inside).lines(path.name, path, str(path), ())
-    return Flat(plain_name(path.name), tuple(lines))
+    return Flat(make_plain_name(path.name), tuple(lines))
 
 
 @dataclass
@@ -137,7 +137,9 @@ class _Reader:
         result = _TARGET.fullmatch(rest)
         target = next(filter(None, result.groups()), "") if result else ""
         if not self.trust:
-            reason = "more than one word" if rest and result is None else name_threat(target)
+            reason = (
+                "more than one word" if rest and result is None else explain_unsafe_name(target)
+            )
             if reason:
                 raise forbidden_line_error(f"includes {reason}", self.main, where, raw)
         return target
@@ -367,7 +369,7 @@ def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
     UsageError : a file that does not exist, that could act on the machine (unless ``trust``), or
         that acts on the deck beyond its own subcircuits.
     """
-    reason = None if trust else name_threat(name)
+    reason = None if trust else explain_unsafe_name(name)
     if reason:
         raise UsageError(
             f"includes {reason}",

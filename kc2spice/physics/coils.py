@@ -1,8 +1,8 @@
 """Two coils and fixed magnets around a moving magnet: one coenergy of height and currents.
 
 Magnetic materials are linear, so at each height it is a quadratic function of the currents, of the
-powers in :data:`kc2spice.core.magnets.POWERS`. The derivatives of the coenergy are the force and
-the flux linkages.
+powers in :data:`kc2spice.core.magnets.CURRENT_EXPONENTS`. The derivatives of the coenergy are the
+force and the flux linkages.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.magnets import POWERS, Coenergy, EMTable, Piecewise
+from kc2spice.core.magnets import CURRENT_EXPONENTS, Coenergy, EMTable, Piecewise
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import Writer, substitute
@@ -29,7 +29,9 @@ from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.lookups import TableFunction
 from kc2spice.physics.symbolic import SLOPE, ZERO, derivative, expression, minus
 
-_TABLES = tuple(map("w{}".format, range(len(POWERS))))  # of the coenergy, over the height
+_TABLES = tuple(
+    map("w{}".format, range(len(CURRENT_EXPONENTS)))
+)  # of the coenergy, over the height
 _UNITS = ("J", "Wb", "Wb", "H", "H", "H")
 _COILS = ("resistance_lower", "resistance_upper")
 _RANGE = ("raised", "y_min", "y_max")
@@ -45,7 +47,7 @@ _LIMITS = {
 def _write_coenergy(height: str) -> str:
     """Write the coenergy [J] of both currents at a height."""
     terms = []
-    for table, (a, b) in zip(_TABLES, POWERS.values(), strict=True):
+    for table, (a, b) in zip(_TABLES, CURRENT_EXPONENTS.values(), strict=True):
         terms.append(f"{table}({height})*i1^{a}*i2^{b}")
     return " + ".join(terms)
 

@@ -35,7 +35,7 @@ from functools import cached_property
 from itertools import chain
 
 from kc2spice.core.domains import QUANTITIES, Domain
-from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
@@ -192,7 +192,7 @@ def _unknown_name(
         f"unknown name in the {what}",
         where=part,
         got=", ".join(unknown),
-        expected=f"one of {candidates(first, choices)}" if choices else "numbers",
+        expected=f"one of {list_candidates(first, choices)}" if choices else "numbers",
         hint=hint
         or did_you_mean(first, choices)
         or f"add the key {first} to the section of keys, or use one of these names",

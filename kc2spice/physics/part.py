@@ -11,7 +11,7 @@ import numpy as np
 from kc2spice.core import laws
 from kc2spice.core.domains import SIGNALS, TRANSLATION, VELOCITY
 from kc2spice.core.naming import names_of
-from kc2spice.core.waveforms import Waveforms, running_integral
+from kc2spice.core.waveforms import Waveforms, integrate_running
 from kc2spice.netlist.circuit import Circuit, Item, Param, Pin
 from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.library import Subcircuit
@@ -159,13 +159,13 @@ class DeclaredPart(PartType[KeysT]):
         n, d = part.name, self.built_declaration(part, build)
         results = {}
         for b in d.open_branches:  # loops of a full model are others
-            results[f"{n}.{b.through}"] = laws.reading(f"{n}.{b.plus}.through")
+            results[f"{n}.{b.through}"] = laws.scaled_wave(f"{n}.{b.plus}.through")
             if d.metered:
-                results[f"{n}.{b.across}"] = laws.difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
+                results[f"{n}.{b.across}"] = laws.wave_difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
             if b in d.inertial_branches:
-                results[f"{n}.v"] = laws.reading(f"{n}.{b.plus}.rate")
+                results[f"{n}.v"] = laws.scaled_wave(f"{n}.{b.plus}.rate")
         for state in d.states:
-            results[f"{n}.{state}"] = laws.reading(f"{n}.{state}")
+            results[f"{n}.{state}"] = laws.scaled_wave(f"{n}.{state}")
         values = tuple(d.values(part.keys).values())
         law = DeclaredLaw(n, d.with_loop_pin, values, self.initial_motion(part, build))
         return laws.Equations((law,), law.joins, results)
@@ -377,7 +377,7 @@ def balance_energy(
             forces.append((pins, np.diff(recorded[b.name])))
             continue
         increase = np.diff(over_time(d.stored_quantity(b))) + np.diff(
-            running_integral(over_time(d.direct_flow(b)), time)
+            integrate_running(over_time(d.direct_flow(b)), time)
         )
         middle = (recorded[b.name][1:] + recorded[b.name][:-1]) / 2
         brought = brought + middle * _integrate_steps(pins, time, increase)

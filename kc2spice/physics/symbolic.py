@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError, candidates, did_you_mean
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 from kc2spice.netlist.expression import (
     Binary,
     Call,
@@ -91,7 +91,7 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
                     "no such function in a declaration",
                     where=where,
                     got=name,
-                    expected="one of " + candidates(name, functions, _PAGE),
+                    expected="one of " + list_candidates(name, functions, _PAGE),
                     hint=_SUBSTITUTES.get(name) or did_you_mean(name, [*_CHAIN, *tables]),
                 )
             case Choice() | CircuitVariable():

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.waveforms import constant
+from kc2spice.core.waveforms import constant_waveform
 from kc2spice.reference.system import System
 
 
@@ -191,7 +191,7 @@ def _fix_sources(system: System, values: dict[str, float]) -> System:
     sources = []
     for source in system.sources:
         value = values.get(source.name, float(source.wave(0.0)))
-        sources.append(replace(source, wave=constant(value)))
+        sources.append(replace(source, wave=constant_waveform(value)))
     return replace(system, sources=tuple(sources))
 
 

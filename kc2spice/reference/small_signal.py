@@ -21,7 +21,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from kc2spice.core import laws as L
-from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE
+from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE
 from kc2spice.core.waveforms import Function, Waveform
 from kc2spice.reference.equilibrium import Interval, equilibrium
 from kc2spice.reference.system import System, assemble_system
@@ -435,7 +435,7 @@ def solve_noise(
     system = assemble_system(answering, joins)
     point = equilibrium(system)
     power = [_noise_power(LinearisedSystem(system, s, point), of, s) for s in 2j * np.pi * f]
-    return np.sqrt(4 * BOLTZMANN * TEMPERATURE * np.array(power))
+    return np.sqrt(4 * BOLTZMANN * DEFAULT_TEMPERATURE * np.array(power))
 
 
 def _noise_power(at: LinearisedSystem, of: L.Reading, s: complex) -> float:

@@ -464,7 +464,7 @@ def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
     v = slice(nq + x.start, nq + x.stop)
     (K, E, *inertia), B, C, D = law.model.pencil.coefficients, law.model.B, law.model.C, law.model.D
     M = inertia[0] if inertia else np.zeros_like(E)
-    heat = any(port.kind in L.HEATED for port in law.ports)
+    heat = any(port.kind in L.FLOW_DRIVEN for port in law.ports)
     into.M[x, v] += M
     into.A[x, x] -= K
     into.A[x, v] -= E
@@ -472,7 +472,7 @@ def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
     motion[:, x] = np.eye(C.shape[1])
     shaken = {}
     for k, port in enumerate(law.ports):
-        if port.kind in L.CHARGED:
+        if port.kind in L.CHARGE_OUTPUTS:
             volts[k] = into.gap(law, port.name, port.ret)
         elif port.kind == ACCELERATION.name:
             shaken[k] = into.form(law, port.name)
@@ -484,7 +484,7 @@ def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
         if port.kind == ACCELERATION.name:
             into.A[x] += np.outer(B[:, k], into.form(law, port.name))
             into.flows[f"{law.name}.{port.name}"] = (C[k] @ motion, np.zeros(n), 0.0)
-        elif port.kind in L.CHARGED:
+        elif port.kind in L.CHARGE_OUTPUTS:
             into.A[x] += np.outer(B[:, k], volts[k])
             charge = C[k] @ motion + direct_term(k, volts) + direct_term(k, shaken)
             into.M += np.outer(volts[k], charge)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.figure import Curve, Figure, Panel, label_axis, scale_axis
+from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, scale_axis
 from kc2spice.core.prefix import ROUNDING_NOISE, format_quantity, format_value_and_limit
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.drawings import describe_devices, draw_circuit, draw_devices
@@ -402,7 +402,7 @@ def _plot_unit(unit: str, probes: Mapping[str, Probe], waves: Waveforms, scale: 
             marks.append((factor * place, name))
     return Panel(
         label,
-        label_axis("magnitude" if complex_ else "value", unit),
+        format_axis_label("magnitude" if complex_ else "value", unit),
         tuple(curves.values()),
         levels=tuple(levels),
         marks=tuple(marks),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from kc2spice.core.figure import Curve, Figure, Map, Panel, label_axis
+from kc2spice.core.figure import Curve, Figure, Map, Panel, format_axis_label
 from kc2spice.core.prefix import format_quantity
 from kc2spice.report.html import PageSection, format_value, label_key, write_page
 from kc2spice.scene.model import Scene
@@ -137,7 +137,7 @@ def plot_sweep(
     for key, unit in units.items():
         if _belongs_to(table[key], *NUMBERS):
             values = _read_numbers(table[key])
-            x[key] = label_axis(key.replace("_", " "), unit), values
+            x[key] = format_axis_label(key.replace("_", " "), unit), values
             crossed *= np.unique(values).size
         else:
             words[key] = table[key]
@@ -146,7 +146,7 @@ def plot_sweep(
     y: dict[str, Axis] = {}
     for name in metrics:
         unit = metric_units.get(name, "")
-        label = label_axis(label_key(name, unit).replace("_", " "), unit)
+        label = format_axis_label(label_key(name, unit).replace("_", " "), unit)
         y[name] = label, _read_numbers(table[name])
     if not random and len(x) == 1:
         labels = [" ".join(map(str, row)) for row in zip(*words.values(), strict=True)]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.figure import Curve, Figure, Panel, label_axis, scale_axis
+from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, scale_axis
 from kc2spice.core.prefix import format_quantity, format_ratio, format_value_and_limit
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import PageSection, format_fact, format_times, write_page
@@ -142,7 +142,7 @@ def plot_comparison(
             Curve(n, factor * w[scale].real, _real_values(w[wave]), "-" if k else "reference")
             for k, (n, w) in enumerate(solutions.items())
         )
-        panels.append(Panel(label, label_axis(wave, units.get(wave, "")), curves))
+        panels.append(Panel(label, format_axis_label(wave, units.get(wave, "")), curves))
     over, caption = f"{title}: solutions over each other", f"Reference (dotted): {first}."
     yield Figure(f"{name}_solutions", over, caption, tuple(panels))
     x = factor * exact[scale].real

@@ -14,7 +14,7 @@ from importlib import resources
 from typing import Any
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import identifier
+from kc2spice.core.untrusted_files import make_identifier
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class CataloguePart:
     @property
     def stem(self) -> str:
         """Name of its scene."""
-        return identifier(self.number, "part")
+        return make_identifier(self.number, "part")
 
     @property
     def rated_voltage(self) -> str:

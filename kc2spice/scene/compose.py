@@ -15,7 +15,7 @@ from string import ascii_lowercase
 from typing import Any
 
 from kc2spice.core.domains import ELECTRICAL, Domain
-from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.scene.frames import find_frames
 from kc2spice.scene.model import GROUND, Build, BuildRecord, Names, Part, Scene, Terminal
 from kc2spice.scene.parttype import find_current_into
@@ -122,11 +122,11 @@ def _find_target(target: str, scene: Scene, where: str) -> Pin:
         return (name, pin)
     pins = [f"{name}.{terminal.name}" for terminal in scene.pins(name)]
     if pins and not dot:
-        expected = f"{name} with one of its pins: {candidates(target, pins)}"
+        expected = f"{name} with one of its pins: {list_candidates(target, pins)}"
     elif pins:
-        expected = f"a pin of {name}: {candidates(target, pins)}"
+        expected = f"a pin of {name}: {list_candidates(target, pins)}"
     else:
-        listed = candidates(name, scene.parts)
+        listed = list_candidates(name, scene.parts)
         expected = f"gnd or PART.PIN with a part of the scene: {listed}"
     near = did_you_mean(target, pins) if pins else did_you_mean(name, scene.parts)
     raise UsageError(

@@ -11,7 +11,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from kc2spice.core.quantities import list_keys, unit_of
+from kc2spice.core.quantities import find_unit, list_keys
 from kc2spice.scene.model import DEFAULT_TABLES, Scene
 from kc2spice.scene.parttype import part_types
 from kc2spice.scene.settings import Frame, Probe
@@ -50,7 +50,7 @@ def list_schema_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
         integer = int in kinds or int in map(type, kinds)
         mixed = {float, str} <= kinds.keys()
         name = prefix + ".".join(path)
-        yield Key(name, unit_of(field), default, choices, doc, integer, mixed)
+        yield Key(name, find_unit(field), default, choices, doc, integer, mixed)
 
 
 def _find_default(field: FieldInfo) -> Any:

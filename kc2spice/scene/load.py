@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from kc2spice.core.errors import UsageError, candidates, did_you_mean, unknown
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.core.quantities import (
     clip_text,
     describe_invalid,
@@ -19,7 +19,7 @@ from kc2spice.core.quantities import (
     list_keys,
 )
 from kc2spice.core.untrusted_files import (
-    identifier,
+    make_identifier,
 )
 from kc2spice.scene.compose import with_joins
 from kc2spice.scene.model import DEFAULT_TYPES, GROUND, Names, Part, PartType, Scene
@@ -89,7 +89,7 @@ def load_scene(
     else:
         source = open_scene(scene)
         data = source.parse()
-    data.setdefault("name", identifier(source.stem, "scene"))
+    data.setdefault("name", make_identifier(source.stem, "scene"))
     if isinstance(overrides, str):
         raise UsageError(
             "overrides is a text, not a list of texts",
@@ -129,7 +129,7 @@ def _require_known_parts(
             raise UsageError(
                 f"{name} is a part of this scene, not a key",
                 where=source.where(name),
-                expected=f"a key of {name}: {candidates(name, keys)}",
+                expected=f"a key of {name}: {list_candidates(name, keys)}",
                 hint=f"write {name}.KEY=VALUE",
             )
         if name in known or not isinstance(table, Mapping) or "part" in table:
@@ -137,7 +137,7 @@ def _require_known_parts(
         raise UsageError(
             f"this scene has no part {name!r}",
             where=source.where(name),
-            expected=f"a key of one of its parts: {candidates(name, parts)}",
+            expected=f"a key of one of its parts: {list_candidates(name, parts)}",
             hint=did_you_mean(name, parts) or "use the name of one of these parts",
         )
 
@@ -243,7 +243,7 @@ def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[st
                 where=name,
                 got=repr(clip_text(name)),
                 expected="a letter, then letters, digits and _, at most 48 in all; not gnd",
-                hint=f"rename it, such as [{identifier(name, 'part')}]",
+                hint=f"rename it, such as [{make_identifier(name, 'part')}]",
             )
         first = spellings.setdefault(name.lower(), name)
         if first != name:
@@ -270,7 +270,7 @@ def _unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
     return UsageError(
         "unknown key",
         where=name,
-        expected=f"one of {candidates(name, Frame.model_fields)}, or a table with part = TYPE",
+        expected=f"one of {list_candidates(name, Frame.model_fields)}, or a table with part = TYPE",
         hint=did_you_mean(name, Frame.model_fields) or did_you_mean(name, part_keys) or below,
     )
 
@@ -290,7 +290,7 @@ def _find_type(name: str, table: Mapping[str, Any]) -> PartType:
         raise UsageError(
             "this table states no part type",
             where=name,
-            expected=f"part = one of {candidates(name, type_names(), _PARTS_COMMAND)}",
+            expected=f"part = one of {list_candidates(name, type_names(), _PARTS_COMMAND)}",
             hint=near
             or f'add  part = "TYPE"  to [{name}]; kc2spice scenes --parts lists the types',
         )

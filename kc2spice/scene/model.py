@@ -886,9 +886,9 @@ class PartType(Generic[KeysT]):
     ) -> Iterable[Check | str]:
         """Compare the model with that of a mesh half as wide, with a limited number of unknowns.
 
-        Plane meshes may have :data:`kc2spice.core.mesh_error.IN_PLANE` times as many. The results
-        are checks of the differences, or the reason for their absence. Keys that a ``full`` model
-        refines need no such check.
+        Plane meshes may have :data:`kc2spice.core.mesh_error.PLANE_UNKNOWN_RATIO` times as many.
+        The results are checks of the differences, or the reason for their absence. Keys that a
+        ``full`` model refines need no such check.
         """
         return ()
 

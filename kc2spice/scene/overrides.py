@@ -9,7 +9,7 @@ from typing import Any
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import clip_text
-from kc2spice.core.untrusted_files import DEEPEST, LONGEST_KEY, parse_toml
+from kc2spice.core.untrusted_files import LONGEST_KEY, MAX_NESTING, parse_toml
 from kc2spice.scene.scene_file import open_scene
 
 _WORD, _INDEX = r"[A-Za-z_][A-Za-z0-9_]*", r"\[-?[0-9]{1,6}\]"
@@ -95,7 +95,7 @@ def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[st
     Missing tables are added. Entries of lists must exist. ``where`` is the place that errors name.
     """
     steps = re.findall(rf"{_WORD}|{_INDEX}", name)
-    long = len(steps) > DEEPEST or max(map(len, steps), default=0) > LONGEST_KEY
+    long = len(steps) > MAX_NESTING or max(map(len, steps), default=0) > LONGEST_KEY
     if long or not _KEY.fullmatch(name):
         raise UsageError(
             "not the name of a key", where=where, got=repr(clip_text(name)), expected=_EXAMPLES

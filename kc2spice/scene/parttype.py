@@ -54,7 +54,7 @@ def compute_pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str
         # both objects stay in memory, so that no other object has their identity
         return build, waves, result
 
-    return build.workspace.latest("forces", (id(build), id(waves)), compute)[2]
+    return build.workspace.get_or_compute("forces", (id(build), id(waves)), compute)[2]
 
 
 _types: dict[str, PartType] = {}

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.prefix import format_quantity
-from kc2spice.core.quantities import MASSES, Plausible, role_of
+from kc2spice.core.quantities import PLAUSIBLE_MASS, Plausible, plausible_range_of
 
 if TYPE_CHECKING:
     from kc2spice.scene.model import Build, Scene
@@ -47,7 +47,7 @@ def check_range(
 def check_dimensions(where: str, keys: BaseModel) -> Iterator[UsageError]:
     """Yield errors of all keys by their roles, including lists and inner tables."""
     for name, field in type(keys).model_fields.items():
-        yield from _check_value(f"{where}.{name}", role_of(field), getattr(keys, name))
+        yield from _check_value(f"{where}.{name}", plausible_range_of(field), getattr(keys, name))
 
 
 def _check_value(where: str, role: Plausible | None, value: Any) -> Iterator[UsageError]:
@@ -127,7 +127,12 @@ def check_models(build: Build) -> Iterator[UsageError]:
         mass = build.facts(part).get("mass_kg")
         if mass is not None:
             yield from check_range(
-                part.name, mass, MASSES.unit, MASSES.low, MASSES.high, MASSES.why
+                part.name,
+                mass,
+                PLAUSIBLE_MASS.unit,
+                PLAUSIBLE_MASS.low,
+                PLAUSIBLE_MASS.high,
+                PLAUSIBLE_MASS.why,
             )
 
 

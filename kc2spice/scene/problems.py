@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from math import inf
 from operator import attrgetter
 
-from kc2spice.core.errors import UsageError, candidates
-from kc2spice.core.quantities import quantity, unit_of
+from kc2spice.core.errors import UsageError, list_candidates
+from kc2spice.core.quantities import find_unit, quantity
 from kc2spice.scene.model import Scene
 from kc2spice.scene.plausible import ImplausibleError, apply_action
 from kc2spice.scene.resolve import PERIOD_TOLERANCE
@@ -184,7 +184,7 @@ def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
             "analysis.sweep is missing in dc" if missing else f"this scene has no part {name!r}",
             where="analysis" if missing else "analysis.sweep",
             got='type = "dc" without sweep' if missing else repr(selected.sweep),
-            expected=f"PART.dc of a source of the scene: {candidates(name, sources)}",
+            expected=f"PART.dc of a source of the scene: {list_candidates(name, sources)}",
             hint=f'write  sweep = "{sources[0]}.dc"  in [analysis]',
         )
     unit = _scale_unit(scene)
@@ -283,4 +283,4 @@ def _scale_unit(scene: Scene) -> str | None:
         return None
     part_unit = getattr(part.keys, "unit", None)
     field = type(part.keys).model_fields.get(key)
-    return part_unit if isinstance(part_unit, str) else None if field is None else unit_of(field)
+    return part_unit if isinstance(part_unit, str) else None if field is None else find_unit(field)

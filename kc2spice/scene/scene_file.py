@@ -12,10 +12,10 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from kc2spice.core.errors import UsageError, candidates, did_you_mean
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 from kc2spice.core.quantities import join_path
 from kc2spice.core.toml_errors import parse_toml_file
-from kc2spice.core.untrusted_files import MAX_BYTES, decode_text, read_bounded, split_lines
+from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded, split_lines
 from kc2spice.scene.catalogue import find_part, read_catalogue
 
 
@@ -75,7 +75,7 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
             else SceneFile(f"part {part.number}", part.stem, part.text, Path.cwd())
         )
     try:
-        text = decode_text(read_bounded(path, MAX_BYTES))
+        text = decode_text(read_bounded(path, MAX_TEXT_BYTES))
     except UnicodeDecodeError:
         raise UsageError("not a text file", where=name, expected="TOML in UTF-8") from None
     except (FileNotFoundError, IsADirectoryError):
@@ -92,7 +92,7 @@ def _missing_file_error(name: str, path: Path, scenes: Iterable[str]) -> UsageEr
     listing = "kc2spice scenes lists the built-in scenes"
     if path.suffix != ".toml" and len(path.parts) == 1:
         expected = (
-            f"a TOML file, or a built-in scene: {candidates(name, scenes, 'kc2spice scenes')}"
+            f"a TOML file, or a built-in scene: {list_candidates(name, scenes, 'kc2spice scenes')}"
         )
         near = did_you_mean(name, scenes) or did_you_mean(name, read_catalogue())
         hint = near or f"{listing}, kc2spice parts the part numbers"

@@ -23,7 +23,7 @@ import numpy as np
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.packages import install_command
-from kc2spice.core.untrusted_files import name_threat
+from kc2spice.core.untrusted_files import explain_unsafe_name
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import terms
@@ -110,7 +110,7 @@ def write_files(files: Mapping[str, str], directory: Path) -> None:
     UsageError : a name that leads out of ``directory``; nothing was written.
     """
     for filename in files:
-        if reason := name_threat(filename):
+        if reason := explain_unsafe_name(filename):
             raise UsageError(f"is {reason}", where="file name", got=repr(filename[:120]))
     directory.mkdir(parents=True, exist_ok=True)
     for filename, text in files.items():

@@ -34,7 +34,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError, unknown
 from kc2spice.core.files import stage_directory
-from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.core.waveforms import write_record
 from kc2spice.report.bench_page import write_bench
 from kc2spice.scene.axes import Axis, find_axes, find_finest_axes, move_axes
@@ -248,7 +248,7 @@ def bench(
     metric: Sequence[str] = (),
     repeats: int = 5,
     trust: bool = False,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> dict[str, Any]:
     """Measure error and time of ``scene`` and write ``bench.json`` and ``bench.html`` into ``out``.
 

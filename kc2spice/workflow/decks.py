@@ -56,7 +56,7 @@ def prepare_deck(
     """
     require_probed_results(Build(scene, {}, trust=trust, functions=functions or {}))
     build = build_models(scene, clock, trust=trust, functions=functions)
-    with clock.stage("export", "netlists"):
+    with clock.time_stage("export", "netlists"):
         deck = make_deck(build)
         if edited is not None:
             edits = read_edited_deck(deck, edited)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kc2spice.core.errors import unknown
 from kc2spice.core.files import stage_directory
-from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.linalg.solver import require_solver, solving_with
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.printers.dialect_registry import deck_dialects, dialect_names
@@ -28,7 +28,7 @@ def export_scene(
     scene: Scene,
     out: Path,
     dialect: str = "ngspice",
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     *,
     trust: bool = False,
     count: int | None = None,
@@ -55,7 +55,7 @@ def export_scene(
     with stage_directory(out) as work, solving_with(selected):
         build, deck = prepare_deck(resolve(replace(scene, ports="declared")), clock, trust=trust)
         _require_circuits(build, deck)
-        with clock.stage("export", "netlists and symbols"):
+        with clock.time_stage("export", "netlists and symbols"):
             if count is not None:
                 deck = array_deck(deck, count)
             files = dialect_files(deck, dialect)

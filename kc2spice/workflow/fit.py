@@ -24,7 +24,7 @@ from kc2spice.bodies.device import add_rayleigh_damping
 from kc2spice.bodies.readers.measured import MeasuredAdmittance, read_measured, shunt_resistance
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import stage_directory
-from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.fem.body_keys import Damping
 from kc2spice.parts.bodies._body_model import damping_of, loss_tangent
 from kc2spice.parts.bodies._box import VariedKey, make_varied, number_of, values_of_part
@@ -85,7 +85,7 @@ def fit(
     data: Path | str | MeasuredAdmittance,
     vary: Sequence[str] | Mapping[str, tuple[float, float] | None],
     out: Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     shunt: str | float | None = None,
 ) -> dict[str, Any]:
     """Vary keys of a body until its admittance is the measured one.

@@ -9,7 +9,7 @@ from typing import Any
 
 from kc2spice.bodies.readers.measured import is_measured
 from kc2spice.core.errors import Kc2spiceError, UsageError
-from kc2spice.core.progress import Progress, silent
+from kc2spice.core.progress import Progress, ignore_progress
 from kc2spice.linalg.solver import require_solver
 from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.linear_model import LinearModel
@@ -26,7 +26,7 @@ def compare(
     order: int | None = None,
     norm: str | None = None,
     solver: str | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> dict[str, Any]:
     """Reduce a model by every method of reduction that is registered.
 

@@ -120,7 +120,7 @@ def _run_again(run: Run, chosen: Sequence[LargerOrder], work: Path, clock: Clock
     with TemporaryDirectory() as folder:
         try:
             again, deck = prepare_deck(load_scene(build.scene, keys), clock, **options)
-            with clock.stage("simulate", "with more states") as share:
+            with clock.time_stage("simulate", "with more states") as share:
                 result = simulate_deck(again, deck, Path(folder), progress=share)
         except (SimulationError, UsageError) as error:
             message = f"the run with more states failed: {error.message}; "

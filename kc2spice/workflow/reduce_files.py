@@ -19,11 +19,11 @@ from kc2spice.bodies.readers.measured import (
     read_measured,
     shunt_resistance,
 )
-from kc2spice.core.errors import GateMissedError, UsageError, candidates, unknown
+from kc2spice.core.errors import GateMissedError, UsageError, list_candidates, unknown
 from kc2spice.core.files import stage_directory
-from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.core.quantities import quantity
-from kc2spice.core.untrusted_files import identifier
+from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.linalg.solver import require_solver, solving_with
 from kc2spice.netlist.deck import Deck, ac
 from kc2spice.netlist.elements import add_title
@@ -74,7 +74,7 @@ def reduce_file(
     shunt: str | float | None = None,
     method: str | None = None,
     solver: str | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> dict[str, Any]:
     """Reduce a model and write ``NAME_rom.npz`` and its matrices.
 
@@ -175,7 +175,7 @@ def _reduce_matrices(
         return _reduce_affine(model, out, options, settings, progress)
     if tolerance is None and order is None:
         tolerance = TOLERANCE
-    _require_names(model, identifier(f"{model.name}_rom", "rom"))
+    _require_names(model, make_identifier(f"{model.name}_rom", "rom"))
     progress("reduce", None, f"{model.order} equations")
     _require_stable_full(model, band)
     reduced = partial(
@@ -209,8 +209,8 @@ def _reduce_affine(
                 hint=f"leave out {option}",
             )
     name, names = f"{model.name}_rom", list(model.defaults)
-    require_parametric_form(model.model.ports, names, identifier(name, "rom"))
-    _require_names(model.model, identifier(name, "rom"))
+    require_parametric_form(model.model.ports, names, make_identifier(name, "rom"))
+    _require_names(model.model, make_identifier(name, "rom"))
     progress("reduce", None, f"{model.model.order} equations, parameters {', '.join(names)}")
     directory = Path(name) if out is None else Path(out)
     with stage_directory(directory) as work:
@@ -218,7 +218,7 @@ def _reduce_affine(
             model, **settings, progress=lambda done, of: progress("reduce", done / of, "")
         )
         at_defaults = reduced.at(reduced.defaults)
-        part = parametric_subcircuit(reduced, identifier(name, "rom"))
+        part = parametric_subcircuit(reduced, make_identifier(name, "rom"))
         require_circuit(part, at_defaults, settings["tolerance"])
         files = write_varying(reduced, work, name)
     parameters = {item.name: asdict(item) for item in model.parameters}
@@ -408,7 +408,9 @@ def _write_reduced_model(
     directory = Path(name) if out is None else Path(out)
     with stage_directory(directory) as work:
         reduced = make()
-        part = subcircuit(reduced, identifier(name, "rom"))  # without a circuit, no error estimate
+        part = subcircuit(
+            reduced, make_identifier(name, "rom")
+        )  # without a circuit, no error estimate
         if tolerance is not None:
             require_circuit(part, reduced, tolerance)
         files = write_rom(reduced, work, name)
@@ -446,7 +448,7 @@ def _scene_body(text: str) -> LinearModel | None:
             "this part has no linear model",
             where=text,
             got=f"a part of type {part.type.name}",
-            expected=candidates(part_name, bodies) or "a body; this scene has none",
+            expected=list_candidates(part_name, bodies) or "a body; this scene has none",
         )
     full = full_model_alone(part, scene, Clock())
     restricted = full.select(part.type.used_port_names(part, scene))
@@ -500,7 +502,10 @@ def export_rom(
 
 def _read_part(path: Path, dense: bool) -> tuple[LinearModel, Subcircuit]:
     """Read a reduced model and make its subcircuit; one with parameters is that of the defaults."""
-    name, digest = identifier(path.stem, "rom"), hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    name, digest = (
+        make_identifier(path.stem, "rom"),
+        hashlib.sha256(path.read_bytes()).hexdigest()[:16],
+    )
     header = Header(path.stem, digest)
     if not is_varying(path):
         reduced = read_rom(path)

@@ -190,7 +190,7 @@ def evaluate(
     Raises as :func:`simulate_deck` does.
     """
     build, deck = prepare_deck(scene, clock, trust=trust, functions=functions)
-    with clock.stage("refined run", text), tempfile.TemporaryDirectory() as folder:
+    with clock.time_stage("refined run", text), tempfile.TemporaryDirectory() as folder:
         return simulate_deck(build, deck, Path(folder), retries=retries)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from kc2spice.core import __version__
 from kc2spice.core.figure import Figure, FileWriter
 from kc2spice.core.files import stage_directory
-from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.core.waveforms import write_record, write_waveforms
 from kc2spice.netlist.printers.plot_script import plot_script
 from kc2spice.report.figures import draw_pngs
@@ -92,7 +92,7 @@ class CompletedRun:
 def run_scene(
     scene: Scene,
     out: Path,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     *,
     trust: bool = False,
     deck: Path | None = None,
@@ -153,7 +153,7 @@ def run_scene(
 def complete(
     scene: Scene,
     work: Path,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     *,
     out: Path | None = None,
     trust: bool = False,
@@ -182,7 +182,7 @@ def complete(
                 spare_other_decks(out, prepared_deck.files)
             announce_long_run(build, prepared_deck)
             try:
-                with clock.stage("simulate", f"{simulator.name} {simulator.version}") as share:
+                with clock.time_stage("simulate", f"{simulator.name} {simulator.version}") as share:
                     result = simulate_deck(build, prepared_deck, work, progress=share)
                 break
             except RetriesFailedError as error:
@@ -226,7 +226,7 @@ def write_run_files(
 ) -> dict[str, Any]:
     """Write all files of a run into ``work``; return ``result.json``."""
     scene, deck, waves = done.run.build.scene, done.run.deck, done.run.waves
-    with done.clock.stage("report", "metrics and page"):
+    with done.clock.time_stage("report", "metrics and page"):
         record = dict(done.record)
         texts = deck.files | plot_script(deck)
         write_files(texts, work)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.waveforms import Waveforms, save_arrays, slope, write_record
+from kc2spice.core.waveforms import Waveforms, differentiate, save_arrays, write_record
 from kc2spice.netlist.deck import Deck, PowerTerm
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Verdict
@@ -210,7 +210,7 @@ def _power(term: PowerTerm, waves: Waveforms) -> np.ndarray:
         if "frequency" in waves:
             across = 2j * np.pi * waves["frequency"].real * across
         else:
-            across = slope(across, waves["time"]) if "time" in waves else 0.0 * across
+            across = differentiate(across, waves["time"]) if "time" in waves else 0.0 * across
     return (across * through.conj()).real / 2 if np.iscomplexobj(through) else across * through
 
 

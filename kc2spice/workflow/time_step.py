@@ -25,7 +25,7 @@ from kc2spice.core.domains import DOMAINS
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.equations.networks import Network, law_of, pin_kinds
+from kc2spice.equations.networks import Network, law_of, list_pin_kinds
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build
@@ -83,7 +83,7 @@ def _relaxes(network: Network) -> bool:
     Heat has no inertia. A thermal network cannot ring, and error control resolves its time
     constants.
     """
-    kinds = set(pin_kinds(network.laws).values())
+    kinds = set(list_pin_kinds(network.laws).values())
     return all(DOMAINS[kind].relaxes for kind in kinds)
 
 

@@ -15,7 +15,7 @@ from test_body import write
 
 from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
-from kc2spice.core.mesh_error import MESH_ERROR
+from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 from kc2spice.parts.bodies import bimorph, disc, langevin
 from kc2spice.parts.bodies.body import device
 
@@ -246,7 +246,7 @@ def rows(make, home, finest):
     strokes = [name for name in fine if name.startswith("free_stroke_")]
     facts = FACTS | dict(zip(["stroke"], strokes, strict=False))
     for word, name in facts.items():
-        estimate = found.get(f"{MESH_ERROR}{word}")
+        estimate = found.get(f"{MESH_ERROR_PREFIX}{word}")
         if estimate is None or name not in fine:
             continue
         last, first = fine[name] - half[name], half[name] - found[name]

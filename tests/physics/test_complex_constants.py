@@ -6,7 +6,7 @@ from scipy.linalg import eigh
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock, silent
+from kc2spice.core.progress import Clock, ignore_progress
 from kc2spice.rom.complex_constants import ComplexConstants, complex_constants
 from kc2spice.rom.linear_model import Certificate, Port
 from kc2spice.rom.modal import Resonators
@@ -139,4 +139,4 @@ def test_what_has_no_complex_constants_says_so():
         kc.build(scene)
     box = {"disc.rom.parameters": {"damping.quality": [50.0, 90.0]}}
     with pytest.raises(UsageError, match="viscous damping"):
-        build_models(kc.load_scene(DISC, box), Clock(silent))
+        build_models(kc.load_scene(DISC, box), Clock(ignore_progress))

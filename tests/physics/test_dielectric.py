@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 import kc2spice as kc
 from kc2spice.bodies.readers.measured import MeasuredAdmittance
 from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock, silent
+from kc2spice.core.progress import Clock, ignore_progress
 from kc2spice.netlist.deck import ac
 from kc2spice.rom.modal import fit_foster_network
 from kc2spice.workflow.models import build_models
@@ -52,7 +52,7 @@ def test_relaxations_lose_the_same_share_at_all_frequencies(tangent, band):
 def models():
     """The same body without and with the loss."""
     scenes = [kc.load_scene(BUZZER, {"disc.damping.loss_tangent": t}) for t in (0.0, TANGENT)]
-    return [build_models(scene, Clock(silent)).models["disc"] for scene in scenes]
+    return [build_models(scene, Clock(ignore_progress)).models["disc"] for scene in scenes]
 
 
 def test_a_body_has_its_clamped_capacitance_complex(models):
@@ -150,4 +150,4 @@ def test_what_has_no_loss_of_its_dielectric_says_so():
     lossy = {"disc.damping.loss_tangent": 0.02}
     box = {"disc.rom.parameters": {"damping.quality": [20.0, 90.0]}}
     with pytest.raises(UsageError, match="no loss of its dielectric"):
-        build_models(kc.load_scene(BUZZER, lossy | box), Clock(silent))
+        build_models(kc.load_scene(BUZZER, lossy | box), Clock(ignore_progress))

@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 from kc2spice.core import laws
-from kc2spice.core.waveforms import constant, linear
+from kc2spice.core.waveforms import constant_waveform, linear_waveform
 from kc2spice.parts.electronics.two_terminal_types import element
 from kc2spice.parts.mechanics.mass import point_mass
 from kc2spice.physics.law import DeclaredLaw
@@ -41,8 +41,8 @@ def risen(t: np.ndarray) -> np.ndarray:
 
 
 def test_steps_follow_a_closed_form_with_an_error_of_second_order() -> None:
-    force = laws.IdealSource("f", "force", linear(((0.0, 0.0), (RAMP, 1.0))))
-    still = laws.IdealSource("v", "voltage", constant(0.0))
+    force = laws.IdealSource("f", "force", linear_waveform(((0.0, 0.0), (RAMP, 1.0))))
+    still = laws.IdealSource("v", "voltage", constant_waveform(0.0))
     body = laws.PortBody("x", oscillator(), KICK)
     joins = {"a": ("x.tip", "f.out"), "b": ("x.anode", "v.out")}
     system, errors = assemble_system((body, force, still), joins), []
@@ -68,7 +68,7 @@ def test_a_body_at_its_ports_is_the_same_as_with_its_states() -> None:
         parts = (
             body, element("c", "capacitor", 2e-9), element("k", "spring", 3e4),
             DeclaredLaw("lifted", point_mass(1e-3, -30.0), (1e-3, -30.0, 0.0, 0.0)),
-            laws.IdealSource("f", "force", constant(0.1), 1.0),
+            laws.IdealSource("f", "force", constant_waveform(0.1), 1.0),
         )  # fmt: skip
         joins = {"a": ("x.tip", "k.a", "lifted.a", "f.out"), "b": ("x.anode", "c.a")}
         system = assemble_system(parts, joins)

@@ -7,7 +7,7 @@ from scipy.linalg import expm
 from kc2spice.core import laws as L
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.quantities import Section
-from kc2spice.core.waveforms import linear, sine
+from kc2spice.core.waveforms import linear_waveform, sine_waveform
 from kc2spice.parts.electronics.two_terminal_types import element
 from kc2spice.parts.mechanics.mass import point_mass
 from kc2spice.physics.contact import Normal, declare_contact
@@ -40,8 +40,8 @@ def balanced(result: Trajectory, share: float) -> bool:
 def test_rlc_answers_a_ramp_as_the_matrix_exponential() -> None:
     r, ind, c, edge = 100.0, 1e-3, 1e-6, 20e-6
     system = assemble_system(
-        [L.IdealSource("v", "voltage", linear(((0, 0), (edge, 1)))), element("r", "resistor", r),
-         element("l", "inductor", ind), element("c", "capacitor", c)],
+        [L.IdealSource("v", "voltage", linear_waveform(((0, 0), (edge, 1)))),
+         element("r", "resistor", r), element("l", "inductor", ind), element("c", "capacitor", c)],
         {"in": ["v.out", "r.a"], "mid": ["r.b", "l.a"], "out": ["l.b", "c.a"]},
     )  # fmt: skip
     times = np.linspace(0.0, 1e-3, 101)
@@ -93,7 +93,7 @@ def test_every_element_tells_what_flows_through_it() -> None:
              "spring": value * t, "damper": value + 0 * t}  # fmt: skip
     for drive, found in kinds.items():
         for kind in found:
-            ramp = L.IdealSource("ramp", drive, linear(((0, 0), (stop, stop))))
+            ramp = L.IdealSource("ramp", drive, linear_waveform(((0, 0), (stop, stop))))
             system = assemble_system(
                 [ramp, element("e", kind, value)], {"net": ["ramp.out", "e.a"]}
             )
@@ -117,7 +117,7 @@ def test_piezo_with_a_resistor_as_its_load() -> None:
         [
             piezo("p"),
             element("load", "resistor", 1e4),
-            L.IdealSource("push", "force", linear(((0, 0), (1e-4, 1))), 1.0),
+            L.IdealSource("push", "force", linear_waveform(((0, 0), (1e-4, 1))), 1.0),
         ],
         {"hot": ["p.anode", "load.a"], "tip": ["p.top", "push.out"]},
     )
@@ -149,7 +149,7 @@ def test_falling_mass_without_a_start_has_no_equilibrium() -> None:
 
 def test_a_shaken_mass_pulls_at_what_shakes_it() -> None:
     size, f, m = 1e-6, 1e3, 1e-3
-    parts = [L.IdealSource("table", "displacement", sine(size, f)), mass("block", m)]
+    parts = [L.IdealSource("table", "displacement", sine_waveform(size, f)), mass("block", m)]
     system = assemble_system(parts, {"x": ["table.out", "block.a"]})
     times = np.linspace(0.0, 2e-3, 41)
     result = solve_transient(system, 2e-3, 1e-9, times)
@@ -161,7 +161,7 @@ def test_a_shaken_mass_pulls_at_what_shakes_it() -> None:
 def test_inductors_in_series_share_the_voltage_of_a_ramp() -> None:
     """Index 2: v = (L1 + L2) i', with as much at each as its inductance."""
     system = assemble_system(
-        [L.IdealSource("v", "voltage", linear(((0, 0), (1e-3, 1)))),
+        [L.IdealSource("v", "voltage", linear_waveform(((0, 0), (1e-3, 1)))),
          element("one", "inductor", 1e-3), element("two", "inductor", 2e-3)],
         {"in": ["v.out", "one.a"], "mid": ["one.b", "two.a"]},
     )  # fmt: skip
@@ -175,7 +175,7 @@ def test_what_rings_freely_under_a_falling_ball_is_followed() -> None:
     """112 periods, with the energy that they lose."""
     edge, stop, ball = 1e-4, 5e-3, 1e-9
     system = assemble_system(
-        [piezo("p"), L.IdealSource("push", "force", linear(((0, 0), (edge, 1)))),
+        [piezo("p"), L.IdealSource("push", "force", linear_waveform(((0, 0), (edge, 1)))),
          mass("ball", ball, 9.81, (1e-2, 0.0)),
          touching("touch", 1e5)],
         {"tip": ["p.top", "push.out", "touch.a"], "y": ["ball.a", "touch.b"], "gnd": ["p.anode"]},
@@ -204,7 +204,7 @@ def test_rounding_of_a_derivative_does_not_shorten_the_steps() -> None:
         "x": f"({gain!r}*(v - followed) - x - 0.1*tanh(x))/{lag!r}",
     }
     declared = Declaration("follower", "derivative", Section, branches, states=states)
-    source = L.IdealSource("s", "voltage", sine(1e3, 0.5 / np.pi))
+    source = L.IdealSource("s", "voltage", sine_waveform(1e3, 0.5 / np.pi))
     joins = {"net": ("s.out", "d.p"), L.GROUND: ("d.n",)}
     system = assemble_system([source, DeclaredLaw("d", declared, ())], joins)
     run = solve_transient(system, 1.0, 1.5e-9)
@@ -228,7 +228,7 @@ def test_a_step_of_a_signal_saturates_what_follows_it() -> None:
     follower = Declaration(
         "follower", "amplifier", Section, (measured(voltage("v", "q", "n")),), states=states
     )
-    source = L.IdealSource("s", "voltage", linear(((0.0, 0.0), (1.0, 1.0))))
+    source = L.IdealSource("s", "voltage", linear_waveform(((0.0, 0.0), (1.0, 1.0))))
     laws = [source, DeclaredLaw("a", step, ()), DeclaredLaw("b", follower, ())]
     joins = {"in": ("s.out", "a.p"), "out": ("a.q", "b.q"), L.GROUND: ("a.n", "b.n")}
     run = solve_transient(assemble_system(laws, joins), 1.0, 1e-9, np.linspace(0, 1, 101))

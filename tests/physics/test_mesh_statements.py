@@ -12,7 +12,7 @@ from kc2spice.bodies.pressure import (
     sphere,
     sphere_compliance,
 )
-from kc2spice.core.magnets import CASES, em_cases
+from kc2spice.core.magnets import TEST_CURRENTS, compute_test_forces
 from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.progress import Clock
 from kc2spice.fem.body_keys import Damping
@@ -110,10 +110,11 @@ def test_error_of_the_force_table_is_that_of_its_mesh(changes, radius):
         catch_table(Catch(**{**coarse.model_dump(), "refine": n}), radius) for n in (1, 3)
     )
     errors = {
-        "force": em_cases(table, CASES) - em_cases(exact, CASES),
+        "force": compute_test_forces(table, TEST_CURRENTS)
+        - compute_test_forces(exact, TEST_CURRENTS),
         "inductance": table.inductance - exact.inductance,
     }
-    largest = {"force": em_cases(exact, CASES), "inductance": exact.inductance}
+    largest = {"force": compute_test_forces(exact, TEST_CURRENTS), "inductance": exact.inductance}
     for name, error in errors.items():
         true = np.abs(error).max() / np.abs(largest[name]).max()
         assert 0.5 < table.facts[f"mesh_error_{name}"] / true < 2, (name, true)

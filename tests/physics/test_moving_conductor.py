@@ -12,7 +12,7 @@ from scipy.special import j1, spherical_jn
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock, silent
+from kc2spice.core.progress import Clock, ignore_progress
 from kc2spice.fem.magnet_rings import Winding, divide_section, ladder
 from kc2spice.parts.magnetics.moving_conductor import ROUGH, declare
 from kc2spice.physics.law import DeclaredLaw
@@ -133,7 +133,7 @@ def test_currents_above_the_frequency_of_the_loops_are_a_warning(drive, analysis
         (check,) = [c for c in result.checks if c.name.startswith("highest frequency")]
         assert check.passed == passed
         part = load_scene(tables).parts["disc"]
-        full = part.type.build(part, load_scene(tables), Clock(silent), full=True)
+        full = part.type.build(part, load_scene(tables), Clock(ignore_progress), full=True)
         assert full.frequency >= 2 * (100e3 if analysis is None else check.value)
 
 
@@ -156,7 +156,7 @@ def test_rings_too_coarse_for_a_skin_are_seen_by_finer_ones():
     for count in (20, 200):
         scene = load_scene(over(Winding(5e-3, 2e-3, 2e-3, -2e-3, 50.0), radius=10e-3, rings=count))
         part = scene.parts["disc"]
-        rough[count] = part.type.build(part, scene, Clock(silent)).rough
+        rough[count] = part.type.build(part, scene, Clock(ignore_progress)).rough
     assert rough[20] > ROUGH > rough[200]
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.magnets import EMTable
-from kc2spice.core.progress import Clock, silent
+from kc2spice.core.progress import Clock, ignore_progress
 from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear_model import Certificate, Port
 from kc2spice.rom.modal import Resonators
@@ -77,7 +77,7 @@ def built(scene, model=None, table=None, others=False, **words):
         if part.type.name == "ring_magnet_coils" and table is not None:
             models[part.name] = table
         if others and part.name not in models:
-            models[part.name] = part.type.build(part, scene, Clock(silent))
+            models[part.name] = part.type.build(part, scene, Clock(ignore_progress))
     result = resolve_build(Build(scene, models, name_subcircuits(scene), **words))
     timed = scene.analysis.type == "transient"
     return replace(result, largest=largest_step(result)) if timed else result
@@ -85,7 +85,7 @@ def built(scene, model=None, table=None, others=False, **words):
 
 def models(scene, *sets):
     """A scene, by its name, file or tables, with what its parts are made of."""
-    return build_models(load_scene(scene, list(sets)), Clock(silent))
+    return build_models(load_scene(scene, list(sets)), Clock(ignore_progress))
 
 
 def both(scene, folder):

@@ -6,7 +6,7 @@ from pydantic import Field
 
 import kc2spice as kc
 from kc2spice.core.domains import DOMAINS
-from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Ratio
+from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE, Ratio
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.deck import Deck, ac
 from kc2spice.netlist.library import Header
@@ -141,7 +141,7 @@ def test_noise_of_a_resistance_is_that_of_nyquist(tmp_path):
     result = kc.run(scene)
     frequency = result.waves["frequency"].real
     real = impedance(2j * np.pi * frequency).real
-    exact = np.sqrt(4 * BOLTZMANN * TEMPERATURE * real)  # Pa/sqrt(Hz)
+    exact = np.sqrt(4 * BOLTZMANN * DEFAULT_TEMPERATURE * real)  # Pa/sqrt(Hz)
     np.testing.assert_allclose(np.abs(result.waves["noise"]), exact, rtol=1e-5)
 
 

@@ -9,7 +9,7 @@ from device import both, built
 from own_equations import VT, integrated
 
 from kc2spice.core import laws as L
-from kc2spice.core.waveforms import linear
+from kc2spice.core.waveforms import linear_waveform
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.parts.electronics._template import Load
 from kc2spice.parts.electronics.driver_types import LinearDrive
@@ -213,8 +213,10 @@ def test_a_controller_commands_a_driver_by_its_law(model, table):
     setpoint = law.values[law.declaration.parameters.index("setpoint")]
     speed, stop, on = 0.01, 4e-3, 1e-6
     first = setpoint - speed * stop / 2
-    path = linear(((0.0, 1e6 * first), (stop, 1e6 * (first + speed * stop))))  # um, a signal
-    enabled = linear(((0.0, 0.0), (on, 0.0), (1.01 * on, 1.0)))
+    path = linear_waveform(
+        ((0.0, 1e6 * first), (stop, 1e6 * (first + speed * stop)))
+    )  # um, a signal
+    enabled = linear_waveform(((0.0, 0.0), (on, 0.0), (1.01 * on, 1.0)))
     sources = [L.IdealSource("y", "signal", path), L.IdealSource("enable", "signal", enabled)]
     joins = {"y": ("y.out", "control.y"), "enable": ("enable.out", "control.enable")}
     run = solve_transient(

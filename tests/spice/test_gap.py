@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock, silent
+from kc2spice.core.progress import Clock, ignore_progress
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies.bimorph import bimorph_body
 from kc2spice.parts.electrostatics.gap import count_film_branches
@@ -338,6 +338,6 @@ def test_what_cancels_in_a_film_does_not_set_the_step(branches):
     tables = pulsed(branches=branches)
     del tables["shake"]["pulse"]
     tables["shake"]["sine"] = {"amplitude": HEIGHT, "frequency": 1e5}
-    limit = build_models(load_scene(tables), Clock(silent)).largest
+    limit = build_models(load_scene(tables), Clock(ignore_progress)).largest
     assert 1e-5 / 200 < limit.step < 1e-5 / 50
     assert "a motion" not in limit.why

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from device import bench
 
-from kc2spice.core.magnets import products
+from kc2spice.core.magnets import current_products
 from kc2spice.parts.control.pid import Control, pid_subcircuit
 from kc2spice.parts.electronics._template import opamp_subcircuit
 from kc2spice.parts.magnetics.ring_magnet_coils import coils_subcircuit
@@ -103,7 +103,7 @@ Xcoil lp 0 up 0 y v 0 coil
     waves = run_deck(bench([coils_subcircuit(header, table)], cards, vectors), tmp_path)
 
     def coenergy(y, i1, i2):
-        return float(table.coenergy.terms(y) @ products(i1, i2))
+        return float(table.coenergy.terms(y) @ current_products(i1, i2))
 
     h, d = 1e-7, 1e-4
     force = (coenergy(y + h, i1, i2) - coenergy(y - h, i1, i2)) / (2 * h)

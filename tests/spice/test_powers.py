@@ -5,7 +5,7 @@ import pytest
 import scipy
 
 import kc2spice as kc
-from kc2spice.core.waveforms import slope
+from kc2spice.core.waveforms import differentiate
 
 STIFFNESS, DAMPING, FORCE = 100.0, 0.5, 0.01  # N/m, N s/m, N
 
@@ -157,7 +157,7 @@ def test_a_power_at_a_pin_is_no_result_of_a_noise_analysis(tmp_path, monkeypatch
 
 def test_slopes_are_those_of_parabolas_and_skip_equal_points():
     t = np.array([0.0, 0.1, 0.4, 0.4, 0.9, 1.0])
-    np.testing.assert_allclose(slope(3 * t**2 - t, t), 6 * t - 1, rtol=1e-12)
+    np.testing.assert_allclose(differentiate(3 * t**2 - t, t), 6 * t - 1, rtol=1e-12)
 
 
 def test_a_force_that_a_part_has_itself_needs_no_meter():

@@ -10,7 +10,7 @@ from device import built, models
 from hard_cases.kit import kick
 
 from kc2spice.core.domains import DOMAINS
-from kc2spice.core.progress import Clock, silent
+from kc2spice.core.progress import Clock, ignore_progress
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.library import subcircuits
 from kc2spice.rom.linear_model import LinearModel
@@ -220,7 +220,9 @@ def missed_gates(build, text, folder):
     part = build.scene.parts["kick"]
     rom, band = build.model(part, LinearModel), (0.0, 500e3)
     libraries = tuple(subcircuits(text, "chip.lib"))
-    frequency, found = bodies.netlist_response(part, build, libraries, Clock(silent), folder, band)
+    frequency, found = bodies.netlist_response(
+        part, build, libraries, Clock(ignore_progress), folder, band
+    )
     gate = build.scene.gates.harmonic_ngspice
     limits = bodies.netlist_checks("kick", rom, frequency, found, gate)
     return [limit.name for limit in limits if not limit.passed]

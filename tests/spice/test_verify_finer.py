@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from kc2spice.cli.main import app
 from kc2spice.core.mesh_error import MESH_QUANTITIES
-from kc2spice.core.progress import Clock, silent
+from kc2spice.core.progress import Clock, ignore_progress
 from kc2spice.core.quantities import Notch, submodel
 from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.scene.load import load_scene
@@ -55,7 +55,7 @@ def test_verify_counts_in_time_the_films_error_at_the_frequencies_of_the_run(
 ):
     """The integrator takes minutes for this film; as for parts without a law it is left out."""
     monkeypatch.setattr(SceneLaws, "missing", ("g",))
-    monkeypatch.setattr(verify, "replayed_nets", lambda laws: None)
+    monkeypatch.setattr(verify, "find_replayed_nets", lambda laws: None)
     text = FILM.replace(SMALL_SIGNALS, IN_TIME)
     sine = 'sine = { amplitude = "1 mN", frequency = "2 MHz" }'
     (tmp_path / "film.toml").write_text(text.replace('ac = "1 uN"', sine))
@@ -107,7 +107,9 @@ def test_verify_halves_the_mesh_of_a_body(refine, passed, tmp_path, monkeypatch)
     assert found["passed"] is passed
     assert {"capacitance", "stroke"} <= {c["name"].split(", ")[-1] for c in record["checks"]}
     hertz = [
-        build_models(load_scene(DISC, {"disc.mesh.refine": n}), Clock(silent)).models["disc"]
+        build_models(load_scene(DISC, {"disc.mesh.refine": n}), Clock(ignore_progress)).models[
+            "disc"
+        ]
         for n in (refine, 2 * refine)
     ]
     coarse, fine = (model.facts["resonance_short_hz"] for model in hertz)
@@ -168,5 +170,5 @@ def test_verify_has_a_closer_field_of_a_magnet_in_time(tolerance, passed, tmp_pa
 def test_verify_halves_the_basis_of_a_pressure(spacing, passed):
     scene = load_scene("impact", {"contact.shape": "pressure", "contact.spacing": spacing})
     (part,) = scene.of("contact")
-    (check,) = part.type.finer_mesh(part, Build(scene, {}), Clock(silent), 1e9)
+    (check,) = part.type.finer_mesh(part, Build(scene, {}), Clock(ignore_progress), 1e9)
     assert check.passed is passed

@@ -15,7 +15,7 @@ import kc2spice
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core import cache
 from kc2spice.core.cache import load_or_build
-from kc2spice.core.progress import Clock, silent
+from kc2spice.core.progress import Clock, ignore_progress
 from kc2spice.parts.bodies import _body_model
 from kc2spice.parts.magnetics import ring_magnet_coils
 from kc2spice.scene.load import load_scene
@@ -206,7 +206,7 @@ def test_every_module_that_a_build_runs_is_part_of_its_key(scene, monkeypatch):
 
     for module in (_body_model, ring_magnet_coils):
         monkeypatch.setattr(module, "load_or_build", watched)
-    build_models(load_scene(scene, list(BODIES[scene])), Clock(silent))
+    build_models(load_scene(scene, list(BODIES[scene])), Clock(ignore_progress))
     assert missed
     assert not any(missed.values()), missed
 
@@ -222,7 +222,7 @@ def keys(*overrides):
     scene = load_scene("kick_and_catch", [*SMALL, *overrides])
     parts = scene.parts
     found = {name: parts[name].type.model_key(parts[name], scene) for name in ("kick", "catch")}
-    return json.dumps(found, sort_keys=True, default=cache._to_json)
+    return json.dumps(found, sort_keys=True, default=cache._convert_to_json)
 
 
 @pytest.mark.parametrize("override", MATTERS)

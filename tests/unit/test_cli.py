@@ -10,7 +10,7 @@ import pytest
 import kc2spice
 from kc2spice import __version__
 from kc2spice.cli.main import EXAMPLES
-from kc2spice.cli.tables import show_result
+from kc2spice.cli.tables import print_result
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError
 from kc2spice.core.files import stage_directory
 
@@ -70,7 +70,7 @@ def test_a_result_is_printed_as_tables(capsys):
         "wall_s": {"mesh": 0.5},
         "files": ["result.json"],
     }
-    show_result(result, Path("out"), verbose=True)
+    print_result(result, Path("out"), verbose=True)
     text = capsys.readouterr().out
     for word in ("138.6 mg", "16 722", "launch velocity", "1.02 m/s", "yes", "result.json",
                  "compliance at 1 MHz", "error 11 %, above the band"):  # fmt: skip
@@ -90,7 +90,7 @@ def test_a_result_leads_with_its_answer(capsys):
         "rom": {"order": 30, "band_hz": [0.0, 5e5], "error_estimate": 4.1e-4},
         "files": ["result.json", "report.html"],
     }
-    show_result(result, Path("out"))
+    print_result(result, Path("out"))
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= 15
     text = "\n".join(" ".join(line.split()) for line in lines)
@@ -106,7 +106,7 @@ def test_a_result_leads_with_its_answer(capsys):
     # rounding noise beside other lengths is zero
     few = {**result, "metrics": {"x_m": 1.0, "noise_m": 1e-17}, "checks": [passed]}
     few["metric_units"] = {"x_m": "m", "noise_m": "m"}
-    show_result(few, Path("out"))
+    print_result(few, Path("out"))
     text = capsys.readouterr().out
     assert "1 check passed" in text
     assert "noise 0 m" in " ".join(text.split())

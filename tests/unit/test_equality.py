@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import kc2spice as kc
-from kc2spice.core.equality import same_content
+from kc2spice.core.equality import have_same_content
 from kc2spice.core.waveforms import RecordedWave, Waveforms
 from kc2spice.fem.materials import material
 
@@ -73,8 +73,8 @@ def test_arrays_within_containers_are_compared_element_by_element():
     assert Waveforms({"time": t}, {}) != Waveforms({"frequency": t}, {})
     assert RecordedWave(t, t) != RecordedWave(t, 2 * t)
     gap = np.array([1.0, np.nan])
-    assert same_content([gap, "a"], [gap.copy(), "a"])
-    assert not same_content([gap, "a"], [gap.copy(), "b"])
-    assert not same_content((t,), [t])
-    assert not same_content(t, list(t))
-    assert same_content(np.array(["a"]), np.array(["a"]))
+    assert have_same_content([gap, "a"], [gap.copy(), "a"])
+    assert not have_same_content([gap, "a"], [gap.copy(), "b"])
+    assert not have_same_content((t,), [t])
+    assert not have_same_content(t, list(t))
+    assert have_same_content(np.array(["a"]), np.array(["a"]))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kc2spice.cli.doctor import _PYTHON
+from kc2spice.cli.doctor import _PYTHON_PACKAGES
 from kc2spice.core.errors import MissingToolError
 from kc2spice.core.extras import LIBRARIES, import_optional
 from kc2spice.rom.linear_model import LinearModel
@@ -134,4 +134,4 @@ def test_optional_libraries_are_imported_in_one_place():
 
 def test_doctor_looks_for_every_required_library():
     required = {text.partition(">=")[0] for text in PROJECT["dependencies"]}
-    assert set(_PYTHON) == required
+    assert set(_PYTHON_PACKAGES) == required

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from kc2spice.core.progress import Clock, silent
+from kc2spice.core.progress import Clock, ignore_progress
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.models import build_models
@@ -15,7 +15,7 @@ SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh
 
 def deck(*overrides):
     """The main text of a small loop."""
-    build = build_models(load_scene("kick_and_catch", [*SMALL, *overrides]), Clock(silent))
+    build = build_models(load_scene("kick_and_catch", [*SMALL, *overrides]), Clock(ignore_progress))
     made = make_deck(build)
     return made.files[made.main]
 

@@ -55,15 +55,15 @@ def test_windows_installs_ngspice_with_scoop(system):
 
 def test_every_library_of_the_mesher_has_a_package_on_fedora(system):
     system("linux", FEDORA)
-    command = packages.install_command(*doctor._GMSH.values())
+    command = packages.install_command(*doctor._GMSH_LIBRARIES.values())
     assert command.startswith("dnf install mesa-libGLU ")
-    assert len(command.split()) == 2 + len(doctor._GMSH)
+    assert len(command.split()) == 2 + len(doctor._GMSH_LIBRARIES)
 
 
 def test_doctor_prints_the_command_of_this_system(system, monkeypatch, tmp_path):
     system("linux", FEDORA)
     monkeypatch.setenv("PATH", str(tmp_path))
-    fixes = {finding.name: finding.fix for finding in doctor._ngspice()}
+    fixes = {finding.name: finding.fix for finding in doctor._check_ngspice()}
     doctor.find_ngspice.cache_clear()
     assert fixes["ngspice"] == "dnf install ngspice"
     assert fixes["XSPICE code models"] == "dnf install ngspice"

@@ -6,7 +6,7 @@ import pytest
 
 from kc2spice.bodies.stack_keys import Cap, Chip
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import role_of
+from kc2spice.core.quantities import plausible_range_of
 from kc2spice.core.waveforms import PulseKeys
 from kc2spice.parts.bodies import bimorph
 from kc2spice.parts.mechanics import mass
@@ -90,7 +90,7 @@ ROLES = (
 @pytest.mark.parametrize(("schema", "largest"), ROLES)
 def test_keys_declare_their_roles(schema, largest):
     """The largest plausible value of each key that has a role; a pulse's width has none."""
-    roles = {name: role_of(field) for name, field in schema.model_fields.items()}
+    roles = {name: plausible_range_of(field) for name, field in schema.model_fields.items()}
     assert {name: role.high for name, role in roles.items() if role is not None} == largest
 
 

@@ -203,14 +203,14 @@ def test_threads_with_a_workspace_get_the_results_of_their_own_keys(monkeypatch)
 
     monkeypatch.setattr(workspace, "_entries", Entries())
     with ThreadPoolExecutor(2) as pool:
-        results = pool.map(lambda key: workspace.latest("kind", key, lambda: -key), (1, 2))
+        results = pool.map(lambda key: workspace.get_or_compute("kind", key, lambda: -key), (1, 2))
         assert [*results] == [-1, -2]
 
 
 def test_a_copied_workspace_is_empty():
     workspace = Workspace()
-    workspace.latest("kind", 1, lambda: 2)
-    assert pickle.loads(pickle.dumps(workspace)).latest("kind", 1, lambda: 3) == 3
+    workspace.get_or_compute("kind", 1, lambda: 2)
+    assert pickle.loads(pickle.dumps(workspace)).get_or_compute("kind", 1, lambda: 3) == 3
 
 
 def test_a_run_collects_the_results_of_its_scene_once(monkeypatch):

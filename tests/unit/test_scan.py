@@ -3,7 +3,7 @@
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import name_threat
+from kc2spice.core.untrusted_files import explain_unsafe_name
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import included_netlist, read_checked_circuit
 from kc2spice.netlist.lint import lint
@@ -260,7 +260,7 @@ def test_what_cannot_be_included_is_refused(files, said, user):
      "x.lib\u2028"],
 )  # fmt: skip
 def test_names_in_a_scene_cannot_lead_elsewhere(name):
-    assert name_threat(name)
+    assert explain_unsafe_name(name)
     home = load_scene("bring_your_own").home
     with pytest.raises(UsageError) as caught:
         included_netlist(name, home)

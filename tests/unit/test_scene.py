@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import MAX_BYTES
+from kc2spice.core.untrusted_files import MAX_TEXT_BYTES
 from kc2spice.scene.keys import list_all_keys
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import scene_hash
@@ -156,7 +156,7 @@ def test_errors_in_a_file_give_the_line(scene_file):
         ("kick = 10 V", "text without quotes"),
         ("a = " + "[" * 50_000, "not valid TOML"),
         ("a = " + "1" * 5000, "not valid TOML"),
-        ("x = 1\n" * (MAX_BYTES // 5), "too long"),
+        ("x = 1\n" * (MAX_TEXT_BYTES // 5), "too long"),
         (b"\xff\xfe\x00", "not a text file"),
         ("[analysis]\ntype = 'transiet'", "did you mean 'transient'"),
         ("# none\n", "a scene without parts"),

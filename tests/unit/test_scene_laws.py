@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 import kc2spice as kc
-from kc2spice.core.progress import Clock, silent
+from kc2spice.core.progress import Clock, ignore_progress
 from kc2spice.equations.scene_laws import scene_laws, with_laws
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
@@ -45,13 +45,13 @@ def test_a_run_asks_each_part_for_its_law_once(analysis, monkeypatch):
 
 
 def test_a_build_carries_its_laws():
-    build = build_models(load_scene(LOW_PASS), Clock(silent))
+    build = build_models(load_scene(LOW_PASS), Clock(ignore_progress))
     assert scene_laws(build) is build.laws is scene_laws(build)
     assert scene_laws(build).networks is scene_laws(build).networks
 
 
 def test_laws_of_other_keys_or_models_are_made_again():
-    build = build_models(load_scene(LOW_PASS), Clock(silent))
+    build = build_models(load_scene(LOW_PASS), Clock(ignore_progress))
     other = load_scene(LOW_PASS, {"r.resistance": "2 kOhm"})
     changed = scene_laws(replace(build, scene=other))
     assert changed.build.scene is other

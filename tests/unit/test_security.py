@@ -14,10 +14,10 @@ from kc2spice.bodies.readers import read_model
 from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import (
-    MAX_BYTES,
-    name_threat,
+    MAX_TEXT_BYTES,
+    explain_unsafe_name,
+    make_plain_name,
     parse_toml,
-    plain_name,
     read_bounded,
 )
 from kc2spice.netlist.circuit import Param, Pin, positive_parameter
@@ -53,7 +53,7 @@ CRAFTED = {
     "digits": "gravity = " + "9" * 900_000,
     "hexadecimal digits": "gravity = 0x" + "f" * 900_000,
     "hexadecimal digits as a name": "title = 0x" + "f" * 900_000,
-    "too long": "#" * (MAX_BYTES + 1),
+    "too long": "#" * (MAX_TEXT_BYTES + 1),
     "zero byte": "a\0 = 1",
     "zero byte in an include": 'include = ["a\\u0000b"]\n[kick.driver.user]\nsubckt = "x"',
     "not text": "\udcff",
@@ -106,13 +106,13 @@ def test_deep_overrides_are_refused():
 
 def test_names_keep_to_their_directory(tmp_path):
     for good in ("a.lib", "models/amp-2.lib", "two words.lib", "µF.lib", "./a.lib", "v1.0+x"):
-        assert name_threat(good) is None
+        assert explain_unsafe_name(good) is None
     for bad in ("../a", "/a", "a/../../b", "a\nb", "a\0", "", "~/a", "c:a", "a\\..\\b", " a", "-a"):
-        assert name_threat(bad)
+        assert explain_unsafe_name(bad)
         with pytest.raises(UsageError):
             write_files({bad: "x"}, tmp_path / "out")
     assert not list(tmp_path.iterdir())
-    assert plain_name("/a b/ü.lib") == "_.lib"
+    assert make_plain_name("/a b/ü.lib") == "_.lib"
 
 
 def test_reading_is_bounded(tmp_path):

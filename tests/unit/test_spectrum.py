@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
 
-from kc2spice.core.spectrum import energy_frequency, waveform_frequency
-from kc2spice.core.waveforms import constant, linear, pulse, sine
+from kc2spice.core.spectrum import find_energy_frequency, find_waveform_frequency
+from kc2spice.core.waveforms import (
+    constant_waveform,
+    linear_waveform,
+    pulse_waveform,
+    sine_waveform,
+)
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.load import load_scene
 
@@ -15,20 +20,20 @@ BOTH_EDGES = 1e3 / np.pi**2
 
 @pytest.mark.parametrize("train", [{}, {"period": 4e-5}, {"period": 4e-5, "count": 3}])
 def test_a_rectangle_has_its_energy_below_101_over_its_width(train):
-    wave = pulse(0.0, 5.0, 1e-3, 1e-5, 1e-10, **train)
-    assert waveform_frequency(wave, 5e-3) == pytest.approx(BOTH_EDGES / 1e-5, rel=0.05)
+    wave = pulse_waveform(0.0, 5.0, 1e-3, 1e-5, 1e-10, **train)
+    assert find_waveform_frequency(wave, 5e-3) == pytest.approx(BOTH_EDGES / 1e-5, rel=0.05)
 
 
 def test_a_step_that_stays_has_one_edge():
-    wave = pulse(0.0, 5.0, 0.0, 1.0, 1e-9)
-    assert waveform_frequency(wave, 2e-3) == pytest.approx(BOTH_EDGES / 2 / 2e-3, rel=0.03)
+    wave = pulse_waveform(0.0, 5.0, 0.0, 1.0, 1e-9)
+    assert find_waveform_frequency(wave, 2e-3) == pytest.approx(BOTH_EDGES / 2 / 2e-3, rel=0.03)
 
 
 def test_a_low_pass_takes_what_it_does_not_let_through():
     """A rectangle of the width w behind a time constant T has the spectrum ``sinc(f w)^2 / (1 +
     (2 pi f T)^2)``; ``exp(-t / T)`` the energy ``1 - (2 / pi) atan(2 pi F T)`` above F."""
     width, constant = 1e-6, 1e-5
-    found = waveform_frequency(pulse(0.0, 1.0, 0.0, width, 1e-10), 5e-3, constant)
+    found = find_waveform_frequency(pulse_waveform(0.0, 1.0, 0.0, width, 1e-10), 5e-3, constant)
 
     def density(f):
         return np.sinc(f * width) ** 2 / (1 + (2 * np.pi * f * constant) ** 2)
@@ -37,14 +42,14 @@ def test_a_low_pass_takes_what_it_does_not_let_through():
     risen = cumulative_trapezoid(density(f), f)
     assert found == pytest.approx(f[np.searchsorted(risen, 0.999 * risen[-1])], rel=0.05)
     t = np.linspace(0.0, 20 * constant, 200_001)
-    direct = energy_frequency(t, np.exp(-t / constant) * (t > 0))
+    direct = find_energy_frequency(t, np.exp(-t / constant) * (t > 0))
     assert direct == pytest.approx(np.tan(0.999 * np.pi / 2) / (2 * np.pi * constant), rel=0.05)
 
 
 def test_sines_have_their_own_and_constants_none():
-    assert waveform_frequency(sine(1.0, 7e3), 1.0) == 7e3
-    assert waveform_frequency(constant(3.0), 1.0) == 0.0
-    assert waveform_frequency(linear([(2.0, 0.0), (3.0, 1.0)]), 1.0) == 0.0
+    assert find_waveform_frequency(sine_waveform(1.0, 7e3), 1.0) == 7e3
+    assert find_waveform_frequency(constant_waveform(3.0), 1.0) == 0.0
+    assert find_waveform_frequency(linear_waveform([(2.0, 0.0), (3.0, 1.0)]), 1.0) == 0.0
 
 
 @pytest.mark.parametrize(

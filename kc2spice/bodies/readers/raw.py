@@ -91,7 +91,7 @@ def require_file(path: Path, what: str = "a model in this file") -> Path:
 
     Raises
     ------
-    UsageError : no such file, or one above ``MAX_BYTES``.
+    UsageError : no such file, or one above ``MAX_TEXT_BYTES``.
     """
     if not is_file(path):
         raise missing_file(path, what)

@@ -91,10 +91,10 @@ from kc2spice.core.domains import (
     THERMAL,
     TRANSLATION,
 )
-from kc2spice.core.errors import candidates, did_you_mean
+from kc2spice.core.errors import did_you_mean, list_candidates
 from kc2spice.core.quantities import Count, Section, invalid_value_error, validate
 from kc2spice.core.toml_errors import parse_toml_file
-from kc2spice.core.untrusted_files import MAX_BYTES, decode_text, read_bounded
+from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded
 from kc2spice.rom.linear_model import PORT_KINDS, Port
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
@@ -134,7 +134,7 @@ def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
 def _parse_dof(value: object) -> int:
     code = CODES.get(value.lower()) if isinstance(value, str) else value
     if type(code) is not int or code not in DOFS:
-        expected = f"one of {candidates(value, CODES, 'docs/reference/matrices.md')}"
+        expected = f"one of {list_candidates(value, CODES, 'docs/reference/matrices.md')}"
         hint = did_you_mean(str(value), CODES)
         raise invalid_value_error("no such degree of freedom", expected, hint=hint)
     return code
@@ -436,9 +436,9 @@ def read_sidecar(path: Path) -> Sidecar:
     UsageError : missing, not TOML, too long, an unknown key, a value of the wrong type, a name
         twice; the message names the file and the key.
     """
-    expected = f"a TOML file of at most {MAX_BYTES} bytes"
+    expected = f"a TOML file of at most {MAX_TEXT_BYTES} bytes"
     require_file(path, expected)
-    text = call_reader(path, expected, lambda: decode_text(read_bounded(path, MAX_BYTES)))
+    text = call_reader(path, expected, lambda: decode_text(read_bounded(path, MAX_TEXT_BYTES)))
     data = parse_toml_file(text, str(path))
     result = validate(Sidecar, data, f"{path}:", {"folder": path.parent})
     result._where = str(path)

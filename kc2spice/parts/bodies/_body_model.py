@@ -177,7 +177,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
             band = self.limit_band(target.band, key, lambda: full(middle_values(keys)))
             text = f"model of {part.name} over {len(keys)} parameters"
-            with clock.stage("reduce", text) as share:
+            with clock.time_stage("reduce", text) as share:
                 return reduce_over_ranges(
                     full,
                     [item.axis for item in keys],
@@ -191,7 +191,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             classes = (Varying, ParameterAxis, Loss, Certificate, Port)
             return load_or_build("box", key, build, classes=classes, sources=self.sources())
 
-        return scene.workspace.latest(f"range of {part.name}", key, load)
+        return scene.workspace.get_or_compute(f"range of {part.name}", key, load)
 
     def _has_constant_losses(self, part: Part[LinearKeysT]) -> bool:
         """Whether it has losses that the matrices of a full model cannot have."""
@@ -225,7 +225,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
             orders = self.orders(part, scene, clock)
             selected = orders.model
-            with clock.stage("reduce", f"reduction of {part.name}"):
+            with clock.time_stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, selected.order)
                 band = self.limit_band(target.band, model_key, lambda: selected)
                 norm = target.norm or default_norm(selected)
@@ -301,7 +301,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         def make() -> Orders:
             return Orders(self._full_model(part, scene, clock))
 
-        return scene.workspace.latest(f"orders {self.name}", key, make)
+        return scene.workspace.get_or_compute(f"orders {self.name}", key, make)
 
     def sources(self) -> tuple[str, ...]:
         """Modules on whose text the models of this type depend, for the cache."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from kc2spice.core import laws
 from kc2spice.core.progress import Clock
-from kc2spice.core.untrusted_files import identifier
+from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import voltage_between
 from kc2spice.parts.bodies._body_model import BodyModel
@@ -54,12 +54,12 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     def library(self, part: Part[LinearKeysT], scene: Scene) -> str:
         """Return its part number, or :meth:`scene_library` if it has none."""
         scene_name = self.scene_library(part, scene)
-        return identifier(part.keys.number, part.name) if part.keys.number else scene_name
+        return make_identifier(part.keys.number, part.name) if part.keys.number else scene_name
 
     def scene_library(self, part: Part[LinearKeysT], scene: Scene) -> str:
         """Return the names of scene and part: one folder may contain libraries of many scenes."""
         name = f"{scene.name[: _LONGEST - len(part.name)]}_{part.name}"
-        return identifier(name, part.name)
+        return make_identifier(name, part.name)
 
     def subcircuits(
         self, part: Part[LinearKeysT], build: Build, header: Header
@@ -142,9 +142,9 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         for port in ports:
             mine, name = f"{n}.{port.name}", wave_name(n, ports, port)
             if port.paired:
-                results[f"{name}.voltage"] = laws.difference(mine, f"{n}.{port.terminals[1]}")
+                results[f"{name}.voltage"] = laws.wave_difference(mine, f"{n}.{port.terminals[1]}")
             else:
-                results[name] = laws.reading(mine)
+                results[name] = laws.scaled_wave(mine)
             if port.charged:
-                results[flow_name(n, ports, port)] = laws.reading(f"{mine}.through")
+                results[flow_name(n, ports, port)] = laws.scaled_wave(f"{mine}.through")
         return laws.Equations((law,), tuple(joins), results)

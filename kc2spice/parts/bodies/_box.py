@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from kc2spice.core.errors import UsageError, did_you_mean, wrong
-from kc2spice.core.quantities import join_path, list_keys, unit_of, validate
+from kc2spice.core.quantities import find_unit, join_path, list_keys, validate
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
@@ -167,7 +167,7 @@ def number_of(part: Part, key: str, where: str) -> tuple[float, str]:
     unit = ""
     for step in _split_key(key):
         if isinstance(result, BaseModel) and step in type(result).model_fields:
-            unit = unit_of(type(result).model_fields[str(step)]) or ""
+            unit = find_unit(type(result).model_fields[str(step)]) or ""
             result = getattr(result, str(step))
             if step == "material" and isinstance(result, Mapping):
                 result = validate(MaterialTable, result, f"{part.name}.{key}")

@@ -15,7 +15,7 @@ import numpy as np
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Figure, FileWriter
-from kc2spice.core.mesh_error import IN_PLANE, MESH_QUANTITIES, NOT_ESTIMATED
+from kc2spice.core.mesh_error import MESH_QUANTITIES, NOT_ESTIMATED, PLANE_UNKNOWN_RATIO
 from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
@@ -200,13 +200,13 @@ class LinearBody(BodyChecks[LinearKeysT]):
         (key,), facts = self.discretisations, build.facts(part)
         dimensions = self.dimensions(part)
         unknowns = facts.get("unknowns", 0.0) * TWICE**dimensions
-        most *= IN_PLANE if dimensions == 2 else 1.0
+        most *= PLANE_UNKNOWN_RATIO if dimensions == 2 else 1.0
         cause = f"{unknowns:.0f} unknowns, more than {most:.0f}"
         finer = None
         if unknowns <= most:
             try:
                 doubled = with_values(part, {key: TWICE * _count_of_key(part, key)})
-                with clock.stage("full model", f"{part.name}: mesh half as wide"):
+                with clock.time_stage("full model", f"{part.name}: mesh half as wide"):
                     finer = self.full(doubled, build.scene, clock).facts
             except UsageError as error:
                 cause = str(error.message)

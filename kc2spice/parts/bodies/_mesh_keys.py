@@ -10,9 +10,9 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
-from kc2spice.core.errors import UsageError, candidates, wrong
+from kc2spice.core.errors import UsageError, list_candidates, wrong
 from kc2spice.core.quantities import Count, Length, Notch, Section
-from kc2spice.core.untrusted_files import file_in_folder
+from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.fem import mesh_file
 from kc2spice.parts.bodies._linear_keys import FieldKeys
 from kc2spice.scene.model import DeclaredScene, Part
@@ -106,7 +106,7 @@ def mesh_path(part: Part[MeshKeys], scene: DeclaredScene) -> Path:
     ------
     UsageError : the path leads out of the folder of the scene.
     """
-    return file_in_folder(scene.home, str(part.keys.mesh), f"{part.name}.mesh")
+    return locate_file_in_folder(scene.home, str(part.keys.mesh), f"{part.name}.mesh")
 
 
 def find_mesh_problems(part: Part[MeshKeys], scene: DeclaredScene) -> Iterator[UsageError]:
@@ -129,7 +129,7 @@ def read_groups(keys: MeshKeys, home: Path, splits: int) -> mesh_file.GroupedMes
     ------
     UsageError : a file that cannot be read, or a group that picks nothing.
     """
-    path = file_in_folder(home, str(keys.mesh), "mesh")
+    path = locate_file_in_folder(home, str(keys.mesh), "mesh")
     unit = mesh_file.length_unit(path, keys.unit)
     return mesh_file.read_mesh(
         path,
@@ -164,7 +164,7 @@ def assign_materials(names: Iterable[str], groups: mesh_file.GroupedMesh) -> np.
         solids = [name for name, group in groups.groups.items() if group.codimension == 0]
         rest = [*filterfalse(names.__contains__, solids)] or solids
         got = f"{np.sum(owner < 0)} elements without material"
-        hint = f"add a material for one of these groups: {candidates('', rest)}"
+        hint = f"add a material for one of these groups: {list_candidates('', rest)}"
         expected = "a material for every element"
         raise wrong("materials", "some elements have no material", got, expected, hint)
     return owner

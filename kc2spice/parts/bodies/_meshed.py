@@ -115,10 +115,12 @@ class MeshedBody(LinearBody[FieldKeysT]):
         The next scene often needs another reduction of the same model.
         """
         key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
-        return scene.workspace.latest(f"device {self.name}", key, lambda: self.make(part, scene))
+        return scene.workspace.get_or_compute(
+            f"device {self.name}", key, lambda: self.make(part, scene)
+        )
 
     def full(self, part: Part[FieldKeysT], scene: GovernedScene, clock: Clock) -> LinearModel:
-        with clock.stage("assemble", f"mesh and matrices of {part.name}"):
+        with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
             return self.device(part, scene).model
 
     def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
@@ -217,7 +219,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
 
         # The identity of the waves is a key for as long as the result contains them.
         kind = f"fields of {part.name}"
-        return build.workspace.latest(kind, id(waves), recover_fields)[1]
+        return build.workspace.get_or_compute(kind, id(waves), recover_fields)[1]
 
 
 def find_field_problems(

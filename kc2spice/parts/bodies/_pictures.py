@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kc2spice.core.figure import Curve, Figure, Map, Panel, time_axis, window
+from kc2spice.core.figure import Curve, Figure, Map, Panel, scale_time_axis, select_window
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import Resonators
@@ -108,8 +108,8 @@ def plot_port_waves(name: str, waves: Waveforms) -> Iterator[Figure]:
     inside = np.ones(t.size, dtype=bool)
     if (above := np.flatnonzero(size > 0.02 * size.max())).size:
         first, last = t[above[0]], t[above[-1]]
-        inside = window(t, first - 0.1 * (last - first), last + 0.1 * (last - first))
-    label, factor = time_axis(t[inside])
+        inside = select_window(t, first - 0.1 * (last - first), last + 0.1 * (last - first))
+    label, factor = scale_time_axis(t[inside])
     x = factor * t[inside]
     curves = tuple(Curve(n.rpartition(".")[2], x, 1e6 * v[inside]) for n, v in moved.items())
     panels = [Panel("", "displacement in µm", curves)]

@@ -40,7 +40,7 @@ from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel
 from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Section, validate
-from kc2spice.core.untrusted_files import file_in_folder
+from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
 from kc2spice.fem.body_keys import Damping
@@ -361,7 +361,9 @@ def _read_polings(
     tables: dict[str, PolingTable] = {}
     for group, file in keys.poling_files.items():
         where = f"poling.{group}"
-        tables[group] = read_poling(file_in_folder(home, file, where), where, keys.axisymmetric)
+        tables[group] = read_poling(
+            locate_file_in_folder(home, file, where), where, keys.axisymmetric
+        )
     numbered = [group for group, table in tables.items() if table.numbers is not None]
     if numbered and keys.size is not None:
         problem = "a CAD file has no element numbers"
@@ -372,7 +374,7 @@ def _read_polings(
         file_mesh = read_groups(keys, home, 0)
         numbers = file_mesh.numbers[find_parents(file_mesh.mesh, groups.mesh)]
     result = {}
-    unit = mesh_file.length_unit(file_in_folder(home, keys.mesh, "mesh"), keys.unit)
+    unit = mesh_file.length_unit(locate_file_in_folder(home, keys.mesh, "mesh"), keys.unit)
     for group, table in tables.items():
         members = groups.group(group, f"materials.{group}", 0).members
         rows = table.select_rows(numbers, find_middles(groups.mesh) / unit, members)
@@ -631,7 +633,7 @@ def _poling_paths(part: Part[BodyKeys], scene: DeclaredScene) -> dict[str, Path]
     result = {}
     for group, file in part.keys.poling_files.items():
         where = f"{part.name}.poling.{group}"
-        result[where] = file_in_folder(scene.home, file, where)
+        result[where] = locate_file_in_folder(scene.home, file, where)
     return result
 
 

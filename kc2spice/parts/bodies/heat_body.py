@@ -47,7 +47,7 @@ from kc2spice.core.errors import (
     unknown,
     wrong,
 )
-from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, time_axis
+from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, scale_time_axis
 from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
@@ -88,9 +88,8 @@ from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.synthesis.heat import heat_modes
 
 CELLS = 4  # elements in each layer
-PEAK_SHARE = (
-    0.01  # tolerance relative to the largest temperature of a pin, over that at a frequency
-)
+# tolerance relative to the largest temperature of a pin, over that at a frequency
+PEAK_SHARE = 0.01
 IMPEDANCE_POINTS = 300
 POINTS = 1e3  # fraction of a run whose changes of temperature are modelled
 
@@ -328,10 +327,10 @@ dc = "1 W"
         def make() -> HeatModel:
             return make_heat_device(part.keys, scene.home, part.name)
 
-        return scene.workspace.latest(f"device {self.name}", key, make)
+        return scene.workspace.get_or_compute(f"device {self.name}", key, make)
 
     def full(self, part: Part[HeatBodyKeys], scene: GovernedScene, clock: Clock) -> LinearModel:
-        with clock.stage("assemble", f"mesh and matrices of {part.name}"):
+        with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
             return self.device(part, scene).model
 
     def reduce_body(
@@ -440,7 +439,7 @@ dc = "1 W"
 
         # The identity of the waves is a key for as long as the result contains them.
         kind = f"temperatures of {part.name}"
-        return build.workspace.latest(kind, id(waves), recover)[1]
+        return build.workspace.get_or_compute(kind, id(waves), recover)[1]
 
     def neglected(self, part: Part[HeatBodyKeys], scene: Scene) -> Iterator[Neglected]:
         yield from super().neglected(part, scene)
@@ -457,7 +456,7 @@ def _plot_temperatures(name: str, waves: Waveforms) -> Iterator[Figure]:
     rises = {key: values for key, values in waves.data.items() if key.startswith(prefix)}
     if "time" not in waves or not rises:
         return
-    label, factor = time_axis(waves["time"])
+    label, factor = scale_time_axis(waves["time"])
     x = factor * waves["time"]
     curves = tuple(Curve(key.removeprefix(f"{prefix}."), x, rises[key]) for key in rises)
     panel = Panel(label, "temperature rise in K", curves)

@@ -15,7 +15,7 @@ from kc2spice.bodies.readers.raw import TRANSLATIONS
 from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.figure import Shape
 from kc2spice.core.progress import Clock
-from kc2spice.core.untrusted_files import file_in_folder
+from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_keys import LinearKeys
@@ -99,9 +99,11 @@ class Matrices(LinearBody[MatricesKeys]):
         """Path of the matrices, and of the TOML file that is named."""
         name, home, keys = part.name, scene.home, part.keys
         sidecar = (
-            None if keys.sidecar is None else file_in_folder(home, keys.sidecar, f"{name}.sidecar")
+            None
+            if keys.sidecar is None
+            else locate_file_in_folder(home, keys.sidecar, f"{name}.sidecar")
         )
-        return file_in_folder(home, keys.file, f"{name}.file"), sidecar
+        return locate_file_in_folder(home, keys.file, f"{name}.file"), sidecar
 
 
 @lru_cache(maxsize=4)

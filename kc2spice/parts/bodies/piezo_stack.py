@@ -17,7 +17,7 @@ from kc2spice.core.domains import ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, si
-from kc2spice.core.waveforms import Waveforms, running_integral
+from kc2spice.core.waveforms import Waveforms, integrate_running
 from kc2spice.fem.materials import material
 from kc2spice.parts.bodies._body_model import SOURCES, describe_target, reduction_target
 from kc2spice.parts.bodies._body_ports import required_ports
@@ -344,7 +344,7 @@ class PiezoStack(MeshedBody[Stack]):
             peak = float(np.abs(waves[f"{part.name}.voltage"]).max())
             result["kick_voltage_peak_v"] = Metric(peak, "V")
             if current is not None:
-                charge = running_integral(current, waves["time"])
+                charge = integrate_running(current, waves["time"])
                 result["kick_current_peak_a"] = Metric(float(np.abs(current).max()), "A")
                 result["kick_charge_peak_c"] = Metric(float(np.abs(charge).max()), "C")
         return result

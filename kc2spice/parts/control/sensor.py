@@ -11,7 +11,7 @@ from kc2spice.core import laws
 from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.prefix import format_quantity
-from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Frequency, Length, Section
+from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE, Frequency, Length, Section
 from kc2spice.netlist.circuit import Element, Item, Param
 from kc2spice.netlist.elements import attach_comments
 from kc2spice.netlist.library import Header, Subcircuit
@@ -110,7 +110,7 @@ dc = "1 um"
         size = DISPLACEMENT.per_unit * keys.noise
         if keys.noise and build.has_noise:
             # white up to the bandwidth, over the noise voltage of an ohm
-            root = math.sqrt(4 * BOLTZMANN * TEMPERATURE * keys.bandwidth)
+            root = math.sqrt(4 * BOLTZMANN * DEFAULT_TEMPERATURE * keys.bandwidth)
             cards = attach_comments((
                 "* noise by its density: that of an ohm at 27 C times a gain",
                 Element.of("Rnoise", "drawn", "ref", "1"),
@@ -143,7 +143,7 @@ dc = "1 um"
         values = d.values(Section()) | {"offset": part.keys.offset + height}
         declared_law = DeclaredLaw(n, d, tuple(values.values()))
         pins = tuple((pin, f"{n}.{pin}") for pin in ("of", "out", "ref"))
-        result = laws.reading(f"{n}.out", DISPLACEMENT.factor)
+        result = laws.scaled_wave(f"{n}.out", DISPLACEMENT.factor)
         return laws.Equations((declared_law,), pins, {f"{n}.y": result})
 
     def notes(self, part: Part[SensorKeys], scene: Scene) -> Iterator[str]:

@@ -23,7 +23,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.figure import Figure
 from kc2spice.core.quantities import Section, Voltage
-from kc2spice.core.untrusted_files import identifier
+from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
 from kc2spice.netlist.library import Header, Subcircuit
@@ -136,7 +136,7 @@ class NumberedPart(PartType[KeysT]):
 
     def library(self, part: Part[KeysT], scene: Scene) -> str:
         number = getattr(part.keys, "number", None)
-        return identifier(number, part.name) if number else super().library(part, scene)
+        return make_identifier(number, part.name) if number else super().library(part, scene)
 
 
 class ResonatorPart(NumberedPart[KeysT]):
@@ -225,8 +225,8 @@ class ResonatorPart(NumberedPart[KeysT]):
         )
         body = laws.SecondOrderBody(n, model, (laws.LawPort(plus, "electrical", minus),))
         results = {
-            f"{n}.voltage": laws.difference(f"{n}.{plus}", f"{n}.{minus}"),
-            f"{n}.current": laws.reading(f"{n}.{plus}.through"),
+            f"{n}.voltage": laws.wave_difference(f"{n}.{plus}", f"{n}.{minus}"),
+            f"{n}.current": laws.scaled_wave(f"{n}.{plus}.through"),
         }
         return laws.Equations((body,), tuple((end, f"{n}.{end}") for end in self.ends), results)
 

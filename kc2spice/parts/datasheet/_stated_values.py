@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kc2spice.core.errors import MOST_CHOICES, UsageError
+from kc2spice.core.errors import MAX_CANDIDATES, UsageError
 
 ROUNDING = 0.005  # largest relative rounding error of a value with three digits
 STEP = 1e-5  # step of central differences in logarithms, which have errors of 1e-10 and 1e-11
@@ -144,7 +144,7 @@ class StatedValues:
         for key in useful:
             if self._rank(x, *chosen, key) > rank + len(chosen):
                 chosen.append(key)
-        listed = ", ".join(useful[:MOST_CHOICES]) + ", …" * (len(useful) > MOST_CHOICES)
+        listed = ", ".join(useful[:MAX_CANDIDATES]) + ", …" * (len(useful) > MAX_CANDIDATES)
         missing = x.size - rank
         raise UsageError(
             "these values do not determine the circuit",

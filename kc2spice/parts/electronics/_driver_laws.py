@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping
 
 from kc2spice.core import laws
-from kc2spice.core.quantities import BOLTZMANN, ELEMENTARY_CHARGE, TEMPERATURE, Section
+from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE, ELEMENTARY_CHARGE, Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.physics.declaration import Branch, Declaration, measured, voltage
 from kc2spice.physics.law import DeclaredLaw
@@ -23,7 +23,7 @@ TURN = repr(2 * math.pi)
 SERIES = "series_resistance"  # Ohm, of the last resistor of each circuit, ``Rout``
 GATE, THRESHOLD = 12.0, 3.0  # V, supply of the gates; threshold voltage of the transistors
 SATURATION = 1e-14  # A, of the diodes between source and drain
-THERMAL_VOLTAGE = BOLTZMANN * TEMPERATURE / ELEMENTARY_CHARGE  # V, at 27 C
+THERMAL_VOLTAGE = BOLTZMANN * DEFAULT_TEMPERATURE / ELEMENTARY_CHARGE  # V, at 27 C
 
 
 def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
@@ -175,7 +175,7 @@ def build_driver_equations(
     through the resistor to the first terminal.
     """
     values, pins = declared.values(Section()), ("command", *terminals)
-    results = {f"{name}.{pin}": laws.reading(f"{name}.{pin}") for pin in pins}
+    results = {f"{name}.{pin}": laws.scaled_wave(f"{name}.{pin}") for pin in pins}
     conductance = 1.0 / values[SERIES]
     ends = ((conductance, f"{name}.{inner_node}"), (-conductance, f"{name}.{pins[1]}"))
     results[f"{name}.i"] = laws.Reading(ends)

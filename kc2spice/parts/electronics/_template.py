@@ -15,7 +15,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.magnets import EMTable
-from kc2spice.core.quantities import BOLTZMANN, TEMPERATURE, Current, Section, Voltage
+from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE, Current, Section, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
@@ -151,7 +151,7 @@ def opamp_subcircuit(
         positive_parameter("current_limit", 1.0, "A", "largest output current"),
     )
     title += " with slew rate and current limit"
-    ohm = math.sqrt(4 * BOLTZMANN * TEMPERATURE)
+    ohm = math.sqrt(4 * BOLTZMANN * DEFAULT_TEMPERATURE)
     result = (noise.noise_voltage, noise.noise_current) if noise else (None, None)
     volts, amperes = (item / ohm if item else None for item in result)
     words: dict[str, Any] = {"rating": rating, "volts": volts, "amperes": amperes}

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.domains import PIN_UNITS, SIGNAL
-from kc2spice.core.errors import UsageError, candidates, did_you_mean
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Pin
@@ -138,7 +138,7 @@ class Netlist(PartType[NetlistKeys]):
                 "no such pin, node or current",
                 where=f"probes.{name}.of",
                 got=repr(f"{part.name}.{node}"),
-                expected=f"of {part.name}: {candidates(node, choices)}",
+                expected=f"of {part.name}: {list_candidates(node, choices)}",
                 hint=did_you_mean(node, choices),
             )
         for name in part.keys.ratings:
@@ -249,7 +249,7 @@ def _pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
             "subckt",
             "no such subcircuit",
             repr(part.keys.subckt),
-            candidates(part.keys.subckt, known) or f"a .subckt in {part.keys.file}",
+            list_candidates(part.keys.subckt, known) or f"a .subckt in {part.keys.file}",
             did_you_mean(part.keys.subckt, known),
         )
     for pin in pins:

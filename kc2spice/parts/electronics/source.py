@@ -16,8 +16,8 @@ from kc2spice.core import waveforms as waves_
 from kc2spice.core.domains import QUANTITIES, Domain, Quantity, Side
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section, invalid_value_error, quantity
-from kc2spice.core.spectrum import waveform_frequency
-from kc2spice.core.untrusted_files import file_in_folder, read_bounded
+from kc2spice.core.spectrum import find_waveform_frequency
+from kc2spice.core.untrusted_files import locate_file_in_folder, read_bounded
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.read import words
@@ -172,10 +172,10 @@ class SourceKeys(Section):
                     expected=f"a period of at least width + edge, {p.width + p.edge:g} s",
                     hint="lengthen pulse.period",
                 )
-            return waves_.pulse(low, high, p.start, p.width, p.edge, p.period, p.count)
+            return waves_.pulse_waveform(low, high, p.start, p.width, p.edge, p.period, p.count)
         if self.sine is not None:
             s = self.sine
-            return waves_.sine(
+            return waves_.sine_waveform(
                 quantity(s.amplitude, unit, where="sine.amplitude"), s.frequency, s.start
             )
         if self.pwl is not None:
@@ -186,7 +186,9 @@ class SourceKeys(Section):
             return _make_waveform(np.array(points), "pwl")
         if self.file is not None:
             return _make_waveform(_read_table(home, self.file), self.file)
-        return waves_.constant(quantity(0.0 if self.dc is None else self.dc, unit, where="dc"))
+        return waves_.constant_waveform(
+            quantity(0.0 if self.dc is None else self.dc, unit, where="dc")
+        )
 
 
 class Source(PartType[SourceKeys]):
@@ -287,10 +289,10 @@ class Source(PartType[SourceKeys]):
         pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))
         domain = KINDS[keys.kind].domain
         across, through = (f"{n}.{item.symbol}" for item, _ in domain.quantities)
-        results = {across: laws.reading(f"{n}.out")}
+        results = {across: laws.scaled_wave(f"{n}.out")}
         if not signal:
-            results = {across: laws.difference(f"{n}.out", f"{n}.ret")}
-            results[through] = laws.reading(f"{n}.out.through", -1.0)
+            results = {across: laws.wave_difference(f"{n}.out", f"{n}.ret")}
+            results[through] = laws.scaled_wave(f"{n}.out.through", -1.0)
         return laws.Equations((law,), pins, results, {"dc": (n, 1.0)})
 
     def notes(self, part: Part[SourceKeys], scene: Scene) -> Iterator[str]:
@@ -299,7 +301,7 @@ class Source(PartType[SourceKeys]):
 
 def _filtered_frequency(wave: Waveform, stop: float, share: float, constant: float) -> float:
     """Highest frequency [Hz] of a wave after a filter with a ``share`` of a time constant [s]."""
-    return waveform_frequency(wave, stop, share * constant)
+    return find_waveform_frequency(wave, stop, share * constant)
 
 
 def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
@@ -366,12 +368,12 @@ def _make_waveform(points: np.ndarray, what: str) -> Waveform:
             expected="times that increase from row to row",
             hint="sort the rows by time, and delete rows with equal times",
         )
-    return waves_.linear(points)
+    return waves_.linear_waveform(points)
 
 
 def _read_table(home: Path, name: str) -> np.ndarray:
     """Rows ``time, value`` of a CSV file beside the scene."""
-    path = file_in_folder(home, name, "file")
+    path = locate_file_in_folder(home, name, "file")
     try:
         data = read_bounded(path, 40 * MAX_ROWS)
         rows = np.genfromtxt(io.BytesIO(data), delimiter=",", comments="#", ndmin=2)

@@ -44,7 +44,7 @@ from kc2spice.core.quantities import (
     Stiffness,
     si,
 )
-from kc2spice.core.spectrum import energy_frequency
+from kc2spice.core.spectrum import find_energy_frequency
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.mechanics import _stop
@@ -321,7 +321,7 @@ def _check_film(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator
     elif "time" in waves:
         time = waves["time"]
         for x in _waves_of(part, "x", waves):
-            frequency = max(frequency, energy_frequency(time, np.gradient(x, time)))
+            frequency = max(frequency, find_energy_frequency(time, np.gradient(x, time)))
     branches = count_film_branches(part, build.scene)
     error = truncation_error(film, part.keys.gap, branches, frequency)
     name = f"{branches} branches of the film of {part.name} at {frequency:.3g} Hz"

@@ -12,7 +12,7 @@ from kc2spice.core import laws
 from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.magnets import EMTable
 from kc2spice.core.quantities import Current, Section
-from kc2spice.core.waveforms import Waveforms, constant
+from kc2spice.core.waveforms import Waveforms, constant_waveform
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.elements import Line, attach_comments
 from kc2spice.netlist.spelling import number
@@ -124,15 +124,15 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         """
         n, pulled, fed = part.name, _sphere(part, build.scene), _coils(part, build.scene)
         table, height = build.model(fed, EMTable), [f"{n}.out"]
-        result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant(0.0))]
-        results = {f"{pulled}.y": laws.reading(f"{n}.out")}
+        result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant_waveform(0.0))]
+        results = {f"{pulled}.y": laws.scaled_wave(f"{n}.out")}
         for k, force in enumerate(_force_names(part, build)):
             case = f"{fed.name} {k}"  # no part has a blank in its name
             lower, upper = current_pairs(part)[k]
             declared = coils.declare_prescribed_currents()
             result.append(coils.make_law(case, declared, table, lower=lower, upper=upper))
             height.append(f"{case}.y")
-            results[force] = laws.reading(f"{case}.y.through", -1.0)
+            results[force] = laws.scaled_wave(f"{case}.y.through", -1.0)
         pins, sweeps = (("y", f"{n}.out"),), {"height": (n, 1.0)}
         return laws.Equations(tuple(result), pins, results, sweeps, (tuple(height),))
 

@@ -21,7 +21,7 @@ from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.naming import names_of
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Count, Frequency, Notch, Section
-from kc2spice.core.waveforms import Waveforms, constant
+from kc2spice.core.waveforms import Waveforms, constant_waveform
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.elements import Line, attach_comments
 from kc2spice.parts.bodies.piezo_stack import Stack
@@ -184,7 +184,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         result: list[laws.Law] = []
         nets: list[tuple[str, ...]] = []
         results: dict[str, laws.Reading] = {}
-        still = constant(0.0)
+        still = constant_waveform(0.0)
         for load in (*rings, "anode"):
             name = f"{body.name} {load}"  # no part has a blank in its name
             result.append(replace(law, name=name))
@@ -201,9 +201,9 @@ class PortLoads(PartType[PortLoadsKeys]):
                 nets += [(f"{name}_volts.out", f"{name}_speck.a")]
                 nets += [(f"{name}.anode", f"{name}_speck.b")]
             for ring in rings:
-                results[f"{load}>{ring}"] = laws.reading(f"{name}.{ring}")
+                results[f"{load}>{ring}"] = laws.scaled_wave(f"{name}.{ring}")
             charge = laws.Reading(((1.0, f"{name}.anode.through"),), charge=True)
-            results[f"{load}>anode"] = laws.reading(f"{name}.anode") if is_open else charge
+            results[f"{load}>anode"] = laws.scaled_wave(f"{name}.anode") if is_open else charge
         return laws.Equations(tuple(result), (), results, nets=tuple(nets))
 
     def notes(self, part: Part[PortLoadsKeys], scene: Scene) -> Iterator[str]:

@@ -12,7 +12,7 @@ from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Count, Length, Section
-from kc2spice.core.waveforms import Waveforms, constant
+from kc2spice.core.waveforms import Waveforms, constant_waveform
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.parts.mechanics._touching import Pair, Penetration, TouchablePart, make_pair
 from kc2spice.parts.mechanics.sphere import sphere_of
@@ -118,8 +118,8 @@ class Push(TouchablePart[PushKeys]):
 
     def law(self, part: Part[PushKeys], build: Build) -> laws.Equations:
         n = part.name
-        source = laws.IdealSource(n, "displacement", constant(0.0))
-        results = {f"{n}.depth": laws.reading(f"{n}.out", -1.0)}
+        source = laws.IdealSource(n, "displacement", constant_waveform(0.0))
+        results = {f"{n}.depth": laws.scaled_wave(f"{n}.out", -1.0)}
         return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
 
     def notes(self, part: Part[PushKeys], scene: Scene) -> Iterator[str]:

@@ -32,7 +32,7 @@ from kc2spice.core.quantities import (
     Section,
     si,
 )
-from kc2spice.core.spectrum import energy_frequency
+from kc2spice.core.spectrum import find_energy_frequency
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import Cells, Ladder, Winding, compare_rings, divide_section, ladder
@@ -298,7 +298,7 @@ class MovingBody(DeclaredPart[MovingT]):
             fixed = []
             for magnet in keys.magnets.values():
                 fixed += surface_currents(magnet, magnet.remanence)
-            with clock.stage("magnetics", f"field of {part.name}"):
+            with clock.time_stage("magnetics", f"field of {part.name}"):
                 ladder = self.field(keys, fixed, tolerance, rings, frequency)
                 if full or not frequency:
                     return ladder
@@ -522,7 +522,7 @@ def _highest_run_frequency(part: Part[Moving], build: Build, waves: Waveforms) -
     for name in part.keys.coils:
         current = waves.data.get(f"{part.name}.{_current_name(name)}")
         if "time" in waves and current is not None:
-            result = max(result, energy_frequency(waves["time"], current, share=SEEN))
+            result = max(result, find_energy_frequency(waves["time"], current, share=SEEN))
     return result
 
 

@@ -21,8 +21,13 @@ from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
-from kc2spice.core.magnets import FORCE, POWERS, EMTable, cubic_spline
-from kc2spice.core.mesh_error import IN_PLANE, describe_mesh_errors, mesh_errors
+from kc2spice.core.magnets import (
+    CURRENT_EXPONENTS,
+    FORCE_COEFFICIENTS,
+    EMTable,
+    interpolate_by_splines,
+)
+from kc2spice.core.mesh_error import PLANE_UNKNOWN_RATIO, describe_mesh_errors, mesh_errors
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
@@ -86,7 +91,7 @@ class Coils(Catch):
 # One current i through both coils, i2 = i and i1 = -i, as the control loop wires them: functions of
 # height, by powers of i, each the sum of the table's coefficients times these weights.
 SERIES = {
-    name: tuple((-1) ** a * (a + b == power) for a, b in POWERS.values())
+    name: tuple((-1) ** a * (a + b == power) for a, b in CURRENT_EXPONENTS.values())
     for power, name in enumerate(("c0", "d1", "d2"))
 }
 
@@ -278,7 +283,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         def build() -> EMTable:
             from kc2spice.fem.magnet_field import catch_table
 
-            with clock.stage("magnetics", "field of the catch actuator") as share:
+            with clock.time_stage("magnetics", "field of the catch actuator") as share:
                 return catch_table(unit, key["radius"], share)
 
         table = load_or_build("catch", key, build, classes=(EMTable,), sources=SOURCES)
@@ -337,9 +342,9 @@ class RingMagnetCoils(TouchablePart[Coils]):
         law = coils.make_law(n, stated, table, height_offset(part, "y", scene))
         results = {}
         for coil, (wave, sign) in zip(COILS, ends, strict=True):
-            results[f"{prefix}.{coil}.current"] = laws.reading(f"{n}.{wave}", sign)
+            results[f"{prefix}.{coil}.current"] = laws.scaled_wave(f"{n}.{wave}", sign)
         if apart:
-            results[f"{prefix}.voltage"] = laws.difference(f"{n}.up", f"{n}.lp")
+            results[f"{prefix}.voltage"] = laws.wave_difference(f"{n}.up", f"{n}.lp")
         return laws.Equations((law,), law.joins, results)
 
     def metrics(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, object]:
@@ -360,8 +365,8 @@ class RingMagnetCoils(TouchablePart[Coils]):
 
         table, keys = build.model(part, EMTable), part.keys
         unknowns = FINER**2 * table.facts["unknowns"]
-        if unknowns > IN_PLANE * most:
-            cause = f"{unknowns:.0f} unknowns, more than {IN_PLANE * most:.0f}"
+        if unknowns > PLANE_UNKNOWN_RATIO * most:
+            cause = f"{unknowns:.0f} unknowns, more than {PLANE_UNKNOWN_RATIO * most:.0f}"
             yield f"{part.name}: no mesh half as wide ({cause}); {self.discretisation(part, build)}"
             return
         settings = {
@@ -372,7 +377,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         key = {**self.model_key(part, build.scene), "finer": settings}
 
         def finer() -> EMTable:
-            with clock.stage("full model", f"{part.name}: mesh half as wide") as share:
+            with clock.time_stage("full model", f"{part.name}: mesh half as wide") as share:
                 return catch_table(unit, key["radius"], share)
 
         fine = load_or_build("catch", key, finer, classes=(EMTable,), sources=SOURCES)
@@ -438,7 +443,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             yield plot_impedance(part, build)
         yield plot_force(part, build)
         table, alone = build.model(part, EMTable), len(build.scene.of(self.name)) == 1
-        arrays = {"y": table.y} | dict(zip(FORCE, table.coefficients.T, strict=True))
+        arrays = {"y": table.y} | dict(zip(FORCE_COEFFICIENTS, table.coefficients.T, strict=True))
         file = "em_table.npz" if alone else f"{part.name}_table.npz"
         yield FileWriter(file, lambda path: np.savez_compressed(path, **arrays))
 
@@ -554,7 +559,7 @@ def interpolation_error(table: EMTable, current: float) -> float:
     largest = float(np.abs(_force_contributions(values, current)).sum(axis=0).max())
 
     def interpolation_miss(step: int) -> float:
-        result = cubic_spline(table.y[::step], values[::step])(table.y)
+        result = interpolate_by_splines(table.y[::step], values[::step])(table.y)
         off = _force_contributions(result - values, current)
         return float(np.abs(off).sum(axis=0).max()) / largest
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
-from kc2spice.core.figure import Curve, Figure, Panel, time_axis
+from kc2spice.core.figure import Curve, Figure, Panel, scale_time_axis
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.progress import Clock
-from kc2spice.core.waveforms import Waveforms, running_integral
+from kc2spice.core.waveforms import Waveforms, integrate_running
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import (
     PATCH,
@@ -193,7 +193,7 @@ class Contact(DeclaredPart[ContactKeys]):
         pair = make_pair(part, build.scene)
         inside = _loaded_interval(force) if "time" in waves else slice(None)
         scale = next(iter(waves.data.values()))
-        x, factor = time_axis(scale[inside])
+        x, factor = scale_time_axis(scale[inside])
         if (depth := pair.pushed_depth(waves)) is not None:
             scale, (x, factor) = depth, ("depth in µm", 1e6)
         curves = []
@@ -337,12 +337,12 @@ def _balance_energy(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator
         x = closing - pair.gaps[: len(ports), None]
         elastic, energy = normal.force(x), normal.energy(x)
     resting, gained = float(energy.max()), energy - energy[:, :1]
-    missing = (running_integral(elastic, closing) - gained).sum(axis=0)
+    missing = (integrate_running(elastic, closing) - gained).sum(axis=0)
     entries = {"stored in the contact": float(energy[:, -1].sum())}
     if (before := float(energy[:, 0].sum())) > 0.0:
         entries["stored in the contact at the start"] = before
     if normal.damping or normal.pace:
-        damped = running_integral(force - elastic, closing)[:, -1]
+        damped = integrate_running(force - elastic, closing)[:, -1]
         entries["damped in the contact"] = float(damped.sum())
     v, other = waves.data.get(f"{pair.b.part}.v"), pair.scene.parts.get(pair.b.part)
     mass = getattr(other.keys, "mass", 0.0) if other else 0.0

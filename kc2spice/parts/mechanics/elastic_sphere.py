@@ -116,7 +116,7 @@ elastic = true
         from kc2spice.bodies.pressure import sphere
 
         shape = make_pair(_contact(part, scene), scene).shape
-        with clock.stage("assemble", f"mesh and matrices of {part.name}"):
+        with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
             shares = self._compliance_of(part, scene, shape).shares
             return sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
 

@@ -15,7 +15,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import AIR_DENSITY, Density, Length, Section, Velocity
-from kc2spice.core.waveforms import Waveforms, running_integral
+from kc2spice.core.waveforms import Waveforms, integrate_running
 from kc2spice.fem.materials import Material, material
 from kc2spice.netlist.circuit import positive_parameter
 from kc2spice.parts.control._pid_keys import Control
@@ -269,7 +269,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
             forces[name] = acting[name, pin]
         total, turnover, entries = np.zeros_like(t), 0.0, dict[str, float]()
         for name, force in forces.items():
-            work = running_integral(force * v, t)
+            work = integrate_running(force * v, t)
             total += work
             turnover += float(np.trapezoid(np.abs(force * v), t))
             entries[f"work of the {name}"] = float(work[-1])
@@ -307,7 +307,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
 
     def law(self, part: Part[SphereKeys], build: Build) -> laws.Equations:
         n, result = part.name, super().law(part, build)
-        height = laws.reading(f"{n}.bottom", constant=part.keys.radius)
+        height = laws.scaled_wave(f"{n}.bottom", constant=part.keys.radius)
         bottom = f"{n}.bottom"
         pins = (("v", bottom), ("bottom", bottom), ("y", bottom))
         results = {f"{n}.y": height, f"{n}.v": result.results[f"{n}.v"]}

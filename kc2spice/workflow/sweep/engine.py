@@ -44,9 +44,9 @@ from kc2spice.core import __version__
 from kc2spice.core.errors import MissingToolError, UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.core.files import stage_directory
-from kc2spice.core.progress import Progress, silent
-from kc2spice.core.untrusted_files import MAX_BYTES, decode_text, parse_toml, read_bounded
-from kc2spice.core.waveforms import plain_cell
+from kc2spice.core.progress import Progress, ignore_progress
+from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, parse_toml, read_bounded
+from kc2spice.core.waveforms import quote_csv_cell
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import list_scene_keys
 from kc2spice.scene.model import Scene, scene_hash
@@ -318,14 +318,14 @@ def write_csv(table: Mapping[str, Sequence[Any]], path: Path) -> None:
     """
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(map(plain_cell, table))
+        writer.writerow(map(quote_csv_cell, table))
         for row in zip(*table.values(), strict=True):
             writer.writerow(map(_csv_cell, row))
 
 
 def _csv_cell(value: Any) -> str | None:
     if isinstance(value, str):
-        return plain_cell(value)
+        return quote_csv_cell(value)
     return None if value is None else format_toml(value)
 
 
@@ -498,7 +498,7 @@ def _find_study(name: str) -> _Study | None:
     """Return the study ``name``, built in or a file with a key ``scene``; None for a scene."""
     builtin = studies().get(name)
     try:
-        data = builtin.read_bytes() if builtin else read_bounded(Path(name), MAX_BYTES)
+        data = builtin.read_bytes() if builtin else read_bounded(Path(name), MAX_TEXT_BYTES)
         content = parse_toml(decode_text(data))
     except (OSError, ValueError):
         return None  # the loader of scenes reports the mistake
@@ -595,7 +595,7 @@ def run_sweep(
     definition: Sweep,
     out: Path,
     workers: Workers,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     *,
     table_format: str = "csv",
     retry_failed: bool = False,

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.errors import UsageError, candidates, did_you_mean
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 from kc2spice.core.quantities import quantity
 from kc2spice.scene.keys import Key
 from kc2spice.scene.overrides import parse_override_value
@@ -176,7 +176,7 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Rando
 def _parse_word(where: str, key: Key, text: str) -> Any:
     """Return a number in SI units, a whole number, one of the choices, or a value of TOML."""
     if key.choices and text not in key.choices:
-        choices = f"one of {candidates(text, key.choices)}"
+        choices = f"one of {list_candidates(text, key.choices)}"
         hint = did_you_mean(text, key.choices)
         raise UsageError("no such choice", where=where, got=repr(text), expected=choices, hint=hint)
     if key.integer and not re.fullmatch(r"[+-]?\d+", text):

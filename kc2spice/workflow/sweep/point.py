@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError
-from kc2spice.core.files import FULL
+from kc2spice.core.files import DISK_FULL_ERRORS
 from kc2spice.core.progress import Clock
-from kc2spice.core.untrusted_files import MAX_BYTES, decode_text, read_bounded
+from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded
 from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import included_netlist
@@ -94,7 +94,7 @@ def scene_text(name_or_path: str) -> SceneText:
         return SceneText(name_or_path, None)
     path = Path(name_or_path)
     scene = load_scene(path)
-    text = decode_text(read_bounded(path, MAX_BYTES))
+    text = decode_text(read_bounded(path, MAX_TEXT_BYTES))
     return SceneText(scene.name, text, tuple(scene_files(scene).items()))
 
 
@@ -200,7 +200,9 @@ def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
         text = ", ".join(filter(None, (where, error.message, got))).replace("\n", " ")
         return PointResult(failure=text, interrupted=bool(_SIGNAL.search(text)) or _disk_is_full())
     except OSError as error:
-        return PointResult(failure=f"{error}", interrupted=error.errno in FULL or _disk_is_full())
+        return PointResult(
+            failure=f"{error}", interrupted=error.errno in DISK_FULL_ERRORS or _disk_is_full()
+        )
     except Exception as error:
         return PointResult(failure=f"{type(error).__name__}: {error}")
 

@@ -64,7 +64,7 @@ def verify_body(
     if full is not None:
         count = at.size if thorough or full.order <= SMALL else FEW
         at = _select_frequencies(rom, at, min(count, MANY))
-        with clock.stage("full model", f"{part.name} at {at.size} frequencies"):
+        with clock.time_stage("full model", f"{part.name} at {at.size} frequencies"):
             exact = _full_response(part, build, full, at)
         errors["rom_vs_fom"] = relative_error(rom.transfer(at), exact)
         certificate = rom.certificate
@@ -197,7 +197,7 @@ def netlist_response(
     UsageError : the libraries have no such subcircuit.
     """
     deck = _deck(part, build, libraries, band)
-    with clock.stage("simulate", f"frequency response of {part.name}"):
+    with clock.time_stage("simulate", f"frequency response of {part.name}"):
         waves = run_deck(deck, work)
     rom = build.model(part, LinearModel)
     frequency = waves["frequency"].real

@@ -16,7 +16,7 @@ from kc2spice.core.laws import Law, PortBody
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
-from kc2spice.equations.replay import networks_to_solve
+from kc2spice.equations.replay import select_networks_to_solve
 from kc2spice.equations.scene_laws import scene_laws, with_laws
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.surrogate import surrogate
@@ -95,7 +95,7 @@ def full_solution(
     ------
     SimulationError : no equilibrium, or a step that does not settle.
     """
-    networks = networks_to_solve(scene_laws(full), ours, replayed)
+    networks = select_networks_to_solve(scene_laws(full), ours, replayed)
     if build.scene.analysis.type != "transient":
         words = "at its ports"
         if build.scene.analysis.small:
@@ -105,7 +105,7 @@ def full_solution(
             for body in chain.from_iterable(map(port_bodies, networks)):
                 if body.model.order > DIRECT:  # no surrogate is accurate enough
                     words = f"{body.model.order} unknowns at {points} frequencies, solved at each"
-        with clock.stage("full model", words):
+        with clock.time_stage("full model", words):
             return FullSolution(solve_steady(networks, full, ours))
     networks = list(filter(port_bodies, networks))
     if not networks:
@@ -128,7 +128,7 @@ def _with_surrogates(networks: list[Network], stop: float, clock: Clock) -> list
         if not isinstance(law, PortBody) or law.model.order <= DIRECT:
             return law
         if id(law.model) not in bodies:
-            with clock.stage("full model", f"{law.name}: basis against direct solutions"):
+            with clock.time_stage("full model", f"{law.name}: basis against direct solutions"):
                 try:
                     model, _ = surrogate(law.model, (0.0, stop))
                 except SimulationError:

@@ -132,7 +132,7 @@ def full_differences(
     systems = [assemble_system(item.laws, item.joins) for item in (network, reduced)]
 
     def difference(times: int, label: str) -> Difference:
-        with clock.stage("full model", f"{names}: {label}") as share:
+        with clock.time_stage("full model", f"{names}: {label}") as share:
             first, second = (
                 integrate_steps(system, begin, times * step, count // times, state, share)
                 for system in systems

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kc2spice.core.laws import reading
+from kc2spice.core.laws import scaled_wave
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network, law_of
-from kc2spice.equations.replay import networks_to_solve
+from kc2spice.equations.replay import select_networks_to_solve
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.reference import equilibrium
 from kc2spice.reference.integrate import Trajectory, solve_transient
@@ -49,7 +49,7 @@ def solve(
 ) -> Reference:
     """Solve the laws of a scene at the points of ``waves``, the results of ngspice.
 
-    Sources on the nets ``replayed`` (:func:`kc2spice.equations.replay.replayed_nets`) have the
+    Sources on the nets ``replayed`` (:func:`kc2spice.equations.replay.find_replayed_nets`) have the
     values of ngspice on these nets.
 
     Raises
@@ -57,7 +57,7 @@ def solve(
     UsageError : the laws do not fit each other.
     SimulationError : no equilibrium, or a law left its range.
     """
-    networks = networks_to_solve(scene_laws(build), waves, replayed or {})
+    networks = select_networks_to_solve(scene_laws(build), waves, replayed or {})
     if build.scene.analysis.type != "transient":
         return Reference(solve_steady(networks, build, waves))
     stop = build.scene.stop
@@ -94,7 +94,7 @@ def _noise(network: Network, build: Build, points: np.ndarray) -> dict[str, np.n
     law_pins = {f"{link.part}.{link.pin}": link.law_pin for link in scene_laws(build).links}
     output = network.readings.get(name)
     if output is None and name in law_pins:
-        output = reading(law_pins[name])
+        output = scaled_wave(law_pins[name])
     if output is None or law_of(output.terms[0][1]) not in network.names:
         return {}
     return {NOISE_WAVE: solve_noise(network.laws, network.joins, output, points)}

@@ -22,9 +22,9 @@ import numpy as np
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import stage_directory
 from kc2spice.core.memory import available_bytes
-from kc2spice.core.progress import Clock, Progress, silent
+from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.core.waveforms import Waveforms, write_record
-from kc2spice.equations.replay import replayed_nets, replayed_vectors
+from kc2spice.equations.replay import find_replayed_nets, list_recorded_vectors
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import Flat, read_checked_circuit
@@ -288,7 +288,7 @@ def verify_scenes(
     full: bool = False,
     deck: Path | None = None,
     trust: bool = False,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> dict[str, Any]:
     """Verify ``scenes`` and write ``verify.json`` and ``verify.html`` into ``out``.
 
@@ -405,7 +405,7 @@ class _Verification:
                     result.notes.append(row)
         laws = scene_laws(build)
         result.left_out = laws.missing
-        replayed = replayed_nets(laws) if result.left_out and self.timed else None
+        replayed = find_replayed_nets(laws) if result.left_out and self.timed else None
         if result.left_out:
             rows = map(self._explain_missing_law, result.left_out)
             note = f"parts without a law are left out: {', '.join(rows)}"
@@ -425,7 +425,7 @@ class _Verification:
             result.metrics |= simulated.metrics
             result.units |= simulated.units
         else:
-            vectors = replayed_vectors(self.replayed)
+            vectors = list_recorded_vectors(self.replayed)
             self._compare_solutions(deck.with_results(vectors) if vectors else deck)
         self._summarise()
         result.wall_s = {stage: time for stage, time in self.clock.wall_s.items() if time}
@@ -439,7 +439,7 @@ class _Verification:
         return f"{name} ({reason})" if reason else name
 
     def _simulate(self, deck: Deck) -> Waveforms:
-        with self.clock.stage("simulate", f"ngspice, {self.build.scene.name}") as share:
+        with self.clock.time_stage("simulate", f"ngspice, {self.build.scene.name}") as share:
             waves = run_simulation(self.build, deck, self.work / "scene", share)
         self.verdict = verdict(waves, self.build)
         return waves
@@ -450,7 +450,9 @@ class _Verification:
         The full models may end before the run does.
         """
         build, waves, result = self.build, self._simulate(deck), self.outcome
-        with self.clock.stage("reference", "laws of the reduced models, events located") as share:
+        with self.clock.time_stage(
+            "reference", "laws of the reduced models, events located"
+        ) as share:
             begin = time.monotonic()
             reference = solve(build, waves, self.replayed, share)
             spent = time.monotonic() - begin
@@ -507,7 +509,9 @@ class _Verification:
         if finer is None:
             return
         try:
-            with self.clock.stage("full model", f"finer discretisation of {names}") as progress:
+            with self.clock.time_stage(
+                "full model", f"finer discretisation of {names}"
+            ) as progress:
                 share = progress if self.thorough else _limit_time(progress, seconds)
                 exact = solution(solve(finer, waves, self.replayed, share).results, finer)
         except _TooLongError as error:
