@@ -42,7 +42,12 @@ from kc2spice.fem.mesh_cells import (
     make_quadratic_mesh,
     require_right_handed,
 )
-from kc2spice.fem.mesh_formats import READERS, merge_file, require_plain_content
+from kc2spice.fem.mesh_formats import (
+    READERS,
+    merge_file,
+    require_plain_content,
+    require_unv_elements,
+)
 
 STEP = (".step", ".stp")
 CAD = (*STEP, ".brep")
@@ -287,6 +292,8 @@ def _read_content(path: Path) -> bytes:
     if path.suffix.lower() == ".unv" and len(_UNV_MARK.findall(data)) % 2:
         hint = "export the file again"
         raise wrong(str(path), "the file ends within a dataset", None, "two lines -1 each", hint)
+    if path.suffix.lower() == ".unv":
+        require_unv_elements(data, str(path))
     if path.suffix.lower() in READERS:
         require_plain_content(path.suffix.lower(), data, str(path))
     if path.suffix.lower() in STEP and b"DOCUMENT_FILE" in _STEP_TEXT.sub(b"", data):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from importlib import import_module
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -35,12 +35,50 @@ SHAPES = {
     "pyramid": ("Pyramid", 3, 5), "wedge": ("Prism", 3, 6), "hexahedron": ("Hexahedron", 3, 8),
 }  # fmt: skip
 TETRAHEDRON = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
+LONGEST_QUOTE = 60  # characters of a line that an error quotes
 MOST_VALUES = 1000  # largest number of groups of one array of integers
+# Places of nodes on edges and faces: largest distance from the places on straight edges, relative
+# to the longest edge of the element. It is 0.5 for an edge that is half a circle.
+LARGEST_BULGE = 0.5
 _INCLUDE = {
-    "abaqus": re.compile(rb"^\s*\*\s*include\b", re.IGNORECASE | re.MULTILINE),
+    "abaqus": re.compile(
+        rb"^\s*\*\s*include\b|^\s*\*[^*\n]*\binput\s*=.*", re.IGNORECASE | re.MULTILINE
+    ),
     "nastran": re.compile(rb"^\s*include\b", re.IGNORECASE | re.MULTILINE),
     "vtu": re.compile(rb"<!(DOCTYPE|ENTITY)"),
 }
+# Lines of Abaqus that meshio ignores, although they change the mesh: pattern, number of such lines
+# in a plain file, and what to do.
+IGNORED = (
+    (rb"^[ \t]*\*[ \t]*(NGEN|NFILL|NCOPY|NMAP|ELGEN|ELCOPY|SYSTEM)\b.*", 0,
+     "write all nodes and elements in global coordinates"),
+    (rb"^[ \t]*\*[ \t]*NODE\b.*\bSYSTEM[ \t]*=[ \t]*[CS].*", 0,
+     "write all nodes in cartesian coordinates"),
+    (rb"^[ \t]*\*[ \t]*INSTANCE\b.*(?=\n[ \t]*[-+.\d])", 0,
+     "export without parts and assemblies"),
+    (rb"^[ \t]*\*[ \t]*PART\b.*", 1, "write one part, or export without parts and assemblies"),
+)  # fmt: skip
+_GRID = re.compile(rb"^(?:GRID|GRDSET)\b.*", re.MULTILINE)
+# Lines of a Nastran file that continue the line above: fields behind an empty first field.
+_CONTINUATION = re.compile(rb"^(?:(?=,)| (?=       | *,))(?=.*\S)", re.MULTILINE)
+# Elements of Abaqus by dimension: their names end with the number of nodes and letters.
+ABAQUS_TYPES = {
+    2: re.compile(r"(?:DC|AC|C|CG)(?:AX|PS|PE|2D)(\d+)[A-Z]*"),
+    3: re.compile(r"(?:DC|AC|C|QC)3D(\d+)[A-Z]*"),
+}
+MESHIO_NAMES = {
+    2: {3: "triangle", 4: "quad", 6: "triangle6", 8: "quad8"},
+    3: {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra10", 15: "wedge15",
+        20: "hexahedron20", 27: "hexahedron27"},
+}  # fmt: skip
+# Nodes of elements of UNV files by type, and types with a line of orientations.
+UNV_NODES = {
+    11: 2, 21: 2, 22: 3, 24: 3, 41: 3, 42: 6, 44: 4, 45: 8, 81: 3, 82: 6, 84: 4, 85: 8, 91: 3,
+    92: 6, 94: 4, 95: 8, 111: 4, 112: 6, 113: 15, 115: 8, 116: 20, 118: 10,
+}  # fmt: skip
+UNV_BEAMS = (11, 21, 22, 23, 24)
+_UNV_ELEMENTS = re.compile(rb"^    -1[ \t\r]*\n *2412[ \t\r]*\n(.*?)^    -1", re.M | re.S)
+_ELEMENT_TYPE = re.compile(rb"\bTYPE[ \t]*=[ \t]*(\w+)", re.IGNORECASE)
 _ELEMENT = re.compile(rb"^[ \t]*\*ELEMENT[ \t]*,.*", re.IGNORECASE | re.MULTILINE)
 _ELSET = re.compile(rb"ELSET\s*=\s*([^,\s]+)", re.IGNORECASE)
 
@@ -50,8 +88,8 @@ def require_plain_content(suffix: str, data: bytes, where: str) -> None:
 
     Raises
     ------
-    UsageError : a reference to another file, or an Abaqus file with elements inside and outside
-        of sets, or with one set for several blocks.
+    UsageError : a reference to another file, content that meshio ignores, or an Abaqus file with
+        elements inside and outside of sets, or with one set for several blocks.
     MissingToolError : a library of the format is not installed.
     """
     reader, library = READERS[suffix]
@@ -62,6 +100,10 @@ def require_plain_content(suffix: str, data: bytes, where: str) -> None:
     if match:
         got, expected = match[0].decode().strip(), "one file with nodes and elements"
         raise wrong(where, "refers to other files", got, expected, "insert their text")
+    for line, hint in _list_ignored(reader, data):
+        got = line.decode(errors="replace").strip()[:LONGEST_QUOTE]
+        expected = "nodes and elements of one body in cartesian coordinates"
+        raise wrong(where, "the file moves or generates parts of the mesh", got, expected, hint)
     if reader == "abaqus":
         names = list(map(_ELSET.search, _ELEMENT.findall(data)))
         sets = [name[1].upper() for name in names if name]
@@ -71,12 +113,29 @@ def require_plain_content(suffix: str, data: bytes, where: str) -> None:
             raise wrong(where, "element sets cannot be assigned", None, expected, hint)
 
 
+def _list_ignored(reader: str, data: bytes) -> Iterator[tuple[bytes, str]]:
+    """Yield lines that meshio ignores, although they change the mesh, and what to do."""
+    if reader == "abaqus":
+        for text, plain, hint in IGNORED:
+            lines = re.finditer(text, data, re.IGNORECASE | re.MULTILINE)
+            yield from ((line[0], hint) for line in islice(lines, plain, None))
+    if reader == "nastran":
+        for match in _GRID.finditer(data):
+            line = match[0]
+            large = line.startswith(b"GRID*")
+            field = line[24:40] if large else line[16:24]
+            field = line.split(b",")[2] if line.count(b",") > 1 else field
+            if line.startswith(b"GRDSET") or field.strip(b" 0"):
+                yield line, "write all nodes in the basic coordinate system"
+
+
 def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
     """Add the mesh of a file to gmsh, as ``gmsh.merge`` does with its own formats.
 
     ``dimension`` is the dimension of the body.
     """
     reader = READERS[Path(file).suffix][0]
+    _complete_reader(reader, Path(file))
     mesh = import_module(f"meshio.{reader}").read(file)
     points = np.zeros((len(mesh.points), 3))
     points[:, : np.shape(mesh.points)[1]] = mesh.points
@@ -125,6 +184,56 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
         gmsh.model.addPhysicalGroup(d, entities, name=name)
     for name, nodes in _node_sets(mesh).items():
         _add_node_set(gmsh, name, nodes, faces, dimension, next(tags))
+
+
+def _complete_reader(reader: str, file: Path) -> None:
+    """Add what meshio lacks: prisms of 15 nodes, elements of Abaqus, continued lines of Nastran.
+
+    A Nastran ``file``, which is a copy of the user's file, is replaced.
+    """
+    import_module("meshio._mesh").topological_dimension.setdefault("wedge15", 3)
+    if reader == "abaqus":
+        known = import_module("meshio.abaqus._abaqus").abaqus_to_meshio_type
+        for word in set(_ELEMENT_TYPE.findall(file.read_bytes())):
+            kind = _name_abaqus_type(word.decode())
+            if kind is not None:
+                known.setdefault(word.decode(), kind)
+    if reader == "nastran":
+        head, mark, bulk = file.read_bytes().partition(b"BEGIN BULK")
+        file.write_bytes(head + mark + _CONTINUATION.sub(b"+", bulk))
+
+
+def _name_abaqus_type(name: str) -> str | None:
+    """Return meshio's name of a solid or plane element of Abaqus, None for other elements."""
+    for dimension, pattern in ABAQUS_TYPES.items():
+        if match := pattern.fullmatch(name.upper()):
+            return MESHIO_NAMES[dimension].get(int(match[1]))
+    return None
+
+
+def require_unv_elements(data: bytes, where: str) -> None:
+    """Refuse elements of a UNV file with more or fewer nodes than their type has.
+
+    gmsh writes such elements of 9, 18 and 27 nodes, and reads only their corners.
+
+    Raises
+    ------
+    UsageError : an element has another number of nodes.
+    """
+    for dataset in _UNV_ELEMENTS.findall(data):
+        lines = iter(dataset.splitlines())
+        for header in lines:
+            fields = list(map(int, header.split()))
+            if len(fields) < 6:
+                return  # gmsh reports a damaged file
+            kind, nodes = fields[1], fields[5]
+            if nodes != UNV_NODES.get(kind, nodes):
+                got = f"an element of type {kind} with {nodes} nodes"
+                expected = f"{UNV_NODES[kind]} nodes"
+                hint = "write elements of first order or with nodes on corners and edges only"
+                raise wrong(where, "an element is not one of UNV files", got, expected, hint)
+            more = -(-nodes // 8) + (kind in UNV_BEAMS)
+            list(islice(lines, more))
 
 
 def _list_faces(cells: np.ndarray, dimension: int) -> list[np.ndarray]:
@@ -262,4 +371,13 @@ def _order_nodes(
     straight = np.einsum("lc,ecd->eld", weights.reshape(-1, corners), points[nodes[:, :corners]])
     apart = points[extra][:, None] - straight[:, corners:, None]
     order = linear_sum_assignment((apart**2).sum(axis=(0, 3)))[1]
+    bulge = np.linalg.norm(apart[:, np.arange(len(order)), order], axis=-1).max(axis=1)
+    ends = points[nodes[:, :corners]]
+    longest = np.linalg.norm(ends[:, None] - ends[:, :, None], axis=-1).max(axis=(1, 2))
+    far = np.flatnonzero(bulge > LARGEST_BULGE * longest)
+    if far.size:
+        got = f"{far.size} of {len(nodes)} elements of {nodes.shape[1]} nodes"
+        expected = "nodes in the middle of edges near these edges, behind the nodes at corners"
+        hint = "write the mesh with the corners of each element first, or with straight edges"
+        raise wrong("mesh", "nodes on edges are far from their edges", got, expected, hint)
     return np.column_stack([nodes[:, :corners], extra[:, order]])
