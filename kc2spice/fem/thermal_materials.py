@@ -65,6 +65,13 @@ class ThermalMaterialTable(Section):
     conductivity: Conductivity | tuple[Conductivity, Conductivity, Conductivity] = Field(
         description="Thermal conductivity, isotropic or one value each along x, y and z"
     )
+    resistance_coefficient: Annotated[float, si("1/K")] | None = Field(
+        None,
+        description=(
+            "Relative change of the electrical resistance for each kelvin, from the resistance at "
+            "20 degrees Celsius"
+        ),
+    )
     source: str = Field("", description="Source of all numbers of this table")
 
     @model_validator(mode="before")
@@ -130,6 +137,24 @@ def thermal_material(
     if name is None:
         raise _unknown_material(name_or_table, where)
     return ThermalMaterialTable.model_validate(thermal_library()[name]).build(name)
+
+
+def resistance_coefficient(name: str) -> float:
+    """Return the temperature coefficient [1/K] of the resistance of a metal of the library.
+
+    Raises
+    ------
+    UsageError : no such material, or one without this constant.
+
+    Examples
+    --------
+    >>> resistance_coefficient("copper")
+    0.00393
+    """
+    table = thermal_library().get(thermal_names().get(name.lower(), ""), {})
+    if "resistance_coefficient" not in table:
+        raise _unknown_material(name, "material of a conductor")
+    return float(table["resistance_coefficient"])
 
 
 def _unknown_material(name: str, where: str) -> UsageError:

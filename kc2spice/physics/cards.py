@@ -75,6 +75,7 @@ _HEAD = {
     "held": "{node} has no other equation than {plus} = {place}: the force that makes it true, "
     "1 V = 1 N, accelerates the mass; at an operating point something else holds {plus}",
     "output": "{plus} in um: {words}",
+    "heat": "the losses leave by {plus}, relative to {minus}: 1 A is 1 W",
     "state": "a state, whose rate times 1 uF flows into {node}; 1 POhm may be all that sets it at "
     "an operating point",
     "noise": "of the temperature of a loss, 4 k T times {loss}: this resistor has noise",
@@ -560,7 +561,8 @@ def _write_charge(
     charge, direct, inner = declaration.stored_quantity(b), declaration.direct_flow(b), b.plus
     unit = _format_power_of_ten(b.domain.through_variable.per_unit)
     times_unit = "" if unit == ONE else f"*{text(unit)}"
-    if declaration.metered or charge != ZERO:
+    heating = b == declaration.heat_branch
+    if declaration.metered or charge != ZERO or heating:
         inner = f"in_{b.name}"
         yield Element.of(meter_name(b), b.plus, inner, "0")
     if charge != ZERO:
@@ -574,6 +576,8 @@ def _write_charge(
         yield f"* {_HEAD['leak'].format(integral=integral, seconds=f'{1 / LEAK_RATE:g}')}"
         leak = f"{{{LEAK_RATE:g}*scale_{b.name}{times_unit}}}"
         yield Element.of(f"Gleak_{b.name}", b.plus, b.minus, f"q_{b.name}", b.minus, leak)
+    if heating:
+        yield _comment("heat", b)
     if direct != ZERO or charge == ZERO:
         yield f"*   {b.through} = {text(declaration.name_power_series(direct))}"
         current_law = times(unit, declaration.name_power_series(plus(direct, noise)))

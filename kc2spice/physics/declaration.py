@@ -25,6 +25,9 @@ The energy that is stored is ``T + U - W + sum v q + sum i l``, the power that b
 ``sum x_rate dR/dx_rate + sum v dR/dv + sum i dR/di``: what pins bring in is what is stored and what
 is lost, whatever the expressions say; so are rates times ``forces``. (J. Meisel, Principles of
 Electromechanical Energy Conversion, 1966; content: W. Millar, Phil. Mag. 42 (1951) 1150.)
+
+With a pin of heat (:meth:`Declaration.with_heat_pin`), the power that becomes heat leaves the part
+through this pin, and the resistances of ``conductors`` follow its temperature.
 """
 
 from __future__ import annotations
@@ -33,14 +36,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
+from typing import Any
 
-from kc2spice.core.domains import QUANTITIES, Domain
+from kc2spice.core.domains import AMBIENT, QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import Call, Name, Tree, Writer, change_operands, substitute, walk
 from kc2spice.physics.symbolic import (
+    ONE,
     ZERO,
     derivative,
     evaluate_tree,
@@ -49,11 +54,16 @@ from kc2spice.physics.symbolic import (
     kinks,
     minus,
     names,
+    over,
     plus,
     times,
 )
 
 LOOPS = "loops"
+HEAT = "heat"  # pin and flow of the heat that a part gives off
+TEMPERATURE = "temperature"  # coordinate at this pin, the rise over the pin ``ambient``
+HEATING = "heating of the coil"  # effect that a part with a pin of heat does not neglect
+COEFFICIENT, REFERENCE = "temperature_coefficient", "reference_temperature"
 _ENERGIES = ("kinetic", "energy", "coenergy", "content")
 RATE = "_rate"  # ends the name of a displacement's velocity
 # A force or a torque determines no displacement, and no part stores energy by a flow of heat.
@@ -199,6 +209,16 @@ def _unknown_name(
     )
 
 
+_ONE_TEMPERATURE = (
+    "differences of temperature within the part",
+    "all losses heat one place",
+    "not estimated",
+)
+HEAT_PINS = (
+    f"1 V from {HEAT} to {AMBIENT} is a rise of 1 K over the ambient temperature; "
+    f"1 A out of {HEAT} is 1 W of all losses of the part"
+)
+
 # Where a term belongs that an equation must not contain.
 _OTHER_PLACES = {
     "energy": "state energy that depends on {} in coenergy, and losses in content",
@@ -227,6 +247,13 @@ class Declaration:
     zero in contact. ``neglected`` are rows of an effect, why it has no model, and the size of the
     effect. ``validity`` is the range of the equations. By default it is a constant temperature, or
     keys that do not depend on temperature if the part has pins of heat.
+
+    ``conductors`` are the branches of currents or voltages whose resistance rises with the
+    temperature of the pin of heat, by ``temperature_coefficient`` [1/K] relative to the resistance
+    at the reference temperature. ``ideal_work`` states that the power of ``forces`` is work of an
+    ideal source instead of heat. With ``losses_of_model`` a model that is not built yet determines
+    the losses. ``heated`` states that there is a pin of heat, which
+    :meth:`with_heat_pin` adds.
 
     These fields concern the netlist alone:
 
@@ -257,6 +284,11 @@ class Declaration:
     limits: Mapping[str, str] = field(default_factory=dict)
     stops: Mapping[str, str] = field(default_factory=dict)
     neglected: tuple[tuple[str, str, str], ...] = ()
+    conductors: tuple[str, ...] = ()
+    temperature_coefficient: float = 0.0
+    ideal_work: bool = False
+    losses_of_model: bool = False
+    heated: bool = False
     rating: str = "not known"
     validity: str = ""
     sign: str = (
@@ -329,6 +361,73 @@ class Declaration:
             *self.state_rates.items(),
             *self.signal_trees.items(),
         )
+
+    # --- heat -------------------------------------------------------------------------------------
+
+    @cached_property
+    def heat_branch(self) -> Branch | None:
+        """Branch at the pin of heat, None without one."""
+        return next((b for b in self.acting_branches if self.heated and b.plus == HEAT), None)
+
+    @property
+    def offers_heat_pin(self) -> bool:
+        """Whether it has losses that a pin of heat can give off, and no temperature yet."""
+        names_in_use = {HEAT, TEMPERATURE, COEFFICIENT, REFERENCE} & {
+            *self.domains,
+            *self.variables,
+            *self.parameters,
+        }
+        thermal = any(domain.relaxes for domain in self.domains.values())
+        lossy = self.losses_of_model or self.heat_power != ZERO
+        return lossy and not names_in_use and not thermal
+
+    def with_heat_pin(
+        self, temperature_coefficient: float | None = None, reference_temperature: float = 0.0
+    ) -> Declaration:
+        """Return the declaration with the pins ``heat`` and ``ambient``.
+
+        The heat flow out of the pin ``heat`` is the power of all losses.
+
+        Parameters
+        ----------
+        temperature_coefficient : float, optional
+            Relative rise of the conductors' resistance for each kelvin [1/K], by default that of
+            the declaration.
+        reference_temperature : float, default 0
+            Rise over the pin ``ambient`` [K] at which the stated resistances hold.
+
+        Returns
+        -------
+        Declaration
+            A declaration with a branch between the pins of heat.
+
+        Examples
+        --------
+        >>> from kc2spice.core.quantities import Section
+        >>> class WireKeys(Section):
+        ...     resistance: float
+        >>> content, ends = "0.5*resistance*i^2", (current("i"),)
+        >>> wire = Declaration("wire", "wire", WireKeys, ends, content=content, conductors=("i",))
+        >>> for equation in wire.with_heat_pin(3.93e-3).equations:
+        ...     print(equation)
+        v = resistance*i*(1+temperature_coefficient*(temperature-reference_temperature))
+        heat = -(i*i*resistance*(1+temperature_coefficient*(temperature-reference_temperature)))
+        """
+        coefficient = temperature_coefficient
+        if coefficient is None:
+            coefficient = self.temperature_coefficient
+        branches = (*self.branches, branch("temperature", TEMPERATURE, HEAT, AMBIENT, HEAT))
+        neglected = [row for row in self.neglected if row[0] != HEATING]
+        change: dict[str, Any] = {"neglected": (*neglected, _ONE_TEMPERATURE)}
+        if self.conductors:
+            ratio = f"1 + {COEFFICIENT}*({TEMPERATURE} - {REFERENCE})"
+            change["limits"] = {**self.limits, "the range of resistances": ratio}
+            change["given"] = (
+                *self.given,
+                Param(COEFFICIENT, coefficient, "1/K", "rise of resistances for each kelvin"),
+                Param(REFERENCE, reference_temperature, "K", "rise at which resistances hold"),
+            )
+        return replace(self, branches=branches, heated=True, **change)
 
     # --- names ------------------------------------------------------------------------------------
 
@@ -524,11 +623,26 @@ class Declaration:
         The result is the force without inertia, or the current without the current of the charge.
         For a branch of the kind current, the result is the voltage without the voltage of the flux.
         """
+        if branch == self.heat_branch:
+            return minus(ZERO, self.heat_power)
+        dissipative = self._lossy_flow(branch)
         if not branch.moves:
-            return self._slope("content", branch.name)
+            return dissipative
         stored = minus(self._slope("energy", branch.name), self._slope("coenergy", branch.name))
-        dissipative = self._slope("content", branch.rate)
         return plus(stored, dissipative, self._forces.get(branch.name, ZERO))
+
+    def _lossy_flow(self, branch: Branch) -> Tree:
+        """Flow of a branch by its losses; for a current, the resistive voltage."""
+        slope = self._slope("content", branch.lossy_variable)
+        if not self.heated or branch.name not in self.conductors:
+            return slope
+        return (times if branch.flows else over)(slope, self.resistance_ratio)
+
+    @property
+    def resistance_ratio(self) -> Tree:
+        """Resistance of the conductors relative to that at the reference temperature."""
+        rise = minus(Name(TEMPERATURE), Name(REFERENCE))
+        return plus(ONE, times(Name(COEFFICIENT), rise))
 
     def delayed_flow(self, branch: Branch) -> Tree:
         """Force of a displacement after its lag."""
@@ -542,8 +656,7 @@ class Declaration:
         """
         if branch.domain.power == "through":
             return ZERO
-        variable = branch.lossy_variable
-        return derivative(self._slope("content", variable), variable)
+        return derivative(self._lossy_flow(branch), branch.lossy_variable)
 
     def stored_quantity(self, branch: Branch) -> Tree:
         """Momentum, charge or flux of a branch, whose rate adds to :meth:`direct_flow`."""
@@ -571,14 +684,37 @@ class Declaration:
 
     @cached_property
     def dissipation(self) -> Tree:
-        """The power [W] that becomes heat."""
-        others = names_of(self.stationary_branches)
-        rates, powers = map(self._dissipated_power, self.rates), map(self._dissipated_power, others)
+        """The power [W] that becomes heat.
+
+        Branches of heat contribute the product of temperature and heat flow.
+        """
+        moving = (b for b in self.branches if b.moves)
+        rates = map(self._dissipated_power, moving)
+        powers = map(self._dissipated_power, self.stationary_branches)
         return plus(*rates, *self._powers_of_forces, *powers)
 
-    def _dissipated_power(self, variable: str) -> Tree:
-        """The power [W] of the content's derivative by a rate, voltage or current."""
-        return times(Name(variable), self._slope("content", variable))
+    @cached_property
+    def heat_power(self) -> Tree:
+        """The power [W] of all losses outside of the thermal domain."""
+        lossy = [b for b in self.acting_branches if not b.domain.relaxes]
+        forces = () if self.ideal_work else self._powers_of_forces
+        return plus(*map(self._dissipated_power, lossy), *forces)
+
+    def _dissipated_power(self, branch: Branch) -> Tree:
+        """The power [W] that a branch loses."""
+        return times(Name(branch.lossy_variable), self._lossy_flow(branch))
+
+    @cached_property
+    def network_loss(self) -> Tree:
+        """Sum of the products across times through that no storage takes up.
+
+        These products sum to zero over a network (Tellegen's theorem). At a pin of heat they are
+        that of temperature and heat flow.
+        """
+        branch = self.heat_branch
+        if branch is None:
+            return self.dissipation
+        return plus(self.dissipation, times(Name(branch.name), self.direct_flow(branch)))
 
     @cached_property
     def equations(self) -> tuple[str, ...]:

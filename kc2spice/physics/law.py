@@ -217,7 +217,7 @@ class DeclaredLaw(Device):
     @cached_property
     def _energy_function(self) -> _Compiled:
         return self._compile_declared(
-            [self.declaration.stored_energy, self.declaration.dissipation]
+            [self.declaration.stored_energy, self.declaration.network_loss]
         )
 
     @cached_property
@@ -297,6 +297,6 @@ class DeclaredLaw(Device):
         return float(self._evaluate(self._energy_function, e, mode)[0])
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        if self.declaration.dissipation == ZERO:
+        if self.declaration.network_loss == ZERO:
             return 0.0
         return float(self._evaluate(self._energy_function, e, mode)[1])

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from kc2spice.core import laws
-from kc2spice.core.domains import SIGNALS, TRANSLATION, VELOCITY
+from kc2spice.core.domains import AMBIENT, SIGNALS, TRANSLATION, VELOCITY
+from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import names_of
 from kc2spice.core.waveforms import Waveforms, integrate_running
 from kc2spice.netlist.circuit import Circuit, Item, Param, Pin
@@ -26,7 +27,8 @@ from kc2spice.physics.cards import (
     reference_node,
     subcircuit_items,
 )
-from kc2spice.physics.declaration import Branch, Declaration
+from kc2spice.physics.conductors import conductor_values, refuse_conductor_keys
+from kc2spice.physics.declaration import HEAT, HEAT_PINS, Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.linkages import find_linkages
 from kc2spice.physics.lookups import TableFunction
@@ -64,6 +66,12 @@ def sweep_numerics(part: Part, scene: DeclaredScene) -> Iterator[Numerics]:
         yield Numerics(part.name, options={"reltol": change})
 
 
+def branch_terminal(pin: Pin) -> Terminal:
+    """Make the terminal of a pin of heat or of its reference, which is ground by default."""
+    default = "gnd" if pin.name == AMBIENT else None
+    return Terminal(pin.name, pin.unit, pin.flow, default, required=default is None)
+
+
 class DeclaredPart(PartType[KeysT]):
     """The part type of a declaration."""
 
@@ -89,8 +97,32 @@ class DeclaredPart(PartType[KeysT]):
         """Declaration of a part whose model may be built."""
         return self.declared(part, build.scene)
 
+    def is_heated(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
+        """Return whether the scene joins the pin of heat of a part."""
+        return HEAT in part.pins or scene.is_target(part.name, HEAT)
+
+    def resolved_declaration(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
+        """Declaration of a part, with the pin of heat if the scene joins this pin."""
+        return self._with_heat_pin(self.declared(part, scene), part, scene)
+
+    def resolved_built_declaration(self, part: Part[KeysT], build: Build) -> Declaration:
+        """Declaration of a part whose model may be built, with the pin of heat if it is joined."""
+        return self._with_heat_pin(self.built_declaration(part, build), part, build.scene)
+
+    def _with_heat_pin(
+        self, declaration: Declaration, part: Part[KeysT], scene: DeclaredScene
+    ) -> Declaration:
+        if not self.is_heated(part, scene) or not declaration.offers_heat_pin:
+            return declaration
+        coefficient, reference = conductor_values(part.keys)
+        return declaration.with_heat_pin(coefficient, reference)
+
+    def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterator[UsageError]:
+        if not self.is_heated(part, scene):
+            yield from refuse_conductor_keys(part)
+
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        d, result = self.declared(part, scene), []
+        d, result = self.resolved_declaration(part, scene), []
         plus = {b.plus for b in d.branches}
         for p in make_pins(d):
             required = p.name in plus or scene.is_target(part.name, p.name)
@@ -99,12 +131,12 @@ class DeclaredPart(PartType[KeysT]):
         return tuple(result)
 
     def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
-        d = self.declared(part, scene)
+        d = self.resolved_declaration(part, scene)
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
     def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
         """Return paths: displacements with a stiffness at rest, and branches of flows."""
-        d = self.declared(part, scene)
+        d = self.resolved_declaration(part, scene)
         values = d.values(part.keys)
         stiff, flowing = [], []
         for b in d.branches:
@@ -120,17 +152,17 @@ class DeclaredPart(PartType[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        d, name = self.built_declaration(part, build), build.libraries[part.name]
+        d, name = self.resolved_built_declaration(part, build), build.libraries[part.name]
         return (declared_subcircuit(header, name, d, d.values(part.keys), build.has_noise),)
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterator[Numerics]:
-        if not self.declared(part, scene).linear:
+        if not self.resolved_declaration(part, scene).linear:
             yield from sweep_numerics(part, scene)
 
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
-        result, d = {}, self.built_declaration(part, build)
+        result, d = {}, self.resolved_built_declaration(part, build)
         for b in d.branches:
             voltage = b.domain.across
             if b.plus and {build.net(part, b.plus), build.net(part, b.minus)} != {"0"}:
@@ -156,7 +188,7 @@ class DeclaredPart(PartType[KeysT]):
         return None
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
-        n, d = part.name, self.built_declaration(part, build)
+        n, d = part.name, self.resolved_built_declaration(part, build)
         results = {}
         for b in d.open_branches:  # loops of a full model are others
             results[f"{n}.{b.through}"] = laws.scaled_wave(f"{n}.{b.plus}.through")
@@ -174,7 +206,7 @@ class DeclaredPart(PartType[KeysT]):
 
     def checks(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Any]:
         """Yield checks of limits and impacts, and the energy balance."""
-        d = self.built_declaration(part, build)
+        d = self.resolved_built_declaration(part, build)
         known = {} if "frequency" in waves else self._recorded_variables(part, build, waves)
         yield from _check_limits(d, part, known)
         if build.scene.analysis.type == "op":
@@ -193,7 +225,10 @@ class DeclaredPart(PartType[KeysT]):
         self, part: Part[KeysT], build: Build, point: Waveforms
     ) -> Iterator[Check]:
         """Yield checks whether the operating point is on a stop or outside the limits."""
-        d, known = self.built_declaration(part, build), self._recorded_variables(part, build, point)
+        d, known = (
+            self.resolved_built_declaration(part, build),
+            self._recorded_variables(part, build, point),
+        )
         small = build.scene.analysis.small
         if small:
             yield from _check_limits(d, part, known, " at its operating point")
@@ -208,7 +243,7 @@ class DeclaredPart(PartType[KeysT]):
         self, part: Part[KeysT], build: Build, waves: Waveforms
     ) -> dict[str, np.ndarray]:
         """Recorded coordinates, states and signals over time."""
-        d = self.built_declaration(part, build)
+        d = self.resolved_built_declaration(part, build)
         result = {}
         for name in (*d.coordinates, *d.states, *d.signals):
             if (wave := waves.data.get(f"{part.name}.{name}")) is not None:
@@ -218,8 +253,8 @@ class DeclaredPart(PartType[KeysT]):
     # --- notes of explain -------------------------------------------------------------------------
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
-        yield "; ".join(self.declared(part, scene).equations)
-        yield from starmap(Neglected, self.declared(part, scene).neglected)
+        yield "; ".join(self.resolved_declaration(part, scene).equations)
+        yield from starmap(Neglected, self.resolved_declaration(part, scene).neglected)
 
 
 def _check_limits(
@@ -320,13 +355,14 @@ def declared_subcircuit(
     linkages = find_linkages(d)
     inner = [*map(checked, d.signals), *tables, *(linkages.currents if linkages else ())]
     require_distinct([*ends, *inner], _INNER, where=name)
-    keys = []
+    keys, given = [], set(names_of(d.given))
     for key in list_schema_keys(d.keys):
-        if key.name in d.numbers:
+        if key.name in d.numbers and key.name not in given:
             unit = (key.unit or "-").replace(" ", "*")
             keys.append(Param(key.name, values[key.name], unit, key.doc))
     params = (*keys, *d.given)
     words: dict[str, Any] = {"rating": d.rating, "validity": d.valid_range, "mesh": d.mesh}
+    words |= {"heat": HEAT_PINS} if d.heated else {}
     head = part_header(header, f"{name}: {d.title}", pins, params, sign=d.sign, **words)
     items = (*subcircuit_items(d, noise, tables), *more)
     circuit = Circuit(name, ends, defaults(params), items, notes=head)
@@ -345,14 +381,21 @@ def branch_voltage(build: Build, part: Part, branch: Branch) -> str:
 def balance_energy(
     declaration: Declaration, part: Part, recorded: Mapping[str, np.ndarray], waves: Waveforms
 ) -> Iterator[Balance]:
-    """Yield the energy balance of a transient if all coordinates were recorded and one moves.
+    """Yield the energy balance of a transient if all coordinates were recorded.
+
+    A part that neither moves nor has a pin of heat has none.
 
     The work at the pins is ``int F dx``, ``int v dq`` with the charge ``q = int i dt`` that flows
     into them, and ``int i dl`` with ``l = int v dt`` of their voltage, both by what the run has at
-    the pins: a charge, a flux or a loss that is not the declared one does not balance.
+    the pins: a charge, a flux or a loss that is not the declared one does not balance. At a pin of
+    heat the work is the integral of the heat flow. All losses leave by this pin.
     """
     d, time = declaration, waves["time"]
-    if not d.displacements or set(recorded) != {*d.coordinates, *d.states, *d.signals}:
+    if not (d.displacements or d.heated) or set(recorded) != {
+        *d.coordinates,
+        *d.states,
+        *d.signals,
+    }:
         return
     speeds, slopes, means = {}, {}, {}
     for b in d.branches_with_rate:
@@ -368,11 +411,15 @@ def balance_energy(
         return np.asarray(evaluate_tree(tree, known) * np.ones_like(time))
 
     stored = over_time(d.stored_energy)
-    heat, rise = _step_heat(d, known, means, time), np.diff(stored)
-    brought, forces = np.zeros_like(heat), []
+    lost, rise = _step_heat(d, known, means, time), np.diff(stored)
+    heat, brought, forces = lost, np.zeros_like(lost), []
+    given_off = None
     for b in d.open_branches:
         known_as = f"{part.name}.{b.across if b.flows else b.through}"
         pins = waves.data.get(known_as, np.zeros_like(time))
+        if b == d.heat_branch:
+            heat = given_off = _integrate_steps(-pins, time, lost)
+            continue
         if b.moves:
             forces.append((pins, np.diff(recorded[b.name])))
             continue
@@ -385,7 +432,7 @@ def balance_energy(
     missing = np.cumsum(brought - heat - rise)
     entries = {
         "brought in by pins": float(brought.sum()),
-        "heat": float(heat.sum()),
+        "heat" if given_off is None else f"given off by the pin {HEAT}": float(heat.sum()),
         "stored": float(stored[-1]),
     }
     if stored[0] != 0.0:

@@ -240,7 +240,7 @@ def _list_metered(scene: Scene) -> Iterator[Pin]:
     for of in scene.probed_results:
         name, _, quantity = of.partition(".")
         part = scene.parts.get(name)
-        if part is None or not part.is_subcircuit:
+        if part is None or not scene.has_subcircuit(part):
             continue
         powered = powered_pins(part, scene)
         for pin, domain in metered_pins(part, scene).items():

@@ -177,11 +177,6 @@ class Part(Generic[KeysT]):
         return hasattr(self.keys, "rom")
 
     @property
-    def is_subcircuit(self) -> bool:
-        """Whether the deck contains the part as an instance of its subcircuit."""
-        return type(self.type).cards is PartType.cards
-
-    @property
     def parameter_ranges(self) -> Mapping[str, tuple[float | str, float | str]]:
         """Ranges of the keys of a body that are parameters of its netlist."""
         rom: Rom | None = getattr(self.keys, "rom", None)
@@ -400,6 +395,10 @@ class DeclaredScene:
                 expected=f"{key or 'one'} = NAME",
             )
         return result[0]
+
+    def has_subcircuit(self, part: Part) -> bool:
+        """Return whether the deck contains a part as an instance of its subcircuit."""
+        return part.type.is_subcircuit(part, self)
 
     def is_target(self, part: str, pin: str) -> bool:
         """Return whether ``pins`` of a part name this pin: then no default applies."""
@@ -778,6 +777,10 @@ class PartType(Generic[KeysT]):
     ) -> tuple[Subcircuit, ...]:
         """Return its subcircuit, after those that it needs; empty for plain cards."""
         return ()
+
+    def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
+        """Return whether the deck contains the part as an instance of its subcircuit."""
+        return type(self).cards is PartType.cards
 
     def cards(self, part: Part[KeysT], build: Build) -> tuple[Item, ...]:
         """Return its elements in the deck.

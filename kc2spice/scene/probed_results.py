@@ -85,12 +85,13 @@ def _list_results(build: Build, waiting: Collection[str]) -> list[str]:
 def _list_metered(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
     """Yield flows and powers of a part that probes may read besides ``known`` results."""
     n, pins, powered = part.name, metered_pins(part, scene), powered_pins(part, scene)
+    separate = scene.has_subcircuit(part)
     for domain in dict.fromkeys(powered.values()):
         through = domain.through_variable
-        if part.is_subcircuit or f"{n}.{through.symbol}" in known:
+        if separate or f"{n}.{through.symbol}" in known:
             yield f"{n}.power"
-        if (part.is_subcircuit and not domain.reference) or f"{n}.{through.symbol}" in known:
+        if (separate and not domain.reference) or f"{n}.{through.symbol}" in known:
             yield f"{n}.{through.name}"
-    if part.is_subcircuit:
+    if separate:
         for pin, domain in pins.items():
             yield from (f"{n}.{pin}.{domain.through_variable.name}", f"{n}.{pin}.power")

@@ -107,7 +107,7 @@ def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vec
 def _collect_across(part: Part, build: Build) -> dict[str, Vector]:
     """Return the quantity across a part of two pins that is no subcircuit."""
     pins = [pin for pin in build.scene.pins(part.name) if pin.domain is not None]
-    if part.is_subcircuit or len(pins) != 2 or pins[0].kind != pins[1].kind:
+    if build.scene.has_subcircuit(part) or len(pins) != 2 or pins[0].kind != pins[1].kind:
         return {}
     plus, minus = build.across(part, pins[0].name), build.across(part, pins[1].name)
     text = ""

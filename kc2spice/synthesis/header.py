@@ -76,6 +76,7 @@ def part_header(
     sign: str = SIGN,
     rom: tuple[str, ...] = (),
     mesh: str = "",
+    heat: str = "",
 ) -> tuple[str, ...]:
     """Return all comment lines above ``.subckt``.
 
@@ -83,6 +84,7 @@ def part_header(
     validity and rating follow, then one line for each pin and each parameter. ``title`` is
     ``NAME: what it is``.
     ``mesh`` is the error estimate of the mesh in words. ``sign`` is for parts with mechanical pins.
+    ``heat`` describes the pins of heat.
     """
     sign = sign if TRANSLATION.flow in map(attrgetter("flow"), pins) else FLOW
     ends = map(attrgetter("name"), pins)
@@ -91,7 +93,7 @@ def part_header(
         instance_comment(title.partition(":")[0], ends, defaults(params)),
     ]
     lines += [*header.origin(), *rom]
-    facts = {"mesh": mesh, "sign": sign, "validity": validity, "rating": rating}
+    facts = {"mesh": mesh, "sign": sign, "heat": heat, "validity": validity, "rating": rating}
     for key, text in facts.items():
         if text:
             lines += paragraph(f"{key}: {text}")

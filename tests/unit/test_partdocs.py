@@ -25,7 +25,7 @@ def test_every_type_is_there_with_pins_and_keys(docs):
         assert doc.title, name
         assert doc.doc, name
         assert bool(doc.pins) is (name not in BY_FILE | NO_PINS), name
-    assert [key.unit for key in docs["resistor"].keys] == ["Ohm"]
+    assert [key.unit for key in docs["resistor"].keys] == ["Ohm", "1/K", "K"]
     assert {pin.name for pin in docs["piezo_stack"].pins} >= {"anode", "cathode", "ring0", "ring5"}
     assert (docs["piezo_stack"].short_for, docs["spring"].short_for) == (("kick",), ())
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import starmap
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
-from kc2spice.core.domains import TRANSLATION
+from kc2spice.core.domains import AMBIENT, TRANSLATION
 from kc2spice.core.figure import Figure
 from kc2spice.core.quantities import (
     AIR_DENSITY,
@@ -27,6 +28,7 @@ from kc2spice.core.quantities import (
     si,
 )
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.thermal_materials import resistance_coefficient
 from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import round_to_digits
@@ -39,8 +41,10 @@ from kc2spice.parts.datasheet._resonator import (
 from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
 from kc2spice.physics.cards import subcircuit_items
+from kc2spice.physics.conductors import ConductorKeys
+from kc2spice.physics.declaration import HEAT
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.part import declared_subcircuit
+from kc2spice.physics.part import branch_terminal, declared_subcircuit, make_pins
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import (
     Build,
@@ -61,7 +65,7 @@ WOOFER = {"re": 6.0, "bl": 6.0, "mms": 15e-3, "cms": 1e-3, "rms": 1.0, "sd": 13e
 Area = Annotated[float, si("m2")]
 
 
-class LoudspeakerKeys(NumberedKeys):
+class LoudspeakerKeys(ConductorKeys, NumberedKeys):
     """Any values of the sheet that determine the driver; further values must agree with these.
 
     ``Bl^2 = 2 pi fs mms re / qes``, ``qms = 2 pi fs mms / rms``, ``vas = rho c^2 sd^2 cms``
@@ -160,6 +164,8 @@ def motor(params: tuple[Param, ...]) -> Declaration:
             "cms": "1/(omega*omega*mms)",
             "rms": "omega*mms/qms",
         },
+        conductors=("i",),
+        temperature_coefficient=resistance_coefficient("copper"),
         rating="not known; i^2 re heats the coil, and xmax limits the excursion",
         sign="um and N count along plus current; 1 A into a pin pushes it that way with 1 N",
     )
@@ -251,11 +257,14 @@ stop = "1 kHz"
         minus, frame = (
             None if scene.is_target(part.name, pin) else "gnd" for pin in ("minus", "frame")
         )
+        declared = make_pins(self.resolved_declaration(part, scene))
+        thermal = (branch_terminal(pin) for pin in declared if pin.name in (HEAT, AMBIENT))
         return (
             Terminal("plus", "V", "A", required=True),
             Terminal("minus", "V", "A", minus, required=minus is None),
             Terminal("cone", *motion),
             Terminal("frame", *motion, frame, required=frame is None),
+            *thermal,
         )
 
     def inertial(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[str, ...]:
@@ -267,7 +276,7 @@ stop = "1 kHz"
     def subcircuits(
         self, part: Part[LoudspeakerKeys], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        d, name = self.built_declaration(part, build), build.libraries[part.name]
+        d, name = self.resolved_built_declaration(part, build), build.libraries[part.name]
         cone = subcircuit_items(moving_mass(self._parameters(part, build.scene).mms))
         values = d.values(part.keys)
         return (declared_subcircuit(header, name, d, values, build.has_noise, cone),)
@@ -326,6 +335,7 @@ stop = "1 kHz"
         yield Neglected("large strokes", "Bl and compliance are constant", "see part voice_coil")
         yield Neglected("radiation", "mms includes the mass of the air", "resistance not estimated")
         yield Neglected("eddy currents in the pole", "le is constant", "impedance above 1 kHz")
+        yield from starmap(Neglected, self.resolved_declaration(part, scene).neglected)
 
 
 register(Loudspeaker())

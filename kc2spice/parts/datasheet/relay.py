@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import starmap
 
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Inductance, Ratio, Resistance, Section, Time, Voltage
+from kc2spice.fem.thermal_materials import resistance_coefficient
 from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
@@ -18,6 +20,7 @@ from kc2spice.parts.datasheet._resonator import (
     tolerance_note,
 )
 from kc2spice.physics import Declaration, DeclaredPart, current, voltage
+from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.scene.model import GovernedScene, JoinedScene, Part, Scene, Terminal, WiredScene
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected, Numerics
@@ -28,7 +31,7 @@ SHARE = 0.9
 HALF = math.log(2)  # time constants from one end of the armature's way to its middle
 
 
-class RelayKeys(NumberedKeys):
+class RelayKeys(ConductorKeys, NumberedKeys):
     """The armature moves once the current times the coil's resistance is above ``pick_up``, and
     returns once that is below ``release``."""
 
@@ -132,6 +135,8 @@ def relay_law(params: tuple[Param, ...], changeover: bool) -> Declaration:
         content=content,
         given=params,
         states={"armature": f"({operated} + (1 - {operated})*{kept} - armature)/armature_time"},
+        conductors=("i",),
+        temperature_coefficient=resistance_coefficient("copper"),
         rating="not known; compare contact currents and coil power with the data sheet",
     )
 
@@ -169,6 +174,7 @@ pins = { a = "relay.com", b = "gnd" }
         return solve_timing(part)
 
     def problems(self, part: Part[RelayKeys], scene: GovernedScene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
         keys = part.keys
         if keys.contact_resistance >= keys.insulation_resistance:
             yield part.wrong(
@@ -224,6 +230,7 @@ pins = { a = "relay.com", b = "gnd" }
             "inductance that depends on the armature", "one value", "the dip of the coil's current"
         )
         yield Neglected("arcs", "contacts are resistances", "not estimated")
+        yield from starmap(Neglected, self.resolved_declaration(part, scene).neglected)
 
 
 register(Relay())

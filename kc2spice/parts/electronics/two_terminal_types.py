@@ -18,6 +18,7 @@ from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.expression import Number, Tree
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import LEAK_RATE
+from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.physics.declaration import (
     Branch,
     Declaration,
@@ -31,13 +32,14 @@ from kc2spice.physics.part import DeclaredPart, branch_voltage
 from kc2spice.physics.symbolic import ONE, ZERO, derivative, evaluate_tree, over, times
 from kc2spice.scene.model import (
     Build,
+    DeclaredScene,
     KeysT,
     Part,
     Scene,
     WiredScene,
 )
 from kc2spice.scene.parttype import register
-from kc2spice.scene.rows import Vector
+from kc2spice.scene.rows import Neglected, Vector
 
 
 class Row(NamedTuple):
@@ -61,7 +63,7 @@ PUSH, BLOW = 'kind = "pressure"\ndc = "1 Pa"', 'kind = "volume_velocity"\ndc = "
 T, P, U = branch("temperature"), branch("pressure"), branch("volume_velocity")
 TABLE = (
     Row("resistor", "ideal resistor", "resistance", "Ohm", "50 Ohm", V,
-        {"content": "0.5*v^2/resistance"}, VOLT),
+        {"content": "0.5*v^2/resistance", "conductors": ("v",)}, VOLT),
     Row("capacitor", "ideal capacitor", "capacitance", "F", "100 nF", V,
         {"coenergy": "0.5*capacitance*v^2"}, VOLT),
     Row("inductor", "ideal inductor", "inductance", "H", "10 uH", I,
@@ -89,7 +91,8 @@ def declare_element(row: Row) -> Declaration:
     value = Field(gt=0, description=f"{row.key.capitalize()} of the {noun}")
     fields: dict[str, Any] = {row.key: (Annotated[float, si(row.unit)], value)}
     words = f"{row.name.title().replace('_', '')}Keys"
-    keys = create_model(words, __base__=Section, __module__=__name__, **fields)
+    base: type[Section] = ConductorKeys if "conductors" in row.stated else Section
+    keys = create_model(words, __base__=base, __module__=__name__, **fields)
     example = f"""
 [{row.name}]
 part = "{row.name}"
@@ -107,6 +110,8 @@ part = "source"
 
 class LinearElement(DeclaredPart[KeysT]):
     """``through = admittance d^order/dt^order`` of voltage or velocity: one plain card.
+
+    An element whose pin of heat is joined is a subcircuit instead.
 
     Currents are not read from the device (``@r[i]``), which ngspice gives at the operating point
     alone in an ac analysis: a resistance has its law, an inductance its branch, and a capacitance
@@ -145,17 +150,27 @@ class LinearElement(DeclaredPart[KeysT]):
     def _evaluate(self, part: Part[KeysT], tree: Tree) -> float:
         return float(evaluate_tree(tree, self.declaration.values(part.keys)))
 
+    def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
+        return self.is_heated(part, scene)
+
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        return ()
+        return super().subcircuits(part, build, header) if self._is_heated_in(part, build) else ()
+
+    def _is_heated_in(self, part: Part[KeysT], build: Build) -> bool:
+        return self.is_heated(part, build.scene)
 
     def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterator[tuple[str, ...]]:
+        if self.is_heated(part, scene):
+            return
         n = part.name
         yield from ((f"V{n}", "meter"), (n.lower(), "metered"), (f"G{n}", "leak"))
         yield from ((f"R{n}", "noise"), (f"G{n}", "noise"), (n.lower(), "noise"))
 
     def cards(self, part: Part[KeysT], build: Build) -> tuple[Item, ...]:
+        if self._is_heated_in(part, build):
+            return super().cards(part, build)
         a, b = build.net(part, "a"), build.net(part, "b")
         admittance = times(self._unit, self.admittance_law[1])
         if self._letter != "C":
@@ -206,6 +221,8 @@ class LinearElement(DeclaredPart[KeysT]):
         return Element.of(R, node, "0", value), Element.of(G, a, b, node, "0", gain)
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
+        if self._is_heated_in(part, build):
+            return super().vectors(part, build)
         across, n, b = branch_voltage(build, part, self.branch), part.name, self.branch
         voltage, flow = b.domain.across, b.domain.through_variable
         if self._letter == "R":
@@ -220,7 +237,10 @@ class LinearElement(DeclaredPart[KeysT]):
         difference = Vector(across, voltage.factor, voltage.unit)
         return {f"{n}.{b.across}": difference, f"{n}.{b.through}": through}
 
-    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
+        if self.is_heated(part, scene):
+            yield from super().notes(part, scene)
+            return
         row = next(row for row in TABLE if row.name == self.name)
         value = format_quantity(getattr(part.keys, row.key), row.unit)
         yield f"{row.name.replace('_', ' ')} of {value}"

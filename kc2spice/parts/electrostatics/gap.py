@@ -31,6 +31,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
+from kc2spice.core.domains import AMBIENT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
@@ -49,6 +50,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.mechanics import _stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
+from kc2spice.physics.declaration import HEAT
 from kc2spice.physics.part import make_pins
 from kc2spice.physics.symbolic import evaluate_tree
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
@@ -141,10 +143,10 @@ class PatchedPart(DeclaredPart[KeysT]):
     """Part that acts on a row of patches ``p1`` …, whose number follows from its key ``a``."""
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        ends = {"minus": "gnd", "b": "gnd"}
+        ends = {"minus": "gnd", "b": "gnd", AMBIENT: "gnd"}
         result = []
-        for pin in make_pins(self.declared(part, scene)):
-            end, required = ends.get(pin.name), pin.name == "plus"
+        for pin in make_pins(self.resolved_declaration(part, scene)):
+            end, required = ends.get(pin.name), pin.name in ("plus", HEAT)
             result.append(Terminal(pin.name, pin.unit, pin.flow, end, required=required))
         return tuple(result)
 
@@ -209,7 +211,10 @@ class Gap(PatchedPart[GapKeys]):
         """
         yield from super().checks(part, build, waves)
         yield from _check_film(part, build, waves)
-        d, recorded = self.declared(part, build.scene), self._recorded_variables(part, build, waves)
+        d, recorded = (
+            self.resolved_declaration(part, build.scene),
+            self._recorded_variables(part, build, waves),
+        )
         if "sweep" not in waves or waves.scale.size < 2 or set(recorded) != set(d.coordinates):
             return
         (branch,) = (b for b in d.branches if b.kind == "voltage")

@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, starmap
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -36,7 +36,9 @@ from kc2spice.core.spectrum import find_energy_frequency
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Ring
 from kc2spice.fem.magnet_rings import Cells, Ladder, Winding, compare_rings, divide_section, ladder
+from kc2spice.fem.thermal_materials import resistance_coefficient
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
+from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.physics.declaration import Branch
 from kc2spice.physics.part import sweep_numerics
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
@@ -94,7 +96,7 @@ class Conduction(Section):
     )
 
 
-class Moving(Section):
+class Moving(ConductorKeys):
     """A body in the field of coils and magnets about one axis; y is the height of its centre of
     mass. A part ``mass`` at the pin ``a`` represents the mass of the body."""
 
@@ -180,6 +182,9 @@ def _declare(
         rating=kind.rating,
         sign="um from b to a are the height of its centre of mass; 1 A lifts it with 1 N",
         validity=f"heights y_min to y_max{reach}; rigid, not magnetic, at constant temperature",
+        conductors=tuple(b.name for b in branches if b.flows and b.plus),
+        temperature_coefficient=resistance_coefficient("copper"),
+        losses_of_model=True,
         **physics,
     )
 
@@ -238,6 +243,7 @@ class MovingBody(DeclaredPart[MovingT]):
         return declare(part, build.model(part, Ladder))
 
     def problems(self, part: Part[MovingT], scene: GovernedScene) -> Iterator[UsageError]:
+        yield from super().problems(part, scene)
         keys = part.keys
         if keys.y_min >= keys.y_max:
             got = f"{keys.y_min:g} … {keys.y_max:g} m"
@@ -441,6 +447,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
             f"{len(keys.coils)} coils, eddy currents as loops to {keys.tolerance:g} of flux and "
             f"force up to {highest}, exact in currents, power series of the height"
         )
+        yield from starmap(Neglected, self.resolved_declaration(part, scene).neglected)
         depth = 1e3 * _skin_depth(keys, frequency)
         yield Neglected(
             f"eddy currents above {frequency:.4g} Hz",

@@ -13,12 +13,14 @@ from kc2spice.core.quantities import (
     Stiffness,
     si,
 )
+from kc2spice.fem.thermal_materials import resistance_coefficient
 from kc2spice.parts.mechanics import _stop
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
+from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.scene.parttype import register
 
 
-class ReluctanceKeys(_stop.StoppedCoordinate):
+class ReluctanceKeys(ConductorKeys, _stop.StoppedCoordinate):
     """A flux of ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` pulls x up with
     ``gaps flux^2 / (2 MU_0 area)``. Of a permanent magnet of length l and area A, ``magnet`` is
     ``remanence l / (MU_0 mu_r)`` and its part of ``core`` is ``l / (MU_0 mu_r A)``.
@@ -62,6 +64,8 @@ register(
                 ("eddy currents in the core", "the flux follows at once", "not estimated"),
                 _stop.NEGLECTED,
             ),
+            conductors=("i",),
+            temperature_coefficient=resistance_coefficient("copper"),
             rating="not known; i^2 resistance heats the coil",
             example="""
 [reluctance]

@@ -4,12 +4,15 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kc2spice.core.quantities import Inductance, MechanicalDamping, Resistance, Section, si
+from kc2spice.core.quantities import Inductance, MechanicalDamping, Resistance, si
+from kc2spice.fem.thermal_materials import resistance_coefficient
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
+from kc2spice.physics.conductors import ConductorKeys
+from kc2spice.physics.declaration import HEATING
 from kc2spice.scene.parttype import register
 
 
-class VoiceCoilKeys(Section):
+class VoiceCoilKeys(ConductorKeys):
     """``Bl(x) = bl + bl1 x + bl2 x^2``, ``Cms(x) = cms + cms1 x + cms2 x^2``: the force of the coil
     is ``Bl(x) i``, that of the suspension ``x / Cms(x)``, and the coil's voltage is
     ``resistance i + inductance i' + Bl(x) x'`` (W. Klippel, J. Audio Eng. Soc. 54 (2006) 907)."""
@@ -54,9 +57,11 @@ register(
                     "its slope gives a force of i^2",
                     "not estimated",
                 ),
-                ("heating of the coil", "its resistance is constant", "0.4 % a kelvin, of copper"),
+                (HEATING, "its resistance is constant", "0.4 % a kelvin, of copper"),
                 ("mass of coil and cone", "a mass at a stands for it", "none where it is there"),
             ),
+            conductors=("i",),
+            temperature_coefficient=resistance_coefficient("copper"),
             rating="not known; i^2 resistance is the power that heats the coil",
         )
     )

@@ -1,0 +1,67 @@
+"""Keys of parts whose conductors follow the temperature of the pin ``heat``.
+
+The resistance is ``R0 (1 + alpha (T - T0))`` with the temperature coefficient ``alpha``, the rise
+``T`` of the pin over ``ambient`` and the reference ``T0``. A declaration names the conductors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import Section, si
+from kc2spice.physics.declaration import COEFFICIENT, HEAT, REFERENCE
+from kc2spice.scene.model import Part
+
+
+class ConductorKeys(Section):
+    """Keys of the resistance ``R0 (1 + alpha (T - T0))`` of a conductor with a pin of heat."""
+
+    temperature_coefficient: Annotated[float, si("1/K")] | None = Field(
+        None,
+        description=(
+            "Relative change of the resistance for each kelvin at the pin heat; by default that of "
+            "copper, and zero for a resistor"
+        ),
+    )
+    reference_temperature: Annotated[float, si("K")] | None = Field(
+        None,
+        description=(
+            "Temperature rise over the pin ambient at which the resistance has its stated value; "
+            "0 K by default"
+        ),
+    )
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **settings: Any) -> None:
+        """Move these keys behind those of the part."""
+        super().__pydantic_init_subclass__(**settings)
+        for name in (COEFFICIENT, REFERENCE):
+            cls.model_fields[name] = cls.model_fields.pop(name)
+
+
+def conductor_values(keys: Section) -> tuple[float | None, float]:
+    """Return coefficient [1/K] and reference temperature [K] from the keys of a part.
+
+    The coefficient is None if the keys do not state it.
+    """
+    if not isinstance(keys, ConductorKeys):
+        return None, 0.0
+    return keys.temperature_coefficient, keys.reference_temperature or 0.0
+
+
+def refuse_conductor_keys(part: Part) -> Iterator[UsageError]:
+    """Yield errors of keys that have no effect without a pin of heat."""
+    for key in (COEFFICIENT, REFERENCE):
+        value = getattr(part.keys, key, None)
+        if value is not None:
+            yield part.wrong(
+                key,
+                "the key has no effect without a pin of heat",
+                f"{value:g}",
+                f"a part that joins the pin {HEAT}",
+                f'add {HEAT} = "PART.PIN" to the pins of {part.name}, or leave the key out',
+            )
