@@ -1,11 +1,10 @@
 """Quadrilaterals, hexahedra, prisms and pyramids of files, against closed forms and tetrahedra."""
 
-from itertools import pairwise
-
 import gmsh
 import numpy as np
 import pytest
 from scipy.sparse.linalg import eigsh
+from scipy.special import j1, jnp_zeros
 
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.materials import Material, material
@@ -152,7 +151,7 @@ def blocks_of(points, hexahedra, kind):
     centre = points[hexahedra].mean(axis=1)
     tip = len(points) + np.arange(len(hexahedra))
     faces = (0, 1, 2, 3), (7, 6, 5, 4), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)
-    half = len(hexahedra) // 2
+    half = 0 if kind == "pyramids" else len(hexahedra) // 2
     parts = [np.column_stack([hexahedra[half:, face], tip[half:]]) for face in faces]
     pyramids = CellBlock(np.concatenate(parts), 5, PYRAMID)
     return np.concatenate([points, centre]), [CellBlock(hexahedra[:half], 8, CUBE), pyramids]
@@ -183,34 +182,81 @@ def test_patch_of_distorted_elements_has_constant_strain_and_field(kind):
     assert mass == pytest.approx(7750 * volume, rel=1e-10)
 
 
-def rod(count, order):
-    """First longitudinal frequency without transverse strain, and the error of its shape.
+def unit_material():
+    """A material with the speed 1 of waves in all directions, without transverse strain."""
+    C = np.diag([1.0, 1, 1, 0.5, 0.5, 0.5])
+    return Material("rod", 1.0, C=C, e=np.zeros((3, 6)), eps_S=np.eye(3))
+
+
+def mode_errors(solid, free, exact, wave_number):
+    """Relative error of the lowest frequency along x, and error of its shape (L2).
+
+    ``free`` are the nodes that move, along x only. ``exact`` is the shape over x. The amplitude is
+    that of the least error.
+    """
+    full, x = assemble_solid(solid), solid.places[0]
+    d = solid.components
+    M, K = (matrix[::d, ::d][free][:, free] for matrix in (full.M, full.K_uu))
+    values, modes = eigsh(K, 2, M, sigma=0.0)
+    lowest = values.argmin()
+    shape = np.zeros(len(x))
+    shape[free] = modes[:, lowest]
+    basis = solid.basis(8)
+    places = basis.global_coordinates()[0]
+    weight = basis.dx * (places if solid.axisymmetric else 1.0)
+    u, target = np.asarray(basis.interpolate(shape)), exact(places)
+    u *= np.sum(weight * u * target) / np.sum(weight * u * u)
+    error = np.sum(weight * (u - target) ** 2)
+    return np.sqrt(values[lowest]) / wave_number - 1, np.sqrt(error)
+
+
+def rod(count, kind, order=2):
+    """Errors of the first longitudinal mode of a rod, clamped at x = 0.
 
     ``order`` 1 uses trilinear shape functions.
     """
-    stiff = Material(
-        "rod", 1.0, C=np.diag([1.0, 1, 1, 0.5, 0.5, 0.5]), e=np.zeros((3, 6)), eps_S=np.eye(3)
-    )
-    points, hexahedra = grid((count, 1, 1), (1.0, 1.0, 1.0))
-    mesh, *_ = make_quadratic_mesh(points, [CellBlock(hexahedra, 8, CUBE)])
-    solid = Solid(mesh, (stiff,), np.zeros(mesh.nelements, int), order=order)
-    full, x = assemble_solid(solid), solid.places[0]
-    free = np.flatnonzero(x > 1e-9)
-    M, K = (matrix[::3, ::3][free][:, free] for matrix in (full.M, full.K_uu))
-    values, modes = eigsh(K, 2, M, sigma=0.0)
-    lowest = values.argmin()
-    basis = solid.basis(8)
-    shape = np.zeros(len(x))
-    shape[free] = modes[:, lowest] / modes[:, lowest][x[free].argmax()]
-    exact = np.sin(np.pi / 2 * basis.global_coordinates()[0])
-    error = np.sqrt(np.sum(basis.dx * (np.asarray(basis.interpolate(shape)) - exact) ** 2))
-    return np.sqrt(values[lowest]) / (np.pi / 2) - 1, error
+    cells = count, count // 2, count // 2
+    points, blocks = blocks_of(*grid(cells, np.divide(cells, count)), kind)
+    mesh, *_ = make_quadratic_mesh(points, blocks)
+    solid = Solid(mesh, (unit_material(),), np.zeros(mesh.nelements, int), order=order)
+    free = np.flatnonzero(solid.places[0] > 1e-9)
+    return mode_errors(solid, free, lambda x: np.sin(np.pi / 2 * x), np.pi / 2)
 
 
-@pytest.mark.parametrize(("order", "displacement", "frequency"), [(1, 2, 2), (2, 3, 4)])
-def test_hexahedra_converge_to_the_rod(order, displacement, frequency):
-    errors = np.array([rod(count, order) for count in (2, 4, 8)])
-    rates = np.array([np.log2(a / b) for a, b in pairwise(errors)])[-1]
+def disc(count, kind, order=2):
+    """Errors of the first radial mode of a disc: u = J1(k r) with J1'(k) = 0."""
+    rows = count // 2 + 1
+    points = np.array([(i / count, k / count) for i in range(count + 1) for k in range(rows)])
+    number = np.arange(len(points)).reshape(-1, rows)
+    corners = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    cells = np.array([*map(np.ravel, corners)]).T
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
+    block = CellBlock(cells, 4, square)
+    if kind == "triangles":
+        halves = np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]])
+        block = CellBlock(halves, 3, np.array([[0, 0], [1, 0], [0, 1]], float))
+    mesh, *_ = make_quadratic_mesh(points, [block])
+    solid = Solid(mesh, (unit_material(),), np.zeros(mesh.nelements, int), axisymmetric=True)
+    free = np.flatnonzero(solid.places[0] > 1e-9)
+    wave_number = jnp_zeros(1, 1)[0]
+    return mode_errors(solid, free, lambda r: j1(wave_number * r), wave_number)
+
+
+@pytest.mark.parametrize(
+    ("body_errors", "kind", "order", "displacement", "frequency"),
+    [
+        (rod, "hexahedra", 1, 2, 2),
+        (rod, "hexahedra", 2, 3, 4),
+        (rod, "prisms", 2, 3, 4),
+        pytest.param(rod, "pyramids", 2, 3, 4, marks=pytest.mark.slow),
+        (disc, "quadrilaterals", 2, 3, 4),
+        (disc, "triangles", 2, 3, 4),
+    ],
+)
+def test_elements_converge_to_closed_forms(body_errors, kind, order, displacement, frequency):
+    count = 8 if body_errors is rod else 16
+    coarse, fine = (np.array(body_errors(n, kind, order)) for n in (count, 2 * count))
+    rates = np.log2(coarse / fine)
     assert rates == pytest.approx([frequency, displacement], abs=0.1)
 
 
