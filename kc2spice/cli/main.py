@@ -81,7 +81,7 @@ PARAMETERS = {
         help="NAME of the files NAME.M .E .K .B .C (Matrix Market or Harwell-Boeing; first order "
         ".A .B .C .D .E); a .npz or .mat file; a file of Abaqus, CalculiX, Nastran or Ansys; "
         "SCENE:PART for the body of a scene; a measured response (.s1p, .s2p, .csv, .txt, .zma, "
-        ".mat). "
+        ".mat), or the table of a thermal transient. "
         "NAME.toml beside the matrices names ports, units and band.",
     ),
     "target": typer.Argument(
@@ -184,6 +184,15 @@ PARAMETERS = {
         help="Resistance in series with the part through which a gain was measured, such as "
         "'100 Ohm'. Tables of gain and phase need it.",
     ),
+    "power": typer.Option(
+        metavar="W",
+        help="Power that was switched on or off at the time zero of a thermal transient, such as "
+        "'2 W'. Tables of temperatures need it.",
+    ),
+    "network": typer.Option(
+        metavar="FORM",
+        help="Form of the network of one thermal port: foster or cauer. Default: foster.",
+    ),
     "vary": typer.Option(
         metavar="KEY[=LOW:HIGH]",
         help="Key of the part that the fit varies, and its range in SI units. Default: 30 % "
@@ -240,6 +249,7 @@ EXAMPLES = {
         "kc2spice reduce NAME.K --tolerance 1e-4 --band 0 5e5",
         "kc2spice reduce NAME.npz --method compare",
         "kc2spice reduce GAIN.csv --shunt '100 Ohm'",
+        "kc2spice reduce COOLING.csv --power '2 W' --network cauer",
     ),
     "fit": (
         "kc2spice fit buzzer_7bb_20_6:disc DATA.csv --vary damping.quality=10:200",
@@ -610,6 +620,8 @@ def _reduce(
     solver: str | None = None,
     dc: str | None = None,
     shunt: str | None = None,
+    power: str | None = None,
+    network: str | None = None,
 ) -> None:
     """Reduce matrices or a measured response to few states.
 
@@ -622,9 +634,11 @@ def _reduce(
     options: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
     if method == "compare":
         no_effect = {"--out": out, "--dc": dc, "--shunt": shunt}
+        no_effect |= {"--power": power, "--network": network}
         _compare_methods(caller, model, {**options, "solver": solver}, no_effect)
         return
-    options |= {"dc": dc, "shunt": shunt, "method": method, "solver": solver}
+    options |= {"dc": dc, "shunt": shunt, "power": power, "network": network}
+    options |= {"method": method, "solver": solver}
     with _translate_argument_names(options), caller.progress() as progress:
         result = reduce_study(model, out, **options, progress=progress)
     if caller.expects_text(result):

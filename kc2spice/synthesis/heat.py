@@ -9,7 +9,8 @@ with the heat flows ``q`` [W] into the ports and their temperature rises ``T`` [
 ``ambient``. Every mode is a thermal resistance R_j beside a heat capacity C_j, and its largest
 ``|a_kj|`` is one. The modes of one port are in series: Foster's form. The same factors a_kj act in
 both directions, as in ideal transformers. The circuit therefore is passive for all positive R_j and
-C_j. (E. Kuh and R. Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
+C_j. A model with the matrices of :class:`kc2spice.rom.heat_network.HeatLadder` is a ladder: Cauer's
+form. (E. Kuh and R. Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.elements import Line
 from kc2spice.netlist.spelling import LEAK_RATE
+from kc2spice.rom.heat_network import HeatLadder, heat_ladder
 from kc2spice.rom.linear_model import LinearModel, Port
 
 # Eigenvalue, relative to the largest one, that is rounding: a heat that nothing leads away.
@@ -34,12 +36,16 @@ UNHEATED = 1e-9  # share of a mode in every port, relative to the largest, that 
 _ABOUT = """\
 * Heat network: 1 V is 1 K of temperature rise over the pin {base}, 1 A is 1 W into the pin.
 * Connect {base} to node 0, or to a source whose voltage is the temperature there.
-* Every mode is a thermal resistance [K/W] beside a heat capacity [J/K]: passive by its form."""
+* Resistances [K/W] and heat capacities [J/K] are positive: the network is passive."""
+_MODES = "* Every mode is a thermal resistance beside a heat capacity."
 _SERIES = "* The modes of the port are in series (Foster's form)."
 _COUPLED = """\
 * Ports feel the modes through ideal transformers: V(h1) times its factor adds to the temperature
 * of the port, and the heat flow times the same factor goes into the node h1. The voltage of node f
 * is the heat flow that holds the pin at that temperature (1 V = 1 W)."""
+_LADDER = """\
+* Cauer's form: capacities lie between the nodes and {base}. The sums of resistances and capacities
+* from the port on are the structure function of the path of heat."""
 _STORED = "nothing leads its heat away; the leak gives it an operating point"
 
 
@@ -157,11 +163,36 @@ def _not_passive_error(model: LinearModel, got: str) -> UsageError:
     )
 
 
-def heat_cards(modes: HeatModes, base: str) -> tuple[list[str], list[Line]]:
-    """Return comments about the network, and its cards between its ports and ``base``."""
-    one = len(modes.ports) == 1
-    about = [*_ABOUT.format(base=base).split("\n"), *(_SERIES if one else _COUPLED).split("\n")]
+def heat_cards(model: LinearModel, base: str) -> tuple[list[str], list[Line]]:
+    """Return comments about the network of a model, and its cards between its ports and ``base``.
+
+    The network is a ladder if the model has the matrices of a ladder, and otherwise the modes.
+    """
+    about = _ABOUT.format(base=base).split("\n")
+    ladder = heat_ladder(model)
+    if ladder is not None:
+        cards = list(_ladder_cards(ladder, model.ports[0].terminals[0], base))
+        return [*about, *_LADDER.format(base=base).split("\n")], cards
+    modes, one = heat_modes(model), len(model.ports) == 1
+    about += [_MODES, *(_SERIES if one else _COUPLED).split("\n")]
     return about, list(_series_cards(modes, base) if one else _coupled_cards(modes, base))
+
+
+def _ladder_cards(ladder: HeatLadder, pin: str, base: str) -> Iterator[Line]:
+    """Yield the cards of Cauer's form from a pin to ``base``."""
+    node, count = pin, len(ladder.capacity)
+    if ladder.direct > 0:
+        yield f"\n* Resistance in front of all heat capacities: {ladder.direct:.4g} K/W"
+        yield Element.of("Rdirect", pin, "h1", ladder.direct)
+        node = "h1"
+    depth = ladder.direct + np.cumsum(ladder.resistance)
+    content = np.cumsum(ladder.capacity)
+    for j, (R, C) in enumerate(zip(ladder.resistance, ladder.capacity, strict=True)):
+        following = base if j == count - 1 else f"h{j + 2}"
+        yield f"\n* Sums from the port on: {depth[j]:.4g} K/W, {content[j]:.4g} J/K"
+        yield Element.of(f"C{j + 1}", node, base, float(C))
+        yield Element.of(f"R{j + 1}", node, following, float(R))
+        node = following
 
 
 def _describe_mode(modes: HeatModes, j: int) -> str:

@@ -34,7 +34,7 @@ from kc2spice.synthesis.header import (
     part_header,
     rom_lines,
 )
-from kc2spice.synthesis.heat import heat_cards, heat_modes, is_heat
+from kc2spice.synthesis.heat import heat_cards, is_heat
 
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel
@@ -430,7 +430,7 @@ def _heat_subcircuit(rom: LinearModel, name: str, header: Header, rating: str) -
     ends = tuple(chain.from_iterable(map(netlist_pins, rom.ports)))
     pins = (*ends, common)
     _require_distinct(pins, (INNER_NODES, HEAT_NODES, *map(_loaded_nodes, ends)), name)
-    cards = heat_cards(heat_modes(rom), common.name)
+    cards = heat_cards(rom, common.name)
     base = common.name if len(ends) > 1 else ""  # resistors and capacitors need no pivots
     rating = RATED_BY_HEAT if rating == UNRATED else rating
     title = "reduced heat model"

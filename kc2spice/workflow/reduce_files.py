@@ -6,7 +6,6 @@ import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from kc2spice.bodies.readers.measured import (
     read_measured,
     shunt_resistance,
 )
+from kc2spice.bodies.readers.thermal_transient import is_transient, read_transient
 from kc2spice.core.errors import GateMissedError, UsageError, list_candidates, unknown
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, ignore_progress
@@ -38,6 +38,7 @@ from kc2spice.rom.band import SMALL, natural_band
 from kc2spice.rom.branch_fit import fit_one_port
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.error_estimate import default_norm
+from kc2spice.rom.heat_network import NetworkForm, require_form
 from kc2spice.rom.instability import explain_instability
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear_model import PORT_KINDS, LinearModel
@@ -48,6 +49,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
 from kc2spice.synthesis.emitted import require_circuit
+from kc2spice.synthesis.heat import is_heat
 from kc2spice.synthesis.parametric_resonators import (
     list_parameters,
     parametric_subcircuit,
@@ -55,6 +57,12 @@ from kc2spice.synthesis.parametric_resonators import (
 )
 from kc2spice.synthesis.realize import apply_unit_load, subcircuit
 from kc2spice.workflow.decks import spare_other_decks
+from kc2spice.workflow.thermal_transients import (
+    network_of_transient,
+    require_one_heat_port,
+    shape_heat_model,
+    step_power,
+)
 
 TOLERANCE = 1e-4
 LARGEST_MISFIT = 0.1  # error of a measured part above which no model is written
@@ -72,6 +80,8 @@ def reduce_file(
     norm: str | None = None,
     dc: str | float | None = None,
     shunt: str | float | None = None,
+    power: str | float | None = None,
+    network: str | None = None,
     method: str | None = None,
     solver: str | None = None,
     progress: Progress = ignore_progress,
@@ -80,14 +90,16 @@ def reduce_file(
 
     A measured response becomes the passive circuit of
     :func:`kc2spice.rom.branch_fit.fit_one_port`, or of
-    :func:`kc2spice.rom.multiport.fit_multiport`; its order and band follow from the data.
+    :func:`kc2spice.rom.multiport.fit_multiport`, and a thermal transient the network of
+    :func:`kc2spice.rom.transient_fit.fit_transient`; its order and band follow from the data.
 
     Parameters
     ----------
     path : Path or str
         Matrices as for :func:`kc2spice.read_model`; ``SCENE:PART``, which is the full model of a
-        scene's body; or a measured response (``.s1p``, ``.s2p``, ``.ts``, ``.csv``, ``.txt``,
-        ``.tsv``, ``.zma``, ``.frd``, ``.z``, ``.dta``, ``.mpt``, ``.mat``).
+        scene's body; a measured response (``.s1p``, ``.s2p``, ``.ts``, ``.csv``, ``.txt``,
+        ``.tsv``, ``.zma``, ``.frd``, ``.z``, ``.dta``, ``.mpt``, ``.mat``);
+        or a table of a thermal transient.
     out : Path, optional
         Directory for the files. The default is ``NAME_rom``.
     band : tuple of two floats, optional
@@ -106,6 +118,11 @@ def reduce_file(
     shunt : str or float, optional
         Resistance in series with the part through which a gain was measured: ``"100 Ohm"``, or a
         number in Ohm. A table of gain and phase needs it.
+    power : str or float, optional
+        Power that was switched on or off at the time zero of a thermal transient: ``"2 W"``, or a
+        number in W. A table of temperatures needs it.
+    network : "foster" or "cauer", optional
+        Form of the network of a model with one thermal port. The default is ``"foster"``.
     method : str, optional
         Method of reduction. By default response POD and the variants
         of balanced truncation that suit the model are tried.
@@ -139,21 +156,50 @@ def reduce_file(
     >>> Path(reduced["rom"]).is_file()
     True
     """
+    form = require_form(network, "--network")
     if is_measured(Path(path)):
         options = {"--band": band, "--tolerance": tolerance, "--order": order, "--norm": norm}
-        options |= {"--method": method, "--solver": solver}
-        return _reduce_measured(Path(path), out, options, dc, shunt, progress)
-    for option, value in (("--dc", dc), ("--shunt", shunt)):
-        if value is not None:
-            raise UsageError(
-                "applies to a measured response only",
-                where=option,
-                got=value,
-                expected=f"no {option} with matrices, which determine the response",
-                hint=f"leave out {option}",
-            )
+        _refuse_options(options | {"--method": method, "--solver": solver}, *_FROM_DATA)
+        if is_transient(Path(path)):
+            _refuse_options({"--dc": dc, "--shunt": shunt}, *_OF_IMPEDANCE)
+            return _reduce_transient(Path(path), out, power, form or "foster", progress)
+        _refuse_options({"--power": power, "--network": network}, *_OF_TRANSIENT)
+        return _reduce_measured(Path(path), out, dc, shunt, progress)
+    _refuse_options({"--dc": dc, "--shunt": shunt, "--power": power}, *_OF_MEASUREMENT)
     with solving_with(require_solver(solver, "--solver")):
-        return _reduce_matrices(path, out, band, tolerance, order, norm, method, progress)
+        return _reduce_matrices(path, out, band, tolerance, order, norm, method, form, progress)
+
+
+# Problem and expectation of options that do not apply.
+_FROM_DATA = (
+    "has no effect on a measured response",
+    "the order follows from the noise, the band from the file",
+)
+_OF_IMPEDANCE = (
+    "applies to a measured impedance only",
+    "no such option with a thermal transient",
+)
+_OF_TRANSIENT = (
+    "applies to a thermal transient only",
+    "a table with the columns  time_s,temperature_k",
+)
+_OF_MEASUREMENT = (
+    "applies to a measured response only",
+    "no such option with matrices, which determine the response",
+)
+
+
+def _refuse_options(options: dict[str, Any], problem: str, expected: str) -> None:
+    """Refuse options that do not apply.
+
+    Raises
+    ------
+    UsageError : one of them has a value.
+    """
+    for option, value in options.items():
+        if value is not None:
+            hint = f"leave out {option}"
+            raise UsageError(problem, where=option, got=value, expected=expected, hint=hint)
 
 
 def _reduce_matrices(
@@ -164,13 +210,14 @@ def _reduce_matrices(
     order: int | None,
     norm: str | None,
     method: str | None,
+    form: NetworkForm | None,
     progress: Progress,
 ) -> dict[str, Any]:
     """Reduce the matrices of a file or of a scene's body, and write the model."""
     progress("reduce", None, "reading matrices")
     model = _scene_body(str(path)) or read_any_model(path)
     if isinstance(model, AffineModel):
-        options = {"--order": order, "--method": method}
+        options = {"--order": order, "--method": method, "--network": form}
         settings = {"band": band, "tolerance": tolerance or TOLERANCE, "norm": norm}
         return _reduce_affine(model, out, options, settings, progress)
     if tolerance is None and order is None:
@@ -178,15 +225,20 @@ def _reduce_matrices(
     _require_names(model, make_identifier(f"{model.name}_rom", "rom"))
     progress("reduce", None, f"{model.order} equations")
     _require_stable_full(model, band)
-    reduced = partial(
-        reduce_model,
-        model,
-        band=band,
-        tolerance=tolerance,
-        order=order,
-        norm=norm or default_norm(model),  # type: ignore[arg-type]
-        method=method,
-    )
+    if form is not None:
+        require_one_heat_port(model)
+
+    def reduced() -> LinearModel:
+        small = reduce_model(
+            model,
+            band=band,
+            tolerance=tolerance,
+            order=order,
+            norm=norm or default_norm(model),  # type: ignore[arg-type]
+            method=method,
+        )
+        return shape_heat_model(small, form)
+
     result = _write_reduced_model(model.name, model.order, reduced, out, tolerance)
     return result | {"full_form": form_of(model)}
 
@@ -254,7 +306,10 @@ def _require_names(model: LinearModel, name: str) -> None:
     D = [[float(out == into and out in names) for into in model.inputs] for out in model.outputs]
     one, B = np.eye(1), np.ones((1, len(model.inputs)))
     C = np.ones((len(model.outputs), 1))
-    subcircuit(LinearModel(M=one, E=one, K=one, B=B, C=C, D=np.array(D), ports=model.ports), name)
+    inertia = None if is_heat(model) else one
+    subcircuit(
+        LinearModel(M=inertia, E=one, K=one, B=B, C=C, D=np.array(D), ports=model.ports), name
+    )
 
 
 def _require_stable_full(model: LinearModel, band: tuple[float, float] | None) -> None:
@@ -289,22 +344,12 @@ def _require_stable_full(model: LinearModel, band: tuple[float, float] | None) -
 def _reduce_measured(
     path: Path,
     out: Path | None,
-    options: dict[str, Any],
     dc: str | float | None,
     shunt: str | float | None,
     progress: Progress,
 ) -> dict[str, Any]:
     """Convert a measurement to the nearest passive circuit: parallel branches for one port if they
     fit, otherwise poles of any kind."""
-    for option, value in options.items():
-        if value is not None:
-            raise UsageError(
-                "has no effect on a measured response",
-                where=option,
-                got=value,
-                expected="the order follows from the noise, the band from the file",
-                hint=f"leave out {option}",
-            )
     conductance = None if dc is None else _conductance(dc)
     progress("reduce", None, "reading the measurement")
     data = read_measured(path, shunt_resistance(shunt))
@@ -332,6 +377,33 @@ def _reduce_measured(
         warnings.append(text + "at every frequency; compare both before you use it")
     record = {"notes": notes, "warnings": warnings, "noise": data.measured_noise}
     return result | record | {"quantity": data.quantity, "data": data.description}
+
+
+def _reduce_transient(
+    path: Path,
+    out: Path | None,
+    power: str | float | None,
+    form: NetworkForm,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Convert a thermal transient to a heat network."""
+    progress("reduce", None, "reading the transient")
+    data = read_transient(path)
+    watts = step_power(power, data)
+    progress("reduce", None, f"fitting {len(data.time)} samples")
+    fitted = network_of_transient(data, watts, form)
+    result = _write_reduced_model(data.name, len(data.time), lambda: fitted.model, out)
+    record = {"notes": list(fitted.notes), "warnings": list(fitted.warnings)}
+    return (
+        result
+        | record
+        | {
+            "noise": fitted.noise,
+            "quantity": data.quantity,
+            "data": data.description,
+            "network": form,
+        }
+    )
 
 
 def _fit_passive_model(

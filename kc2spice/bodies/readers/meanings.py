@@ -5,6 +5,7 @@ This module contains data only; a new kind of column is one row.
 - :mod:`kc2spice.bodies.readers.titles` reads titles by :data:`COLUMN_KINDS` and :data:`UNITS`.
 - :mod:`kc2spice.bodies.readers.text_table` reads files without titles by :data:`SUFFIX_TITLES`.
 - :mod:`kc2spice.bodies.readers.complex_response` combines columns by :data:`COMBINATIONS`.
+- :mod:`kc2spice.bodies.readers.thermal_transient` reads a time and one of :data:`TRANSIENTS`.
 """
 
 from __future__ import annotations
@@ -33,13 +34,21 @@ UNITS: dict[str, dict[str, float]] = {
               "°": np.pi / 180, "rad": 1.0, "radian": 1.0, "radians": 1.0},
     "decibel": {"db": 1.0},
     "number": {"": 1.0, "-": 1.0, "1": 1.0, "%": 0.01, "U": 1.0},
+    "time": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "min": 60.0, "minutes": 60.0, "h": 3600.0,
+             "hours": 3600.0},
+    # Differences of temperatures count: the zero of a scale does not.
+    "temperature": {"k": 1.0, "kelvin": 1.0, "°c": 1.0, "degc": 1.0, "c": 1.0, "celsius": 1.0,
+                    "°f": 5 / 9, "degf": 5 / 9},
+    "thermal impedance": {"k/w": 1.0, "k_per_w": 1.0, "k_w": 1.0, "°c/w": 1.0, "c/w": 1.0},
 }  # fmt: skip
 LOST_LETTERS = {"O": "Ohm"}  # units in whose title a program replaced a letter
 DEFAULT_UNITS = {
     "frequency": "Hz", "impedance": "Ohm", "admittance": "S", "capacitance": "F",
     "inductance": "H", "angle": "deg", "decibel": "dB", "number": "",
+    "time": "s", "temperature": "K", "thermal impedance": "K/W",
 }  # fmt: skip
-BARE = ("°", "db", "", "-", "1", "%")  # units without prefixes
+# units without prefixes
+BARE = ("°", "db", "", "-", "1", "%", "°c", "degc", "c", "celsius", "°f", "degf", "min")
 # Phases of passive parts are within a turn however they are wrapped.
 PASSIVE_PHASES = ("phase", "phase_z", "phase_y", "gain_phase")
 LARGEST_PHASE = 2.02 * np.pi  # rad: a turn, and 1 % of noise
@@ -72,6 +81,7 @@ def _pattern(of: str, word: str) -> str:
     return rf"{of}{word}|{word}{of}|{word}\|{of}\|"
 
 
+_SITE = r"(j|junction|c|case)"  # place of a temperature
 SOUND = "sound pressure"  # a quantity that gives no impedance
 COLUMN_KINDS = (
     ColumnKind("f", ("frequency",), r"f|freq|frequency|frequenz|frq|omega|ω"),
@@ -116,13 +126,22 @@ COLUMN_KINDS = (
     ColumnKind("gain_phase", ("angle",), "gain", needs_unit=True),
     ColumnKind("gain_real", ("number",), _pattern("gain", _REAL)),
     ColumnKind("gain_imag", ("number",), _pattern("gain", _IMAG)),
+    ColumnKind("time", ("time",), r"t|tp|time|elapsed|elapsedtime|pulse(width|duration)"),
+    ColumnKind(
+        "temperature",
+        ("temperature",),
+        rf"(d|δ|delta)?t{_SITE}|(d|δ|delta)t|{_SITE}?temp(erature)?(rise)?|rise",
+    ),
+    ColumnKind("temperature", ("temperature",), "t", needs_unit=True),
+    ColumnKind("zth", ("thermal impedance",), r"zth(j[abc]|jmb)?|(transient)?thermalz"),
+    ColumnKind("zth", ("thermal impedance",), "z", needs_unit=True),
     ColumnKind(SOUND, ("decibel",), r"spl|dbspl|soundpressure(level)?"),
 )
 # Names of quantities in messages, where they are not those of the columns.
 LABELS = {
     "z": "|Z|", "y": "|Y|", "phase_z": "phase of Z", "phase_y": "phase of Y", "s_size": "|S11|",
     "s_phase": "phase of S11", "s_real": "Re S11", "s_imag": "Im S11", "gain_phase": "phase",
-    "gain_real": "Re gain", "gain_imag": "Im gain",
+    "gain_real": "Re gain", "gain_imag": "Im gain", "zth": "Zth",
     **{name: name.upper() for name in ("r", "x", "g", "b", "c", "d", "q")},
     **{name: name.capitalize() for name in ("rp", "cp", "cs", "lp", "ls")},
 }  # fmt: skip
@@ -208,3 +227,5 @@ COMBINATIONS = (
     Combination(("gain", "gain_phase"), "S", lambda g, a, w: g * np.exp(1j * a), shunt=True),
     Combination(("gain_real", "gain_imag"), "S", lambda a, b, w: a + 1j * b, shunt=True),
 )
+# Quantities of a thermal transient; each needs a time.
+TRANSIENTS = ("temperature", "zth")

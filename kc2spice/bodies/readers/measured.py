@@ -52,7 +52,7 @@ MOST = 20_000
 # ratio of negative resistance to |Z| that is no noise, if a tenth of the points exceed it
 ACTIVE = 0.05
 _TOUCHSTONE = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
-_TABLES = (".csv", ".txt", ".tsv", ".zma", ".frd", ".z", ".dta", ".mpt")
+TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".zma", ".frd", ".z", ".dta", ".mpt")
 _RESISTANCE = ("z0", "r0", "zref", "reference")
 _MATRIX = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # NAME_K.txt
 
@@ -137,15 +137,18 @@ class MeasuredAdmittance(EqualByContent):
 
 def is_measured(path: Path) -> bool:
     """Whether a path names a measured response."""
-    by_suffix = _TOUCHSTONE.fullmatch(path.suffix) or (
-        path.suffix.lower() in _TABLES and not _MATRIX.fullmatch(path.stem)
-    )
+    by_suffix = _TOUCHSTONE.fullmatch(path.suffix) or is_table(path)
     if path.suffix.lower() == ".mat" and is_file(path):
         try:
             return any(map(is_frequency, _load_variables(path, path.stat().st_mtime)))
         except (ValueError, NotImplementedError):  # which the reader of matrices reports
             return False
     return bool(by_suffix) and is_file(path)
+
+
+def is_table(path: Path) -> bool:
+    """Whether the name of a file is that of a table, and not that of a matrix."""
+    return path.suffix.lower() in TABLE_SUFFIXES and not _MATRIX.fullmatch(path.stem)
 
 
 def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
@@ -171,7 +174,7 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     def read() -> MeasuredResponse:
         if path.suffix.lower() == ".mat":
             return _read_matlab(_load_variables(path, path.stat().st_mtime), shunt)
-        text = _decode_text(read_bounded(path, MAX_BYTES))
+        text = decode_measured_text(read_bounded(path, MAX_BYTES))
         if match:
             _require_no_shunt(shunt, "a Touchstone file")
             return touchstone_response(text, int(match[2] or 0))
@@ -228,7 +231,7 @@ def shunt_resistance(shunt: str | float | None) -> float | None:
     return resistance
 
 
-def _decode_text(data: bytes) -> str:
+def decode_measured_text(data: bytes) -> str:
     """The text of a file in UTF-8, in UTF-16 with a byte order mark, or in Latin-1."""
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         return data.decode("utf-16")

@@ -27,7 +27,7 @@ from kc2spice.bodies.readers.meanings import (
     TRACE_SCALE,
     TWO_PARTS,
 )
-from kc2spice.bodies.readers.titles import COMMENT, is_frequency, parse_units
+from kc2spice.bodies.readers.titles import COMMENT, is_abscissa, is_frequency, parse_units
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.untrusted_files import split_lines
 
@@ -236,7 +236,7 @@ def _note_left_out_rows(
 def _find_titles(
     above: list[str], separator: str | None, columns: int, index: bool
 ) -> tuple[str, ...] | None:
-    """Find so many titles in the nearest line that names a frequency.
+    """Find so many titles in the nearest line that names a frequency or a time.
 
     Otherwise the last line contains the titles.
 
@@ -245,7 +245,7 @@ def _find_titles(
     below: list[str] | None = None
     for line in reversed(above[-TITLE_LINES:]):
         names = _split_titles(line.strip().lstrip(COMMENT), separator, columns, index)
-        if names is not None and any(map(is_frequency, names)):
+        if names is not None and any(map(is_abscissa, names)):
             if below and all(map(_is_unit, below)):
                 pairs = zip(names, below, strict=True)
                 return tuple(f"{name} ({unit.strip('()[]')})" for name, unit in pairs)

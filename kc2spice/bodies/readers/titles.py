@@ -39,6 +39,10 @@ _GREEK_OHM = str.maketrans(
 _TWICE = {"Î©": "Ω", "â„¦": "Ω", "Â°": "°", "Î¸": "θ"}  # UTF-8 that a program encoded twice
 COMMENT = "#%!*; "  # marks in front of a title
 LONGEST_TITLE = 200  # characters
+# A title with a unit behind it: f/Hz, zth_k_per_w.
+_UNIT_BEHIND = re.compile(
+    r"(.*?\S)\s*(?:/|[\s_,]+)\s*(rad/s|\S{1,2}/W|K_(?:per_)?W|[^\s_/,()\[\]]+)", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)
@@ -180,6 +184,17 @@ def is_frequency(text: str) -> bool:
     return title is not None and title.meaning.quantity == "f"
 
 
+def is_abscissa(text: str) -> bool:
+    """Whether a title means the frequency or the time, of which the other columns depend."""
+    if is_frequency(text):
+        return True
+    try:
+        title = read_title(text)
+    except ValueError:
+        return False
+    return title is not None and title.meaning.quantity == "time"
+
+
 def complex_quantity(text: str) -> tuple[Quantity, float] | None:
     """Return quantity and unit of a column of complex numbers such as ``Z (kOhm)``.
 
@@ -204,7 +219,7 @@ def _split_unit(title: str) -> Iterator[tuple[str, str | None]]:
         if parse_units(match[1]):
             yield title[: match.start()] + " " + title[match.end() :], match[1]
             return
-    tail = re.fullmatch(r"(.*?\S)\s*(?:/|[\s_,]+)\s*((?:rad/s|[^\s_/,()\[\]]+))", title)
+    tail = _UNIT_BEHIND.fullmatch(title)
     if tail and _units_of_word(tail[2]):
         yield tail[1], tail[2]
     bracket = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])](.*)", title)

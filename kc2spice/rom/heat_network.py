@@ -1,0 +1,196 @@
+"""Heat networks of one port: Foster's form and Cauer's form.
+
+Foster's form is a chain of thermal resistances, each beside a heat capacity::
+
+    Z(s) = D + sum_k R_k / (1 + s t_k)          C_k = t_k / R_k
+
+Cauer's form is a ladder: heat capacities between the nodes and the pin ``ambient``, and thermal
+resistances between the nodes. It follows from Foster's form by the continued fraction::
+
+    Z(s) = D + 1 / (s C_1 + 1 / (R_1 + 1 / (s C_2 + 1 / (R_2 + ...))))
+
+With the temperature drops ``x_k`` across the resistances of the ladder, and ``S_k = C_1 + ... +
+C_k``::
+
+    sum_j S_min(j,k) x_j' + x_k / R_k = q        T = sum_k x_k + D q
+
+A linear model with these matrices is recognised as a ladder. (E. A. Guillemin, Synthesis of Passive
+Networks, 1957, chapter 4; JESD51-14.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal, localcontext
+from itertools import pairwise, zip_longest
+from typing import Literal
+
+import numpy as np
+
+from kc2spice.core.domains import THERMAL
+from kc2spice.core.equality import EqualByContent
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.linear_model import LinearModel, Port
+
+NetworkForm = Literal["foster", "cauer"]
+FORMS: tuple[NetworkForm, ...] = ("foster", "cauer")
+# Time constants with a smaller relative difference are one: a hundred rounding errors.
+SAME_TIME = 2e-14
+# Decimal digits of the continued fraction for each mode. Each step loses at most the 14 digits in
+# which two time constants agree, in numerator and denominator.
+DIGITS_PER_MODE = 30
+
+
+@dataclass(frozen=True, eq=False)
+class FosterNetwork(EqualByContent):
+    """Resistances (n,) [K/W] in series, each beside a heat capacity of a time constant (n,) [s].
+
+    ``direct`` [K/W] is a resistance without a heat capacity.
+
+    Examples
+    --------
+    >>> network = FosterNetwork(np.array([1.0, 3.0]), np.array([0.1, 2.0]))
+    >>> network.step_response(np.array([0.0, 100.0]))
+    array([0., 4.])
+    """
+
+    resistance: np.ndarray
+    time_constant: np.ndarray
+    direct: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """Thermal resistance [K/W] at rest."""
+        return self.direct + float(self.resistance.sum())
+
+    def step_response(self, time: np.ndarray) -> np.ndarray:
+        """Temperature rise (m,) [K] at ``time`` (m,) [s] after a step of 1 W at zero."""
+        rise = step_basis(time, self.time_constant) @ self.resistance
+        return np.asarray(self.direct * (time >= 0) + rise)
+
+    def linear(self, port: Port) -> LinearModel:
+        """Convert the network to a linear model of the temperatures of its capacities."""
+        return LinearModel(
+            E=np.diag(self.time_constant / self.resistance),
+            K=np.diag(1 / self.resistance),
+            B=np.ones((len(self.resistance), 1)),
+            D=np.array([[self.direct]]),
+            ports=(port,),
+        )
+
+    def ladder(self) -> HeatLadder:
+        """Convert the network to Cauer's form by its continued fraction."""
+        resistance, times = self._distinct()
+        capacities, resistances = list[float](), list[float]()
+        with localcontext() as context:
+            context.prec = DIGITS_PER_MODE * (len(times) + 1)
+            above, below = _add_modes(list(map(Decimal, resistance)), list(map(Decimal, times)))
+            while above:
+                capacity = below[-1] / above[-1]
+                below = _subtract(below, [Decimal(0), *(capacity * x for x in above)])
+                drop = above[-1] / below[-1]
+                above = _subtract(above, [drop * x for x in below])
+                capacities.append(float(capacity))
+                resistances.append(float(drop))
+        return HeatLadder(np.array(resistances), np.array(capacities), self.direct)
+
+    def _distinct(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return resistances and time constants, with modes of the same time constant joined."""
+        order = np.argsort(self.time_constant)
+        times, resistance = self.time_constant[order], self.resistance[order]
+        first = np.r_[True, np.diff(times) > SAME_TIME * times[1:]]
+        return np.add.reduceat(resistance, np.flatnonzero(first)), times[first]
+
+
+@dataclass(frozen=True, eq=False)
+class HeatLadder(EqualByContent):
+    """Ladder from the port to ``ambient``: capacities (n,) [J/K] and resistances (n,) [K/W].
+
+    ``direct`` [K/W] is a resistance between the port and the first capacity.
+    """
+
+    resistance: np.ndarray
+    capacity: np.ndarray
+    direct: float = 0.0
+
+    def linear(self, port: Port) -> LinearModel:
+        """Convert the ladder to a linear model of the drops across its resistances."""
+        number = np.arange(len(self.capacity))
+        return LinearModel(
+            E=np.cumsum(self.capacity)[np.minimum.outer(number, number)],
+            K=np.diag(1 / self.resistance),
+            B=np.ones((len(self.capacity), 1)),
+            D=np.array([[self.direct]]),
+            ports=(port,),
+        )
+
+
+def step_basis(time: np.ndarray, time_constant: np.ndarray) -> np.ndarray:
+    """Return ``1 - exp(-t / t_k)`` (times, modes), zero before the step."""
+    return np.asarray(-np.expm1(-np.maximum(time, 0.0)[:, None] / time_constant))
+
+
+def heat_ladder(model: LinearModel) -> HeatLadder | None:
+    """Return the ladder whose matrices a model has; None if the model has another form."""
+    one = len(model.ports) == 1 and model.ports[0].domain is THERMAL
+    if not one or not model.symmetric or (model.B != 1).any():
+        return None
+    K, E = model.pencil.dense().coefficients[:2]
+    conductance, content = np.diag(K), np.diag(E)
+    number = np.arange(len(content))
+    if (np.diag(conductance) != K).any() or (content[np.minimum.outer(number, number)] != E).any():
+        return None
+    capacity = np.diff(content, prepend=0.0)
+    if len(number) < 2 or (conductance <= 0).any() or (capacity <= 0).any():
+        return None
+    return HeatLadder(1 / conductance, capacity, float(model.D[0, 0]))
+
+
+def require_form(form: str | None, where: str) -> NetworkForm | None:
+    """Return the form of a network, None without one.
+
+    Raises
+    ------
+    UsageError : no such form.
+    """
+    if form is None:
+        return None
+    for known in FORMS:
+        if form.lower() == known:
+            return known
+    raise UsageError(
+        "no such form of a network", where=where, got=form, expected=" or ".join(FORMS)
+    )
+
+
+def shape_network(network: FosterNetwork, form: NetworkForm, port: Port) -> LinearModel:
+    """Return the model of a network in Foster's or Cauer's form."""
+    return network.ladder().linear(port) if form == "cauer" else network.linear(port)
+
+
+def _add_modes(
+    resistance: list[Decimal], times: list[Decimal]
+) -> tuple[list[Decimal], list[Decimal]]:
+    """Return numerator and denominator of a sum of modes by powers of s, the lowest first."""
+    above, below = list[Decimal](), [Decimal(1)]
+    for R, t in zip(resistance, times, strict=True):
+        above = _add(_times_pole(above, t), [R * x for x in below])
+        below = _times_pole(below, t)
+    return above, below
+
+
+def _times_pole(polynomial: list[Decimal], t: Decimal) -> list[Decimal]:
+    """Return a polynomial times ``1 + s t``."""
+    if not polynomial:
+        return []
+    inner = [high + t * low for low, high in pairwise(polynomial)]
+    return [polynomial[0], *inner, t * polynomial[-1]]
+
+
+def _add(first: list[Decimal], second: list[Decimal]) -> list[Decimal]:
+    return [a + b for a, b in zip_longest(first, second, fillvalue=Decimal(0))]
+
+
+def _subtract(first: list[Decimal], second: list[Decimal]) -> list[Decimal]:
+    """Return the difference of polynomials whose leading terms cancel."""
+    return _add(first, [-x for x in second])[:-1]

@@ -1,0 +1,229 @@
+"""A measured thermal transient as Foster's network with elements that are not negative.
+
+With the power P switched on or off at t = 0, the temperature is::
+
+    T(t) = T_0 +- P Z(t)        Z(t) = sum_k R_k (1 - exp(-t / t_k)),   R_k >= 0
+
+1. Least squares without negative R_k on a logarithmic grid of time constants (C. L. Lawson, R. J.
+   Hanson, Solving Least Squares Problems, 1974, chapter 23) describe the samples as well as any
+   network does. Few R_k are not zero.
+2. The noise follows from the differences of successive residuals of this sum. They contain no slow
+   deviation.
+3. Neighbours on the grid are joined. The logarithms of all R_k and t_k are refined by bounded least
+   squares.
+4. The two neighbours are joined whose sum describes the samples best, and so on. The sum with the
+   least Bayesian information criterion, ``sum (residual / noise)^2 + parameters log(samples)``, is
+   the result (G. Schwarz, Ann. Statist. 6 (1978) 461).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from operator import itemgetter
+
+import numpy as np
+from scipy.optimize import least_squares, nnls
+
+from kc2spice.core.equality import EqualByContent
+from kc2spice.rom.heat_network import FosterNetwork, step_basis
+
+PER_DECADE = 8  # time constants of the grid in each decade
+SHORTEST = 1 / 3  # least time constant, relative to the first time after the step
+LONGEST = 10.0  # largest time constant, relative to the last time
+MOST_CONSTANTS = 12  # time constants of a network, two for each of six decades
+POLISH = 200  # most evaluations of a refinement
+# Groups of samples in each decade. Least squares see the mean of a group, and the mean of the
+# network over the same samples. A network does not change within 5 % of the time.
+GROUPS_PER_DECADE = 50
+ROUNDING = 1e-9  # least noise, relative to the largest rise: samples of nine digits
+EMPTY = 1e-9  # share of the resistance of a mode that least squares may leave out
+SPREAD = 50.0  # logarithm of the largest ratio of resistances, which a sum does not resolve
+INSIDE = 1e-9  # distance of the logarithms from their limits at the start
+NNLS_STEPS = 30  # most iterations of the least squares for each time constant
+UNSETTLED = 1 / 3  # time constants above this share of the last time have not settled
+
+
+@dataclass(frozen=True, eq=False)
+class StepSamples(EqualByContent):
+    """Temperatures (n,) relative to the power [K/W] at times (n,) [s] after the step.
+
+    ``weight`` (n,) is the inverse of the size to which deviations are relative. ``offset`` states
+    whether the temperature before the step is unknown.
+    """
+
+    time: np.ndarray
+    value: np.ndarray
+    weight: np.ndarray
+    offset: bool
+
+    @cached_property
+    def _groups(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first sample of each group, and the inverse of the size of its deviation."""
+        after = self.time > 0
+        number = np.full(len(self.time), -1)
+        logs = np.log10(self.time[after] / self.time[after].min())
+        number[after] = np.floor(GROUPS_PER_DECADE * logs)
+        first = np.flatnonzero(np.diff(number, prepend=-2))
+        return first, 1 / np.sqrt(np.add.reduceat(self.weight**2, first))
+
+    def group(self, table: np.ndarray) -> np.ndarray:
+        """Return weighted means (groups, columns) of a table (n, columns) over groups of samples.
+
+        Sums of their squares differ from those of all samples by the scatter within the groups.
+        """
+        first, scale = self._groups
+        return np.asarray(
+            scale[:, None] * np.add.reduceat(self.weight[:, None] ** 2 * table, first)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TransientFit(EqualByContent):
+    """Network of a transient, its ``start`` [K/W] before the step, and weighted residuals (n,).
+
+    ``noise`` is the standard deviation of the samples in the same weights.
+    """
+
+    network: FosterNetwork
+    start: float
+    residual: np.ndarray
+    noise: float
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the deviation."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+
+def fit_transient(samples: StepSamples) -> TransientFit:
+    """Fit the network whose deviation is within the noise with the fewest time constants.
+
+    Examples
+    --------
+    >>> network = FosterNetwork(np.array([2.0, 1.0]), np.array([0.01, 1.0]))
+    >>> time = np.geomspace(1e-3, 10.0, 60)
+    >>> noise = 0.003 * np.random.default_rng(1).standard_normal(60)
+    >>> value = network.step_response(time) + noise
+    >>> fit = fit_transient(StepSamples(time, value, np.ones(60), offset=False))
+    >>> len(fit.network.resistance), round(fit.network.total, 1)
+    (2, 3.0)
+    """
+    after = samples.time[samples.time > 0]
+    low, high = SHORTEST * after.min(), LONGEST * after.max()
+    grid = np.geomspace(low, high, int(np.ceil(PER_DECADE * np.log10(high / low))) + 1)
+    resistance, start = _fit_resistances(samples, grid)
+    residual = _residual(samples, resistance, grid, start)
+    size = float(np.max(np.abs(samples.weight * (samples.value - start)), initial=0.0))
+    noise = max(float(np.sqrt(0.5 * np.mean(np.diff(residual) ** 2))), ROUNDING * size)
+    constants = _join_neighbours(grid, resistance)
+    while len(constants) > MOST_CONSTANTS:
+        constants = _join_pair(samples, constants)
+    fits = [_refine(samples, constants, (low, high), noise)]
+    while len(fits[-1].network.resistance) > 1:
+        constants = _join_pair(samples, fits[-1].network.time_constant)
+        fits.append(_refine(samples, constants, (low, high), noise))
+    return min(fits, key=_criterion)
+
+
+def unsettled_share(network: FosterNetwork, last: float) -> float:
+    """Share of the resistance whose time constants have not settled at the ``last`` time [s]."""
+    slow = network.time_constant > UNSETTLED * last
+    return float(network.resistance[slow].sum()) / network.total
+
+
+def _criterion(fit: TransientFit) -> float:
+    parameters = 2 * len(fit.network.resistance)
+    excess = float(np.sum((fit.residual / fit.noise) ** 2))
+    return excess + parameters * float(np.log(len(fit.residual)))
+
+
+def _fit_resistances(samples: StepSamples, constants: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the resistances, none of them negative, and the value before the step."""
+    columns = step_basis(samples.time, constants)
+    if samples.offset:
+        one = np.ones((len(samples.time), 1))
+        columns = np.hstack([columns, one, -one])
+    table = samples.group(np.column_stack([columns, samples.value]))
+    size = np.linalg.norm(table[:, :-1], axis=0)
+    found, _ = nnls(table[:, :-1] / size, table[:, -1], maxiter=NNLS_STEPS * columns.shape[1])
+    found = found / size
+    n = len(constants)
+    return found[:n], float(found[n] - found[n + 1]) if samples.offset else 0.0
+
+
+def _residual(
+    samples: StepSamples, resistance: np.ndarray, constants: np.ndarray, start: float
+) -> np.ndarray:
+    value = start + step_basis(samples.time, constants) @ resistance
+    return np.asarray(samples.weight * (value - samples.value))
+
+
+def _join_neighbours(grid: np.ndarray, resistance: np.ndarray) -> np.ndarray:
+    """Return one time constant for two neighbours on the grid whose resistances are not zero.
+
+    A time constant between two points of the grid has a resistance at both.
+    """
+    used = np.flatnonzero(resistance > EMPTY * resistance.max(initial=0.0))
+    if not used.size:
+        return np.asarray(np.sqrt(grid[:1] * grid[-1:]))
+    logs = list[float]()
+    for run in np.split(used, np.flatnonzero(np.diff(used) > 1) + 1):
+        for pair in np.array_split(run, (len(run) + 1) // 2):
+            logs.append(float(np.average(np.log(grid[pair]), weights=resistance[pair])))
+    return np.asarray(np.exp(logs))
+
+
+def _join_pair(samples: StepSamples, constants: np.ndarray) -> np.ndarray:
+    """Join the two neighbours whose geometric mean describes the samples best."""
+    logs = np.sort(np.log(constants))
+    trials = list[tuple[float, np.ndarray]]()
+    for k in range(len(logs) - 1):
+        trial = np.exp(np.r_[logs[:k], 0.5 * (logs[k] + logs[k + 1]), logs[k + 2 :]])
+        resistance, start = _fit_resistances(samples, trial)
+        residual = _residual(samples, resistance, trial, start)
+        trials.append((float(residual @ residual), trial))
+    return min(trials, key=itemgetter(0))[1]
+
+
+def _refine(
+    samples: StepSamples, constants: np.ndarray, limits: tuple[float, float], noise: float
+) -> TransientFit:
+    """Refine resistances and time constants within ``limits`` [s] by least squares."""
+    resistance, start = _fit_resistances(samples, constants)
+    used = resistance > EMPTY * resistance.max(initial=0.0)
+    if not used.any():
+        used[0], resistance[0] = True, np.finfo(float).tiny
+    logs = np.r_[np.log(resistance[used]), np.log(constants[used])]
+    count = int(used.sum())
+    time = np.maximum(samples.time, 0.0)
+
+    def split(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        R, t = np.exp(x[:count]), np.exp(x[count : 2 * count])
+        return R, t, float(x[-1]) if samples.offset else 0.0
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        R, t, start = split(x)
+        return samples.group((start + step_basis(time, t) @ R - samples.value)[:, None])[:, 0]
+
+    def slopes(x: np.ndarray) -> np.ndarray:
+        R, t, _ = split(x)
+        ratio = time[:, None] / t
+        # d/d(log R) = R (1 - exp(-t/t_k)), d/d(log t_k) = -R (t/t_k) exp(-t/t_k)
+        table = [-R * np.expm1(-ratio), -R * ratio * np.exp(-ratio)]
+        table += [np.ones((len(time), 1))] if samples.offset else []
+        return samples.group(np.hstack(table))
+
+    total = float(np.log(resistance.sum()))
+    low = np.r_[np.full(count, total - SPREAD), np.full(count, np.log(limits[0]))]
+    high = np.r_[np.full(count, total + SPREAD), np.full(count, np.log(limits[1]))]
+    x = np.clip(logs, low + INSIDE, high - INSIDE)
+    if samples.offset:
+        x, low, high = np.r_[x, start], np.r_[low, -np.inf], np.r_[high, np.inf]
+    scale = np.linalg.norm(slopes(x), axis=0)
+    x_scale = 1 / np.where(scale > 0, scale, 1.0)
+    found = least_squares(residual, x, slopes, bounds=(low, high), x_scale=x_scale, max_nfev=POLISH)
+    R, t, start = split(found.x)
+    order = np.argsort(t)
+    network = FosterNetwork(R[order], t[order])
+    return TransientFit(network, start, _residual(samples, R, t, start), noise)

@@ -1,0 +1,231 @@
+"""Heat networks for ``reduce``: of measured transients, and of models with one thermal port.
+
+In: a transient and the power of its step, or a reduced heat model. Out: the model of a network in
+Foster's or Cauer's form, whose deviation is in its certificate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kc2spice.bodies.readers.thermal_transient import ThermalTransient
+from kc2spice.core.domains import THERMAL
+from kc2spice.core.errors import GateMissedError, UsageError
+from kc2spice.core.quantities import quantity
+from kc2spice.rom.heat_network import FosterNetwork, NetworkForm, shape_network
+from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
+from kc2spice.rom.transient_fit import StepSamples, TransientFit, fit_transient, unsettled_share
+from kc2spice.synthesis.heat import heat_modes
+
+JUNCTION = Port("junction", THERMAL.port)
+LARGEST_MISFIT = 0.1  # deviation (rms) above which no network is written
+WARNED_UNSETTLED = 0.01  # share of the resistance beyond the measured times that warns
+# Deviation (rms) over noise that warns. Drift and rounding of instruments reach 1.1.
+WARNED_EXCESS = 1.5
+NEGLIGIBLE_MISFIT = 1e-3  # deviation (rms) that does not warn although the noise is smaller
+FEWEST_STEPS = 3.0  # change of the temperature over its noise below which there is no step
+ENDS = 20  # the first and the last 1/20 of the samples determine the direction
+
+
+@dataclass(frozen=True)
+class FittedTransient:
+    """Model of a transient, with its noise, notes and warnings for the user."""
+
+    model: LinearModel
+    noise: float
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def step_power(power: str | float | None, data: ThermalTransient) -> float | None:
+    """Return the power [W] of the option ``--power``; None for a thermal impedance.
+
+    Raises
+    ------
+    UsageError : no positive power beside a temperature, or a power beside a thermal impedance.
+    """
+    if data.quantity == "zth":
+        if power is not None:
+            raise UsageError(
+                "applies to a temperature",
+                where="--power",
+                got=f"{power} beside a thermal impedance, which is per watt",
+                expected="a column of the temperature",
+                hint="leave out --power",
+            )
+        return None
+    if power is None:
+        raise UsageError(
+            "contains a temperature, whose network depends on the power",
+            where=data.where,
+            got=data.columns,
+            expected="the power that was switched on or off at the time zero",
+            hint="add for example  --power '2 W'",
+        )
+    value = quantity(power, "W", where="--power")
+    if value <= 0:
+        hint = "state its size; the direction follows from the temperature"
+        expected = 'a positive power, such as "2 W"'
+        raise UsageError("is no power", where="--power", got=power, expected=expected, hint=hint)
+    return value
+
+
+def network_of_transient(
+    data: ThermalTransient, power: float | None, form: NetworkForm
+) -> FittedTransient:
+    """Fit a network to a transient.
+
+    Deviations are relative to the largest rise of a temperature, and to each value of a positive
+    thermal impedance.
+
+    Raises
+    ------
+    UsageError : the temperature does not change beyond its noise, or Zth falls.
+    GateMissedError : the deviation exceeds :data:`LARGEST_MISFIT`.
+    """
+    samples, norm, notes = _step_samples(data, power)
+    fit = fit_transient(samples)
+    size = 1.0 if norm == "pointwise" else _largest_rise(samples, fit)
+    certificate = _certificate(samples, fit, size, norm)
+    rms, noise = fit.rms / size, fit.noise / size
+    if rms > LARGEST_MISFIT:
+        raise GateMissedError(
+            "no heat network describes the transient",
+            where=data.where,
+            got=f"a deviation of {rms:.2g} (rms); {certificate.method}",
+            expected=f"at most {LARGEST_MISFIT:g}, from a temperature that rises or falls at a "
+            "falling rate",
+            hint="measure where the heat enters, with a constant power from the time zero on; "
+            "no file was written",
+        )
+    warnings = list[str]()
+    if rms > max(WARNED_EXCESS * noise, NEGLIGIBLE_MISFIT):
+        warnings.append(
+            f"the deviation of {rms:.2g} (rms) exceeds the noise of {noise:.2g}: the power may "
+            "not be constant, or the heat enters elsewhere"
+        )
+    share = unsettled_share(fit.network, float(samples.time.max()))
+    if share > WARNED_UNSETTLED:
+        warnings.append(
+            f"{share:.2g} of the resistance belongs to time constants above a third of the last "
+            "time: the resistance at rest is extrapolated"
+        )
+    first = float(samples.time[samples.time > 0].min())
+    fast = float(fit.network.resistance[fit.network.time_constant < first].sum())
+    if samples.offset and fast > WARNED_UNSETTLED * fit.network.total:
+        notes = (
+            *notes,
+            f"{fast:.2g} K/W belong to time constants below the first time of {first:.3g} s: the "
+            "temperature before the step is extrapolated",
+        )
+    model = shape_network(fit.network, form, JUNCTION)
+    model = replace(model, name=data.name, certificate=certificate)
+    return FittedTransient(model, noise, (*data.notes, *notes), tuple(warnings))
+
+
+def shape_heat_model(model: LinearModel, form: NetworkForm | None) -> LinearModel:
+    """Return a reduced heat model in a form of a network, or as it is without a form.
+
+    Raises
+    ------
+    UsageError : the model has other ports than one thermal port.
+    """
+    if form is None:
+        return model
+    require_one_heat_port(model)
+    modes = heat_modes(model)
+    times = modes.resistance * modes.capacity
+    slow = times > 0
+    direct = float(modes.direct[0, 0] + modes.resistance[~slow].sum())
+    network = FosterNetwork(modes.resistance[slow], times[slow], direct)
+    shaped = shape_network(network, form, model.ports[0])
+    return replace(
+        shaped,
+        certificate=model.certificate,
+        facts=model.facts,
+        name=model.name,
+        band=model.band,
+    )
+
+
+def require_one_heat_port(model: LinearModel) -> None:
+    """Check that a model has one thermal port and no other.
+
+    Raises
+    ------
+    UsageError : it has not.
+    """
+    if len(model.ports) == 1 and model.ports[0].domain is THERMAL:
+        return
+    names = ", ".join(f"{port.name} ({port.kind})" for port in model.ports[:5])
+    raise UsageError(
+        "applies to a model with one thermal port",
+        where="--network",
+        got=f"{len(model.ports)} ports: {names}",
+        expected='one port with kind = "thermal"',
+        hint="leave out --network: several ports share their modes through ideal transformers",
+    )
+
+
+def _step_samples(
+    data: ThermalTransient, power: float | None
+) -> tuple[StepSamples, Norm, tuple[str, ...]]:
+    """Return samples that rise by the power, the norm of their deviation, and notes."""
+    count = max(len(data.value) // ENDS, 1)
+    change = float(data.value[-count:].mean() - data.value[:count].mean())
+    noise = float(np.sqrt(0.5 * np.mean(np.diff(data.value) ** 2) / count))
+    if abs(change) < FEWEST_STEPS * noise or change == 0:
+        raise UsageError(
+            "the temperature does not change beyond its noise",
+            where=data.where,
+            got=f"a change of {change:.3g} from the first to the last samples",
+            expected="a step of the power at the time zero",
+            hint="check the columns, and that the time zero is the step",
+        )
+    one = np.ones(len(data.time))
+    if power is None:
+        if change < 0:
+            raise UsageError(
+                "the thermal impedance falls with time",
+                where=data.where,
+                got=f"a change of {change:.3g} K/W",
+                expected="Zth of the step response, which rises",
+                hint="convert pulses or a cooling curve to Zth of a step",
+            )
+        after = data.time > 0
+        time, value = data.time[after], data.value[after]
+        if (value > 0).all():
+            return StepSamples(time, value, 1 / value, offset=False), "pointwise", ()
+        note = "Zth is not positive everywhere: deviations are relative to the largest value"
+        return StepSamples(time, value, one[after], offset=False), "peak", (note,)
+    notes = list[str]()
+    if change < 0:
+        notes.append(f"the temperature falls: {power:g} W were switched off at the time zero")
+    value = np.sign(change) * data.value / power
+    return StepSamples(data.time, value, one, offset=True), "peak", tuple(notes)
+
+
+def _largest_rise(samples: StepSamples, fit: TransientFit) -> float:
+    """Return the largest rise [K/W] of the network at a sample."""
+    return float(fit.network.step_response(samples.time[-1:])[0])
+
+
+def _certificate(samples: StepSamples, fit: TransientFit, size: float, norm: Norm) -> Certificate:
+    """Return the deviation of a network from its samples, over the band of their times."""
+    after = samples.time[samples.time > 0]
+    deviation = np.abs(fit.residual) / size
+    largest, network = int(np.argmax(deviation)), fit.network
+    fastest, slowest = network.time_constant.min(), network.time_constant.max()
+    of = "of each value" if norm == "pointwise" else "of the largest rise"
+    text = (
+        f"{len(network.resistance)} time constants from {fastest:.3g} to {slowest:.3g} s, "
+        f"{network.total:.4g} K/W at rest, fitted to {len(samples.time)} samples: largest "
+        f"deviation {deviation[largest]:.2g} {of} at {samples.time[largest]:.4g} s, rms "
+        f"{fit.rms / size:.2g}, noise of the samples {fit.noise / size:.2g}"
+    )
+    band = 1 / (2 * np.pi * after.max()), 1 / (2 * np.pi * after.min())
+    return Certificate(
+        (float(band[0]), float(band[1])), float(deviation[largest]), text, True, True, norm=norm
+    )
