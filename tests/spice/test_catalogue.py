@@ -83,12 +83,12 @@ def test_a_buzzer_has_the_resonance_and_impedance_of_its_sheet():
 def test_a_langevin_transducer_has_the_values_of_its_sheet():
     """The bandwidth of the motional branch is that of the stated Q factor, 800."""
     metrics = kc.run("90-4050", overrides={"analysis.points": 4001}).metrics
-    f, z = np.array(metrics["frequency_hz"]), np.array(metrics["impedance_ohm"])
+    z = np.array(metrics["impedance_ohm"])
     assert metrics["resonance_hz"] == pytest.approx(40e3, rel=1e-4)
     assert 1 / z.min() == pytest.approx(65e-3, rel=0.01)
     assert metrics["quality"] == pytest.approx(800, rel=0.03)
     assert metrics["capacitance_f"] == pytest.approx(3.8e-9, rel=5e-3)
-    # cm = 1/(2 pi fs rm qm) and c0 = c_low - cm determine the antiresonance, fp = fs sqrt(1 + cm/c0)
+    # cm = 1/(2 pi fs rm qm), c0 = c_low - cm, fp = fs sqrt(1 + cm/c0)
     cm = 65e-3 / (2 * np.pi * 40e3 * 800)
     expected = 40e3 * np.sqrt(1 + cm / (3.8e-9 - cm))
     assert metrics["antiresonance_hz"] == pytest.approx(expected, rel=1e-3)
