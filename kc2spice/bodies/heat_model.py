@@ -36,6 +36,7 @@ MESH_LIMIT = "mesh_limit_hz"  # fact: frequency above which the mesh determines 
 # Share of the error of a resistance that recovered heat flows show: 0.32 of heat that enters a disc
 # evenly, 0.42 of a disc of one temperature, measured beside much finer meshes.
 RECOVERED = 0.35
+RESISTANCE = "thermal_resistance_"  # facts RESISTANCE + PORT + "_k_per_w"
 LEAST_ERROR = 1e-6  # least relative mesh error that is stated
 
 
@@ -121,12 +122,23 @@ def make_heat_model(solid: HeatSolid, setup: HeatSetup) -> HeatModel:
         spread = np.array([port.name not in setup.points for port in ports], dtype=bool)
         for port, resistance in zip(ports, resistances, strict=True):
             if port.name not in setup.points:
-                facts[f"thermal_resistance_{port.name}_k_per_w"] = float(resistance)
+                facts[_resistance_fact(port)] = float(resistance)
         energies = estimate_energy_errors(solid, temperature @ answers[:, spread])
         errors = energies / resistances[spread] / RECOVERED
         facts[f"{MESH_ERROR_PREFIX}resistance"] = float(max(errors.max(initial=0.0), LEAST_ERROR))
     model = LinearModel(E=E, K=K, B=B, ports=tuple(ports), facts=facts)
     return HeatModel(model, solid, temperature)
+
+
+def _resistance_fact(port: Port) -> str:
+    return f"{RESISTANCE}{port.name}_k_per_w"
+
+
+def static_resistances(model: LinearModel) -> dict[str, float]:
+    """Return the temperature rise of each port for 1 W into it alone, by the name of its fact."""
+    response = model.transfer(np.zeros(1))[0].real
+    pairs = zip(model.ports, np.diag(response), strict=True)
+    return {_resistance_fact(port): float(value) for port, value in pairs}
 
 
 def _highest_frequency(solid: HeatSolid) -> float:

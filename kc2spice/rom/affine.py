@@ -65,7 +65,7 @@ class ModelParameter:
     @property
     def axis(self) -> ParameterAxis:
         """Range of the parameter, the lower end first."""
-        return ParameterAxis(self.name, *sorted((self.low, self.high)))
+        return ParameterAxis(self.name, min(self.low, self.high), max(self.low, self.high))
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ semi-definite, so that the model is passive, and the static answers to given tem
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,8 @@ import scipy
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from kc2spice.core.errors import wrong
+from kc2spice.core.domains import THERMAL
+from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.naming import names_of
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.reduce import reduce_model
@@ -54,34 +55,22 @@ def reduce_with_interfaces(model: LinearModel, given: Sequence[str], **aims: Any
     """
     if not given:
         return _reduce_definite(model, aims)
-    K, E = map(sparse.csc_array, model.pencil.coefficients)
-    names = names_of(model.ports)
-    of_ports = [names.index(name) for name in given]
-    at = model.B[:, of_ports].argmax(axis=0)
-    others = np.setdiff1d(np.arange(model.order), at)
-    sources = np.setdiff1d(np.arange(len(names)), of_ports)
-    K_ee, E_ee = K[others][:, others], E[others][:, others]
-    psi = -splu(sparse.csc_array(K_ee)).solve(K[others][:, at].toarray())
-    coupling = E[others][:, at].toarray() + E_ee @ psi
-    ports = [model.ports[k] for k in sources]
-    ports += [Port(f"{name}_rate", "thermal") for name in given]
-    B = np.hstack([model.B[np.ix_(others, sources)], coupling])
-    live = np.flatnonzero(np.abs(B).max(axis=0) > 0)
-    inner = LinearModel(E=E_ee, K=K_ee, B=B[:, live], ports=tuple(ports[k] for k in live))
-    small = _reduce_definite(inner, aims)
+    parts = split_given(model, given)
+    live = np.flatnonzero(np.abs(parts.inner.B).max(axis=0) > 0)
+    small = _reduce_definite(parts.inner.select([parts.inner.ports[k].name for k in live]), aims)
     if small.basis is None:
-        raise wrong(model.name, "no congruence reduces this model of heat", hint="set rom.order")
-    n = len(at)
+        raise no_congruence_error(model)
+    n, at, others = len(parts.at), parts.at, parts.others
     V = np.zeros((model.order, n + small.order))
-    V[others, :n], V[at, :n] = psi, np.eye(n)
+    V[others, :n], V[at, :n] = parts.psi, np.eye(n)
     V[others, n:] = small.basis
     K_small = np.zeros((V.shape[1],) * 2)
-    K_ii = K[at][:, at].toarray()
-    K_small[:n, :n] = _symmetrise(K_ii + K[at][:, others] @ psi)
-    if np.abs(K @ np.ones(model.order)).max() < ROUNDING * np.abs(K.diagonal()).max():
+    K_small[:n, :n] = _symmetrise(parts.conductance)
+    K, E = map(sparse.csc_array, model.pencil.coefficients)
+    if keeps_all_heat(K):
         # one temperature everywhere moves no heat
         K_small[range(n), range(n)] -= K_small[:n, :n].sum(axis=1)
-    K_small[n:, n:] = _symmetrise(small.basis.T @ (K_ee @ small.basis))
+    K_small[n:, n:] = _symmetrise(small.basis.T @ (K[others][:, others] @ small.basis))
     E_small = _symmetrise(V.T @ (E @ V))
     return replace(
         LinearModel(E=E_small, K=K_small, B=V.T @ model.B, ports=model.ports),
@@ -93,6 +82,59 @@ def reduce_with_interfaces(model: LinearModel, given: Sequence[str], **aims: Any
     )
 
 
+def no_congruence_error(model: LinearModel) -> UsageError:
+    """Return the error of a model of heat that no congruence reduces."""
+    return wrong(model.name, "no congruence reduces this model of heat", hint="set rom.order")
+
+
+def keeps_all_heat(K: sparse.csc_array) -> bool:
+    """Whether one temperature of all unknowns moves no heat."""
+    return bool(np.abs(K @ np.ones(K.shape[0])).max() < ROUNDING * np.abs(K.diagonal()).max())
+
+
+@dataclass(frozen=True, eq=False)
+class GivenTemperatures:
+    """A heat model divided by its ports of given temperature.
+
+    Attributes
+    ----------
+    at, others : unknowns that are given, and all others.
+    psi : (others, at) static answers to the given temperatures.
+    shares : (sources, at) static temperatures of the ports q for given temperatures.
+    conductance : (at, at) [W/K] static heat flows into the ports of given temperature.
+    inner : model of the second equation above, with the ports q and then T_i'.
+    """
+
+    at: np.ndarray
+    others: np.ndarray
+    psi: np.ndarray
+    shares: np.ndarray
+    conductance: np.ndarray
+    inner: LinearModel
+
+
+def split_given(model: LinearModel, given: Sequence[str]) -> GivenTemperatures:
+    """Divide a heat model by its ports whose temperatures are ``given``."""
+    K, E = map(sparse.csc_array, model.pencil.coefficients)
+    names = names_of(model.ports)
+    of_ports = [names.index(name) for name in given]
+    at = model.B[:, of_ports].argmax(axis=0)
+    others = np.setdiff1d(np.arange(model.order), at)
+    sources = np.setdiff1d(np.arange(len(names)), of_ports)
+    K_ee, E_ee = K[others][:, others], E[others][:, others]
+    psi = np.zeros((len(others), 0))
+    if len(at):
+        psi = -splu(sparse.csc_array(K_ee)).solve(K[others][:, at].toarray())
+    coupling = E[others][:, at].toarray() + E_ee @ psi
+    ports = [model.ports[k] for k in sources]
+    ports += [Port(f"{name}_rate", THERMAL.port) for name in given]
+    B = np.hstack([model.B[np.ix_(others, sources)], coupling])
+    inner = LinearModel(E=E_ee, K=K_ee, B=B, ports=tuple(ports))
+    shares = model.B[np.ix_(at, sources)].T + model.B[np.ix_(others, sources)].T @ psi
+    conductance = np.asarray(K[at][:, at].toarray() + K[at][:, others] @ psi)
+    return GivenTemperatures(at, others, psi, shares, conductance, inner)
+
+
 def _reduce_definite(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel:
     """Reduce a model whose K is positive definite.
 
@@ -101,6 +143,13 @@ def _reduce_definite(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel
     """
     if model.order > DENSE:
         return reduce_model(model, **aims)
+    modal, shapes = modal_coordinates(model)
+    small = reduce_model(modal, **aims)
+    return small if small.basis is None else replace(small, basis=shapes @ small.basis)
+
+
+def modal_coordinates(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
+    """Return a heat model in the coordinates of its modes, in which K is one, and their shapes."""
     K, E = model.pencil.dense().coefficients
     times, shapes = scipy.linalg.eigh(_symmetrise(E), _symmetrise(K))
     modal = LinearModel(
@@ -112,8 +161,7 @@ def _reduce_definite(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel
         name=model.name,
         band=model.band,
     )
-    small = reduce_model(modal, **aims)
-    return small if small.basis is None else replace(small, basis=shapes @ small.basis)
+    return modal, shapes
 
 
 def _symmetrise(matrix: np.ndarray) -> np.ndarray:

@@ -32,6 +32,9 @@ MOST_PARAMETERS = 4  # more need hundreds of full models
 DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # degree by number of parameters; 2 for more
 STEP = 2  # increase of the degree if it is too low for the width of the ranges
 HIGHEST = {1: 10, 2: 9, 3: 6}  # degree, of 11, 55 and 84 full models
+# Addend of the logarithm of a range that begins at zero, relative to the end of the range. Below
+# it the coordinate is proportional to the value.
+SHIFT = 1e-6
 # A column is dropped if the square of its addition to the others is less than this share of the
 # largest. With 1e-12 a thin plate, whose stiff motions have 1e8 times the energy, has an error of
 # 1e-4.
@@ -45,7 +48,8 @@ Full = Callable[[Values], LinearModel]
 class ParameterAxis:
     """Parameter and its range, with a logarithmic coordinate from -1 to 1.
 
-    The coordinate is -1 at ``low`` and 1 at ``high``.
+    The coordinate is -1 at ``low`` and 1 at ``high``. A range ``from_zero`` may begin at zero: its
+    coordinate is the logarithm of the value plus :data:`SHIFT` times ``high``.
 
     Raises
     ------
@@ -55,9 +59,11 @@ class ParameterAxis:
     name: str
     low: float
     high: float
+    from_zero: bool = False
 
     def __post_init__(self) -> None:
-        if not self.low * self.high > 0 or self.low == self.high:
+        begins_at_zero = self.from_zero and 0 == self.low < self.high
+        if not (self.low * self.high > 0 or begins_at_zero) or self.low == self.high:
             raise UsageError(
                 "not the range of a parameter",
                 where=self.name,
@@ -66,19 +72,44 @@ class ParameterAxis:
             )
 
     @property
+    def shift(self) -> float:
+        """Addend of the logarithm."""
+        return 0.0 if self.low else SHIFT * self.high
+
+    @property
     def middle(self) -> float:
         """The value in the middle of the logarithms."""
         return self.value(0.0)
 
     def value(self, x: float) -> float:
         """The parameter at a coordinate."""
-        return self.low * float((self.high / self.low) ** (0.5 * (x + 1)))
+        low, high = self.low + self.shift, self.high + self.shift
+        return low * float((high / low) ** (0.5 * (x + 1))) - self.shift
 
     def coordinate(self, value: float) -> float:
         """The coordinate of a value; nan of one of the other sign."""
-        if not value / self.low > 0:
+        low, high = self.low + self.shift, self.high + self.shift
+        if not (value + self.shift) / low > 0:
             return float("nan")
-        return float(2 * np.log(value / self.low) / np.log(self.high / self.low) - 1)
+        return float(2 * np.log((value + self.shift) / low) / np.log(high / low) - 1)
+
+
+def require_within(axes: Iterable[ParameterAxis], values: Values) -> None:
+    """Check that ``values`` contains a value within the range of each axis.
+
+    Raises
+    ------
+    UsageError : a parameter is missing or outside of its range.
+    """
+    for axis in axes:
+        if axis.name not in values or not abs(axis.coordinate(values[axis.name])) <= 1 + 1e-9:
+            raise UsageError(
+                "outside of the box of a parametric model",
+                where=axis.name,
+                got=values.get(axis.name),
+                expected=f"{axis.low:g} to {axis.high:g}",
+                hint="nothing is extrapolated: widen its range in rom.parameters",
+            )
 
 
 @dataclass(frozen=True)
@@ -114,15 +145,7 @@ class ParameterPolynomials:
         ------
         UsageError : a parameter is missing or outside of its range.
         """
-        for name, axis in self.box.items():
-            if name not in values or not abs(axis.coordinate(values[name])) <= 1 + 1e-9:
-                raise UsageError(
-                    "outside of the box of a parametric model",
-                    where=name,
-                    got=values.get(name),
-                    expected=f"{axis.low:g} to {axis.high:g}",
-                    hint="nothing is extrapolated: widen its range in rom.parameters",
-                )
+        require_within(self.box.values(), values)
         x = np.array([[axis.coordinate(values[axis.name]) for axis in self.axes]])
         return np.asarray(polynomials(x, self.exponents)[0])
 

@@ -181,7 +181,8 @@ def reduce_over_ranges(
         passive=form.passive,
         norm=norm,
     )
-    return replace(result, certificate=certificate, facts=_interpolate_facts(result, facts))
+    known = interpolate_facts(result.axes, result.exponents, facts)
+    return replace(result, certificate=certificate, facts=known)
 
 
 def _certify(
@@ -222,7 +223,7 @@ def _certify(
         if degree is None:
             problem = "the error cannot be certified over the box of the parameters"
             got = f"{error:.2g} at a point that nothing was made from"
-            raise _range_error(problem, dense_model, got, tolerance)
+            raise range_error(problem, dense_model.frame.name, got, tolerance)
 
 
 def _difference(
@@ -235,17 +236,20 @@ def _difference(
     )
 
 
-def _interpolate_facts(
-    model: Varying, known: Sequence[tuple[dict[str, float], Mapping[str, float]]]
+def interpolate_facts(
+    axes: Sequence[ParameterAxis],
+    exponents: np.ndarray,
+    known: Sequence[tuple[Values, Mapping[str, float]]],
 ) -> dict[str, np.ndarray]:
     """Interpolate the common facts of full models by polynomials.
 
-    The degree of the polynomials is the highest that the number of models allows.
+    The degree of the polynomials is the highest that the number of models allows. The result
+    contains the coefficients (terms,) of the products with ``exponents`` (terms, axes).
     """
-    x = [[axis.coordinate(values[axis.name]) for axis in model.axes] for values, _ in known]
-    total = model.exponents.sum(axis=1, initial=0)
+    x = [[axis.coordinate(values[axis.name]) for axis in axes] for values, _ in known]
+    total = exponents.sum(axis=1, initial=0)
     used = np.array([(total <= degree).sum() for degree in total]) <= max(1, len(known) // 2)
-    T = polynomials(np.reshape(x, (len(known), -1)), model.exponents[used])
+    T = polynomials(np.reshape(x, (len(known), -1)), exponents[used])
     names = set.intersection(*(set(item) for _, item in known))
     facts = {name: np.zeros(len(total)) for name in sorted(names)}
     for name, c in facts.items():
@@ -290,15 +294,14 @@ def make_resonators(
                 if error <= tolerance:
                     return result, error
     problem = "the box of the parameters is too wide for polynomials of its modes"
-    raise _range_error(problem, dense_model, f"an error of {best:.2g}", tolerance)
+    raise range_error(problem, dense_model.frame.name, f"an error of {best:.2g}", tolerance)
 
 
-def _range_error(
-    problem: str, dense_model: Parametric, got: str, tolerance: float
-) -> SimulationError:
+def range_error(problem: str, name: str, got: str, tolerance: float) -> SimulationError:
+    """Return the error of a model ``name`` whose ranges are too wide for the tolerance."""
     return SimulationError(
         problem,
-        where=dense_model.frame.name,
+        where=name,
         got=got,
         expected=f"at most {tolerance:.2g}",
         hint="narrow the ranges in rom.parameters",

@@ -81,6 +81,30 @@ def heat_modes(model: LinearModel) -> HeatModes:
     ------
     UsageError : E, K or D is not symmetric and positive semi-definite, or E and K are singular.
     """
+    times, shapes = decouple_heat(model)
+    gain = shapes.T @ model.B
+    size = np.abs(gain).max(axis=1)
+    felt = (np.abs(gain) / (np.abs(gain).max(axis=0) + np.finfo(float).tiny)).max(axis=1) > UNHEATED
+    gain, times, size = gain[felt], times[felt], size[felt]
+    sign = np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])
+    return HeatModes(
+        resistance=size**2,
+        capacity=times / size**2,
+        share=gain * (sign / size)[:, None],
+        direct=model.D,
+        ports=model.ports,
+    )
+
+
+def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return time constants (modes,) and shapes (states, modes) of all modes, slowest first.
+
+    The resistance of each shape is 1 K/W. See :func:`heat_modes`.
+
+    Raises
+    ------
+    UsageError : as :func:`heat_modes`.
+    """
     K, E = model.pencil.dense().coefficients
     if not model.symmetric or np.linalg.eigvalsh(model.D).min(initial=0.0) < 0:
         raise _not_passive_error(model, "matrices that are not symmetric, or a negative D")
@@ -99,18 +123,7 @@ def heat_modes(model: LinearModel) -> HeatModes:
         leaking = stored @ axes / np.sqrt(capacity * LEAK_RATE)
         times = np.concatenate([times, np.full(capacity.size, 1 / LEAK_RATE)])
         shapes = np.hstack([shapes, leaking])
-    gain, times = (shapes.T @ model.B)[::-1], np.maximum(times[::-1], 0.0)
-    size = np.abs(gain).max(axis=1)
-    felt = (np.abs(gain) / (np.abs(gain).max(axis=0) + np.finfo(float).tiny)).max(axis=1) > UNHEATED
-    gain, times, size = gain[felt], times[felt], size[felt]
-    sign = np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])
-    return HeatModes(
-        resistance=size**2,
-        capacity=times / size**2,
-        share=gain * (sign / size)[:, None],
-        direct=model.D,
-        ports=model.ports,
-    )
+    return np.maximum(times[::-1], 0.0), shapes[:, ::-1]
 
 
 def modal_heat_model(model: LinearModel) -> LinearModel:
@@ -195,7 +208,8 @@ def _ladder_cards(ladder: HeatLadder, pin: str, base: str) -> Iterator[Line]:
         node = following
 
 
-def _describe_mode(modes: HeatModes, j: int) -> str:
+def describe_heat_mode(modes: HeatModes, j: int) -> str:
+    """Return the comment above the elements of a mode."""
     R, C = modes.resistance[j], modes.capacity[j]
     text = f"time constant {R * C:.4g} s, {R:.4g} K/W, {C:.4g} J/K"
     if R * C * LEAK_RATE >= 1 - STILL:
@@ -218,13 +232,22 @@ def _series_cards(modes: HeatModes, base: str) -> Iterator[Line]:
         node = "h1"
     for j in range(count):
         following = base if j == count - 1 else f"h{j + 2}"
-        yield _describe_mode(modes, j)
+        yield describe_heat_mode(modes, j)
         yield from _mode_elements(modes, j, node, following)
         node = following
 
 
 def _coupled_cards(modes: HeatModes, base: str) -> Iterator[Line]:
     """Yield the cards of modes that several ports excite."""
+    yield from heat_port_cards(modes, base)
+    for j in range(len(modes.share)):
+        yield describe_heat_mode(modes, j)
+        yield from _mode_elements(modes, j, f"h{j + 1}", base)
+        yield from heat_flow_cards(modes, j, base)
+
+
+def heat_port_cards(modes: HeatModes, base: str) -> Iterator[Line]:
+    """Yield the cards of ports, whose temperatures are sums of those of the modes."""
     names = [port.terminals[0] for port in modes.ports]
     for k, pin in enumerate(names):
         yield f"\n* Port {pin}: its temperature rise u is the sum of the modes (1 V = 1 K)."
@@ -237,9 +260,10 @@ def _coupled_cards(modes: HeatModes, base: str) -> Iterator[Line]:
             if direct:
                 name = f"Gd{pin}_{other}"
                 yield Element.of(name, base, f"u{pin}", f"f{other}", base, float(direct))
-    for j, row in enumerate(modes.share):
-        node = f"h{j + 1}"
-        yield _describe_mode(modes, j)
-        yield from _mode_elements(modes, j, node, base)
-        for pin, share in zip(names, row, strict=True):
-            yield Element.of(f"Gq{pin}_{j + 1}", base, node, f"f{pin}", base, float(share))
+
+
+def heat_flow_cards(modes: HeatModes, j: int, base: str) -> Iterator[Line]:
+    """Yield the sources of the heat flow into a mode from each port."""
+    for port, share in zip(modes.ports, modes.share[j], strict=True):
+        pin = port.terminals[0]
+        yield Element.of(f"Gq{pin}_{j + 1}", base, f"h{j + 1}", f"f{pin}", base, float(share))

@@ -6,11 +6,9 @@ when it expands the subcircuit, so that a run takes no longer than with other re
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import product
 from operator import attrgetter
 
 import numpy as np
@@ -22,10 +20,20 @@ from kc2spice.netlist.elements import Line
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import name as checked_name
 from kc2spice.netlist.spelling import number, require_distinct
+from kc2spice.rom.heat_ranges import HeatOverRanges
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.varying import Varying
 from kc2spice.synthesis.emitted import MICRO
 from kc2spice.synthesis.header import mesh_entry
+from kc2spice.synthesis.parameter_ranges import (
+    RANGE_STOPS,
+    list_parameters,
+    parameter_card,
+    range_cards,
+    range_stops,
+    sample_range,
+)
+from kc2spice.synthesis.parametric_heat import heat_subcircuit_over_ranges
 from kc2spice.synthesis.realize import (
     DAMPING,
     RINGING,
@@ -48,8 +56,6 @@ Polynomial = Callable[[np.ndarray], str]  # writes the polynomial with these coe
 
 # Names that the subcircuit uses for its own parameters.
 _RESERVED = r"[xlkgcfbt]_?\d+(_\d+)*|alpha|beta|damping|inside\d+"
-# Random points of the parameter range at which the emitted circuit is compared, beside its corners.
-INSIDE = 6
 _ABOUT = """\
 * Resonators whose frequencies, couplings, capacitances and damping depend on the parameters: they
 * are polynomials (Chebyshev's, of the parameters' logarithms) that are evaluated once, when the
@@ -58,15 +64,12 @@ _ABOUT = """\
 * mode's largest displacement of a port in um. Modes that come near each other in the box are one
 * block. Their stiffness stays positive: k = L L'.
 * The base is the mechanical and signal reference: wire it to node 0. Electrical pins float."""
-_STOP = """
-* Outside of its range a parameter stops the simulator at these cards: nothing is extrapolated."""
-
 
 _DOMAINS = (ELECTRICAL, TRANSLATION, ROTATION)
 
 
 def parametric_subcircuit(
-    model: Varying,
+    model: Varying | HeatOverRanges,
     name: str,
     parameters: Sequence[Param] | None = None,
     header: Header | None = None,
@@ -81,7 +84,7 @@ def parametric_subcircuit(
 
     Parameters
     ----------
-    model : Varying
+    model : Varying or HeatOverRanges
         Reduced model over ranges of parameters, such as :func:`kc2spice.reduce` returns for a
         :class:`kc2spice.AffineModel`.
     name : str
@@ -123,6 +126,8 @@ def parametric_subcircuit(
     """
     if parameters is None:
         parameters = list_parameters(model)
+    if isinstance(model, HeatOverRanges):
+        return heat_subcircuit_over_ranges(model, name, parameters, header, rating=rating)
     defaults = map(attrgetter("default"), parameters)
     rom = model.at(dict(zip(model.box, defaults, strict=True)))
     require_parametric_form(model.ports, [item.name for item in parameters], name)
@@ -130,14 +135,14 @@ def parametric_subcircuit(
     pins, base = subcircuit_pins(terminals, name)
     body = [
         *_parameter_lines(model, parameters),
-        _STOP,
-        *_range_stops(parameters, base),
+        RANGE_STOPS,
+        *range_stops(parameters, base),
         *_PortsAndModes(model, rom, terminals, base, weights).lines(),
     ]
     params = (*parameters, *([DAMPING] if any(model.damped) else []))
     words = {"title": title, "rating": rating, "within": ", parameters within their ranges,"}
     words["mesh"] = mesh_entry(rom.facts)
-    head, others = header or Header(model.name, "-"), list(_sample_range(model, parameters))
+    head, others = header or Header(model.name, "-"), list(sample_range(model, parameters))
     return make_subcircuit(
         rom, name, pins, base, params, head, ([_ABOUT], body), others=others, **words
     )
@@ -163,61 +168,17 @@ def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], na
     require_distinct(parameters, _RESERVED, where=name)
 
 
-def list_parameters(model: Varying) -> list[Param]:
-    """List the parameters that a model states, in the order of ``model.box``."""
-    result = []
-    for name, axis in model.box.items():
-        default, unit = model.defaults.get(name, axis.middle), model.units.get(name, "-")
-        words = model.descriptions.get(name) or name
-        result.append(Param(name, default, unit, words, axis.low, axis.high))
-    return result
-
-
-def _sample_range(
-    model: Varying, parameters: Sequence[Param]
-) -> Iterator[tuple[LinearModel, dict[str, float]]]:
-    """Yield the model at the corners of the range and at random points inside.
-
-    Each model comes with the values of the netlist's parameters.
-    """
-    corners = product((-1.0, 1.0), repeat=len(model.box))
-    inner = np.random.default_rng(7).uniform(-1.0, 1.0, (INSIDE, len(model.box)))
-    names = [p.name.lower() for p in parameters]
-    for x in (*corners, *inner):
-        axes = zip(model.box.values(), x, strict=True)
-        values = [axis.value(float(at)) for axis, at in axes]
-        by_name = dict(zip(names, values, strict=True))
-        yield model.at(dict(zip(model.box, values, strict=True))), by_name
-
-
-def _range_stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
-    """Yield resistors that stop the simulator if a parameter is out of range.
-
-    A resistor has an ohm within the range of its parameter, and no number outside. The name of the
-    resistor is the message.
-    """
-    for k, p in enumerate(parameters, 1):
-        words = f"{p.name}_must_be_{p.low:.6g}_to_{p.high:.6g}"
-        suffix = re.sub(r"\W", lambda c: {".": "p", "-": "m", "+": ""}[c[0]], words)
-        yield Element.of(f"R{suffix}", "tick", base, f"{{sqrt(inside{k})}}")
-
-
 def _parameter_lines(model: Varying, parameters: Sequence[Param]) -> Iterator[Line]:
     """Yield the ``.param`` cards: coordinates, polynomials, numbers of the states."""
     axis_parameters = parameters[: len(model.axes)]
-    yield "* 1 within the range of a parameter, -1 outside of it"
-    for k, p in enumerate(parameters, 1):
-        room = 1e-9 * (p.high - p.low)
-        low, high = number(p.low - room), number(p.high + room)
-        # two factors that are positive inside; || and && are spelled differently elsewhere
-        yield _param(f"inside{k}", f"(({p.name}-{low})*({high}-{p.name})>=0 ? 1 : -1)")
+    yield from range_cards(parameters)
     yield from _coordinate_cards(model, axis_parameters)
     terms = []
     for row in model.exponents:
         factors = _chebyshev_factors(row)
         if len(factors) > 1:
             term = "b_" + "_".join(map(str, row))
-            yield _param(f"{term}", f"{'*'.join(factors)}")
+            yield parameter_card(f"{term}", f"{'*'.join(factors)}")
             factors = [term]
         terms.append("".join(factors))
     polynomial = partial(_write_polynomial, terms)
@@ -233,11 +194,11 @@ def _coordinate_cards(model: Varying, parameters: Sequence[Param]) -> Iterator[P
     highest = model.exponents.max(axis=0, initial=0) if len(parameters) else []
     for k, (p, axis, top) in enumerate(zip(parameters, model.axes, highest, strict=True), 1):
         slope = 2 / np.log(axis.high / axis.low)
-        yield _param(f"x{k}", f"{number(slope)}*ln({p.name}/{number(axis.middle)})")
+        yield parameter_card(f"x{k}", f"{number(slope)}*ln({p.name}/{number(axis.middle)})")
         names = ["1", f"x{k}"]
         for power in range(2, int(top) + 1):
             names.append(f"t{k}_{power}")
-            yield _param(f"{names[-1]}", f"2*x{k}*{names[-2]}-{names[-3]}")
+            yield parameter_card(f"{names[-1]}", f"2*x{k}*{names[-2]}-{names[-3]}")
 
 
 def _chebyshev_factors(exponents: np.ndarray) -> list[str]:
@@ -268,45 +229,43 @@ def _damping_cards(
                 losses[k] += f"*exp({number(share)}*ln({p.name}/{number(loss.axis.middle)}))"
     for k, word in enumerate(("alpha", "beta")):
         if model.damped[k]:
-            yield _param(f"{word}", f"exp({polynomial(model.rayleigh[:, k])}){losses[k]}")
+            yield parameter_card(f"{word}", f"exp({polynomial(model.rayleigh[:, k])}){losses[k]}")
 
 
 def _block_cards(model: Varying, modes: range, polynomial: Polynomial) -> Iterator[Parameters]:
     """Yield the Cholesky factor l, the stiffness k and the gains g of a block."""
     lower, stiff = _nonzero(model)
     for i in modes:
-        yield _param(f"l{i + 1}_{i + 1}", f"exp({polynomial(model.diagonal[:, i])})")
+        yield parameter_card(f"l{i + 1}_{i + 1}", f"exp({polynomial(model.diagonal[:, i])})")
         for j in np.flatnonzero(lower[i, :i]):
-            yield _param(f"l{i + 1}_{j + 1}", f"{polynomial(model.below[:, i, j])}")
+            yield parameter_card(f"l{i + 1}_{j + 1}", f"{polynomial(model.below[:, i, j])}")
     for i in modes:
         for j in np.flatnonzero(stiff[i, : i + 1]):
             both = np.flatnonzero(lower[i] & lower[j]) + 1
-            yield _param(f"k{i + 1}_{j + 1}", _write_dot_product(f"l{i + 1}", f"l{j + 1}", both))
+            yield parameter_card(
+                f"k{i + 1}_{j + 1}", _write_dot_product(f"l{i + 1}", f"l{j + 1}", both)
+            )
     for i in modes:
         for k in np.flatnonzero(model.gain[:, i].any(axis=0)).tolist():
-            yield _param(f"g{i + 1}_{k + 1}", f"{polynomial(model.gain[:, i, k])}")
+            yield parameter_card(f"g{i + 1}_{k + 1}", f"{polynomial(model.gain[:, i, k])}")
 
 
 def _capacitance_cards(model: Varying, polynomial: Polynomial) -> Iterator[Parameters]:
     """Yield the Cholesky factor f of the capacitances, then the capacitances c."""
     electrodes = range(len(model.electrical))
     for k in electrodes:
-        yield _param(f"f{k + 1}_{k + 1}", f"exp({polynomial(model.capacitance[:, k])})")
+        yield parameter_card(f"f{k + 1}_{k + 1}", f"exp({polynomial(model.capacitance[:, k])})")
         for n in range(k):
-            yield _param(f"f{k + 1}_{n + 1}", f"{polynomial(model.shared[:, k, n])}")
+            yield parameter_card(f"f{k + 1}_{n + 1}", f"{polynomial(model.shared[:, k, n])}")
     for k in electrodes:
         for n in range(k + 1):
             value = _write_dot_product(f"f{k + 1}", f"f{n + 1}", range(1, n + 2))
-            yield _param(f"c{k + 1}_{n + 1}", value)
+            yield parameter_card(f"c{k + 1}_{n + 1}", value)
 
 
 def _write_dot_product(row: str, column: str, indices: Iterable[int]) -> str:
     """Return the text of the sum of products of two rows of a Cholesky factor."""
     return "+".join(f"{row}_{n}*{column}_{n}" for n in indices)
-
-
-def _param(name: str, expression: str) -> Parameters:
-    return Parameters({name: f"{{{expression}}}"})
 
 
 def _nonzero(model: Varying) -> tuple[np.ndarray, np.ndarray]:

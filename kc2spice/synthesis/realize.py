@@ -426,18 +426,33 @@ def _network_subcircuit(
 
 def _heat_subcircuit(rom: LinearModel, name: str, header: Header, rating: str) -> Subcircuit:
     """Return the subcircuit of a heat model."""
+    pins, common = heat_pins(rom, name)
+    cards = heat_cards(rom, common)
+    base = common if len(pins) > 2 else ""  # resistors and capacitors need no pivots
+    return make_subcircuit(rom, name, pins, base, (), header, cards, **heat_words(rating))
+
+
+def heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
+    """Return the pins of a heat model, and the name of the last one, their reference.
+
+    Raises
+    ------
+    UsageError : a name that the subcircuit ``name`` has for itself.
+    """
     common = reference_pin(rom.ports)
     ends = tuple(chain.from_iterable(map(netlist_pins, rom.ports)))
     pins = (*ends, common)
     _require_distinct(pins, (INNER_NODES, HEAT_NODES, *map(_loaded_nodes, ends)), name)
-    cards = heat_cards(rom, common.name)
-    base = common.name if len(ends) > 1 else ""  # resistors and capacitors need no pivots
-    rating = RATED_BY_HEAT if rating == UNRATED else rating
-    title = "reduced heat model"
-    return make_subcircuit(
-        rom, name, pins, base, (), header, cards, title=title, rating=rating,
-        valid="conductivities and heat capacities of its data, whatever the temperature",
-    )  # fmt: skip
+    return pins, common.name
+
+
+def heat_words(rating: str) -> dict[str, Any]:
+    """Return title, rating and validity of a heat model, for the head of its library."""
+    return {
+        "title": "reduced heat model",
+        "rating": RATED_BY_HEAT if rating == UNRATED else rating,
+        "valid": "conductivities and heat capacities of its data, whatever the temperature",
+    }
 
 
 def make_subcircuit(

@@ -50,8 +50,8 @@ from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
 from kc2spice.synthesis.emitted import require_circuit
 from kc2spice.synthesis.heat import is_heat
+from kc2spice.synthesis.parameter_ranges import list_parameters
 from kc2spice.synthesis.parametric_resonators import (
-    list_parameters,
     parametric_subcircuit,
     require_parametric_form,
 )

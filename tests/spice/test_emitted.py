@@ -18,7 +18,7 @@ from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.parametric import ParameterAxis, polynomials
 from kc2spice.rom.varying import Varying
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.synthesis import parametric_resonators, realize
+from kc2spice.synthesis import parameter_ranges, realize
 from kc2spice.synthesis.emitted import circuit_error, require_circuit
 from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
 from kc2spice.synthesis.realize import subcircuit
@@ -128,7 +128,7 @@ def test_parametric_circuits_are_compared_at_corners_and_inside(monkeypatch):
         damped=(False, True), facts={}, certificate=CERTIFICATE,
     )  # fmt: skip
     parameter = Param("length", 1.0, "m", "of it", 0.5, 2.0)
-    points = [at for _, at in parametric_resonators._sample_range(model, [parameter])]
+    points = [at for _, at in parameter_ranges.sample_range(model, [parameter])]
     assert {0.5, 2.0} <= {at["length"] for at in points}
     assert sum(0.5 < at["length"] < 2.0 for at in points) >= 4
     part = parametric_subcircuit(model, "bar", [parameter])

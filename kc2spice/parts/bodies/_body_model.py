@@ -8,17 +8,20 @@ import math
 import stat
 import warnings
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel
 
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.progress import Clock
 from kc2spice.fem.body_keys import Damping
+from kc2spice.fem.materials import MaterialTable
 from kc2spice.parts.bodies._body_ports import BodyPorts, requires_massless_ports
 from kc2spice.parts.bodies._box import (
     PARAMETERS,
@@ -30,9 +33,11 @@ from kc2spice.parts.bodies._box import (
 )
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.complex_constants import ComplexConstants
-from kc2spice.rom.linear_model import Certificate, LinearModel, Port
+from kc2spice.rom.heat_ranges import HeatOverRanges
+from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
+from kc2spice.rom.matrix_terms import MatrixTerms
 from kc2spice.rom.modal import resonators
-from kc2spice.rom.parametric import Loss, ParameterAxis
+from kc2spice.rom.parametric import Full, Loss, ParameterAxis
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.model import (
     GovernedScene,
@@ -45,6 +50,7 @@ from kc2spice.scene.settings import Rom
 if TYPE_CHECKING:
     from kc2spice.rom.enriched import Orders
 
+OverRanges = Varying | HeatOverRanges  # reduced model over ranges of parameters
 UNASKED = 1e-4  # tolerance over parameter ranges for bodies whose default is an order
 # Hz, least upper end of the band of a transient, because switching in the circuit has unknown
 # frequencies
@@ -67,6 +73,9 @@ class BodyModel(BodyPorts[LinearKeysT]):
     A subclass builds the :meth:`full` model of the whole device. The scene or the keys of the part
     state to what order or tolerance, and over which band, it is reduced.
     """
+
+    ranges_from_zero = False  # whether ranges of parameters may begin at zero
+    material_table: type[BaseModel] = MaterialTable  # form of its materials in a scene
 
     @abstractmethod
     def full(self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock) -> LinearModel:
@@ -145,8 +154,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
         reached = {} if least_end is None else {"sure": least_end, "motions": MOTIONS}
         return result | reached | {"massless": requires_massless_ports(part, scene)}
 
-    def varying(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> Varying:
-        """Return the resonators over the ranges of ``rom.parameters``."""
+    def varying(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> OverRanges:
+        """Return the reduced model over the ranges of ``rom.parameters``."""
         keys = varied_keys(part)
         middle = with_values(part, middle_values(keys))
         target, key = reduction_target(part, scene), self.model_key(middle, scene)
@@ -168,9 +177,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             raise wrong(f"{part.name}.rom.order", problem, target.order, "rom.tolerance")
         key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
 
-        def build() -> Varying:
-            from kc2spice.rom.varying import reduce_over_ranges
-
+        def build() -> OverRanges:
             def full(values: Mapping[str, float]) -> LinearModel:
                 other = with_values(part, values)
                 return self.varied(other, scene, clock, middle).select(key["ports"])
@@ -178,7 +185,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
             band = self.limit_band(target.band, key, lambda: full(middle_values(keys)))
             text = f"model of {part.name} over {len(keys)} parameters"
             with clock.time_stage("reduce", text) as share:
-                return reduce_over_ranges(
+                return self.reduce_ranges(
+                    part,
                     full,
                     [item.axis for item in keys],
                     band,
@@ -187,11 +195,28 @@ class BodyModel(BodyPorts[LinearKeysT]):
                     target.norm or "pointwise",
                 )
 
-        def load() -> Varying:
-            classes = (Varying, ParameterAxis, Loss, Certificate, Port)
+        def load() -> OverRanges:
+            classes = (
+                Varying, HeatOverRanges, MatrixTerms, ParameterAxis, Loss, Certificate, Port
+            )  # fmt: skip
             return load_or_build("box", key, build, classes=classes, sources=self.sources())
 
         return scene.workspace.get_or_compute(f"range of {part.name}", key, load)
+
+    def reduce_ranges(
+        self,
+        part: Part[LinearKeysT],
+        full: Full,
+        axes: Sequence[ParameterAxis],
+        band: tuple[float, float],
+        tolerance: float,
+        progress: Callable[[int, int], None],
+        norm: Norm,
+    ) -> OverRanges:
+        """Reduce the models ``full(values)`` of the part over the ranges of ``axes``."""
+        from kc2spice.rom.varying import reduce_over_ranges
+
+        return reduce_over_ranges(full, axes, band, tolerance, progress, norm)
 
     def _has_constant_losses(self, part: Part[LinearKeysT]) -> bool:
         """Whether it has losses that the matrices of a full model cannot have."""

@@ -13,7 +13,6 @@ from pydantic import BaseModel
 
 from kc2spice.core.errors import UsageError, did_you_mean, wrong
 from kc2spice.core.quantities import find_unit, join_path, list_keys, validate
-from kc2spice.fem.materials import MaterialTable
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.parametric import MOST_PARAMETERS, ParameterAxis
@@ -25,7 +24,10 @@ LEAST = 1e-3  # relative width of a range
 
 @dataclass(frozen=True)
 class VariedKey:
-    """A key below the part (``layers[1].thickness``), its SI unit, the part's value, its range."""
+    """A key below the part (``layers[1].thickness``), its SI unit, the part's value, its range.
+
+    The range may begin at zero.
+    """
 
     key: str
     unit: str
@@ -36,13 +38,14 @@ class VariedKey:
     @property
     def axis(self) -> ParameterAxis:
         """Its range."""
-        return ParameterAxis(self.key, self.low, self.high)
+        return ParameterAxis(self.key, self.low, self.high, from_zero=self.low == 0)
 
     @property
     def param(self) -> Param:
         """The netlist's parameter."""
         name = re.sub(r"\W+", "_", self.key).strip("_")
-        return Param(name, self.value, self.unit or "-", self.key, self.low, self.high)
+        unit = self.unit.replace(" ", "*") or "-"  # a unit is one word of a header
+        return Param(name, self.value, unit, self.key, self.low, self.high)
 
 
 def varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
@@ -61,7 +64,8 @@ def varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
     for key, ends in ranges.items():
         value, unit = number_of(part, key, where)
         low, high = (number_of(with_values(part, {key: end}), key, where)[0] for end in ends)
-        result.append(make_varied(key, unit, value, (low, high), f"{where}.{key}"))
+        zero = part.type.ranges_from_zero  # type: ignore[attr-defined]
+        result.append(make_varied(key, unit, value, (low, high), f"{where}.{key}", zero))
     return tuple(result)
 
 
@@ -76,16 +80,24 @@ def middle_values(keys: Iterable[VariedKey]) -> dict[str, float]:
 
 
 def make_varied(
-    key: str, unit: str, value: float, ends: tuple[float, float], where: str | None = None
+    key: str,
+    unit: str,
+    value: float,
+    ends: tuple[float, float],
+    where: str | None = None,
+    from_zero: bool = False,
 ) -> VariedKey:
     """Make a key with its range, whose ends may come in either order.
+
+    Ranges ``from_zero`` may begin at zero.
 
     Raises
     ------
     UsageError : a range that is none, or without the value.
     """
     low, high = min(ends), max(ends)
-    if not low * high > 0 or high - low < LEAST * abs(high) or not low <= value <= high:
+    signed = low * high > 0 or (from_zero and low == 0)
+    if not signed or high - low < LEAST * abs(high) or not low <= value <= high:
         expected = f"two different numbers of one sign, the part's value {value:g} between"
         raise wrong(where or key, "not the range of a parameter", f"{low:g} to {high:g}", expected)
     return VariedKey(key, unit, value, low, high)
@@ -156,6 +168,11 @@ def _unknown_key(part: Part, key: str, where: str) -> UsageError:
     return wrong(where, f"{part.name} has no such number", key, expected, near)
 
 
+def _read_material(part: Part, table: Mapping[str, Any], key: str) -> BaseModel:
+    """Read the table of a material, in the form of the part's materials."""
+    return validate(part.type.material_table, table, f"{part.name}.{key}")  # type: ignore[attr-defined]
+
+
 def number_of(part: Part, key: str, where: str) -> tuple[float, str]:
     """Return the number of a key below the part, and its SI unit.
 
@@ -170,9 +187,12 @@ def number_of(part: Part, key: str, where: str) -> tuple[float, str]:
             unit = find_unit(type(result).model_fields[str(step)]) or ""
             result = getattr(result, str(step))
             if step == "material" and isinstance(result, Mapping):
-                result = validate(MaterialTable, result, f"{part.name}.{key}")
+                result = _read_material(part, result, key)
         elif isinstance(result, Mapping) and step in result:
+            group = result is getattr(part.keys, "materials", None)
             result = result[str(step)]
+            if group and isinstance(result, Mapping):
+                result = _read_material(part, result, key)
         elif isinstance(result, list | tuple) and isinstance(step, int) and step < len(result):
             result = result[step]
         else:

@@ -23,11 +23,21 @@ class FilmKeys(Section):
 
     group: str = Field(description="Group of faces that give off heat; top or bottom of layers")
     coefficient: FilmCoefficient = Field(
-        gt=0, description="Heat flow for each unit of area and kelvin"
+        ge=0,
+        description=(
+            "Heat flow for each unit of area and kelvin; a range of it in rom.parameters makes it "
+            "a parameter of the netlist"
+        ),
     )
     pin: Name | None = Field(
         None, description="Pin whose temperature the faces give off heat to; by default ambient"
     )
+
+    @model_validator(mode="after")
+    def _require_film(self) -> FilmKeys:
+        if self.pin is not None and not self.coefficient:
+            raise ValueError("a film with a pin needs a coefficient greater than 0")
+        return self
 
 
 class InterfaceKeys(Section):
@@ -102,7 +112,8 @@ class HeatBodyKeys(MeshKeys):
     @property
     def leads_away(self) -> bool:
         """Whether a path inside the body leads heat to the ambient temperature."""
-        return bool(self.fixed) or None in {film.pin for film in self.films}
+        films = (film for film in self.films if film.coefficient)
+        return bool(self.fixed) or None in {film.pin for film in films}
 
     @model_validator(mode="after")
     def _require_complete(self) -> HeatBodyKeys:

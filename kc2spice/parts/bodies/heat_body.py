@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,15 @@ import numpy as np
 from skfem.mesh import MeshLine
 
 from kc2spice.bodies.heat_field import TemperatureField, recover_temperatures, write_temperatures
-from kc2spice.bodies.heat_model import MESH_LIMIT, HeatFilm, HeatModel, HeatSetup, make_heat_model
+from kc2spice.bodies.heat_model import (
+    MESH_LIMIT,
+    RESISTANCE,
+    HeatFilm,
+    HeatModel,
+    HeatSetup,
+    make_heat_model,
+    static_resistances,
+)
 from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import (
     SimulationError,
@@ -60,7 +68,7 @@ from kc2spice.fem.heat_conduction import (
     split_nodes,
 )
 from kc2spice.fem.solid import Solid, node_shares
-from kc2spice.fem.thermal_materials import thermal_material
+from kc2spice.fem.thermal_materials import ThermalMaterialTable, thermal_material
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._heat_keys import HeatBodyKeys, HeatSourceKeys
@@ -79,8 +87,10 @@ from kc2spice.parts.bodies._meshed import (
 )
 from kc2spice.parts.bodies._pictures import draw_edges, element_corners, map_surface
 from kc2spice.rom.enriched import Orders
+from kc2spice.rom.heat_ranges import HeatOverRanges
 from kc2spice.rom.interface_modes import reduce_with_interfaces
-from kc2spice.rom.linear_model import LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel, Norm, Port
+from kc2spice.rom.parametric import Full, ParameterAxis
 from kc2spice.scene.checks import Balance, Check, Metric
 from kc2spice.scene.model import Build, DeclaredScene, GovernedScene, Part, Scene, WiredScene
 from kc2spice.scene.parttype import find_current_into, register
@@ -246,6 +256,8 @@ class HeatBody(LinearBody[HeatBodyKeys]):
     schema = HeatBodyKeys
     source = "FE (heat conduction)"
     ports_of_files = True
+    ranges_from_zero = True
+    material_table = ThermalMaterialTable
     example = """
 [heat_body]
 part = "heat_body"
@@ -345,21 +357,55 @@ dc = "1 W"
         A pin behind thick insulation stays so cold at high frequencies that rounding exceeds the
         tolerance there. The error is then relative to the largest temperature of each pin.
         """
-        known = {*part.keys.isothermal, *part.keys.film_pins}
-        given = [*filter(known.__contains__, names_of(model.ports))]
+        given = _given_ports(part, model)
         try:
             return reduce_with_interfaces(model, given, **aims)
         except SimulationError:
             if aims["norm"] == "peak":
                 raise
-            warnings.warn(
-                f"{part.name}: rounding exceeds the tolerance where pins stay cold; the error "
-                "estimate is relative to the largest temperature of each pin",
-                stacklevel=2,
-            )
+            _warn_of_cold_pins(part)
             tolerance = aims["tolerance"] and aims["tolerance"] * PEAK_SHARE
             changed = {**aims, "norm": "peak", "tolerance": tolerance}
             return reduce_with_interfaces(model, given, **changed)
+
+    def reduce_ranges(
+        self,
+        part: Part[HeatBodyKeys],
+        full: Full,
+        axes: Sequence[ParameterAxis],
+        band: tuple[float, float],
+        tolerance: float,
+        progress: Callable[[int, int], None],
+        norm: Norm,
+    ) -> HeatOverRanges:
+        """Reduce the models over ranges of films and other keys, with the same given temperatures.
+
+        The norm follows from rounding as in :meth:`reduce_body`.
+        """
+        from kc2spice.rom.heat_ranges import reduce_heat_over_ranges
+
+        given = _given_ports(part, full({axis.name: axis.middle for axis in axes}))
+        try:
+            return reduce_heat_over_ranges(full, axes, band, tolerance, progress, norm, given)
+        except SimulationError:
+            if norm == "peak":
+                raise
+            _warn_of_cold_pins(part)
+            tolerance *= PEAK_SHARE
+            return reduce_heat_over_ranges(full, axes, band, tolerance, progress, "peak", given)
+
+    def build(
+        self, part: Part[HeatBodyKeys], scene: Scene, clock: Clock, full: bool = False
+    ) -> LinearModel | None:
+        """Return the model, whose thermal resistances follow from it at values of parameters."""
+        model = super().build(part, scene, clock, full)
+        if full or model is None or not part.parameter_ranges:
+            return model
+        known = {name: model.facts[name] for name in model.facts if name.startswith(RESISTANCE)}
+        if not known:
+            return model
+        resistances = static_resistances(model)
+        return replace(model, facts={**model.facts, **{k: resistances[k] for k in known}})
 
     def vectors(self, part: Part[HeatBodyKeys], build: Build) -> Mapping[str, Vector]:
         """Results of its ports, with the heat flow of ports that one part is joined to."""
@@ -376,7 +422,7 @@ dc = "1 W"
         """Return the thermal resistances of its ports, and the hottest spot of each material."""
         result: dict[str, object] = dict(super().metrics(part, build, waves))
         for name, value in build.facts(part).items():
-            if name.startswith("thermal_resistance_"):
+            if name.startswith(RESISTANCE):
                 result[name] = Metric(value, "K/W")
         field = self.temperatures(part, build, waves)
         for spot in field.hottest() if field else ():
@@ -449,6 +495,20 @@ dc = "1 W"
             what = f"{part.name}: heat that spreads sideways in its layers"
             why = "heat flows straight down through the area of each layer"
             yield Neglected(what, why, "lower temperatures than modelled: use a mesh")
+
+
+def _given_ports(part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
+    """Ports of a model whose temperatures are given: isothermal faces, and fluids of films."""
+    known = {*part.keys.isothermal, *part.keys.film_pins}
+    return [*filter(known.__contains__, names_of(model.ports))]
+
+
+def _warn_of_cold_pins(part: Part[HeatBodyKeys]) -> None:
+    warnings.warn(
+        f"{part.name}: rounding exceeds the tolerance where pins stay cold; the error estimate is "
+        "relative to the largest temperature of each pin",
+        stacklevel=3,
+    )
 
 
 def _plot_temperatures(name: str, waves: Waveforms) -> Iterator[Figure]:

@@ -1,0 +1,430 @@
+"""Reduction of heat models over ranges of parameters, such as film coefficients.
+
+The matrices of the full models are sums of terms with powers of the parameters as factors
+(:mod:`kc2spice.rom.matrix_terms`). One basis V reduces every term by a congruence:
+
+    sum_t f_t(p) V'E_t V x' + sum_t f_t(p) V'K_t V x = V'B q.
+
+The dependence on the parameters therefore remains exact, however wide the range is. If all terms
+have no negative eigenvalue, the model is passive for all values of the parameters. V spans the
+reduced models at a few values. Values are added where the error is largest, until the error is
+within the tolerance at all samples of the ranges. Then directions are removed that contribute least
+to the responses. (P. Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483, sections 3.4 and
+4.1: greedy sampling and a global basis.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+import scipy
+from scipy import sparse
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.naming import names_of
+from kc2spice.rom.entries import share_of
+from kc2spice.rom.error_estimate import ErrorEstimator
+from kc2spice.rom.first_step import intermediate_model
+from kc2spice.rom.interface_modes import (
+    DENSE,
+    ROUNDING,
+    GivenTemperatures,
+    keeps_all_heat,
+    modal_coordinates,
+    no_congruence_error,
+    reduce_with_interfaces,
+    split_given,
+)
+from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
+from kc2spice.rom.matrix_terms import MatrixTerms, find_terms
+from kc2spice.rom.parametric import (
+    Full,
+    ParameterAxis,
+    Values,
+    list_exponents,
+    polynomials,
+    require_within,
+)
+from kc2spice.rom.response import Response
+from kc2spice.rom.stability import is_semidefinite, prove_stability
+from kc2spice.rom.varying import interpolate_facts, range_error
+
+SAMPLE_SHARE = 0.05  # share of the tolerance for the reduced models at single values
+BASIS_SHARE = 0.2  # share of the tolerance for the basis before directions are removed
+FINAL_SHARE = 0.6  # share of the tolerance at the samples
+SAFETY = 1.5  # margin on values between those at which the error is known
+SAMPLES = 8  # random samples of the ranges for each parameter, beside their corners
+CHECKS = 4  # and a corner: full models that nothing is made from
+ROUNDS = 4  # times that checked values become samples, because the error was too large there
+MOST_VALUES = 40  # values of the parameters whose reduced models the basis spans
+DEPENDENT = 1e-13  # square of a dependent direction, relative to the largest
+CLIPPED = 1e-6  # size of a negative eigenvalue that is rounding, relative to the largest one
+FACT_DEGREE = 6  # highest degree of the polynomials of facts
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HeatOverRanges:
+    """Heat model ``E(p) x' + K(p) x = B q``, ``T = B'x`` over ranges of parameters.
+
+    ``terms`` are those of the reduced matrices. ``facts`` are coefficients of polynomials of the
+    logarithms of positive facts with ``exponents``.
+    """
+
+    terms: MatrixTerms
+    B: np.ndarray
+    ports: tuple[Port, ...]
+    exponents: np.ndarray
+    facts: Mapping[str, np.ndarray] = field(default_factory=dict)
+    name: str = "model"
+    certificate: Certificate | None = None
+    defaults: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    descriptions: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def order(self) -> int:
+        """Number of temperatures that are states."""
+        return len(self.B)
+
+    @property
+    def box(self) -> dict[str, ParameterAxis]:
+        """Every parameter's axis by its name."""
+        return {axis.name: axis for axis in self.terms.axes}
+
+    def at(self, values: Values) -> LinearModel:
+        """The model at values of all parameters.
+
+        Raises
+        ------
+        UsageError : a parameter is missing or outside of its range.
+        """
+        require_within(self.terms.axes, values)
+        x = np.array([[axis.coordinate(values[axis.name]) for axis in self.terms.axes]])
+        products = polynomials(x, self.exponents)[0]
+        return LinearModel(
+            **self.terms.at(values),
+            B=self.B,
+            ports=self.ports,
+            certificate=self.certificate,
+            facts={name: float(f"{np.exp(products @ c):.10g}") for name, c in self.facts.items()},
+            name=self.name,
+        )
+
+
+def reduce_heat_over_ranges(
+    full: Full,
+    axes: Sequence[ParameterAxis],
+    band: tuple[float, float],
+    tolerance: float,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+    norm: Norm = "pointwise",
+    given: Sequence[str] = (),
+) -> HeatOverRanges:
+    """Reduce the heat models ``full(values)`` over the ranges of ``axes``.
+
+    The temperatures of the ports ``given`` are given, as those of isothermal faces are. The
+    certificate holds for all values in the ranges. Its error is the largest relative difference, in
+    the ``norm``, times :data:`SAFETY` for values in between. Differences are those to reduced
+    models of the same terms at samples of the ranges, and to full models at :data:`CHECKS` values
+    and a corner that the model was not made from.
+
+    Raises
+    ------
+    UsageError : matrices that are no sum of terms with powers of the parameters as factors.
+    SimulationError : the tolerance is not met.
+    """
+    facts: list[tuple[Values, Mapping[str, float]]] = []
+
+    def compute_full(values: Values) -> LinearModel:
+        model = full(values)
+        facts.append((dict(values), model.facts))
+        return model
+
+    terms = find_terms(compute_full, axes)
+    frame = full({axis.name: axis.middle for axis in axes})
+    ranges = _Ranges(terms, frame, (band, tolerance, norm), tuple(given))
+    sobol = scipy.stats.qmc.Sobol(len(axes), seed=5)
+    corners = [np.array(corner) for corner in product((-1.0, 1.0), repeat=len(axes))]
+    points = [*corners, *(sobol.random(SAMPLES * len(axes)) * 2 - 1)]
+    samples = []
+    for number, x in enumerate(points):
+        progress(number, len(points))
+        samples.append(ranges.reference(ranges.model(ranges.values(x)), ranges.values(x)))
+    checks = scipy.stats.qmc.Sobol(len(axes), seed=11)
+    basis = _Basis(ranges, [np.zeros(len(axes)), *corners])
+    for _ in range(ROUNDS):
+        result, inner = _find_smallest(basis, samples, FINAL_SHARE * tolerance / SAFETY)
+        draws = checks.random(CHECKS) * 2 - 1
+        fresh = []
+        for x in (*draws, np.sign(draws[0])):
+            values = ranges.values(x)
+            fresh.append(ranges.reference(compute_full(values), values))
+        error = SAFETY * max(inner, *(item.error(result) for item in fresh))
+        if error <= tolerance:
+            return _finish(ranges, result, error, facts)
+        samples += fresh
+    problem = "the error cannot be certified over the box of the parameters"
+    got = f"{error:.2g} at a point that nothing was made from"
+    raise range_error(problem, frame.name, got, tolerance)
+
+
+def _finish(
+    ranges: _Ranges,
+    result: HeatOverRanges,
+    error: float,
+    facts: Sequence[tuple[Values, Mapping[str, float]]],
+) -> HeatOverRanges:
+    """Add the certificate and the facts of full models."""
+    axes = ranges.terms.axes
+    semidefinite = all(map(is_semidefinite, (*result.terms.E, *result.terms.K)))
+    proof = prove_stability(result.at(ranges.values(np.zeros(len(axes)))).pencil, ranges.band)
+    certificate = Certificate(
+        band_hz=ranges.band,
+        error_estimate=error,
+        method=f"over the box: difference to {CHECKS + 1} full models that nothing was made from",
+        stable=proof.stable,
+        passive=proof.passive and semidefinite,
+        norm=ranges.norm,
+    )
+    positive = []
+    for values, item in facts:
+        positive.append((values, {name: np.log(v) for name, v in item.items() if v > 0}))
+    exponents = list_exponents(len(axes), FACT_DEGREE)
+    known = interpolate_facts(axes, exponents, positive)
+    return replace(result, certificate=certificate, exponents=exponents, facts=known)
+
+
+class _Ranges:
+    """Full models over the ranges, and the requirements on the reduced one."""
+
+    def __init__(
+        self,
+        terms: MatrixTerms,
+        frame: LinearModel,
+        aims: tuple[tuple[float, float], float, Norm],
+        given: tuple[str, ...],
+    ) -> None:
+        self.terms, self.frame, self.given = terms, frame, given
+        self.band, self.tolerance, self.norm = aims
+        self.isolated = bool(given) and all(map(keeps_all_heat, terms.K))
+
+    def values(self, x: np.ndarray) -> dict[str, float]:
+        """Values of the parameters at coordinates (axes,)."""
+        pairs = zip(self.terms.axes, x, strict=True)
+        return {axis.name: axis.value(float(v)) for axis, v in pairs}
+
+    def model(self, values: Values) -> LinearModel:
+        """The full model by the sum of its terms."""
+        return LinearModel(
+            **self.terms.at(values), B=self.frame.B, ports=self.frame.ports, name=self.frame.name
+        )
+
+    def reference(self, model: LinearModel, values: Values) -> _Reference:
+        """Return what a reduced model is compared with at these values."""
+        parts = split_given(model, self.given)
+        inner = _live_ports(parts.inner)
+        if inner.order <= DENSE:
+            inner, _ = modal_coordinates(inner)
+        limits = 0.01 * self.tolerance, 0.3 * self.tolerance
+        space = intermediate_model(inner.pencil, self.band, *limits)
+        estimator = space.estimator(self.band, self.norm)
+        return _Reference(self, values, parts, names_of(inner.ports), estimator, space.error)
+
+
+def _live_ports(model: LinearModel) -> LinearModel:
+    """Return a model without ports that nothing feels."""
+    live = np.flatnonzero(np.abs(model.B).max(axis=0) > 0)
+    return model.select([model.ports[k].name for k in live])
+
+
+@dataclass(frozen=True, eq=False)
+class _Reference:
+    """Responses of a full model at ``values`` of the parameters."""
+
+    ranges: _Ranges
+    values: Values
+    parts: GivenTemperatures
+    live: Sequence[str]
+    estimator: ErrorEstimator
+    uncertainty: float
+
+    def error(self, reduced: HeatOverRanges, limit: float = np.inf) -> float:
+        """Largest relative error of a reduced model, over frequency and at rest."""
+        ours = split_given(reduced.at(self.values), self.ranges.given)
+        response = Response(ours.inner.select(self.live).pencil.dense())
+        still = self._static_error(ours)
+        if still > limit:
+            return still
+        return max(still, self.estimator.error(response, limit) + self.uncertainty)
+
+    def _static_error(self, ours: GivenTemperatures) -> float:
+        """Largest relative error of the static answers to given temperatures."""
+        share = share_of(self.ranges.norm)
+        size = float(self.parts.inner.pencil.coefficients[0].diagonal().max())
+        result = 0.0
+        pairs = (
+            (ours.shares, self.parts.shares, ROUNDING),
+            (ours.conductance, self.parts.conductance, ROUNDING * size),
+        )
+        for mine, exact, rounding in pairs:
+            if exact.size:
+                base = np.maximum(np.abs(exact), share * np.abs(exact).max())
+                error = np.maximum(np.abs(mine - exact) - rounding, 0.0)
+                result = max(result, float((error / (base + np.finfo(float).tiny)).max()))
+        return result
+
+
+class _Basis:
+    """Directions of the reduced models at values of the parameters, with their weights.
+
+    The unknowns that are not given are ``psi T_i + W c``, with the static answers ``psi`` at the
+    middle of the ranges. A direction of W is a mode of a reduced model, scaled by its largest share
+    in the static response of a port, or a change of the static answers.
+    """
+
+    def __init__(self, ranges: _Ranges, points: Sequence[np.ndarray]) -> None:
+        self.ranges = ranges
+        middle = ranges.model(ranges.values(np.zeros(len(ranges.terms.axes))))
+        self.middle = split_given(middle, ranges.given)
+        self.conductance, stored = self.middle.inner.pencil.coefficients
+        rates = self.conductance.diagonal() / np.maximum(stored.diagonal(), np.finfo(float).tiny)
+        rate = float(rates[stored.diagonal() > 0].max(initial=2 * np.pi * ranges.band[1]))
+        self.product = stored + self.conductance / rate
+        self.columns: list[np.ndarray] = []
+        self.count = 0
+        for x in points:
+            self.add(ranges.values(x))
+
+    def add(self, values: Values) -> None:
+        """Add the reduced model at values of the parameters."""
+        ranges, n = self.ranges, len(self.middle.at)
+        self.count += 1
+        model = ranges.model(values)
+        aims = {"tolerance": SAMPLE_SHARE * ranges.tolerance, "order": None}
+        small = reduce_with_interfaces(
+            model, ranges.given, band=ranges.band, norm=ranges.norm, **aims
+        )
+        if small.basis is None:
+            raise no_congruence_error(model)
+        parts = split_given(model, ranges.given)
+        W = small.basis[parts.others][:, n:]
+        K, E = (W.T @ (matrix @ W) for matrix in parts.inner.pencil.coefficients)
+        _, shapes = modal_coordinates(
+            LinearModel(E=E, K=K, B=W.T @ parts.inner.B, ports=parts.inner.ports)
+        )
+        modes = W @ shapes
+        gains = np.abs(parts.inner.B.T @ modes)
+        total = np.sqrt((gains**2).sum(axis=1, keepdims=True))
+        share = (gains / np.where(total > 0, total, 1.0)).max(axis=0)
+        self.columns.append(modes * share)
+        change = parts.psi - self.middle.psi
+        size = self._norms(self.middle.psi)
+        self.columns.append(change / np.where(size > 0, size, 1.0))
+
+    def _norms(self, columns: np.ndarray) -> np.ndarray:
+        squares = np.einsum("ij,ij->j", columns, self.conductance @ columns)
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
+
+    def orthonormal(self) -> np.ndarray:
+        """Return directions (others, directions), orthonormal in the product of K, largest first.
+
+        The product ``G = E + K / s``, with the highest rate s of single unknowns, decides whether
+        columns are independent. For slow modes ``x'K x`` is a difference of far larger numbers.
+        """
+        X = np.hstack(self.columns)
+        size = np.sqrt(np.einsum("ij,ij->j", X, self.product @ X))
+        Q = X[:, size > 0] / size[size > 0]
+        for least in (DEPENDENT, 0.0):  # the second time orthonormal to rounding
+            squares, T = np.linalg.eigh(Q.T @ (self.product @ Q))
+            independent = squares > least * squares[-1]
+            Q = Q @ (T[:, independent] / np.sqrt(squares[independent]))
+        stiff, shapes = np.linalg.eigh(Q.T @ (self.conductance @ Q))
+        Q = Q @ (shapes / np.sqrt(np.maximum(stiff, np.finfo(float).eps * stiff[-1])))
+        U, _, _ = np.linalg.svd(Q.T @ (self.conductance @ X), full_matrices=False)
+        return np.asarray(Q @ U)
+
+    def model(self, W: np.ndarray) -> HeatOverRanges:
+        """Return the reduced model of directions (others, directions)."""
+        middle, ranges = self.middle, self.ranges
+        n = len(middle.at)
+        V = np.zeros((ranges.frame.order, n + W.shape[1]))
+        V[middle.at, :n], V[middle.others, :n] = np.eye(n), middle.psi
+        V[middle.others, n:] = W
+        stiff = [_project(K, V) for K in ranges.terms.K]
+        if ranges.isolated:  # one temperature everywhere moves no heat
+            constant = np.zeros((V.shape[1], 1))
+            constant[:n] = 1 / np.sqrt(n)
+            P = np.eye(V.shape[1]) - constant @ constant.T
+            stiff = [P @ K @ P for K in stiff]
+        stored = [_project(E, V) for E in ranges.terms.E]
+        return HeatOverRanges(
+            terms=replace(ranges.terms, E=tuple(stored), K=tuple(stiff)),
+            B=V.T @ ranges.frame.B,
+            ports=ranges.frame.ports,
+            exponents=np.zeros((1, len(ranges.terms.axes)), int),
+            name=ranges.frame.name,
+        )
+
+
+def _project(matrix: sparse.csc_array, V: np.ndarray) -> np.ndarray:
+    """Return ``V' matrix V`` without negative eigenvalues that are rounding.
+
+    Conductances of an insulated body have an eigenvalue of zero, which is the difference of far
+    larger numbers.
+    """
+    result = V.T @ (matrix @ V)
+    values, vectors = np.linalg.eigh(0.5 * (result + result.T))
+    if values.size and -CLIPPED * values[-1] < values[0] < 0:
+        values = np.maximum(values, 0.0)
+    result = (vectors * values) @ vectors.T
+    return np.asarray(0.5 * (result + result.T))
+
+
+def _find_smallest(
+    basis: _Basis, samples: Sequence[_Reference], limit: float
+) -> tuple[HeatOverRanges, float]:
+    """Return the model of the fewest directions within the limit at all samples, and its error.
+
+    Raises
+    ------
+    SimulationError : not even all directions of :data:`MOST_VALUES` values are enough.
+    """
+    while True:
+        W = basis.orthonormal()
+        result = basis.model(W)
+        errors = [item.error(result) for item in samples]
+        worst = int(np.argmax(errors))
+        if errors[worst] <= limit * BASIS_SHARE / FINAL_SHARE or basis.count >= MOST_VALUES:
+            break
+        basis.add(samples[worst].values)
+    if errors[worst] > limit:
+        problem = "the ranges of the parameters are too wide for one basis"
+        got = f"an error of {errors[worst]:.2g}"
+        raise range_error(problem, result.name, got, limit)
+    best, error = result, errors[worst]
+    low, high = 1, W.shape[1]
+    while low < high:
+        count = (low + high) // 2
+        model = basis.model(W[:, :count])
+        largest = _largest_error(model, samples, limit)
+        if largest <= limit:
+            high, best, error = count, model, largest
+        else:
+            low = count + 1
+    return best, error
+
+
+def _largest_error(model: HeatOverRanges, samples: Sequence[_Reference], limit: float) -> float:
+    """Largest error at the samples; above the limit the first one that exceeds it."""
+    result = 0.0
+    for item in samples:
+        try:
+            result = max(result, item.error(model, limit))
+        except (np.linalg.LinAlgError, UsageError):
+            return np.inf
+        if result > limit:
+            break
+    return result

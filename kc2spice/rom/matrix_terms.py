@@ -1,0 +1,164 @@
+"""Matrices of heat models as sums of terms with powers of parameters as factors.
+
+The conductances of a body are proportional to conductivities and film coefficients, and inversely
+proportional to thicknesses and resistances of joints. Its heat capacities are proportional to
+densities. The matrices E and K over ranges of parameters are therefore sums
+
+    K(p) = sum_t f_t(p) K_t,    f_t(p) = prod_k (p_k / s_k)^a_tk,    a_tk in {-1, 0, 1}
+
+with constant scales s_k. The terms follow from full models at a few values of the parameters, which
+determine the sum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.parametric import Full, ParameterAxis, Values
+
+# Powers of a parameter in the terms: the first ones that represent the matrices are taken. A range
+# that begins at zero has no reciprocal.
+POWERS: tuple[tuple[int, ...], ...] = ((0,), (0, 1), (0, -1), (0, 1, -1))
+PLACES = {1: (0.0,), 2: (-1.0, 1.0), 3: (-1.0, 0.0, 1.0)}  # coordinates by number of powers
+CHECKED = 0.31, -0.47, 0.62, -0.23  # coordinates at which the sum is compared with a full model
+EXACT = 1e-9  # relative difference of an entry that is rounding
+NEGLIGIBLE = 1e-12  # share of a term in an entry that is rounding
+LETTERS = "EK"
+
+_Matrices = Mapping[str, sparse.csc_array]
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixTerms:
+    """Terms of E and K, with the constant matrix B.
+
+    ``powers`` (terms, axes) are the exponents of each factor and ``scales`` (axes,) the values of
+    the parameters at which all factors are one. ``E`` and ``K`` contain one matrix for each term.
+    """
+
+    axes: tuple[ParameterAxis, ...]
+    scales: np.ndarray
+    powers: np.ndarray
+    E: tuple[Any, ...]
+    K: tuple[Any, ...]
+
+    def factors(self, values: Values) -> np.ndarray:
+        """Factors (terms,) at values of all parameters."""
+        return compute_factors(self.powers, [values[a.name] for a in self.axes] / self.scales)
+
+    def at(self, values: Values) -> dict[str, Any]:
+        """E and K at values of all parameters."""
+        factors = self.factors(values)
+        return {letter: sum_products(factors, getattr(self, letter)) for letter in LETTERS}
+
+
+def compute_factors(powers: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Return the products of powers (terms,) of the parameters relative to their scales (axes,)."""
+    return np.asarray(np.prod(np.asarray(shares, dtype=float) ** powers, axis=1))
+
+
+def sum_products(factors: Iterable[float], matrices: Iterable[Any]) -> Any:
+    """Return the sum of matrices with factors."""
+    first, *others = (f * matrix for f, matrix in zip(factors, matrices, strict=True))
+    return sum(others, start=first)
+
+
+def find_terms(full: Full, axes: Sequence[ParameterAxis]) -> MatrixTerms:
+    """Return the terms of E and K of the heat models ``full(values)``.
+
+    Raises
+    ------
+    UsageError : a parameter whose matrices are no such sum, or that changes B or the number of
+        unknowns.
+    """
+    middle = {axis.name: axis.middle for axis in axes}
+    scales = np.array([axis.middle if axis.low else axis.high for axis in axes])
+    frame = full(middle)
+
+    @cache
+    def matrices_at(coordinates: tuple[float, ...]) -> _Matrices:
+        pairs = zip(axes, coordinates, strict=True)
+        model = full({axis.name: axis.value(x) for axis, x in pairs})
+        if model.order != frame.order:
+            raise _no_terms_error(frame.name, "the mesh changes its cells within the ranges")
+        if np.abs(model.B - frame.B).max() > EXACT * np.abs(frame.B).max():
+            raise _no_terms_error(frame.name, "the places of its heat sources change")
+        K, E = map(sparse.csc_array, model.pencil.coefficients)
+        return {"E": E, "K": K}
+
+    def interpolate(choice: Sequence[tuple[int, ...]]) -> MatrixTerms:
+        """Return the terms with all products of a choice of powers for each axis."""
+        powers = np.array([*product(*choice)], dtype=int).reshape(-1, len(axes))
+        places = [*product(*(PLACES[len(item)] for item in choice))]
+        rows = []
+        for place in places:
+            values = [axis.value(x) for axis, x in zip(axes, place, strict=True)]
+            rows.append(compute_factors(powers, values / scales))
+        weights = np.linalg.inv(rows)
+        samples = [matrices_at(place) for place in places]
+        largest = np.abs(rows).max(axis=0)
+        terms = {}
+        for letter in LETTERS:
+            known = [item[letter] for item in samples]
+            terms[letter] = _drop_rounding([sum_products(w, known) for w in weights], largest)
+        active = [bool(E.nnz or K.nnz) for E, K in zip(terms["E"], terms["K"], strict=True)]
+        E, K = ([m for m, use in zip(terms[k], active, strict=True) if use] for k in LETTERS)
+        return MatrixTerms(tuple(axes), scales, powers[active], tuple(E), tuple(K))
+
+    def represents(terms: MatrixTerms, coordinates: tuple[float, ...]) -> bool:
+        """Whether the sum is the full model at these coordinates."""
+        pairs = zip(axes, coordinates, strict=True)
+        ours = terms.at({axis.name: axis.value(x) for axis, x in pairs})
+        for letter, matrix in matrices_at(coordinates).items():
+            largest = sum_products(np.ones(len(terms.powers)), map(abs, getattr(terms, letter)))
+            limit = EXACT * (largest + abs(matrix))
+            excess = (abs(ours[letter] - matrix) - limit).max()
+            if excess > NEGLIGIBLE * abs(matrix).max():
+                return False
+        return True
+
+    chosen: list[tuple[int, ...]] = []
+    for k, axis in enumerate(axes):
+        for powers in POWERS if axis.low else POWERS[:2]:
+            alone: list[tuple[int, ...]] = [(0,)] * len(axes)
+            alone[k] = powers
+            place = tuple(CHECKED[0] * (n == k) for n in range(len(axes)))
+            if represents(interpolate(alone), place):
+                chosen.append(powers)
+                break
+        else:
+            raise _no_terms_error(axis.name, "its matrices are no sum with this key as a factor")
+    result = interpolate(chosen)
+    if len(axes) > 1 and not represents(result, CHECKED[: len(axes)]):
+        raise _no_terms_error(frame.name, "its matrices are no sum with these keys as factors")
+    return result
+
+
+def _drop_rounding(terms: Sequence[Any], largest: np.ndarray) -> list[Any]:
+    """Remove entries of terms that are rounding beside the other terms."""
+    size = sum_products(largest, map(abs, terms))
+    result = []
+    for matrix, factor in zip(terms, largest, strict=True):
+        kept = matrix.multiply(factor * abs(matrix) > NEGLIGIBLE * size)
+        kept = sparse.csc_array(kept)
+        kept.eliminate_zeros()
+        result.append(kept)
+    return result
+
+
+def _no_terms_error(where: str, problem: str) -> UsageError:
+    return UsageError(
+        f"not a parameter of a netlist of heat: {problem}",
+        where=where,
+        expected="film coefficients, resistances, conductivities, densities, specific heats, and "
+        "lengths and areas of layers",
+        hint="remove this key from rom.parameters",
+    )

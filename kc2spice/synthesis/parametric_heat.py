@@ -1,0 +1,196 @@
+"""Heat networks that depend on parameters, as one subcircuit with these parameters.
+
+The modes are those at the defaults of the parameters (:mod:`kc2spice.synthesis.heat`). With the
+factors ``f_t(p)`` of :mod:`kc2spice.rom.matrix_terms`, the matrices in the coordinates of the modes
+are
+
+    K(p) = diag(1 / R) + sum_t (f_t(p) - f_t(p_0)) K_t,    E(p) = diag(C) + sum_t (...) E_t.
+
+Each difference is one ``.param`` card. The diagonals are resistors and capacitors, and the other
+entries are sources and capacitors between the modes. K and E have no negative eigenvalue at any
+positive value of the parameters, so that the circuit is passive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from kc2spice.netlist.circuit import Element, Param
+from kc2spice.netlist.elements import Line
+from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.spelling import name as checked_name
+from kc2spice.netlist.spelling import number, require_distinct
+from kc2spice.rom.heat_ranges import HeatOverRanges
+from kc2spice.rom.matrix_terms import compute_factors
+from kc2spice.synthesis.header import mesh_entry
+from kc2spice.synthesis.heat import (
+    UNHEATED,
+    HeatModes,
+    decouple_heat,
+    describe_heat_mode,
+    heat_flow_cards,
+    heat_port_cards,
+)
+from kc2spice.synthesis.parameter_ranges import (
+    RANGE_STOPS,
+    parameter_card,
+    range_cards,
+    range_stops,
+    sample_range,
+)
+from kc2spice.synthesis.realize import UNRATED, heat_pins, heat_words, make_subcircuit
+
+# Names that the subcircuit uses for its own parameters.
+_RESERVED = r"change\d+|inside\d+"
+NEGLIGIBLE = 1e-15  # entry of a matrix, relative to those of its row and column, that is rounding
+_ABOUT = """\
+* Heat network over ranges of parameters: 1 V is 1 K of temperature rise over the pin {base}, 1 A is
+* 1 W into the pin. Connect {base} to node 0, or to a source whose voltage is the temperature there.
+* Every mode of the defaults is a thermal resistance [K/W] beside a heat capacity [J/K]. A parameter
+* changes these, and couples the modes in proportion to its change.
+* Ports feel the modes through ideal transformers: V(h1) times its factor adds to the temperature
+* of the port, and the heat flow times the same factor goes into the node h1. The voltage of node f
+* is the heat flow that holds the pin at that temperature (1 V = 1 W)."""
+
+
+def heat_subcircuit_over_ranges(
+    model: HeatOverRanges,
+    name: str,
+    parameters: Sequence[Param],
+    header: Header | None = None,
+    *,
+    rating: str = UNRATED,
+) -> Subcircuit:
+    """Return the subcircuit of a heat model with the pins of its ports and with parameters.
+
+    Parameters
+    ----------
+    model : reduced heat model over ranges of parameters.
+    name : name of the subcircuit and of its library file.
+    parameters : parameters of ``model.box`` in its order, with their names in the netlist.
+    header : origin of the netlist.
+    rating : largest permitted load of the body, for the head of the library.
+
+    Raises
+    ------
+    UsageError : a name that the subcircuit has for itself, or a model that is not passive at the
+        defaults.
+    """
+    names = [item.name for item in parameters]
+    for parameter in names:
+        checked_name(parameter, where=f"{name}: parameters")
+    require_distinct(names, _RESERVED, where=name)
+    values = {key: p.default for key, p in zip(model.box, parameters, strict=True)}
+    rom = model.at(values)
+    pins, base = heat_pins(rom, name)
+    network = _make_network(model, parameters)
+    body = [
+        *range_cards(parameters),
+        *(parameter_card(f"change{t}", text) for t, text in enumerate(network.changes, 1)),
+        RANGE_STOPS,
+        *range_stops(parameters, base),
+        *heat_port_cards(network.modes, base),
+        *network.cards(base),
+    ]
+    about = _ABOUT.format(base=base).split("\n")
+    head = header or Header(model.name, "-")
+    words = heat_words(rating) | {"within": ", parameters within their ranges,"}
+    others = list(sample_range(model, parameters))
+    return make_subcircuit(
+        rom, name, pins, base, tuple(parameters), head, (about, body), others=others,
+        mesh=mesh_entry(rom.facts), **words,
+    )  # fmt: skip
+
+
+def _make_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _Network:
+    """Return the modes at the defaults, and the change of their matrices with each factor."""
+    values = {key: p.default for key, p in zip(model.box, parameters, strict=True)}
+    rom = model.at(values)
+    times, shapes = decouple_heat(rom)
+    gain = shapes.T @ rom.B
+    size = np.abs(gain).max(axis=1)
+    size = np.maximum(size, UNHEATED * size.max())
+    sign = np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])
+    sign = np.where(sign == 0, 1.0, sign)
+    shapes = shapes * (sign / size)
+    modes = HeatModes(size**2, times / size**2, shapes.T @ rom.B, rom.D, rom.ports)
+    defaults = np.array([p.default for p in parameters])
+    scales = np.where(defaults > 0, defaults, [axis.high for axis in model.terms.axes])
+    units = compute_factors(model.terms.powers, scales / model.terms.scales)
+    start = compute_factors(model.terms.powers, defaults / scales)
+    changes, stiff, stored = [], [], []
+    for t, powers in enumerate(model.terms.powers):
+        if not powers.any():
+            continue
+        changes.append(_write_change(powers, parameters, scales, start[t]))
+        stiff.append(_without_rounding(shapes.T @ (units[t] * model.terms.K[t]) @ shapes))
+        stored.append(_without_rounding(shapes.T @ (units[t] * model.terms.E[t]) @ shapes))
+    return _Network(modes, tuple(changes), np.array(stiff), np.array(stored))
+
+
+def _write_change(
+    powers: np.ndarray, parameters: Sequence[Param], scales: np.ndarray, start: float
+) -> str:
+    """Return the text of ``prod_k (p_k / s_k)^a_k - start``."""
+    text = ""
+    for p, scale, power in zip(parameters, scales, powers, strict=True):
+        if power:
+            factor = f"{p.name}/{number(scale)}" if power > 0 else f"{number(scale)}/{p.name}"
+            text += f"*({factor})" if text else factor
+    return f"{text}-{number(start)}" if start else text
+
+
+def _without_rounding(matrix: np.ndarray) -> np.ndarray:
+    """Return a matrix without entries that are rounding beside those of their row and column."""
+    size = np.sqrt(np.abs(np.diag(matrix)))
+    return np.where(np.abs(matrix) > NEGLIGIBLE * np.outer(size, size), matrix, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Network:
+    """Modes of the defaults, and changes (changes, modes, modes) of their K and E."""
+
+    modes: HeatModes
+    changes: tuple[str, ...]
+    stiff: np.ndarray
+    stored: np.ndarray
+
+    def cards(self, base: str) -> Iterator[Line]:
+        """Yield the elements of all modes, then those between modes."""
+        for j in range(len(self.modes.resistance)):
+            yield describe_heat_mode(self.modes, j).replace(":", " at the defaults:", 1)
+            yield from self._mode_elements(j, base)
+            yield from heat_flow_cards(self.modes, j, base)
+        yield "\n* Changes of the parameters couple the modes."
+        for i, j in combinations(range(len(self.modes.resistance)), 2):
+            if flow := self._write_sum(0.0, self.stiff[:, i, j]):
+                a, b = f"h{i + 1}", f"h{j + 1}"
+                yield Element.of(f"Gk{i + 1}_{j + 1}", a, base, b, base, f"{{{flow}}}")
+                yield Element.of(f"Gk{j + 1}_{i + 1}", b, base, a, base, f"{{{flow}}}")
+            if heat := self._write_sum(0.0, -self.stored[:, i, j]):
+                yield Element.of(f"C{i + 1}_{j + 1}", f"h{i + 1}", f"h{j + 1}", f"{{{heat}}}")
+
+    def _mode_elements(self, j: int, base: str) -> Iterator[Line]:
+        node, R, C = f"h{j + 1}", self.modes.resistance[j], self.modes.capacity[j]
+        flow = self._write_sum(1 / R, self.stiff[:, j, j])
+        changed = self.stiff[:, j, j].any()
+        yield Element.of(f"R{j + 1}", node, base, f"{{1/({flow})}}" if changed else float(R))
+        # capacitors between modes store the heat of differences, which the row sum leaves here
+        sums = self.stored[:, j].sum(axis=1)
+        if sums.any():
+            yield Element.of(f"C{j + 1}", node, base, f"{{{self._write_sum(C, sums)}}}")
+        elif C > 0:
+            yield Element.of(f"C{j + 1}", node, base, float(C))
+
+    def _write_sum(self, constant: float, coefficients: np.ndarray) -> str:
+        """Return the text of a constant plus changes with coefficients; none if all are zero."""
+        text = number(constant) if constant else ""
+        for t, value in enumerate(coefficients, 1):
+            if value:
+                sign = "-" if value < 0 else "+" if text else ""
+                text += f"{sign}{number(abs(value))}*change{t}"
+        return text
