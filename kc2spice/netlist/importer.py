@@ -112,14 +112,22 @@ def translate_circuit(circuit: Circuit, syntax: Syntax) -> Circuit:
     """
     if syntax == "ngspice":
         return circuit
-    return _Scope(circuit, {}, syntax).translated()
+    return _Scope(circuit, {}, frozenset(), syntax).translated()
 
 
 class _Scope:
-    """One circuit of the tree, with the models that its elements can name."""
+    """One circuit of the tree, with the models and functions that its elements can name."""
 
-    def __init__(self, circuit: Circuit, models: Mapping[str, Model], syntax: Syntax) -> None:
+    def __init__(
+        self,
+        circuit: Circuit,
+        models: Mapping[str, Model],
+        functions: frozenset[str],
+        syntax: Syntax,
+    ) -> None:
         self.circuit, self.syntax = circuit, syntax
+        defined = items_of(circuit.items, Function)
+        self.functions = functions | {function.name.lower() for function in defined}
         local = {model.name.lower(): model for model in items_of(circuit.items, Model)}
         self.models = {**models, **local}
         elements = items_of(circuit.items, Element)
@@ -158,7 +166,7 @@ class _Scope:
     def _item(self, item: Item) -> Iterable[Item]:
         match item:
             case Circuit():
-                return (_Scope(item, self.models, self.syntax).translated(),)
+                return (_Scope(item, self.models, self.functions, self.syntax).translated(),)
             case Model():
                 return self._model(item)
             case Parameters():
@@ -546,6 +554,8 @@ class _Translator:
         return self.scope.metered.setdefault(element.key, f"V{element.name}_meter")
 
     def _call(self, function: str, arguments: tuple[Tree, ...]) -> Tree:
+        if function in self.scope.functions:  # its .func replaces a function of the program
+            return Call(function, arguments)
         if reason := _NO_EQUAL.get(function):
             got = Writer().write(Call(function, arguments))
             raise self.card.error(f"{reason} has no equal in ngspice", got[:80])

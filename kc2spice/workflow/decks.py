@@ -175,13 +175,18 @@ def _items(
 
 
 def _options(build: Build) -> Iterable[Option]:
-    """Return the options of a deck: tolerances of a transient, then those of the parts."""
+    """Return the options of a deck: tolerances, then those of the parts.
+
+    Other analyses than a transient have the tolerance of iterations only if the scene states it.
+    """
     scene = build.scene
     solver, rows = scene.solver, scene.numerics
     part_options: list[Option] = []
     for row in rows:
         part_options += [Option(key, *why) for key, why in row.options.items()]
     if scene.analysis.type != "transient":
+        if "reltol" in solver.model_fields_set:
+            return [Option("reltol", solver.reltol, "relative error of iterations"), *part_options]
         return part_options
     reltol = solver.reltol * min(map(attrgetter("reltol"), rows), default=1.0)
     chgtol = solver.chgtol * min(map(attrgetter("chgtol"), rows), default=1.0)
