@@ -36,6 +36,7 @@ from kc2spice.netlist.expression import literal
 
 _LAWS = ("value", "vol", "cur", "table", "poly", "laplace")
 
+THERMAL_FLAG = "thermal"  # of a VDMOS of ngspice with pins of temperature (ngspice manual 11.3)
 OPTION_CARDS = frozenset((".options", ".option", ".opt"))
 _OPEN, _CLOSE = "({[", ")}]"
 _INLINE = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment behind a card
@@ -302,8 +303,11 @@ def _count_nodes(kind: str, rest: Sequence[str]) -> int:
         return 2 if word in _LAWS else 4
     if kind == "q" and len(rest) > 4 and "=" not in rest[4] and rest[4][0] not in "0123456789.+-":
         return 4
-    if kind == "m" and len([*takewhile(lambda w: "=" not in w, rest)]) == 4:
-        return 3  # a VDMOS has no bulk
+    if kind == "m":
+        words = [*takewhile(lambda w: "=" not in w, rest)]
+        if words[-1:] and words[-1].lower() == THERMAL_FLAG:
+            return len(words) - 2  # a VDMOS with the temperatures of junction and case
+        return 3 if len(words) == 4 else 4  # a VDMOS has no bulk
     return NODES[kind]
 
 

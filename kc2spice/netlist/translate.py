@@ -79,7 +79,8 @@ def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
 
     For ngspice, the files are a KiCad project of the whole deck and the symbols for all other
     simulators. The latter name the libraries ``NAME.DIALECT.lib``, which are written too. In
-    another dialect the symbols of its simulator name the libraries ``NAME.lib``.
+    another dialect the symbols of its simulator name the libraries ``NAME.lib``. A part of the user
+    that only ngspice can simulate has no symbols for other simulators.
 
     Raises
     ------
@@ -95,7 +96,10 @@ def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
             stem = part.filename.removesuffix(".lib")
             library = f"{stem}.{name}.lib" if dialect == NGSPICE else f"{stem}.lib"
             symbols = printer.symbols(part, library)
-            files |= symbols
             if symbols and dialect == NGSPICE:
-                files[library] = printer.file(part.located_tree)
+                try:
+                    symbols = {**symbols, library: printer.file(part.located_tree)}
+                except UsageError:  # a card that the other simulator lacks
+                    symbols = {}
+            files |= symbols
     return files

@@ -215,7 +215,13 @@ def module_files(part: Subcircuit) -> dict[str, str]:
         spelled = params[p.name.lower()] = module.identifier(p.name)
         line = f"parameter real {spelled} = {number(p.default)};"
         module.declarations.append(f"{line}  // {p.unit}: {p.doc}")
-    _expand(VerilogNames(module, scope, pins, params, ""))
+    names = VerilogNames(module, scope, pins, params, "")
+    for key, default in scope.defaults.items():  # of a user's subcircuit, without a description
+        if key.lower() not in params:
+            spelled, value = module.identifier(key), names.value(default)
+            module.declarations.append(f"parameter real {spelled} = {value};")
+            params[key.lower()] = spelled
+    _expand(names)
     ports = ", ".join(pins.values())
     inner = ", ".join(module.nodes.values())
     notes = part.circuit.items[0].notes if part.circuit.items else ()
