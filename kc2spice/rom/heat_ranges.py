@@ -209,7 +209,7 @@ class _Ranges:
     ) -> None:
         self.terms, self.frame, self.given = terms, frame, given
         self.band, self.tolerance, self.norm = aims
-        self.isolated = bool(given) and all(map(keeps_all_heat, terms.K))
+        self.isolated = [bool(given) and keeps_all_heat(K) for K in terms.K]
 
     def values(self, x: np.ndarray) -> dict[str, float]:
         """Values of the parameters at coordinates (axes,)."""
@@ -354,11 +354,11 @@ class _Basis:
         V[middle.at, :n], V[middle.others, :n] = np.eye(n), middle.psi
         V[middle.others, n:] = W
         stiff = [_project(K, V) for K in ranges.terms.K]
-        if ranges.isolated:  # one temperature everywhere moves no heat
-            constant = np.zeros((V.shape[1], 1))
-            constant[:n] = 1 / np.sqrt(n)
-            P = np.eye(V.shape[1]) - constant @ constant.T
-            stiff = [P @ K @ P for K in stiff]
+        constant = np.zeros((V.shape[1], 1))
+        constant[:n] = 1 / np.sqrt(max(n, 1))
+        P = np.eye(V.shape[1]) - constant @ constant.T
+        for t in np.flatnonzero(ranges.isolated):  # one temperature everywhere moves no heat
+            stiff[t] = P @ stiff[t] @ P
         stored = [_project(E, V) for E in ranges.terms.E]
         return HeatOverRanges(
             terms=replace(ranges.terms, E=tuple(stored), K=tuple(stiff)),

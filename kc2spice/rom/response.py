@@ -208,6 +208,20 @@ class Response:
         return frequency[visible], ratio[visible]
 
 
+class DirectResponse(Response):
+    """Dense pencil that is solved at each frequency.
+
+    If conductances differ by many orders of magnitude, the modes of an almost singular matrix have
+    larger rounding errors than these solutions.
+    """
+
+    modes = None
+
+    @cached_property
+    def _decoupling(self) -> Modes | None:
+        return None
+
+
 def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
     """Compute eigenvectors of ``(P(shift))^-1`` times the inertia in first order.
 

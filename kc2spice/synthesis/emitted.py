@@ -21,7 +21,8 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.nodal import NodalCircuit
 from kc2spice.rom.entries import Entries, share_of
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
-from kc2spice.rom.response import Response, drop_points_near_poles, sample_band
+from kc2spice.rom.response import DirectResponse, Response, drop_points_near_poles, sample_band
+from kc2spice.synthesis.heat import is_heat
 
 MICRO = TRANSLATION.across.factor  # m on 1 V of a displacement pin; a charge node has as many C
 LOWEST = 1e-6  # lowest frequency of a band that begins at zero, relative to its end
@@ -65,7 +66,7 @@ def circuit_error(
     band : lowest and highest frequency [Hz].
     """
     emitted = EmittedResponse(NodalCircuit(circuit), tuple(pins), model, values or {})
-    exact = Response(model.pencil.dense())
+    exact = (DirectResponse if is_heat(model) else Response)(model.pencil.dense())
     frequency = _select_frequencies(exact, band, emitted.unknowns)
     relative = _RelativeError(emitted, exact, norm)
     error = relative(frequency)

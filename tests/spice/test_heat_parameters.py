@@ -1,7 +1,10 @@
 """Ranges of film coefficients: the emitted netlist in ngspice at values of its parameters, against
 matrices that this module assembles and against closed forms."""
 
+import re
+import subprocess
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +12,8 @@ import pytest
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.fem.thermal_materials import thermal_material
+from kc2spice.netlist.printers.dialect_registry import dialect_names
+from kc2spice.workflow.export import export_scene
 
 ELEMENTS = 4  # quadratic elements in each layer
 # Difference of ngspice and scipy on one system of equations.
@@ -264,3 +269,90 @@ def test_a_film_of_zero_is_no_path_of_heat():
     body = {**WALL, "films": [{"group": "bottom", "coefficient": 0.0}]}
     with pytest.raises(UsageError, match="no path leads heat away"):
         scene_of(body, {"type": "op"})
+
+
+EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "monte_carlo"
+SINK_AREA = 1e-2  # m^2
+
+
+def sink_resistance():
+    """Thermal resistance of the example's layers and joint without its film."""
+    k = {
+        name: thermal_material(name).conductivity[2] for name in ("silicon", "copper", "aluminium")
+    }
+    chip = 3e-4 / (k["silicon"] * 25e-6)
+    plate = 2e-3 / (k["copper"] * 4e-4) + 1e-5 / 4e-4
+    return chip + plate + 5e-3 / (k["aluminium"] * SINK_AREA)
+
+
+def test_monte_carlo_of_ngspice_alone_has_the_mean_and_spread_of_the_closed_form(tmp_path):
+    """The logarithm of the coefficient is normal, and so is that of the film's resistance."""
+    (library,) = kc.deck(kc.load_scene(EXAMPLE / "heat_sink.toml")).parts
+    (tmp_path / "library").mkdir()
+    library.write(tmp_path / "library")
+    command = ["ngspice", "-b", str(EXAMPLE / "heat_sink.cir")]
+    log = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False).stdout
+    words = ("middle", "spread", "hottest")
+    mean, spread, hottest = (float(re.search(rf"^{w} = (\S+)", log, re.M)[1]) for w in words)
+    sigma, film = np.log(1.25), 10.0 / (50.0 * SINK_AREA)  # K of 10 W in the median film
+    expected = 10.0 * sink_resistance() + film * np.exp(sigma**2 / 2)
+    deviation = film * np.sqrt(np.expm1(sigma**2) * np.exp(sigma**2))
+    assert mean == pytest.approx(expected, abs=4 * deviation / np.sqrt(300))
+    assert spread == pytest.approx(deviation, rel=0.25)
+    assert 2 * deviation < hottest - mean < 6 * deviation
+
+
+def test_a_sweep_over_random_films_follows_the_closed_form():
+    scene = str(EXAMPLE / "heat_sink.toml")
+    key = "sink.films[0].coefficient"
+    table = kc.sweep(scene, {key: [12.0, 47.0, 130.0, 240.0]})
+    assert list(table["status"]) == ["ok"] * 4
+    h = np.array(table[key], float)
+    exact = 10.0 * (sink_resistance() + 1 / (h * SINK_AREA))
+    assert np.array(table["rise_k"], float) == pytest.approx(exact, rel=1e-5)
+
+
+MODULE = {
+    "part": "heat_body",
+    "layers": [
+        {"material": "silicon", "thickness": "0.3 mm", "area": "25 mm2",
+         "resistance": "1e-5 m2 K/W"},
+        {"material": "copper", "thickness": "2 mm", "area": "100 mm2"},
+    ],
+    "sources": {"junction": "top"},
+    "films": [
+        {"group": "bottom", "coefficient": "1 kW/(m2 K)", "pin": "air"},
+        {"group": "top", "coefficient": "5 W/(m2 K)"},
+    ],
+    "pins": {"junction": "loss.out", "air": "fan.out"},
+    "rom": {"parameters": {
+        "films[0].coefficient": ["100 W/(m2 K)", "5 kW/(m2 K)"],
+        "films[1].coefficient": ["0 W/(m2 K)", "50 W/(m2 K)"],
+    }},
+}  # fmt: skip
+FANNED = {
+    "name": "fanned",
+    "gravity": 0.0,
+    "module": MODULE,
+    "fan": {"part": "source", "kind": "temperature", "dc": "10 K"},
+    "loss": {"part": "source", "kind": "heat_flow",
+             "pulse": {"high": "20 W", "width": "100 s", "edge": "1 ms", "start": "10 ms"}},
+    "solver": {"stop": "0.1 s"},
+    "probes": {"rise_k": {"of": "module.temperature.junction", "take": "max"}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("dialect", dialect_names())
+def test_all_dialects_write_films_as_parameters(tmp_path, dialect):
+    """Without the film to ambient, the body at the corner of the ranges keeps all of its heat."""
+    written = export_scene(kc.load_scene(FANNED), tmp_path / dialect, dialect)
+    libraries = [path for path in written if path.name.startswith("fanned_module")]
+    texts = [path.read_text(encoding="utf-8") for path in libraries if path.suffix != ".asy"]
+    assert texts
+    for text in texts:
+        assert re.search(r"@pin 3 ambient unit=K flow=W", text)
+        assert re.search(r"inside2\W.*films_1_coefficient", text)
+        assert re.search(r"change\d\W.*films_0_coefficient/1000\.0-1\.0", text)
+    if dialect == "ngspice":
+        symbols = next(path for path in written if path.suffix == ".kicad_sym")
+        assert '"air"' in symbols.read_text(encoding="utf-8")
