@@ -33,6 +33,9 @@ SHORTEST = 1 / 3  # least time constant, relative to the first time after the st
 LONGEST = 10.0  # largest time constant, relative to the last time
 MOST_CONSTANTS = 12  # time constants of a network, two for each of six decades
 POLISH = 200  # most evaluations of a refinement
+# Ends of a refinement, relative to sum, parameters and slope. They lie so far below the noise that
+# rounding of the samples does not change the digits of the elements.
+EXACT = {"ftol": 1e-14, "xtol": 1e-11, "gtol": 1e-14}
 # Groups of samples in each decade. Least squares see the mean of a group, and the mean of the
 # network over the same samples. A network does not change within 5 % of the time.
 GROUPS_PER_DECADE = 50
@@ -222,7 +225,7 @@ def _refine(
         x, low, high = np.r_[x, start], np.r_[low, -np.inf], np.r_[high, np.inf]
     scale = np.linalg.norm(slopes(x), axis=0)
     x_scale = 1 / np.where(scale > 0, scale, 1.0)
-    found = least_squares(residual, x, slopes, bounds=(low, high), x_scale=x_scale, max_nfev=POLISH)
+    found = least_squares(residual, x, slopes, bounds=(low, high), x_scale=x_scale, max_nfev=POLISH, **EXACT)
     R, t, start = split(found.x)
     order = np.argsort(t)
     network = FosterNetwork(R[order], t[order])
