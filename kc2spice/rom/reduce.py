@@ -261,7 +261,8 @@ def find_basis_of_order(
         if target.method is not None:
             bases[key] = [_prescribed_basis(task, reductors[0])]
         else:
-            candidates = (item.basis(task) for item in reductors if item.congruence)
+            suited = (item for item in reductors if item.congruence and item.applies_to(task))
+            candidates = (item.basis(task) for item in suited)
             bases[key] = [basis for basis in candidates if basis is not None]
     return select_basis(bases[key], target.order), target.order
 

@@ -111,9 +111,9 @@ def reduce(
     method : str or Reductor, optional
         Method of reduction: ``"response POD"``, ``"response POD of both sides"``, ``"balanced
         truncation"``, ``"balanced truncation of outputs as they are"``, ``"balanced truncation over
-        the band"``, ``"block Krylov"``, ``"rational Krylov"``, ``"IRKA"``, or one of
-        :func:`kc2spice.register_reductor`. By default response POD and the variants of balanced
-        truncation that suit the model are tried.
+        the band"``, ``"balanced truncation by congruence"``, ``"block Krylov"``, ``"rational
+        Krylov"``, ``"IRKA"``, or one of :func:`kc2spice.register_reductor`. By default response POD
+        and the variants of balanced truncation that suit the model are tried.
     parameters : mapping, optional
         Refused unless empty: a :class:`kc2spice.AffineModel` contains the ranges of its parameters,
         and bodies of a scene have ``rom.parameters``.

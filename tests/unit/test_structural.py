@@ -180,6 +180,32 @@ def test_a_ladder_of_real_poles_becomes_a_passive_model_of_first_order(kind):
     assert not reduce_model(heavy, tolerance=1e-2, band=(0.0, 0.1), norm="peak").first_order
 
 
+@pytest.mark.parametrize("tolerance", [1e-2, 2e-3, 1e-3, 1e-4, 1e-5])
+def test_a_ladder_needs_one_state_more_than_the_bound_of_all_methods(tolerance):
+    """No model of q states is closer over all frequencies than the next Hankel singular value.
+
+    The band ends at 47 times the highest rate of the ladder, so it contains all frequencies at
+    which the response is not negligible.
+    """
+    n = 60
+    K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    K[-1, -1] = 1.0
+    B = np.eye(n)[:, :1]
+    full = LinearModel(M=1e-9 * np.eye(n), E=np.eye(n), K=K, B=B)
+    rom = reduce_model(full, tolerance=tolerance, band=(0.0, 30.0), norm="peak")
+    peak = np.linalg.solve(K, B)[0, 0]
+    hankel = np.linalg.eigvalsh(scipy.linalg.solve_continuous_lyapunov(-K, -B @ B.T))[::-1] / peak
+    least = int((hankel > tolerance).sum())
+    assert rom.first_order
+    assert rom.certificate.passive
+    assert least <= rom.order <= least + 1
+    values, X = np.linalg.eigh(K)
+    frequency = np.r_[0.0, np.geomspace(1e-5, 30.0, 300)]
+    exact = (X[0] ** 2 / (2j * np.pi * frequency[:, None] + values)).sum(axis=1)
+    error = np.abs(rom.transfer(frequency)[:, 0, 0] - exact).max() / peak
+    assert error <= rom.certificate.error_estimate <= tolerance
+
+
 def test_a_mass_without_effect_on_a_ladder_refuses_nothing():
     """An RC ladder with masses of 1e-30, whose poles of 1e21 1/s no Gramian can represent."""
     n = 50

@@ -10,15 +10,18 @@ from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation
 from kc2spice.rom.reductors.band_limited_balancing import BandLimitedBalancing
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.block_krylov import BlockKrylov
+from kc2spice.rom.reductors.congruent_balancing import CongruentBalancing
 from kc2spice.rom.reductors.irka import Irka
 from kc2spice.rom.reductors.rational_krylov import RationalKrylov
 from kc2spice.rom.reductors.response_pod import ResponsePod
 
 POD, TWO_SIDED_POD = ResponsePod(), ResponsePod(two_sided=True)
 BALANCED, UNSCALED = BalancedTruncation(), BalancedTruncation(scaled=False)
-OVER_BAND, BLOCK_KRYLOV = BandLimitedBalancing(), BlockKrylov()
+OVER_BAND, CONGRUENT = BandLimitedBalancing(), CongruentBalancing()
+BLOCK_KRYLOV = BlockKrylov()
 _BUILT_IN = (
-    POD, TWO_SIDED_POD, BALANCED, UNSCALED, OVER_BAND, BLOCK_KRYLOV, RationalKrylov(), Irka()
+    POD, TWO_SIDED_POD, BALANCED, UNSCALED, OVER_BAND, CONGRUENT, BLOCK_KRYLOV, RationalKrylov(),
+    Irka(),
 )  # fmt: skip
 # Where a method that is not built in may be used.
 OWN_METHODS = (
@@ -113,7 +116,7 @@ def suited_reductors(task: Task) -> list[Reductor]:
     Congruences come first. Balancing over the band represents notches, which matter in the
     pointwise norm only.
     """
-    congruences: list[Reductor] = [POD] if task.collocated else [POD, TWO_SIDED_POD]
+    congruences: list[Reductor] = [POD, CONGRUENT if task.collocated else TWO_SIDED_POD]
     if task.norm == "pointwise":
         return [*congruences, OVER_BAND, BALANCED, UNSCALED]
     return [*congruences, BALANCED, UNSCALED, OVER_BAND]

@@ -1,0 +1,82 @@
+"""Balanced truncation of symmetric models of first order, such as networks of R and C.
+
+Both Gramians of such a model are equal. Its balanced coordinates are therefore orthonormal in E,
+and truncation preserves symmetry, real poles and passivity.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reductors.balanced_truncation import (
+    HANKEL_ROUNDING,
+    NOT_STABLE,
+    STRICTLY_STABLE,
+    balancing_factors,
+    no_gramians,
+)
+from kc2spice.rom.reductors.base import Reductor
+
+
+class CongruentBalancing(Reductor):
+    """Balanced truncation of ``E x' = A x + B u``, ``y = B'x`` with symmetric E and A.
+
+    In the modes ``X'EX = 1``, ``-X'AX = diag(r)`` both Gramians are ``P_ij = b_i b_j' / (r_i +
+    r_j)`` with the rows ``b_i`` of ``X'B``. The basis is ``V = X U`` with the eigenvectors U of P,
+    whose eigenvalues are the Hankel singular values. The static responses of conservative ports
+    come first.
+
+    Examples
+    --------
+    Of four relaxations in a row, two states represent the response at the end within 4 %.
+
+    >>> import numpy as np
+    >>> import kc2spice as kc
+    >>> A = np.eye(4, k=1) + np.eye(4, k=-1) - 2 * np.eye(4)
+    >>> model = kc.LinearModel(A=A, B=np.eye(4)[:, :1], C=np.eye(4)[:1])
+    >>> rom = kc.reduce(
+    ...     model, order=2, band=(0, 10), norm="peak", method="balanced truncation by congruence"
+    ... )
+    >>> rom.certificate.passive, rom.certificate.error_estimate < 0.04
+    (True, True)
+    """
+
+    name = "balanced truncation by congruence"
+    reference = "Liu, Sreeram and Teo, Syst. Control Lett. 34 (1998) 209"
+    no_basis = NOT_STABLE
+
+    def obstacle(self, task: Task) -> str:
+        """Return why the Gramians are not equal, or do not exist."""
+        core = task.core
+        if core.degree == 2:
+            return "the model is of second order"
+        if not (core.symmetric and core.collocated):
+            return "its matrices are not symmetric, or C is not the transpose of B"
+        return no_gramians(task)
+
+    def basis(self, task: Task) -> ReducedBasis | None:
+        """Return the balanced model; None if it is not strictly stable."""
+        return task.share(self.name, lambda: self._balance(task))
+
+    def _balance(self, task: Task) -> ReducedBasis | None:
+        core = task.core
+        try:
+            rates, X = scipy.linalg.eigh(*core.coefficients)
+        except scipy.linalg.LinAlgError:  # unknowns without capacity
+            return None
+        if rates[0] <= STRICTLY_STABLE * task.band[1]:
+            return None
+        loads = X.T @ core.B
+        static = np.empty((len(rates), 0))
+        if any(port.loaded for port in task.fom.ports):
+            static = scipy.linalg.orth(loads / rates[:, None])
+        _, columns = balancing_factors(task.estimator.reference[1].peak)
+        scaled = loads / columns
+        gramian = scaled @ scaled.T / (rates[:, None] + rates)
+        others = np.eye(len(rates)) - static @ static.T
+        hankel, U = np.linalg.eigh(others @ gramian @ others)
+        count = int((hankel > HANKEL_ROUNDING * hankel[-1]).sum())
+        directions = np.hstack([static, U[:, ::-1][:, :count]])
+        return task.project(X @ directions, fixed=static.shape[1])
