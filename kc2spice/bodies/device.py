@@ -34,6 +34,7 @@ from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
 from kc2spice.bodies.undamped import FiniteElementModel, compute_undamped_responses
 from kc2spice.core.domains import ACCELERATION, BASE, ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
+from kc2spice.core.progress import StepTimer
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble_solid, node_shares
@@ -44,6 +45,9 @@ from kc2spice.rom.pencil import Schur
 # Shift [rad/s] of a body that is free to move, in units of its slowest sound over its size.
 FREE_SHIFT = 1e-3
 UP = np.array([0.0, 0.0, 1.0])
+# Relative times of the steps, measured with piezoelectric blocks of 10 000 and 29 000 unknowns.
+SUPPORTED_STEPS = ("assembly", 1.0), ("static responses and resonances", 2.6), ("mesh error", 3.8)
+FREE_STEPS = ("assembly", 1.0), ("static responses and resonances", 11.0), ("mesh error", 6.6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +115,10 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     UsageError : electrodes or rigid faces touch each other, damping per material lacks a quality,
         or the mesh needs more memory than there is.
     """
+    timer = StepTimer()
     bare, volts = constrain_device(solid, setup), _depoling_voltage(solid, setup)
+    steps = FREE_STEPS if bare.shift else SUPPORTED_STEPS
+    timer.begin_step(1, steps)
     unknowns = bare.displacement.shape[1] + bare.potential.shape[1]
     facts = {"unknowns": unknowns, "mass_kg": bare.mass}
     facts |= {} if volts is None else {"depoling_voltage_v": volts}
@@ -119,6 +126,7 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     definite = pencil.is_large or not (bare.shift or isinstance(bare.model.K, Schur))
     require_factors(pencil.bordered(1.0, 0.0, 0.0), definite=definite, where="mesh")
     answers = compute_undamped_responses(bare.model, bare.shift)
+    timer.begin_step(2, steps)
     facts |= answers.facts | estimate_mesh_errors(bare, answers, setup.sectors)
     model = bare.model.copy_with(facts=facts)
     return replace(bare, model=_add_damping(model, solid, bare.displacement, setup))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import sys
+import time
 import traceback
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -59,28 +61,52 @@ def _show_progress_bars() -> Iterator[Progress]:
     """Show one progress bar for each stage; completed stages have full bars."""
     from rich import progress as rich
     from rich.console import Console
+    from rich.text import Text
+
+    class RemainingColumn(rich.ProgressColumn):
+        """Remaining time of a stage, where it is known."""
+
+        def render(self, task: rich.Task) -> Text:
+            return Text(_describe_remaining(task.fields["end"] - time.monotonic()))
 
     stage, text = "{task.fields[stage]:<10}", rich.TextColumn("{task.fields[text]}", markup=False)
     left = (rich.SpinnerColumn(), rich.TextColumn(stage), rich.BarColumn(24))
-    right = (rich.TimeElapsedColumn(), text)
+    right = (rich.TimeElapsedColumn(), RemainingColumn(), text)
+    starts = dict[str, float]()  # times at which stages began
     with rich.Progress(*left, *right, console=Console(stderr=True)) as bars:
 
         def fill_bar() -> None:
             """Fill the bar of the current stage."""
             for task in bars.tasks:
-                bars.update(task.id, total=1, completed=1)
+                bars.update(task.id, total=1, completed=1, end=math.inf)
 
         def update_bar(stage: str, done: float | None, text: str) -> None:
             """Update the bar of a stage."""
             tasks = {task.fields["stage"]: task.id for task in bars.tasks}
             if stage not in tasks:
                 fill_bar()
-                tasks[stage] = bars.add_task("", total=None, stage=stage, text=text)
-            total = None if done is None else 1.0
-            bars.update(tasks[stage], total=total, completed=done or 0.0, text=text)
+                starts[stage] = time.monotonic()
+                tasks[stage] = bars.add_task("", total=None, stage=stage, text=text, end=math.inf)
+            total, end = None if done is None else 1.0, math.inf
+            if done:
+                elapsed = (now := time.monotonic()) - starts[stage]
+                end = now + elapsed * (1 - done) / done
+            bars.update(tasks[stage], total=total, completed=done or 0.0, text=text, end=end)
 
         yield update_bar
         fill_bar()
+
+
+def _describe_remaining(seconds: float) -> str:
+    """Describe a remaining time [s]: minutes and seconds, "" if it is infinite.
+
+    >>> _describe_remaining(75.2), _describe_remaining(-1.0), _describe_remaining(math.inf)
+    ('1:15 left', '0:00 left', '')
+    """
+    if math.isinf(seconds):
+        return ""
+    minutes, seconds = divmod(max(round(seconds), 0), 60)
+    return f"{minutes}:{seconds:02.0f} left"
 
 
 @contextmanager

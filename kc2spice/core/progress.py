@@ -1,15 +1,20 @@
-"""Progress and wall time of the stages of a run.
+"""Progress, remaining time and wall time of the stages of a run.
 
-``logging.getLogger("kc2spice")`` logs the start of every stage at the level INFO, and its wall time
-at DEBUG. Nothing is printed unless the caller adds a handler.
+``logging.getLogger("kc2spice")`` logs the start of every stage at the level INFO, and its wall and
+remaining time at DEBUG. Nothing is printed unless the caller adds a handler.
+
+Computations estimate their remaining time by :class:`StepTimer` or :class:`ConvergenceTimer`, which
+call :func:`report_remaining`. The estimate belongs to the stage within which they run.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 
 Progress = Callable[[str, float | None, str], None]
@@ -18,10 +23,108 @@ ERROR_BUDGET = "error budget"  # stage that logs the error limits of the refined
 LOGGER = logging.getLogger("kc2spice")
 LOGGER.addHandler(logging.NullHandler())
 STAGES = ("mesh", "assemble", "reduce", "magnetics", "export", "simulate", "report")
+_report: ContextVar[Callable[[float, str], None] | None] = ContextVar("report", default=None)
 
 
 def ignore_progress(stage: str, done: float | None, text: str) -> None:
     """Accept a progress value without any effect."""
+
+
+@contextmanager
+def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[[float], None]]:
+    """Report a stage, and yield a function that reports the completed fraction.
+
+    Within the context, :func:`report_remaining` reports the fraction of the time that has elapsed.
+
+    Examples
+    --------
+    >>> seen = []
+    >>> with follow_stage(lambda *item: seen.append(item), "reduce", "900 equations"):
+    ...     report_remaining(0.0, "last step")
+    >>> seen
+    [('reduce', None, '900 equations'), ('reduce', 1.0, '900 equations, last step')]
+    """
+    progress(name, None, text)
+    start = time.perf_counter()
+
+    def report(remaining: float, step: str) -> None:
+        elapsed = time.perf_counter() - start
+        LOGGER.debug("%s: %s, about %.3g s remain", name, step, remaining)
+        progress(name, elapsed / (elapsed + remaining), f"{text}, {step}")
+
+    token = _report.set(report)
+    try:
+        yield lambda done: progress(name, done, text)
+    finally:
+        _report.reset(token)
+
+
+def report_remaining(seconds: float, step: str) -> None:
+    """Report the remaining time [s] of the current stage, and the name of its current step."""
+    report = _report.get()
+    if report is not None:
+        report(seconds, step)
+
+
+class StepTimer:
+    """Remaining time of steps whose relative times are known."""
+
+    def __init__(self) -> None:
+        self._start = time.perf_counter()
+
+    def begin_step(self, number: int, steps: Sequence[tuple[str, float]]) -> None:
+        """Report the remaining time at the begin of a step, the first of which has the number 0.
+
+        ``steps`` contains the name and the relative time of each step.
+        """
+        finished, remaining = (
+            sum(size for _, size in part) for part in (steps[:number], steps[number:])
+        )
+        elapsed = time.perf_counter() - self._start
+        report_remaining(elapsed * remaining / finished, steps[number][0])
+
+
+class ConvergenceTimer:
+    """Remaining time of an iteration whose error declines geometrically.
+
+    Parameters
+    ----------
+    target : float
+        Error at which the iteration ends.
+    confirmations : int
+        Steps in a row whose error must be within the target.
+    usual : int
+        Number of steps that is expected before the errors show their decline.
+    step : str
+        Name of a step.
+    """
+
+    def __init__(self, target: float, confirmations: int, usual: int, step: str) -> None:
+        self._target, self._confirmations, self._usual = target, confirmations, usual
+        self._name, self._errors = step, list[float]()
+        self._start = time.perf_counter()
+
+    def end_step(self, error: float) -> None:
+        """Report the time of the remaining steps after a step with an ``error``."""
+        self._errors.append(error)
+        count, remaining = len(self._errors), self.remaining_steps()
+        per_step = (time.perf_counter() - self._start) / count
+        report_remaining(remaining * per_step, f"{self._name} {count} of about {count + remaining}")
+
+    def remaining_steps(self) -> int:
+        """Return the number of steps that the decline of the latest errors predicts.
+
+        The latest half of the errors is used, because many iterations converge faster and faster.
+        """
+        known = [error for error in self._errors if math.isfinite(error) and error > 0]
+        known = known[(len(known) - 1) // 2 :]
+        met = next((k for k, error in enumerate(reversed(self._errors)) if error > self._target), 0)
+        if len(known) > 1 and known[-1] < known[0]:
+            rate = math.log(known[0] / known[-1]) / (len(known) - 1)
+            steps = math.ceil(max(math.log(known[-1] / self._target) / rate, 0.0))
+            # the step that reaches the target is the first of its confirmations
+            return max(steps + self._confirmations - (1 if steps else met), 0)
+        return max(self._usual - len(self._errors), 1)
 
 
 @dataclass
@@ -34,10 +137,10 @@ class Clock:
     @contextmanager
     def time_stage(self, name: str, text: str) -> Iterator[Callable[[float], None]]:
         """Log and time a stage, and yield a function that reports the completed fraction."""
-        self.progress(name, None, text)
         LOGGER.info("%s: %s", name, text)
         start = time.perf_counter()
-        yield lambda done: self.progress(name, done, text)
+        with follow_stage(self.progress, name, text) as report:
+            yield report
         elapsed = time.perf_counter() - start
         LOGGER.debug("%s took %.3f s", name, elapsed)
         self.wall_s[name] = self.wall_s.get(name, 0.0) + elapsed

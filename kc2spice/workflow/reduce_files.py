@@ -21,7 +21,7 @@ from kc2spice.bodies.readers.measured import (
 from kc2spice.bodies.readers.thermal_transient import is_transient, read_transient
 from kc2spice.core.errors import GateMissedError, UsageError, list_candidates, unknown
 from kc2spice.core.files import stage_directory
-from kc2spice.core.progress import Clock, Progress, ignore_progress
+from kc2spice.core.progress import Clock, Progress, follow_stage, ignore_progress
 from kc2spice.core.quantities import quantity
 from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.linalg.solver import require_solver, solving_with
@@ -214,8 +214,7 @@ def _reduce_matrices(
     progress: Progress,
 ) -> dict[str, Any]:
     """Reduce the matrices of a file or of a scene's body, and write the model."""
-    progress("reduce", None, "reading matrices")
-    model = _scene_body(str(path)) or read_any_model(path)
+    model = _read_full_model(path, progress)
     if isinstance(model, AffineModel):
         options = {"--order": order, "--method": method, "--network": form}
         settings = {"band": band, "tolerance": tolerance or TOLERANCE, "norm": norm}
@@ -223,8 +222,6 @@ def _reduce_matrices(
     if tolerance is None and order is None:
         tolerance = TOLERANCE
     _require_names(model, make_identifier(f"{model.name}_rom", "rom"))
-    progress("reduce", None, f"{model.order} equations")
-    _require_stable_full(model, band)
     if form is not None:
         require_one_heat_port(model)
 
@@ -239,8 +236,18 @@ def _reduce_matrices(
         )
         return shape_heat_model(small, form)
 
-    result = _write_reduced_model(model.name, model.order, reduced, out, tolerance)
+    with follow_stage(progress, "reduce", f"{model.order} equations"):
+        _require_stable_full(model, band)
+        result = _write_reduced_model(model.name, model.order, reduced, out, tolerance)
     return result | {"full_form": form_of(model)}
+
+
+def _read_full_model(path: Path | str, progress: Progress) -> LinearModel | AffineModel:
+    """Build the model of a scene's body, or read matrices."""
+    if (body := _scene_body(str(path), progress)) is not None:
+        return body
+    progress("reduce", None, "reading matrices")
+    return read_any_model(path)
 
 
 def _reduce_affine(
@@ -507,7 +514,7 @@ def _describe_reduced(
     }
 
 
-def _scene_body(text: str) -> LinearModel | None:
+def _scene_body(text: str, progress: Progress = ignore_progress) -> LinearModel | None:
     """The full model of ``SCENE:PART`` with the ports that the scene needs, None for a path."""
     name, colon, part_name = text.rpartition(":")
     if not colon or Path(text).exists() or not (name in list_gallery() or name.endswith(".toml")):
@@ -522,7 +529,7 @@ def _scene_body(text: str) -> LinearModel | None:
             got=f"a part of type {part.type.name}",
             expected=list_candidates(part_name, bodies) or "a body; this scene has none",
         )
-    full = full_model_alone(part, scene, Clock())
+    full = full_model_alone(part, scene, Clock(progress))
     restricted = full.select(part.type.used_port_names(part, scene))
     return replace(
         restricted, name=f"{scene.name}_{part.name}", band=scene_band(part, scene, restricted)

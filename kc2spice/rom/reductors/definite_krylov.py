@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from kc2spice.core.progress import ConvergenceTimer
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.error_estimate import relative_size
 from kc2spice.rom.free_body import FreeBody
@@ -29,6 +30,8 @@ from kc2spice.rom.rounding import removed_stiffness, with_rounding, zero_entries
 # therefore the cheapest vectors as long as they converge. Both numbers are chosen by trial.
 BLOCKS_AT_ZERO = 60
 BLOCKS_AT_SHIFT = 3
+# Blocks of solids with several modes in the band, for the first estimate of the remaining time.
+USUAL_BLOCKS = 14
 GAIN = 3.0  # factor by which a further block must reduce the change, otherwise a point follows
 NEAREST = 1e-3  # least distance of two points, relative to the end of the band
 
@@ -67,6 +70,7 @@ def definite_krylov_model(
     used, met, change, before = [0.0], 0, np.inf, np.inf
     blocks = BLOCKS_AT_ZERO
     previous: Response | None = None
+    timer = ConvergenceTimer(target, CONFIRMATIONS, USUAL_BLOCKS, "Krylov block")
     while space.vectors.shape[1] < MOST_VECTORS:
         columns, images = space.extend(candidates)
         V, inertia = space.vectors, M @ columns
@@ -87,6 +91,7 @@ def definite_krylov_model(
             size = relative_size(previous.transfer(s) - H, H, entries)
         before, change = change, float(size.max())
         met = met + 1 if change <= target else 0
+        timer.end_step(change if previous is not None else np.inf)
         if met == CONFIRMATIONS or (not columns.shape[1] and change <= limit):
             proof = f"settled to {change:.0e} of the full model's response"
             result = IntermediateModel(

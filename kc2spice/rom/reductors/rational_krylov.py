@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.progress import ConvergenceTimer
 from kc2spice.rom.intermediate import IntermediateModel, no_convergence_error
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
@@ -23,6 +24,7 @@ MOST_POINTS = 180  # factorisations
 CONFIRMATIONS = 2  # points in a row that must meet the target, as one may be a coincidence
 MANY_POINTS = 20  # factorisations after which a large model warns of the cause
 LARGE = 10_000  # unknowns of a large model. Chosen by trial.
+USUAL_POINTS = 10  # factorisations, for the first estimate of the remaining time
 BASIS_SHARE = 0.01  # share of the tolerance at which a basis of the method ends. By trial.
 
 
@@ -119,11 +121,13 @@ def rational_krylov_model(
     """
     search = GreedyBasis(pencil, band)
     met, error, recent, idle = 0, np.inf, [np.inf], 0
+    timer = ConvergenceTimer(target, CONFIRMATIONS, USUAL_POINTS, "frequency")
     end = 2j * np.pi * band[1]
     search.extend(end, *search.solve(end))
     while search.points < most and search.basis.shape[1] < MOST_VECTORS:
         error, grown = search.check(search.next_point())
         met = met + 1 if max(error, search.change) <= target else 0
+        timer.end_step(max(error, search.change))
         if search.points == MANY_POINTS + 1 and pencil.size >= LARGE:
             modes = search.response.within(band)[0].size
             text = "a narrower band, a looser tolerance or proportional damping costs less"
