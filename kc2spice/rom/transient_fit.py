@@ -225,7 +225,9 @@ def _refine(
         x, low, high = np.r_[x, start], np.r_[low, -np.inf], np.r_[high, np.inf]
     scale = np.linalg.norm(slopes(x), axis=0)
     x_scale = 1 / np.where(scale > 0, scale, 1.0)
-    found = least_squares(residual, x, slopes, bounds=(low, high), x_scale=x_scale, max_nfev=POLISH, **EXACT)
+    found = least_squares(
+        residual, x, slopes, bounds=(low, high), x_scale=x_scale, max_nfev=POLISH, **EXACT
+    )
     R, t, start = split(found.x)
     order = np.argsort(t)
     network = FosterNetwork(R[order], t[order])
