@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,13 @@ from kc2spice.bodies.readers.measured import (
     shunt_resistance,
 )
 from kc2spice.bodies.readers.thermal_transient import is_transient, read_transient
-from kc2spice.core.errors import GateMissedError, UsageError, list_candidates, unknown
+from kc2spice.core.errors import (
+    GateMissedError,
+    MissingToolError,
+    UsageError,
+    list_candidates,
+    unknown,
+)
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, follow_stage, ignore_progress
 from kc2spice.core.quantities import quantity
@@ -420,10 +426,13 @@ def _fit_passive_model(
 
     ``notes`` receives a note on the form of the model if it does not consist of parallel branches.
     """
+    branches = None
     if data.Y.shape[1] == 1:
-        nearest, left = fit_one_port(data.f, data.Y[:, 0, 0], data.noise, conductance)
-        if nearest is not None:
-            return nearest
+        branches, left = fit_one_port(data.f, data.Y[:, 0, 0], data.noise, conductance)
+        if branches is not None and (
+            conductance is not None or not _has_other_form(branches, data)
+        ):
+            return branches
         if conductance is not None:
             raise UsageError(
                 "parallel branches do not describe this part",
@@ -432,27 +441,72 @@ def _fit_passive_model(
                 expected="a part whose resistance at zero frequency can be stated",
                 hint="leave out --dc: a general fit of poles then extrapolates this resistance",
             )
-        notes.append(f"parallel branches leave a deviation of {left:.2g}: poles of any kind")
+        note = f"parallel branches leave a deviation of {left:.2g}: poles of any kind"
     from kc2spice.rom.multiport import fit_multiport  # imported here, because few commands need it
 
-    return fit_multiport(data.f, data.Y, data.noise, data.where)
+    try:
+        general = fit_multiport(data.f, data.Y, data.noise, data.where)
+    except MissingToolError:
+        if branches is None:
+            raise
+        return branches
+    if branches is not None and _pointwise_error(general, data) > LARGEST_MISFIT:
+        return branches
+    if data.Y.shape[1] == 1:
+        notes.append(note)
+    return general
+
+
+@dataclass(frozen=True)
+class _Misfit:
+    """The ``error`` of a model, its ``limit``, and the ``noise`` of the data in the same norm."""
+
+    error: float
+    limit: float
+    noise: float
+
+    @property
+    def exceeds(self) -> bool:
+        """Whether the error exceeds the limit."""
+        return self.error > self.limit
+
+
+def _misfit(model: LinearModel, data: MeasuredAdmittance) -> _Misfit:
+    """The error of a model beside the noise of the data."""
+    certificate = model.certificate
+    assert certificate is not None
+    noise = data.relative_noise(certificate.norm)
+    return _Misfit(certificate.error_estimate, max(LARGEST_MISFIT, ABOVE_NOISE * noise), noise)
+
+
+def _pointwise_error(model: LinearModel, data: MeasuredAdmittance) -> float:
+    """Largest relative deviation of the admittance of one port from the samples."""
+    charge = model.transfer(data.f)[:, 0, 0]
+    return float(np.abs(2j * np.pi * data.f * charge / data.Y[:, 0, 0] - 1).max())
+
+
+def _has_other_form(model: LinearModel, data: MeasuredAdmittance) -> bool:
+    """Whether a model misses data whose noise does not explain this.
+
+    An example is a loudspeaker: its resonance is parallel, in series with a coil.
+    """
+    misfit = _misfit(model, data)
+    return misfit.exceeds and misfit.limit == LARGEST_MISFIT
 
 
 def _require_near(model: LinearModel, data: MeasuredAdmittance) -> None:
     """Refuse a model whose error exceeds the noise considerably."""
-    certificate = model.certificate
-    assert certificate is not None
-    error, noise = certificate.error_estimate, data.relative_noise(certificate.norm)
-    limit = max(LARGEST_MISFIT, ABOVE_NOISE * noise)
-    if error <= limit:
+    certificate, misfit = model.certificate, _misfit(model, data)
+    if certificate is None or not misfit.exceeds:
         return
     of = "of each admittance" if certificate.norm == "pointwise" else "of an entry's peak"
     raise GateMissedError(
         "the circuit does not describe the measurement",
         where=data.where,
-        got=f"an error of {error:.2g} {of}; {certificate.method}",
-        expected=f"at most {limit:.2g}: the larger of {LARGEST_MISFIT:g} and {ABOVE_NOISE:g} times "
-        f"{noise:.2g}, the noise of the measured {data.quantity} in the admittance",
+        got=f"an error of {misfit.error:.2g} {of}; {certificate.method}",
+        expected=f"at most {misfit.limit:.2g}: the larger of {LARGEST_MISFIT:g} and "
+        f"{ABOVE_NOISE:g} times {misfit.noise:.2g}, the noise of the measured "
+        f"{data.quantity} in the admittance",
         hint="measure with more points on every resonance, with less noise, or a part of the "
         "band; no file was written",
     )

@@ -366,3 +366,29 @@ def test_a_fit_does_not_depend_on_rounding():
         assert second.certificate.error_estimate == pytest.approx(
             first.certificate.error_estimate, rel=1e-6
         )
+
+
+def loudspeaker(f):
+    """Impedance of a driver: a coil that grows with w^0.6, in series with parallel resonances of
+    the suspension and of the cone."""
+    resonances = (38.0, 4.5, 45.0), (1.5, 8.0, 5.2e3)
+    motional = sum(R / (1 + 1j * Q * (f / f0 - f0 / f)) for R, Q, f0 in resonances)
+    return 6.1 + 0.012 * (2j * np.pi * f) ** 0.6 + motional
+
+
+def test_a_loudspeaker_takes_poles_of_any_kind(tmp_path):
+    """Parallel branches deviate by more than 10 %."""
+    f = np.geomspace(10, 20e3, 301)
+    Z = loudspeaker(f)
+    angles = np.angle(Z, deg=True)
+    rows = "".join(f"{x:.6g} {abs(z):.6g} {a:.6g}\n" for x, z, a in zip(f, Z, angles, strict=True))
+    head = "* Data: Impedance (ohms), Phase (degrees)\n"
+    (tmp_path / "driver.zma").write_text(head + rows, encoding="utf-8")
+    branches, _ = fit_one_port(f, 1 / Z, 1e-6)
+    assert branches.certificate.error_estimate > 0.1
+    result = reduce_file(tmp_path / "driver.zma", tmp_path / "out")
+    assert any("poles of any kind" in note for note in result["notes"])
+    model = read_rom(Path(result["rom"]))
+    between = np.sqrt(f[1:] * f[:-1])
+    found = 2j * np.pi * between * model.transfer(between)[:, 0, 0]
+    assert np.abs(found * loudspeaker(between) - 1).max() < 0.05
