@@ -48,9 +48,18 @@ UNITS = {
 }
 SUFFIXES = {
     "_m_s": "m/s", "_m": "m", "_n": "N", "_s": "s", "_v": "V", "_a": "A", "_hz": "Hz",
-    "_siemens": "S",
+    "_siemens": "S", "_k": "K",
 }  # fmt: skip
-PLACE_UNITS = {"us": "µs", "ms": "ms", "hz": "Hz", "khz": "kHz", "um": "µm", "nm": "nm", "v": "V"}
+PLACE_UNITS = {
+    "us": "µs",
+    "ms": "ms",
+    "hz": "Hz",
+    "khz": "kHz",
+    "um": "µm",
+    "nm": "nm",
+    "v": "V",
+    "s": "s",
+}
 # The place at the end of a metric's name: at_180us, first_at_1_5hz, back_at_14p5_v.
 PLACE = re.compile(rf"_(\d+)(?:[p_](\d+))?_?({'|'.join(PLACE_UNITS)})$")
 PREFIXES = ((1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))

@@ -28,6 +28,7 @@ from kc2spice.fem.thermal_materials import ThermalMaterial
 
 CANDIDATES = 50  # elements that may contain a point, those with the nearest centres
 INSIDE = 1e-6  # distance outside an element, in its own coordinates, that is rounding
+NEWTON_STEPS = 20  # more than the coordinates of any point inside a cell need
 ON_FACE = 1e-9  # largest value of a shape function on a face that does not contain its node
 
 
@@ -104,6 +105,24 @@ def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
     return symmetrise(sum_matrices([(matrix, nodes, nodes)], (solid.count, solid.count)))
 
 
+def _find_local_coordinates(mesh: skfem.Mesh, cell: int, point: np.ndarray) -> np.ndarray:
+    """Return coordinates (axes, 1) of a point in a cell, by Newton's method from its middle.
+
+    The iteration ends without convergence for points far outside of a distorted cell.
+    """
+    mapping, which = mesh.mapping(), np.array([cell])
+    places = np.asarray(point, float)[:, None, None]
+    local = np.full((len(point), 1, 1), 1 / (len(point) + 1))
+    for _ in range(NEWTON_STEPS):
+        step = np.einsum(
+            "ijkl,jkl->ikl", mapping.invDF(local, which), places - mapping.F(local, which)
+        )
+        local = local + step
+        if np.abs(step).max() < INSIDE**2:
+            break
+    return np.asarray(local[:, 0])
+
+
 def point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
     """Return values (nodes,) of the shape functions at a point, or the nearest node outside."""
     geometry, result = solid.geometry, np.zeros(solid.count)
@@ -111,8 +130,7 @@ def point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
     centres = mesh.p[:, mesh.t].mean(axis=1)
     near = np.argsort(np.linalg.norm(centres.T - point, axis=1))[:CANDIDATES]
     for cell in near:
-        places = np.broadcast_to(point[:, None, None], (len(point), 1, 1))
-        local = np.asarray(mesh.mapping().invF(places, tind=np.array([cell])))[:, 0]
+        local = _find_local_coordinates(mesh, int(cell), point)
         simplex = mesh.refdom.nnodes == len(point) + 1
         total = local.sum() if simplex else local.max()
         if local.min() >= -INSIDE and total <= 1 + INSIDE:

@@ -16,7 +16,7 @@ import pytest
 import scipy
 from pydantic import Field
 from scipy.special import erfc
-from skfem.mesh import MeshHex, MeshLine, MeshTri
+from skfem.mesh import MeshHex, MeshLine, MeshQuad, MeshTri
 
 import kc2spice as kc
 from kc2spice.bodies.heat_field import recover_temperatures, write_temperatures
@@ -28,6 +28,7 @@ from kc2spice.fem.heat_conduction import (
     assemble_heat,
     common_faces,
     face_nodes,
+    point_shares,
     split_nodes,
 )
 from kc2spice.fem.solid import Solid, node_shares
@@ -493,7 +494,7 @@ DIE = {
         ({"sources": {"bottom": "top"}, "isothermal": {"bottom": "bottom"}}, "pins of one name"),
         ({"isothermal": {"case": "bottom"}}, "common nodes"),
         ({"isothermal": {"case": "layer1"}}, "no face"),
-        ({"films": [{"group": "top", "coefficient": "0 W/(m2 K)"}]}, "out of range"),
+        ({"films": [{"group": "top", "coefficient": "-1 W/(m2 K)"}]}, "out of range"),
         ({"films": [{"group": "top", "coefficient": "5 W/m2"}]}, "wrong unit"),
         ({"materials": {"a": "copper"}}, "layers state their own"),
         ({"mesh": "a.msh"}, "mesh or layers"),
@@ -643,3 +644,13 @@ def test_fields_that_a_run_cannot_have_are_refused(changes, words):
     with pytest.raises(UsageError, match=words) as error:
         kc.run(heated_wall(**changes))
     assert error.value.where == "scene, key wall.fields"
+
+
+def test_a_point_lies_in_the_quadrilateral_that_contains_it():
+    """The nearest centre is that of another cell, whose coordinates of the point are outside."""
+    mesh = MeshQuad.init_tensor(np.array([0.0, 1.0, 1.2, 1.4]), np.array([0.0, 1.0]))
+    solid = HeatSolid(Solid(mesh, (), np.zeros(3, int)), (COPPER,))
+    point = np.array([0.95, 0.3])
+    shares = point_shares(solid, point)
+    assert shares.sum() == pytest.approx(1.0)
+    assert solid.geometry.places @ shares == pytest.approx(point, abs=1e-12)
