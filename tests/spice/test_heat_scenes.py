@@ -1,9 +1,12 @@
 """Scenes of the gallery with heat, against integrations of their equations by scipy."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
+from scipy.optimize import brentq, fsolve
 
 import kc2spice as kc
 from kc2spice.fem.thermal_materials import thermal_material
@@ -119,3 +122,29 @@ def test_a_vdmos_with_thermal_pins_has_five_nodes():
     assert (thermal.nodes, thermal.model) == (("d", "g", "s", "tj", "tc"), "chip")
     assert (thermal.values, dict(thermal.parameters)) == (("thermal",), {"temp": "0"})
     assert (plain.nodes, plain.model) == (("d", "g", "s"), "chip")
+
+
+def test_the_converter_of_the_tutorial_follows_its_equations_at_rest(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "tutorials" / "heat.md").read_text("utf-8")
+    files = dict(re.findall(r"(?ms)^cat > (\S+) <<'END'\n(.*?)^END$", page))
+    for name in ("buck.lib", "converter.toml"):
+        (tmp_path / name).write_text(files[name])
+    stop = {"solver.stop": 3000.0}  # 18 time constants of the board
+    result = kc.run(tmp_path / "converter.toml", overrides=stop)
+    copper, fr4 = thermal_material("copper"), thermal_material("FR4")
+    board = 70e-6 / copper.conductivity[2] + 1.5e-3 / fr4.conductivity[2] + 1 / 25
+    board /= 15e-4  # m2
+
+    def balance(x):
+        current, on_board, in_switches = x
+        winding = 0.1 * (1 + 0.00393 * on_board)
+        switches = 0.1 * (1 + 7e-3 * in_switches)
+        return [
+            6.0 - current * (2 + winding + switches),
+            board * current**2 * (winding + switches) - on_board,
+            on_board + 15 * current**2 * switches - in_switches,
+        ]
+
+    current, on_board, _ = fsolve(balance, [2.7, 50.0, 60.0])
+    assert result.metrics["warm_v"] == pytest.approx(2 * current, rel=1e-4)
+    assert result.metrics["board_k"] == pytest.approx(on_board, rel=1e-3)
