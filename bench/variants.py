@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 from bench.setup import changed
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.read import read
-from kc2spice.netlist.spelling import number
+from kc2spice.netlist.read import read_cards
+from kc2spice.netlist.spelling import format_number
 from kc2spice.workflow.decks import make_deck
 
 RELTOL = (1e-3, 1e-4, 1e-5, 1e-2, 1e-6, 1e-7)
@@ -74,7 +74,7 @@ def fixed_steps(build):
     deck = _option(_option(deck, "trtol", 1e12), "chgtol", 1.0)
     unwatched, watches = re.subn(r"(?m)^Sedge.*\n(?:\+.*\n)*", "", deck.files["contact.lib"])
     assert watches, "no watched contacts"
-    circuit = read(unwatched, "contact.lib")
+    circuit = read_cards(unwatched, "contact.lib")
     parts = (
         replace(part, circuit=circuit, source=unwatched) if part.filename == "contact.lib" else part
         for part in deck.parts
@@ -92,4 +92,4 @@ def _deck(build, keys):
 
 def _option(deck, name, value):
     """``deck`` with one simulator option set to another value."""
-    return deck.with_options({name: number(value)}, "of the benchmark")
+    return deck.with_options({name: format_number(value)}, "of the benchmark")

@@ -9,7 +9,7 @@ import numpy as np
 from bench.dense import ran, rotation, sources, synthetic
 from bench.points import Outcome, Plane, Point, speed_up
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.read import read
+from kc2spice.netlist.read import read_cards
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.multiport import _convert_to_admittance, _realise_state_space
 from kc2spice.synthesis.realize import subcircuit
@@ -97,7 +97,7 @@ def _scikit(setup, fit, ports):
     file = setup.work / "skrf.sp"
     found.write_spice_subcircuit_s(str(file), "dut")
     text = file.read_text()
-    return Subcircuit("dut", (), (), read(text, file.name), source=text)
+    return Subcircuit("dut", (), (), read_cards(text, file.name), source=text)
 
 
 def _cards(part, ports, analysis, count):

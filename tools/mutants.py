@@ -241,7 +241,8 @@ def draw(packages: list[str], sample: int, seed: int) -> list[Item]:
     found = []
     for k, place in enumerate(random.Random(seed).sample(real, min(sample, len(real)))):
         several = sorted(places[place], key=lambda m: (m.operator_name, m.occurrence))
-        one = random.Random(f"{seed} {k}").choice(several)  # a larger sample goes on with a smaller
+        # a larger sample goes on with a smaller
+        one = random.Random(f"{seed} {k}").choice(several)
         path, (line, _), (last, _) = place
         name = str(path.relative_to(COPY))
         found.append(Item(name, line, last, one.operator_name, one.occurrence))

@@ -29,8 +29,13 @@ from typing import Any
 import kc2spice
 from kc2spice.netlist import read_lib
 from kc2spice.netlist.printers.dialect_registry import NGSPICE, dialect_names
-from kc2spice.netlist.printers.kicad import Symbol, element_symbols, part_symbol, symbol_library
-from kc2spice.netlist.read import statements
+from kc2spice.netlist.printers.kicad import (
+    Symbol,
+    draw_part_symbol,
+    element_symbols,
+    print_symbol_library,
+)
+from kc2spice.netlist.read import split_statements
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.scene_file import list_gallery
@@ -121,7 +126,7 @@ def folder(scene: str) -> Path:
 
 def cards(path: Path) -> tuple[str, ...]:
     """The cards of a netlist without its comments."""
-    found = statements(path.read_text(encoding="utf-8"), path.name)
+    found = split_statements(path.read_text(encoding="utf-8"), path.name)
     return tuple(s.written for s in found if s.written)
 
 
@@ -134,7 +139,7 @@ def symbols() -> Iterator[Symbol]:
     for name, found in designs.items():
         for path in found.values():
             (part,) = (each for each in read_lib(path) if each.name == name)
-            drawn = part_symbol(part)
+            drawn = draw_part_symbol(part)
             own = {"Sim.Library": f"{FOLDER}/{path.parent.name}/{path.name}"}
             own["Description"] = f"{drawn.fields['Description']} ({path.parent.name})"
             unique = name if len(found) == 1 else f"{name}_{path.parent.name}"
@@ -144,7 +149,7 @@ def symbols() -> Iterator[Symbol]:
 def all_symbols() -> str:
     """All designs and what stands on a sheet besides."""
     plain = {symbol.name: symbol for symbol in element_symbols().values()}
-    return symbol_library([*symbols(), *plain.values()])
+    return print_symbol_library([*symbols(), *plain.values()])
 
 
 def page() -> str:

@@ -1,3 +1,3 @@
-"""Netlists: read, checked, changed and written for every simulator."""
+"""Netlists: reading, checking, changing and writing for every simulator."""
 
 from kc2spice.netlist.library import read_lib as read_lib

@@ -9,25 +9,29 @@ from functools import cached_property
 from typing import TypeVar
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.expression import Tree, parse, probed_names
-from kc2spice.netlist.spelling import number
+from kc2spice.netlist.expression import Tree, parse_expression, probed_names
+from kc2spice.netlist.spelling import format_number
 
-LEAST = 1e-30  # least value of a parameter that must be above zero
-# Nodes of each element letter; X counts by its subcircuit, E and G have two if behavioural.
-NODES = {
+SMALLEST_POSITIVE = 1e-30  # smallest accepted value of a parameter that must be positive
+# Number of nodes, keyed by element letter. X depends on its subcircuit; E and G have two nodes if
+# they are behavioural.
+NODE_COUNTS = {
     "r": 2, "c": 2, "l": 2, "v": 2, "i": 2, "b": 2, "e": 4, "g": 4, "f": 2, "h": 2,
     "d": 2, "q": 3, "j": 3, "m": 4, "z": 3, "s": 4, "w": 2, "t": 4, "k": 0,
 }  # fmt: skip
-MODELLED = frozenset("dqjmzsw")  # the word behind nodes and controls names a .model
-CONTROLS = {"f": 1, "h": 1, "w": 1, "k": 2}  # sources or inductors behind the nodes
+# elements whose card has a .model name after the nodes and controls
+MODEL_KINDS = frozenset("dqjmzsw")
+# number of controlling sources or inductors after the nodes
+CONTROL_COUNTS = {"f": 1, "h": 1, "w": 1, "k": 2}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """One statement with ``notes``, the comment and blank lines above it.
+    """Statement of a netlist with the comment and blank lines above it.
 
-    Messages quote ``where``, its place as ``file:line``, and ``written``, its text on one line.
-    ``owner`` is the part of a scene that it belongs to.
+    ``notes`` are these lines. Error messages quote ``where``, which is ``file:line``, and
+    ``written``, the text on one line. ``owner`` is the part of the scene that contains the
+    statement.
     """
 
     notes: tuple[str, ...] = ()
@@ -50,12 +54,12 @@ class Card:
 
 @dataclass(frozen=True)
 class Element(Card):
-    """One device with its ``nodes``, controlling ``sources`` and ``model``.
+    """Device with its ``nodes``, controlling ``sources`` and ``model``.
 
-    ``kind`` is its letter in lower case, ``values`` are the words behind the nodes, ``parameters``
-    the assignments behind the values. A behavioural source (B, or E and G with an expression) has
-    the ``quantity`` V or I that its ``expression`` gives. Names are spelled as they were written.
-    ``unit`` is the unit of its values if it differs from that of the simulator (V, A, Ohm, F, H).
+    ``kind`` is its letter in lower case, ``values`` are the words after the nodes, ``parameters``
+    the assignments after the values. A behavioural source (B, or E and G with an expression) has
+    the ``quantity`` V or I that its ``expression`` gives. Names keep their letter case.
+    ``unit`` is the unit of the values if it differs from that of the simulator (V, A, Ohm, F, H).
     """
 
     kind: str
@@ -71,30 +75,34 @@ class Element(Card):
 
     @classmethod
     def of(cls, name: str, *words: str | float, **parameters: str) -> Element:
-        """Return the element of a name with its nodes, controls, and model or values.
+        """Return the element with a name, nodes, controls, and model or values.
 
         Parameters
         ----------
         name : str
             Name of the element. The first letter of the name is the kind of the element.
         *words : str or float
-            Words behind the name. Numbers are spelled by :func:`kc2spice.netlist.spelling.number`.
+            Words after the name. Numbers are spelled by
+            :func:`kc2spice.netlist.spelling.format_number`.
         **parameters : str
-            Assignments behind the words.
+            Assignments after the words.
 
         Examples
         --------
         >>> Element.of("Cmass", "v", "base", 1e-5, IC="0").values
         ('1e-05',)
         """
-        kind, texts = name[0].lower(), tuple(w if isinstance(w, str) else number(w) for w in words)
+        kind, texts = (
+            name[0].lower(),
+            tuple(w if isinstance(w, str) else format_number(w) for w in words),
+        )
         if kind == "x":
             return cls(kind, name, texts[:-1], model=texts[-1], parameters=parameters)
-        count = NODES[kind]
-        end = count + CONTROLS.get(kind, 0)
+        count = NODE_COUNTS[kind]
+        end = count + CONTROL_COUNTS.get(kind, 0)
         nodes, sources, values = texts[:count], texts[count:end], texts[end:]
-        model = values[0] if kind in MODELLED else ""
-        values = values[1:] if kind in MODELLED else values
+        model = values[0] if kind in MODEL_KINDS else ""
+        values = values[1:] if kind in MODEL_KINDS else values
         return cls(kind, name, nodes, sources, model, values, parameters)
 
     @classmethod
@@ -108,41 +116,41 @@ class Element(Card):
 
     @cached_property
     def key(self) -> str:
-        """The name in lower case, as simulators compare names."""
+        """Name in lower case, as simulators compare names."""
         return self.name.lower()
 
     @cached_property
     def ends(self) -> tuple[str, ...]:
-        """The nodes in lower case, as simulators compare nodes."""
+        """Nodes in lower case, as simulators compare nodes."""
         return tuple(map(str.lower, self.nodes))
 
     @cached_property
     def settings(self) -> dict[str, str]:
-        """Parameters of the element by names in lower case."""
-        return lower_keys(self.parameters)
+        """Parameters of the element, keyed by names in lower case."""
+        return lower_names(self.parameters)
 
     @cached_property
     def law(self) -> Tree:
-        """The expression of a behavioural source as a tree.
+        """Expression of a behavioural source as a tree.
 
         Raises
         ------
         UsageError : the text is no expression.
         """
-        return parse(self.expression, where=self.where)
+        return parse_expression(self.expression, where=self.where)
 
     @property
     def sensed_nodes(self) -> frozenset[str]:
-        """Nodes whose voltages the expression reads; none if the expression is broken."""
+        """Nodes whose voltages the expression reads; empty if the expression is invalid."""
         try:
             return probed_names(self.law, "v") if self.quantity else frozenset()
-        except UsageError:  # the linter reports it
+        except UsageError:  # the netlist check reports this error
             return frozenset()
 
 
 @dataclass(frozen=True)
 class Model(Card):
-    """``.model``: its type and parameters."""
+    """Statement ``.model``: type and parameters."""
 
     name: str
     type: str
@@ -151,7 +159,7 @@ class Model(Card):
 
 @dataclass(frozen=True)
 class Parameters(Card):
-    """``.param``: names and values."""
+    """Statement ``.param``: names and values."""
 
     values: Mapping[str, str]
     keyword: str = ".param"
@@ -159,7 +167,7 @@ class Parameters(Card):
 
 @dataclass(frozen=True)
 class Function(Card):
-    """``.func``: a name for an expression of its arguments."""
+    """Statement ``.func``: name and arguments of an expression."""
 
     name: str
     arguments: tuple[str, ...]
@@ -168,22 +176,22 @@ class Function(Card):
 
 @dataclass(frozen=True)
 class Directive(Card):
-    """Any other card with a dot: its keyword in lower case and the words behind it."""
+    """Any other statement with a dot: its keyword in lower case and the words after it."""
 
     keyword: str
     words: tuple[str, ...] = ()
 
     @property
     def text(self) -> str:
-        """The card on one line."""
+        """Text of the statement on one line."""
         return " ".join((self.keyword, *self.words))
 
 
 @dataclass(frozen=True)
 class Circuit(Card):
-    """A subcircuit, or the content of one file, with an empty ``name``.
+    """Subcircuit, or the content of a file (empty ``name``).
 
-    ``defaults`` are the parameters that an instance may set, ``closing`` the comments behind the
+    ``defaults`` are the parameters that an instance may set, ``closing`` the comments after the
     last item.
     """
 
@@ -195,11 +203,11 @@ class Circuit(Card):
 
     @property
     def subcircuits(self) -> tuple[Circuit, ...]:
-        """The subcircuits that the circuit defines."""
+        """Subcircuits that the circuit defines."""
         return items_of(self.items, Circuit)
 
     def changed(self, change: Callable[[Item], Item]) -> Circuit:
-        """Return the same circuit with every item changed, those of subcircuits first."""
+        """Return the circuit with each item changed, items of subcircuits first."""
         inner = (i.changed(change) if isinstance(i, Circuit) else i for i in self.items)
         return replace(self, items=tuple(map(change, inner)))
 
@@ -209,19 +217,19 @@ Kind = TypeVar("Kind")
 Value = TypeVar("Value")
 
 
-def lower_keys(values: Mapping[str, Value]) -> dict[str, Value]:
-    """Return values by their names in lower case, as simulators compare names."""
+def lower_names(values: Mapping[str, Value]) -> dict[str, Value]:
+    """Return values keyed by names in lower case, as simulators compare names."""
     return dict(zip(map(str.lower, values), values.values(), strict=True))
 
 
 def items_of(items: Iterable[object], kind: type[Kind]) -> tuple[Kind, ...]:
-    """Return the items of one class, such as all elements, in their order."""
+    """Return the items of one class in their order, such as all elements."""
     return tuple(item for item in items if isinstance(item, kind))
 
 
 @dataclass(frozen=True)
 class Pin:
-    """One pin of a subcircuit, with the meaning of 1 V and 1 A on it.
+    """Pin of a subcircuit, with the meaning of 1 V and 1 A.
 
     A signal pin has the flow ``"-"``.
     """
@@ -232,13 +240,13 @@ class Pin:
 
     @property
     def key(self) -> str:
-        """The name in lower case, as simulators compare names."""
+        """Name in lower case, as simulators compare names."""
         return self.name.lower()
 
 
 @dataclass(frozen=True)
 class Param:
-    """A parameter of a subcircuit with its default in ``unit`` and its range."""
+    """Parameter of a subcircuit: its default in ``unit`` and its range."""
 
     name: str
     default: float
@@ -249,10 +257,10 @@ class Param:
 
 
 def electrical_pins(names: Iterable[str]) -> tuple[Pin, ...]:
-    """Return pins on which a volt is a volt and an ampere is an ampere."""
+    """Return pins whose volts and amperes represent volts and amperes."""
     return tuple(Pin(name, "V", "A") for name in names)
 
 
 def positive_parameter(name: str, default: float, unit: str, doc: str) -> Param:
-    """Return a parameter that must stay above zero."""
-    return Param(name, default, unit, doc, low=LEAST)
+    """Return a parameter that must be positive."""
+    return Param(name, default, unit, doc, low=SMALLEST_POSITIVE)

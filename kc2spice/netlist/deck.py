@@ -14,20 +14,20 @@ from kc2spice.core.domains import Power, describe_units
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Circuit, Directive, Element, Item, items_of
 from kc2spice.netlist.elements import Line, attach_comments
-from kc2spice.netlist.expression import literal, terms
+from kc2spice.netlist.expression import literal_value, split_terms
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import Printer, locate_cards
-from kc2spice.netlist.read import OPTION_CARDS, read
+from kc2spice.netlist.read import OPTION_CARDS, read_cards
 from kc2spice.netlist.scope import Scope
-from kc2spice.netlist.scope import circuit as scoped
-from kc2spice.netlist.spelling import comment, number, write_rounded
+from kc2spice.netlist.scope import build_scope as scoped
+from kc2spice.netlist.spelling import format_comment, format_number, format_rounded
 
 ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".noise"))
 
 
 @dataclass(frozen=True)
 class Option:
-    """One ``.options`` entry, with an empty ``value`` for a flag, and its reason."""
+    """Entry of ``.options`` with its reason; a flag has an empty ``value``."""
 
     key: str
     value: str | float
@@ -38,23 +38,26 @@ class Option:
         """Text of the value on the card."""
         if isinstance(self.value, str):
             return self.value
-        return write_rounded(self.value).removesuffix(".0")
+        return format_rounded(self.value).removesuffix(".0")
 
     @property
     def card(self) -> Directive:
-        """The card with the reason above it."""
+        """Card with the reason above it."""
         word = f"{self.key}={self.text}" if self.text else self.key
-        return Directive(".options", (word,), notes=(f"* {self.key}: {comment(self.reason)}",))
+        return Directive(
+            ".options", (word,), notes=(f"* {self.key}: {format_comment(self.reason)}",)
+        )
 
 
-RELTOL, CHGTOL = 1e-3, 1e-14  # defaults of ngspice without these options
-LEAST_STEP = 1e-12  # least step of a dc sweep in V or A; ngspice ends a sweep within 2.2e-13
-MOST_A_DECADE = 2**31 - 1  # largest number of points per decade; simulators count points in 32 bits
+RELTOL, CHGTOL = 1e-3, 1e-14  # default options of ngspice
+# smallest step of a dc sweep in V or A; ngspice ends a sweep within 2.2e-13
+SMALLEST_SWEEP_STEP = 1e-12
+MAX_POINTS_PER_DECADE = 2**31 - 1  # simulators store the number of points per decade in 32 bits
 
 
 @dataclass(frozen=True)
 class Command:
-    """The analysis: its kind and the numbers of its card."""
+    """Analysis: its kind and the numbers of its card."""
 
     kind: str
     words: tuple[str, ...]
@@ -66,16 +69,16 @@ class Command:
 
     @property
     def directive(self) -> Directive:
-        """The card."""
+        """Card of the analysis."""
         return Directive(f".{self.kind}", self.words)
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A ``.meas`` card of an analysis ``kind``, with the factor of its value to SI.
+    """Card ``.meas`` of an analysis ``kind``, with the conversion factor to SI.
 
-    ``words`` are those behind its name. An ``op`` analysis has no ``.meas`` card; its only word is
-    the vector that the deck prints.
+    ``words`` follow the name of the measurement. An ``op`` analysis has no ``.meas`` card; its only
+    word is the vector that the deck prints.
     """
 
     name: str
@@ -85,20 +88,20 @@ class Measure:
 
     @property
     def cards(self) -> Iterator[Directive]:
-        """The card, and a second one that scales the value if the vector is not in SI."""
+        """Card of the measurement, and a second card that converts its value to SI if needed."""
         if self.kind == "op":
             return
         if self.factor == 1.0:
             yield Directive(".meas", (self.kind, self.name, *self.words))
             return
         plain = f"{self.name}_raw"
-        scaled = f"param='{number(self.factor)}*{plain}'"
+        scaled = f"param='{format_number(self.factor)}*{plain}'"
         yield Directive(".meas", (self.kind, plain, *self.words))
         yield Directive(".meas", (self.kind, self.name, scaled))
 
 
 class PowerTerm(NamedTuple):
-    """A power [W] as the product of two results by their names.
+    """Power [W] as the product of two results.
 
     One quantity is ``across`` pins and the other flows ``through`` these pins; the ``law`` depends
     on their domain.
@@ -110,77 +113,82 @@ class PowerTerm(NamedTuple):
 
     @property
     def names(self) -> frozenset[str]:
-        """Names of the results in the product."""
+        """Names of the two results."""
         return frozenset({self.through} if self.law == "through" else {self.across, self.through})
 
 
-def transient(stop: float, max_step: float, *, uic: bool) -> Command:
-    """Return ``.tran`` to ``stop`` [s] in steps of ``max_step`` [s] at most."""
+def transient_command(stop: float, max_step: float, *, uic: bool) -> Command:
+    """Return the ``.tran`` analysis up to ``stop`` [s] with steps of at most ``max_step`` [s]."""
     step = min(max_step, stop / 1000)
-    words = (write_rounded(step), number(stop), "0", write_rounded(max_step))
+    words = (format_rounded(step), format_number(stop), "0", format_rounded(max_step))
     return Command("tran", (*words, "uic") if uic else words)
 
 
-def ac(start: float, stop: float, points: int, scale: str) -> Command:
-    """Return ``.ac`` at about ``points`` frequencies [Hz] on a log or linear scale."""
-    return Command("ac", _range(start, stop, points, scale))
+def ac_command(start: float, stop: float, points: int, scale: str) -> Command:
+    """Return the ``.ac`` analysis at about ``points`` frequencies [Hz]."""
+    return Command("ac", _format_range(start, stop, points, scale))
 
 
-def noise(output: str, source: str, start: float, stop: float, points: int, scale: str) -> Command:
-    """Return ``.noise`` of the voltage ``output`` at the frequencies of :func:`ac`.
+def noise_command(
+    output: str, source: str, start: float, stop: float, points: int, scale: str
+) -> Command:
+    """Return the ``.noise`` analysis of the voltage ``output`` at the same frequencies as ``.ac``.
 
-    Every point contains the noise of each device. The simulator needs the name of a ``source``, to
-    which it refers the noise.
+    Every point contains the noise of each device. The simulator needs the name of a ``source`` for
+    the equivalent input noise.
     """
-    return Command("noise", (output, source, *_range(start, stop, points, scale), "1"))
+    return Command("noise", (output, source, *_format_range(start, stop, points, scale), "1"))
 
 
-def _range(start: float, stop: float, points: int, scale: str) -> tuple[str, ...]:
+def _format_range(start: float, stop: float, points: int, scale: str) -> tuple[str, ...]:
+    """Return the words of a frequency range."""
     decades = 0.0 if scale == "linear" else math.log10(stop / start)
-    if points > MOST_A_DECADE * decades:  # a narrow range is swept linearly
-        return "lin", str(points), number(start), number(stop)
-    return "dec", str(math.ceil(points / decades)), number(start), number(stop)
+    if points > MAX_POINTS_PER_DECADE * decades:  # a narrow range has linear spacing
+        return "lin", str(points), format_number(start), format_number(stop)
+    return "dec", str(math.ceil(points / decades)), format_number(start), format_number(stop)
 
 
 def with_frequencies(command: Command, start: float, stop: float, points: int) -> Command:
-    """Return a small-signal ``command`` at other frequencies [Hz], equally spaced."""
+    """Return a small-signal ``command`` with other, equally spaced frequencies [Hz]."""
     reference = command.words[:2] if command.kind == "noise" else ()
     last = command.words[6:] if command.kind == "noise" else ()
-    words = (*reference, *_range(start, stop, points, "linear"), *last)
+    words = (*reference, *_format_range(start, stop, points, "linear"), *last)
     return Command(command.kind, words)
 
 
-def dc(source: str, first: float, last: float, points: int) -> Command:
-    """Return ``.dc`` of a source, in the unit of the source.
+def dc_command(source: str, first: float, last: float, points: int) -> Command:
+    """Return the ``.dc`` sweep of a source, in the unit of the source.
 
-    The simulator adds step to step. The range is a quarter of a step longer, so that rounding does
-    not lose the last point.
+    The simulator sums the steps. The range is a quarter of a step longer, so that rounding does not
+    remove the last point.
 
     Raises
     ------
-    UsageError : a step so small that ngspice goes on beyond the end of the range.
+    UsageError : a step so small that ngspice continues beyond the end of the range.
     """
     step = (last - first) / (points - 1)
-    if abs(step) < LEAST_STEP:
-        got, expected = f"{step:g}", f"at least {LEAST_STEP:g} in the source's unit"
+    if abs(step) < SMALLEST_SWEEP_STEP:
+        got, expected = f"{step:g}", f"at least {SMALLEST_SWEEP_STEP:g} in the source's unit"
         raise UsageError("steps too small for ngspice", where=source, got=got, expected=expected)
-    return Command("dc", (source, number(first), number(last + step / 4), number(step)))
+    return Command(
+        "dc", (source, format_number(first), format_number(last + step / 4), format_number(step))
+    )
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Deck:
-    """A testbench with its libraries.
+    """Testbench with its libraries.
 
     ``parts`` are the subcircuits, each one library file; ``vectors`` maps result names to ngspice
-    expressions and the factor to SI, ``units`` to SI units, ``powers`` to the terms that they are
-    sums of. ``stop`` and ``max_step`` are the last time point and the largest step [s] of a
-    transient, None otherwise. ``refinements`` are further analyses of the kind of ``command``,
-    whose points are added to its points. A dc analysis sweeps its source in ``sweep_scale`` volts
-    or amperes per SI unit of the swept key. A deck that somebody wrote by hand has its ``text``,
-    and ``more`` are the files that it includes. Its ``tree`` is that of the text, if known.
-    ``controlled`` states whether a controller may close a loop, which some simulators only follow
-    in short steps. A ``trusted`` deck runs with a warning if the simulator ignores or replaces
-    something in it. The simulator takes the ``measures`` itself, for runs without a raw file.
+    expressions and the factor to SI, ``units`` to SI units, ``powers`` to the terms of each sum.
+    ``stop`` and ``max_step`` are the last time point and the largest step [s] of a transient, None
+    otherwise. ``refinements`` are further analyses of the kind of ``command``, whose points are
+    added to its points. A dc analysis sweeps its source in ``sweep_scale`` volts or amperes per SI
+    unit of the swept key. A deck of the user has a ``text``, its syntax ``tree`` if known, and
+    ``more`` included files. ``controlled`` states whether a controller may close a loop, which some
+    simulators resolve only with short steps. A ``trusted`` deck runs with a warning if the
+    simulator ignores or replaces something in it. The simulator takes the ``measures`` itself, for
+    runs without a raw file.
     """
 
     name: str
@@ -206,6 +214,7 @@ class Deck:
     trusted: bool = False
 
     def __repr__(self) -> str:
+        """Return a short description of the deck."""
         files = ", ".join(self.files)
         return (
             f"<Deck {self.name}: {self.command.card}; {files}; results {', '.join(self.vectors)}>"
@@ -213,57 +222,57 @@ class Deck:
 
     @property
     def main(self) -> str:
-        """Name of the file that a simulator reads."""
+        """Name of the file that the simulator reads."""
         return f"{self.name}.cir"
 
     @property
     def saved_vectors(self) -> tuple[str, ...]:
-        """The ngspice vectors of all results, each once."""
+        """Vectors of all results in ngspice, without repetitions."""
         result = dict[str, None]()
         for expression, _ in self.vectors.values():
-            result |= dict.fromkeys(map(itemgetter(1), terms(expression)))
+            result |= dict.fromkeys(map(itemgetter(1), split_terms(expression)))
         return tuple(result)
 
     @property
     def files(self) -> dict[str, str]:
-        """``{file name: text}`` of the deck and its libraries."""
+        """Texts of the deck and its libraries, keyed by file name."""
         libraries = dict(map(attrgetter("filename", "text"), self.parts))
-        return {self.main: self._main} | libraries | dict(self.more)
+        return {self.main: self._print_main} | libraries | dict(self.more)
 
     @cached_property
     def circuit(self) -> Circuit:
-        """The tree of the main file.
+        """Syntax tree of the main file.
 
         Raises
         ------
         UsageError : a broken card.
         """
         if self.text is None:
-            return self.printed_for(*self._usage)
-        return _insert_cards(self._read, [*self._option_cards, *self._refinement_cards])
+            return self.printed_for(*self._usage_comment)
+        return _insert_cards(self._parse_text, [*self._option_cards, *self._refinement_cards])
 
     @cached_property
     def trees(self) -> dict[str, Circuit]:
-        """``{file name: tree}`` of the deck and its libraries, each read once.
+        """Syntax trees of the deck and its libraries, keyed by file name.
 
         Raises
         ------
         UsageError : a broken card.
         """
-        more = {name: read(text, name) for name, text in self.more.items()}
+        more = {name: read_cards(text, name) for name, text in self.more.items()}
         libraries = dict(map(attrgetter("filename", "circuit"), self.parts))
         return {self.main: self.circuit} | libraries | more
 
     @cached_property
     def located_trees(self) -> Mapping[str, Circuit]:
-        """The trees with the place of each card in the files that are written, for errors."""
+        """Syntax trees in which each card has its position in the written files."""
         libraries = dict(map(attrgetter("filename", "located_tree"), self.parts))
         main = locate_cards(self.circuit, self.main) if self.text is None else self.circuit
         return {**self.trees, **libraries, self.main: main}
 
     @cached_property
     def scope(self) -> Scope:
-        """The whole circuit, its includes followed.
+        """Complete circuit with all included files.
 
         Raises
         ------
@@ -272,18 +281,19 @@ class Deck:
         return scoped(self.circuit, self.trees, self.main)
 
     @cached_property
-    def _read(self) -> Circuit:
-        """The tree of a deck that somebody wrote."""
-        return self.tree or read(self.text or "", self.main, title=True)
+    def _parse_text(self) -> Circuit:
+        """Return the syntax tree of a deck of the user."""
+        return self.tree or read_cards(self.text or "", self.main, title=True)
 
     @cached_property
-    def _main(self) -> str:
+    def _print_main(self) -> str:
+        """Return the text of the main file."""
         if self.text is not None and not self.options and not self.refinements:
             return self.text
         return Printer().file(self.circuit)
 
     @property
-    def _usage(self) -> tuple[str, ...]:
+    def _usage_comment(self) -> tuple[str, ...]:
         """Comment with the command that runs the deck in ngspice."""
         raw, plot = f"{self.name}.raw {self.main}", f"{self.name}_plot.sp"
         return (
@@ -293,16 +303,17 @@ class Deck:
         )
 
     def printed_for(self, *usage: str) -> Circuit:
-        """Return the tree of the main file with the lines ``usage`` about how to run it.
+        """Return the tree of the main file with the comment ``usage`` about running the file.
 
-        A deck that somebody wrote keeps its head.
+        The header of a user's deck is unchanged.
         """
         if self.text is not None:
             return self.circuit
-        return Circuit(items=attach_comments(self._lines(usage)))
+        return Circuit(items=attach_comments(self._deck_lines(usage)))
 
-    def _lines(self, usage: Iterable[str]) -> Iterator[Line]:
-        yield f"* {comment(self.title)}"
+    def _deck_lines(self, usage: Iterable[str]) -> Iterator[Line]:
+        """Yield the lines of the main file."""
+        yield f"* {format_comment(self.title)}"
         yield from self.notes or ("",)
         yield from usage
         if stated := describe_units(self._pin_units):
@@ -313,7 +324,9 @@ class Deck:
         yield ""
         if self.initial:
             yield "* Nothing holds these nodes before the run begins."
-            yield Directive(".ic", tuple(f"v({n})={number(v)}" for n, v in self.initial.items()))
+            yield Directive(
+                ".ic", tuple(f"v({n})={format_number(v)}" for n, v in self.initial.items())
+            )
         yield from self._option_cards
         yield self.command.directive
         yield from self._refinement_cards
@@ -322,35 +335,35 @@ class Deck:
         if self.command.kind == "noise":
             yield Directive(".save", ("onoise_total",))  # vector of the second plot
         yield from self._measure_cards(
-            "" if usage != self._usage else ", which ngspice prints without -r"
+            "" if usage != self._usage_comment else ", which ngspice prints without -r"
         )
         yield from self._print_cards
         yield Directive(".end")
 
     @property
     def _option_cards(self) -> Iterator[Item]:
-        """The ``.options`` cards."""
+        """Cards ``.options`` of the deck."""
         return map(attrgetter("card"), self.options)
 
     @property
     def _refinement_cards(self) -> Iterator[Item]:
-        """The cards of the further analyses."""
+        """Cards of the further analyses."""
         return map(attrgetter("directive"), self.refinements)
 
     @property
     def _pin_units(self) -> set[str]:
-        """Units of the pins of its libraries, and of values of its elements."""
+        """Units of the pins of the libraries and of the values of the elements."""
         pins = chain.from_iterable(part.pins for part in self.parts)
         elements = items_of(self.items, Element)
         return set(map(attrgetter("unit"), chain(pins, elements)))
 
     @property
     def _available_measures(self) -> list[Measure]:
-        """The measures of this kind of analysis."""
+        """Measurements of this kind of analysis."""
         return [measure for measure in self.measures if measure.kind == self.command.kind]
 
     def _measure_cards(self, printed: str) -> Iterator[Line]:
-        """Yield the cards of the measures, below a comment that ends with ``printed``."""
+        """Yield the cards of the measurements, below a comment that ends with ``printed``."""
         cards = list(chain.from_iterable(map(attrgetter("cards"), self._available_measures)))
         if cards:
             yield f"* Main metrics in SI units{printed}"
@@ -358,85 +371,86 @@ class Deck:
 
     @property
     def _print_cards(self) -> Iterator[Line]:
-        """Cards of the printed values: the measures of an ``op``, and two vectors."""
+        """Cards of printed values: the measurements of an ``op``, and two vectors."""
         columns = []
         for row in self._available_measures if self.command.kind == "op" else ():
-            yield f"* {row.name} in SI units is {number(row.factor)} times {row.words[0]}"
+            yield f"* {row.name} in SI units is {format_number(row.factor)} times {row.words[0]}"
             columns.append(row.words[0])
         columns += self.saved_vectors[:2]
         yield Directive(".print", (self.command.kind, *dict.fromkeys(columns)))
 
     def with_command(self, command: Command) -> Deck:
-        """Return the same deck with this analysis, without refinements."""
+        """Return the deck with another analysis, without refinements."""
         if self.text is None:
             return replace(self, command=command, refinements=())
-        items = self._read.items
+        items = self._parse_text.items
         at = _find_analysis(items)
         if at is None:
             return self
         analysis = replace(command.directive, notes=items[at].notes)
-        tree = replace(self._read, items=(*items[:at], analysis, *items[at + 1 :]))
+        tree = replace(self._parse_text, items=(*items[:at], analysis, *items[at + 1 :]))
         return self._replace_tree(tree, command=command, refinements=())
 
     def read_option(self, key: str, default: float) -> float:
         """Return the number of an option, with or without a scale factor."""
-        text = self.option(key)
-        value = literal(text, where=self.main) if text else None
+        text = self.option_value(key)
+        value = literal_value(text, where=self.main) if text else None
         return default if value is None else value
 
     @property
     def reltol(self) -> float:
-        """Relative error of a time step."""
+        """Relative error limit of a time step."""
         return self.read_option("reltol", RELTOL)
 
     @property
     def chgtol(self) -> float:
-        """Error of a charge in a time step [C]."""
+        """Limit of the charge error of a time step [C]."""
         return self.read_option("chgtol", CHGTOL)
 
-    def option(self, key: str) -> str | None:
+    def option_value(self, key: str) -> str | None:
         """Return the value of an option, None if the deck does not set it."""
         result = None
         for card in items_of(self.circuit.items, Directive):
             for word in card.words if card.keyword in OPTION_CARDS else ():
                 name, _, value = word.partition("=")
                 if name.lower() == key and value:
-                    result = value  # the last one counts
+                    result = value  # of repeated options, the last one is effective
         return result
 
     def with_results(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
-        """Return the same deck with further results."""
+        """Return the deck with further results."""
         result = replace(self, vectors={**self.vectors, **vectors})
-        if self.text is None or ".save" not in map(_keyword, self._read.items):
+        if self.text is None or ".save" not in map(_keyword, self._parse_text.items):
             return result
         card = Directive(".save", tuple(map(itemgetter(0), vectors.values())))
-        return result._replace_tree(_insert_cards(self._read, [card]))
+        return result._replace_tree(_insert_cards(self._parse_text, [card]))
 
     def _replace_tree(self, tree: Circuit, **changes: Any) -> Deck:
-        """Return the same deck with another main file."""
+        """Return the deck with another main file."""
         return replace(self, tree=tree, text=Printer().file(tree), **changes)
 
     def with_options(self, options: Mapping[str, str], reason: str) -> Deck:
-        """Return the same deck with these values of options."""
+        """Return the deck with changed options."""
         unchanged = tuple(option for option in self.options if option.key not in options)
         new = tuple(Option(key, value, reason) for key, value in options.items())
         return replace(self, options=unchanged + new)
 
     def with_steps(self, factor: float) -> Deck:
-        """Return the same deck with its largest time step times ``factor``."""
+        """Return the deck with its largest time step multiplied by ``factor``."""
         if self.max_step is None:
             return self
         step, words = factor * self.max_step, list(self.command.words)
-        words[3] = write_rounded(step)
+        words[3] = format_rounded(step)
         return replace(self, command=Command("tran", tuple(words)), max_step=step)
 
 
 def _keyword(item: Item) -> str:
+    """Return the keyword of a card, empty for other items."""
     return item.keyword if isinstance(item, Directive) else ""
 
 
 def _find_analysis(items: Sequence[Item]) -> int | None:
-    """Return the position of the first analysis, None if there is none."""
+    """Return the index of the first analysis, None if there is none."""
     return next((k for k, item in enumerate(items) if _keyword(item) in ANALYSES), None)
 
 

@@ -1,7 +1,8 @@
-"""Decks that a user edited, and their differences to the deck of a scene.
+"""Decks edited by the user, and their differences from the deck of a scene.
 
-The deck of a scene and an edited file go in. A record of the differences comes out: parameters,
-cards and options. :mod:`kc2spice.workflow.edited_parts` applies these differences to the parts.
+The input is the deck of a scene and an edited file. The output is a record of the different
+parameters, cards and options. :mod:`kc2spice.workflow.edited_parts` applies these differences to
+the parts.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from typing import Any, NamedTuple
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.deck import Command, Deck
-from kc2spice.netlist.expression import Trace, literal, parse_vector
+from kc2spice.netlist.expression import Trace, literal_value, parse_vector
 from kc2spice.netlist.include_scan import (
     ANALYSES,
-    HARMLESS,
+    PRINT_OPTIONS,
     accuracy_options,
     check_deck_effects,
     read_checked_circuit,
@@ -32,7 +33,7 @@ from kc2spice.netlist.scope import Scope, has_vector
 class ParameterEdit(NamedTuple):
     """Parameter of an instance with its old and its new value.
 
-    The value of an expression is nan.
+    An expression has the value NaN.
     """
 
     name: str
@@ -42,7 +43,7 @@ class ParameterEdit(NamedTuple):
 
 @dataclass(frozen=True)
 class InstanceEdit:
-    """Differences of an instance of a subcircuit.
+    """Differences of a subcircuit instance.
 
     Attributes
     ----------
@@ -61,7 +62,7 @@ class InstanceEdit:
 
 @dataclass(frozen=True)
 class DeckEdits:
-    """Edited deck with its differences to the deck of a scene.
+    """Edited deck with its differences from the deck of a scene.
 
     Attributes
     ----------
@@ -85,20 +86,20 @@ class DeckEdits:
 def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
     """Read a netlist that was edited after the export of its ``original`` deck.
 
-    The text of included files replaces their include lines. A netlist that could act on the machine
-    is refused, unless the original is trusted.
+    The text of included files replaces their include lines. A netlist that could execute programs
+    or write files is rejected, unless the original is trusted.
 
     Raises
     ------
-    UsageError : no such file, a line that could act on the machine, a card that changes what the
-        parts of the deck mean, another analysis than the scene's, vectors that the file does not
-        save or that nothing in it has.
+    UsageError : the file is missing, a line could execute programs or write files, a card changes
+    the meaning of the parts, the analysis differs from that of the scene, or a required vector is
+    not saved or does not exist.
     """
     result = read_checked_circuit(path, trust=original.trusted)
     cards = list(result.cards(title=True))
     check_deck_effects(cards, part=False)
     analysis = _require_analysis(original, cards, path)
-    _require_saved(original, cards, path)
+    _require_saved_vectors(original, cards, path)
     deck = replace(
         original,
         text=result.text,
@@ -125,7 +126,7 @@ def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) ->
 
     Raises
     ------
-    UsageError : the deck has another analysis than its ``original``, or several.
+    UsageError : the analysis differs from that of the ``original``, or the deck has several.
     """
     analyses = [card for card in cards if card.keyword in ANALYSES]
     if list(map(attrgetter("keyword"), analyses)) != [f".{original.command.kind}"]:
@@ -141,12 +142,12 @@ def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) ->
     return analyses[0]
 
 
-def _require_saved(original: Deck, cards: Iterable[Statement], path: Path) -> None:
-    """Refuse a deck that saves vectors, but not all that the results need.
+def _require_saved_vectors(original: Deck, cards: Iterable[Statement], path: Path) -> None:
+    """Reject a deck that saves some vectors, but not all vectors of the results.
 
     Raises
     ------
-    UsageError : names the missing vectors.
+    UsageError : lists the missing vectors.
     """
     saved: set[Trace | None] = set()
     for card in cards:
@@ -168,12 +169,12 @@ def _read_stop(original: Deck, analysis: Statement) -> float | None:
 
     Raises
     ------
-    UsageError : the end is no number.
+    UsageError : the end is not a number.
     """
     if original.stop is None:
         return None
     words = analysis.words[1:]
-    stop = literal(words[1], where=analysis.where) if len(words) > 1 else None
+    stop = literal_value(words[1], where=analysis.where) if len(words) > 1 else None
     if stop is None:
         message, got = "the end of the transient is no number", " ".join(words)
         raise UsageError(message, where=analysis.where, got=got)
@@ -185,15 +186,15 @@ def _read_max_step(original: Deck, analysis: Statement) -> float | None:
     words = analysis.words[1:]
     if original.stop is None or len(words) < 4:
         return None
-    return literal(words[3], where=analysis.where)
+    return literal_value(words[3], where=analysis.where)
 
 
 def _require_results(before: Scope, edited: Deck, path: Path) -> None:
-    """Refuse a deck without the nodes and devices that results are read from.
+    """Reject a deck without the nodes and devices of the results.
 
     Raises
     ------
-    UsageError : names the vectors, and the card that brings back a current.
+    UsageError : lists the vectors, and the card that restores a current.
     """
     now = edited.scope
     _require_instances(before, now, path)
@@ -223,7 +224,7 @@ def _require_results(before: Scope, edited: Deck, path: Path) -> None:
 
 
 def _require_instances(before: Scope, now: Scope, path: Path) -> None:
-    """Refuse a deck that lost the subcircuit of a part and has no new card in its place.
+    """Reject a deck without the subcircuit of a part and without a new card in its place.
 
     Raises
     ------
@@ -231,7 +232,7 @@ def _require_instances(before: Scope, now: Scope, path: Path) -> None:
     """
     old, new = before.elements_by_key, now.elements_by_key
     if new.keys() - old.keys():
-        return  # the user must check the replacement
+        return  # the user is responsible for the replacement
     for key in old.keys() - new.keys():
         if old[key].kind == "x":
             name = old[key].name
@@ -247,17 +248,18 @@ def _compare_options(
     original: Deck, cards: Iterable[Statement]
 ) -> dict[str, tuple[str | None, str | None]]:
     """Return the old and new values of accuracy options that differ."""
-    before = {item.key: item.text for item in original.options if item.key not in HARMLESS}
+    before = {item.key: item.text for item in original.options if item.key not in PRINT_OPTIONS}
     now = accuracy_options(cards)
 
-    def value(text: str | None) -> float | str | None:
-        number = literal(text) if text else None
-        return text if number is None else number
+    def parse_value(text: str | None) -> float | str | None:
+        """Return the value of an option as a number if possible."""
+        parse_number = literal_value(text) if text else None
+        return text if parse_number is None else parse_number
 
     different = {}
     for key in dict.fromkeys([*before, *now]):
         old, new = before.get(key), now.get(key)
-        if value(old) != value(new):
+        if parse_value(old) != parse_value(new):
             different[key] = old, new
     return different
 
@@ -265,7 +267,7 @@ def _compare_options(
 def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
     """Return the parts whose cards differ, with the reason.
 
-    Other parameters or subcircuits of an instance do not count.
+    Differences in the parameters or the subcircuit of an instance are ignored.
     """
     old, new = before.elements_by_key, now.elements_by_key
     result = {}
@@ -276,7 +278,7 @@ def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
             result[owner] = f"the deck has no card {a.name}"
         elif a is None or b is None or _element_content(a) != _element_content(b):
             result[owner] = f"its card {(a or b).name} is another one"  # type: ignore[union-attr]
-        elif a.ends != b.ends:  # the keys still describe an instance with other nodes
+        elif a.ends != b.ends:  # the keys also describe an instance with other nodes
             name = key if key.startswith("x") else owner
             result[name] = f"its card {a.name} is joined otherwise"
     return result
@@ -285,11 +287,11 @@ def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
 def _element_content(card: Element) -> str:
     """Return a card without its nodes, and without the parameters of an instance."""
     plain = replace(card, nodes=())
-    return element_text(replace(plain, parameters={}) if card.kind == "x" else plain)
+    return normalise_element(replace(plain, parameters={}) if card.kind == "x" else plain)
 
 
-def element_text(card: Element) -> str:
-    """Return the content of a card; blanks and brackets of expressions make no difference."""
+def normalise_element(card: Element) -> str:
+    """Return the content of a card without irrelevant blanks and brackets."""
     plain = replace(card, name=card.key, nodes=card.ends, parameters=card.settings)
     return Printer().element(plain)
 
@@ -305,35 +307,38 @@ def _compare_instances(before: Scope, now: Scope) -> dict[str, InstanceEdit]:
             parameters = _compare_parameters(
                 old.defaults | card.settings, new.defaults | edited[key].settings
             )
-            result[key] = InstanceEdit(new.name, _cards(old) != _cards(new), tuple(parameters))
+            result[key] = InstanceEdit(
+                new.name, _list_cards(old) != _list_cards(new), tuple(parameters)
+            )
     return result
 
 
 def _compare_parameters(
     before: Mapping[str, str], now: Mapping[str, str]
 ) -> Iterator[ParameterEdit]:
-    """Yield the parameters of an instance whose values differ."""
+    """Yield the instance parameters that have different values."""
 
-    def number(text: str | None) -> float:
-        value = None if text is None else literal(text)
-        return math.nan if value is None else value
+    def parse_number(text: str | None) -> float:
+        """Return the number of a parameter; NaN for an expression."""
+        parse_value = None if text is None else literal_value(text)
+        return math.nan if parse_value is None else parse_value
 
     for name in before.keys() | now.keys():
         if before.get(name) != now.get(name):
-            old, new = number(before.get(name)), number(now.get(name))
+            old, new = parse_number(before.get(name)), parse_number(now.get(name))
             if old != new:
                 yield ParameterEdit(name, old, new)
 
 
-def _cards(scope: Scope, above: frozenset[str] = frozenset()) -> Any:
-    """Return the content of the cards of a subcircuit, inner subcircuits included."""
+def _list_cards(scope: Scope, above: frozenset[str] = frozenset()) -> Any:
+    """Return the content of all cards of a subcircuit, including inner subcircuits."""
     inside = []
     for item in scope.elements:
         called = scope.find(item.model) if item.kind == "x" else None
         if called is not None and called.name.lower() not in above:
-            within = _cards(called, above | {called.name.lower()})
+            within = _list_cards(called, above | {called.name.lower()})
             inside.append((item.model.lower(), sorted(called.defaults.items()), within))
     printer = Printer()
     plain = list(map(printer.card, scope.commands))
     models = {name: printer.card(item) for name, item in scope.models.maps[0].items()}
-    return scope.pins, list(map(element_text, scope.elements)), plain, models, inside
+    return scope.pins, list(map(normalise_element, scope.elements)), plain, models, inside

@@ -1,4 +1,4 @@
-"""Streams of cards with comments, and cards that several parts have."""
+"""Lists of cards with comments, and cards that several parts use."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from dataclasses import replace
 from typing import TypeAlias
 
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.netlist.spelling import comment
+from kc2spice.netlist.spelling import format_comment
 
-#: A card, or one or more comment and blank lines above a card.
+# Card, or one or more comment and blank lines above a card.
 Line: TypeAlias = Item | str
 
-_TICK = (
+_PIVOT_COMMENT = (
     "* A source of 0 V with corners at 1 and 2 ps makes the first time step small: the simulator "
     "fixes\n* there in which order it eliminates unknowns."
 )
 
 
 def attach_comments(lines: Iterable[Line]) -> tuple[Item, ...]:
-    """Return the cards among the lines, each with the comments that stand above it."""
+    """Return the cards, each with the comments directly above it."""
     result: list[Item] = []
     notes: list[str] = []
     for line in lines:
@@ -40,7 +40,11 @@ def add_title(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item,
     first, *others = (replace(item, owner=owner) for item in items)
     units = dict.fromkeys(item.unit for item in (first, *others) if isinstance(item, Element))
     stated = ", ".join(filter(None, units))
-    notes = ("", f"* {comment(title)}{f'; values in {stated}' if stated else ''}", *first.notes)
+    notes = (
+        "",
+        f"* {format_comment(title)}{f'; values in {stated}' if stated else ''}",
+        *first.notes,
+    )
     return (replace(first, notes=notes), *others)
 
 
@@ -50,6 +54,6 @@ def pivot_cards(base: str) -> Iterator[Line]:
     ngspice chooses pivots at its first step. Pivots of a long step lose digits in the picoseconds
     of an impact, until no step converges.
     """
-    yield _TICK
+    yield _PIVOT_COMMENT
     yield Element.of("Vtick", "tick", base, "PWL(0 0 1e-12 0 2e-12 0)")
     yield Element.of("Rtick", "tick", base, "1")

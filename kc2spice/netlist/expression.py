@@ -1,4 +1,4 @@
-"""Expressions of sources and parameters as trees, and names of results."""
+"""Expression trees of sources and parameters, and names of result vectors."""
 
 from __future__ import annotations
 
@@ -17,43 +17,43 @@ _TOKEN = re.compile(
     r"|(?P<name>[A-Za-z_]\w*)"
     r"|(?P<op>\*\*|<=|>=|==|!=|&&|\|\||[-+*/^<>?:(),{}!~%]))"
 )
-# Functions that all simulators have; those of ngspice's behavioural sources, where ``limit`` is of
-# its statistics and returns 0; and its words.
-EVERYWHERE = frozenset((
+# EVERYWHERE: functions of all simulators. FUNCTIONS: functions of behavioural sources in ngspice,
+# whose statistical function ``limit`` returns 0. BUILT_IN: constants of ngspice.
+COMMON_FUNCTIONS = frozenset((
     "abs", "acos", "asin", "atan", "cos", "cosh", "exp", "floor", "ln", "max", "min", "sin",
     "sinh", "sqrt", "tan", "tanh",
 ))  # fmt: skip
-FUNCTIONS = EVERYWHERE.union((
+FUNCTIONS = COMMON_FUNCTIONS.union((
     "acosh", "asinh", "atanh", "buf", "ceil", "inv", "log", "log10", "nint", "pow", "pwl", "pwr",
     "sgn", "u", "u2", "uramp",
 ))  # fmt: skip
-BUILT_IN = frozenset(("boltz", "e", "gmin", "hertz", "pi", "temp", "temper", "time", "vt"))
-_LEVELS = (("||",), ("&&",), ("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/"))
-_RANK: dict[str, int] = {}
-for _rank, _operators in enumerate(_LEVELS):
-    _RANK |= dict.fromkeys(_operators, _rank)
-#: Powers of ten of the scale factors behind a number.
+BUILT_IN_NAMES = frozenset(("boltz", "e", "gmin", "hertz", "pi", "temp", "temper", "time", "vt"))
+_OPERATOR_LEVELS = (("||",), ("&&",), ("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/"))
+_PRECEDENCE: dict[str, int] = {}
+for _rank, _operators in enumerate(_OPERATOR_LEVELS):
+    _PRECEDENCE |= dict.fromkeys(_operators, _rank)
+# Powers of ten of the scale factors after a number.
 PREFIXES = {"meg": 6, "t": 12, "g": 9, "k": 3, "m": -3, "u": -6, "n": -9, "p": -12, "f": -15, "": 0}
-MIL = 25.4e-6  # m, the one scale factor that is no power of ten
+MIL = 25.4e-6  # m, the only scale factor that is not a power of ten
 
 
 @dataclass(frozen=True)
 class Number:
-    """A literal, as it was written, without suffix letters."""
+    """Number as it was written, without suffix letters."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Name:
-    """A parameter, or a word like ``time``."""
+    """Parameter, or a keyword such as ``time``."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class CircuitVariable:
-    """``V(a)``, ``V(a,b)`` or ``I(source)``; ``kind`` is ``v`` or ``i``."""
+    """Circuit variable ``V(a)``, ``V(a,b)`` or ``I(source)``; ``kind`` is ``v`` or ``i``."""
 
     kind: str
     names: tuple[str, ...]
@@ -61,7 +61,7 @@ class CircuitVariable:
 
 @dataclass(frozen=True)
 class Call:
-    """A function, its name in lower case."""
+    """Function call; the name is in lower case."""
 
     function: str
     arguments: tuple[Tree, ...]
@@ -69,7 +69,7 @@ class Call:
 
 @dataclass(frozen=True)
 class Unary:
-    """Sign or negation."""
+    """Sign or negation of an operand."""
 
     op: str
     value: Tree
@@ -77,7 +77,7 @@ class Unary:
 
 @dataclass(frozen=True)
 class Binary:
-    """``left op right``."""
+    """Binary operation ``left op right``."""
 
     op: str
     left: Tree
@@ -86,7 +86,7 @@ class Binary:
 
 @dataclass(frozen=True)
 class Choice:
-    """``test ? yes : no``."""
+    """Conditional expression ``test ? yes : no``."""
 
     test: Tree
     yes: Tree
@@ -96,63 +96,63 @@ class Choice:
 Tree = Number | Name | CircuitVariable | Call | Unary | Binary | Choice
 
 
-def parse(text: str, *, where: str = "expression") -> Tree:
-    """Return the tree of ``text``; braces and quotes around parts of it mean nothing.
+def parse_expression(text: str, *, where: str = "expression") -> Tree:
+    """Return the tree of ``text``; braces and quotes around parts are ignored.
 
     Raises
     ------
-    UsageError : not an expression.
+    UsageError : the text is not an expression.
     """
     return _Parser(text.strip().strip("'\""), where).whole_text()
 
 
-def literal(text: str, *, where: str = "expression") -> float | None:
-    """Return the value of a number with its scale factor, None of other expressions.
+def literal_value(text: str, *, where: str = "expression") -> float | None:
+    """Return the value of a number with its scale factor; None for other expressions.
 
     Raises
     ------
-    UsageError : not an expression.
+    UsageError : the text is not an expression.
     """
-    sign, tree = "", parse(text, where=where)
+    sign, tree = "", parse_expression(text, where=where)
     if isinstance(tree, Unary) and tree.op in "+-":
         sign, tree = tree.op, tree.value
     return float(sign + tree.text) if isinstance(tree, Number) else None
 
 
-def walk(tree: Tree) -> Iterator[Tree]:
-    """Yield the tree and all trees below it."""
+def walk_tree(tree: Tree) -> Iterator[Tree]:
+    """Yield the tree and all its subtrees."""
     yield tree
-    for child in children(tree):
-        yield from walk(child)
+    for child in operands_of(tree):
+        yield from walk_tree(child)
 
 
-def children(tree: Tree) -> tuple[Tree, ...]:
+def operands_of(tree: Tree) -> tuple[Tree, ...]:
     """Return the direct operands of ``tree``."""
     below = tree.arguments if isinstance(tree, Call) else vars(tree).values()
     return tuple(item for item in below if isinstance(item, Tree))
 
 
 def probed_names(tree: Tree, kind: str) -> frozenset[str]:
-    """Return the nodes whose voltages (``"v"``) an expression reads, in lower case.
+    """Return the nodes in lower case whose voltages (``"v"``) an expression reads.
 
-    With the ``kind`` ``"i"`` they are the devices whose currents the expression reads.
+    For the ``kind`` ``"i"``, return the devices whose currents the expression reads.
     """
     result = set[str]()
-    for leaf in walk(tree):
+    for leaf in walk_tree(tree):
         if isinstance(leaf, CircuitVariable) and leaf.kind == kind:
             result.update(map(str.lower, leaf.names))
     return frozenset(result)
 
 
-def change_operands(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
-    """Return ``tree`` with its direct operands changed."""
+def map_operands(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
+    """Return ``tree`` with each direct operand changed."""
     if isinstance(tree, Call):
         return Call(tree.function, tuple(map(change, tree.arguments)))
     kind: Any = type(tree)
     return kind(*(change(x) if isinstance(x, Tree) else x for x in vars(tree).values()))
 
 
-_MATH: dict[str, Callable[..., float]] = {
+_MATH_FUNCTIONS: dict[str, Callable[..., float]] = {
     name: getattr(math, name)
     for name in ("acos", "asin", "atan", "cos", "cosh", "exp", "sin", "sinh", "tan", "tanh")
 } | {"abs": abs, "ln": math.log, "log10": math.log10, "max": max, "min": min, "sqrt": math.sqrt}
@@ -163,13 +163,13 @@ _OPERATORS: dict[str, Callable[[float, float], float]] = {
 }  # fmt: skip
 
 
-def parameter_value(tree: Tree, names: Mapping[str, float]) -> float:
-    """Return the number that an expression of parameters has.
+def evaluate_parameter(tree: Tree, names: Mapping[str, float]) -> float:
+    """Evaluate an expression of parameters.
 
     Parameters
     ----------
-    tree : of an element's or a parameter's value.
-    names : values of the parameters, by names in lower case.
+    tree : expression of the value of an element or a parameter.
+    names : values of the parameters, keyed by names in lower case.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def parameter_value(tree: Tree, names: Mapping[str, float]) -> float:
 
     Examples
     --------
-    >>> parameter_value(parse("{2*k+1}"), {"k": 3.0})
+    >>> evaluate_parameter(parse_expression("{2*k+1}"), {"k": 3.0})
     7.0
     """
     match tree:
@@ -185,28 +185,32 @@ def parameter_value(tree: Tree, names: Mapping[str, float]) -> float:
             return float(text)
         case Name(text) if text.lower() in names:
             return names[text.lower()]
-        case Call(function, arguments) if function in _MATH:
-            return float(_MATH[function](*(parameter_value(item, names) for item in arguments)))
+        case Call(function, arguments) if function in _MATH_FUNCTIONS:
+            return float(
+                _MATH_FUNCTIONS[function](*(evaluate_parameter(item, names) for item in arguments))
+            )
         case Unary("-" | "+" as op, inner):
-            return -parameter_value(inner, names) if op == "-" else parameter_value(inner, names)
+            return (
+                -evaluate_parameter(inner, names) if op == "-" else evaluate_parameter(inner, names)
+            )
         case Binary(op, left, right) if op in _OPERATORS:
             return float(
-                _OPERATORS[op](parameter_value(left, names), parameter_value(right, names))
+                _OPERATORS[op](evaluate_parameter(left, names), evaluate_parameter(right, names))
             )
         case Choice(test, yes, no):
-            return parameter_value(yes if parameter_value(test, names) else no, names)
+            return evaluate_parameter(yes if evaluate_parameter(test, names) else no, names)
     raise UsageError("not a number", where="expression", got=Writer().write(tree)[:80])
 
 
-def substitute(tree: Tree, values: Mapping[str, Tree]) -> Tree:
-    """Return ``tree`` with trees in place of names."""
+def substitute_names(tree: Tree, values: Mapping[str, Tree]) -> Tree:
+    """Return ``tree`` with each name replaced by its tree."""
     if isinstance(tree, Name):
         return values.get(tree.text, tree)
-    return change_operands(tree, lambda node: substitute(node, values))
+    return map_operands(tree, lambda node: substitute_names(node, values))
 
 
 class Writer:
-    """Writer of trees, whose spelling dialects override."""
+    """Writer of expression trees; dialects override the spelling."""
 
     def name(self, text: str) -> str:
         """Return the spelling of a parameter or keyword."""
@@ -217,7 +221,7 @@ class Writer:
         return f"{function}({', '.join(map(self.write, arguments))})"
 
     def write(self, tree: Tree, level: int = 0) -> str:
-        """Return the text of ``tree``, in parentheses if its surroundings need them."""
+        """Return the text of ``tree``, in parentheses if the context needs them."""
         match tree:
             case Number(text):
                 return text
@@ -230,88 +234,101 @@ class Writer:
             case Choice(test, yes, no):
                 return f"({self.write(test)} ? {self.write(yes)} : {self.write(no)})"
             case Unary(op, value):
-                text = f"{op}{self.write(value, len(_LEVELS))}"
+                text = f"{op}{self.write(value, len(_OPERATOR_LEVELS))}"
                 return f"({text})" if level > 3 else text
             case Binary("^", left, right):
-                return f"{self.write(left, len(_LEVELS))}^{self.write(right, len(_LEVELS))}"
+                level = len(_OPERATOR_LEVELS)
+                return f"{self.write(left, level)}^{self.write(right, level)}"
             case Binary(op, left, right):
-                rank = _RANK[op]
+                rank = _PRECEDENCE[op]
                 text = f"{self.write(left, rank)}{op}{self.write(right, rank + 1)}"
                 return f"({text})" if rank < level else text
         raise TypeError(tree)
 
 
 class _Parser:
+    """Parser of expressions by recursive descent."""
+
     def __init__(self, text: str, where: str) -> None:
         self.text, self.where, self.at = text, where, 0
 
     def whole_text(self) -> Tree:
-        tree = self.choice()
+        """Parse the complete text."""
+        tree = self.parse_choice()
         if self.text[self.at :].strip():
             raise self.error("stray text")
         return tree
 
     def error(self, what: str) -> UsageError:
+        """Return the error for unexpected text."""
         return UsageError(
             f"not an expression: {what}",
             where=self.where,
             got=f"{self.text[:60]!r} at {self.text[self.at : self.at + 20]!r}",
         )
 
-    def peek(self) -> re.Match[str] | None:
+    def peek_token(self) -> re.Match[str] | None:
+        """Return the next token without consuming it."""
         return _TOKEN.match(self.text, self.at)
 
     def accept(self, *ops: str) -> str | None:
-        match = self.peek()
+        """Consume the next token if it is one of the operators."""
+        match = self.peek_token()
         if match and match["op"] in ops:
             self.at = match.end()
             return match["op"]
         return None
 
-    def expect(self, op: str) -> None:
+    def expect_operator(self, op: str) -> None:
+        """Consume an operator; raise an error if it is missing."""
         if self.accept(op) is None:
             raise self.error(f"{op} expected")
 
-    def choice(self) -> Tree:
+    def parse_choice(self) -> Tree:
+        """Parse ``test ? yes : no`` or a simpler expression."""
         test = self.level(0)
         if self.accept("?") is None:
             return test
-        yes = self.choice()
-        self.expect(":")
-        return Choice(test, yes, self.choice())
+        yes = self.parse_choice()
+        self.expect_operator(":")
+        return Choice(test, yes, self.parse_choice())
 
     def level(self, depth: int) -> Tree:
-        left = self.unary()
-        while (result := self.peek()) and _RANK.get(result["op"], -1) >= depth:
+        """Parse binary operators of one precedence level."""
+        left = self.parse_unary()
+        while (result := self.peek_token()) and _PRECEDENCE.get(result["op"], -1) >= depth:
             self.at = result.end()
-            left = Binary(result["op"], left, self.level(_RANK[result["op"]] + 1))
+            left = Binary(result["op"], left, self.level(_PRECEDENCE[result["op"]] + 1))
         return left
 
-    def unary(self) -> Tree:
+    def parse_unary(self) -> Tree:
+        """Parse a sign or negation."""
         if op := self.accept("-", "+", "!"):
-            return Unary(op, self.unary())
-        value = self.primary()
+            return Unary(op, self.parse_unary())
+        value = self.parse_primary()
         if self.accept("^", "**"):
-            return Binary("^", value, self.unary())
+            return Binary("^", value, self.parse_unary())
         return value
 
-    def primary(self) -> Tree:
-        match = self.peek()
+    def parse_primary(self) -> Tree:
+        """Parse a number, a name, a call or an expression in parentheses."""
+        match = self.peek_token()
         if match is None:
             raise self.error("something expected")
         self.at = match.end()
         if match["number"]:
             return Number(_remove_scale_factor(match["number"], match["suffix"]))
         if match["name"]:
-            return self.name_or_call(match["name"])
+            return self.parse_name_or_call(match["name"])
         if closing := {"(": ")", "{": "}"}.get(match["op"]):
-            inner = self.choice()
-            self.expect(closing)
+            inner = self.parse_choice()
+            self.expect_operator(closing)
             return inner
         self.at = match.start()
         raise self.error("something expected")
 
-    def name_or_call(self, name: str) -> Tree:
+    def parse_name_or_call(self, name: str) -> Tree:
+        """Parse what follows a name."""
         if self.accept("(") is None:
             return Name(name)
         if name.lower() in ("v", "i"):
@@ -322,15 +339,15 @@ class _Parser:
             return CircuitVariable(name.lower(), tuple(map(str.strip, inside.split(","))))
         arguments: list[Tree] = []
         if self.accept(")") is None:
-            arguments.append(self.choice())
+            arguments.append(self.parse_choice())
             while self.accept(","):
-                arguments.append(self.choice())
-            self.expect(")")
+                arguments.append(self.parse_choice())
+            self.expect_operator(")")
         return Call(name.lower(), tuple(arguments))
 
 
 def _remove_scale_factor(literal: str, suffix: str) -> str:
-    """Return a literal without its scale factor and the letters behind it."""
+    """Return a number without scale factor and suffix letters."""
     if not suffix:
         return literal
     plain = literal.removesuffix(suffix)
@@ -340,15 +357,15 @@ def _remove_scale_factor(literal: str, suffix: str) -> str:
     return repr(float(Decimal(plain).scaleb(power)))  # rounded once
 
 
-# --- results: voltages of nodes and currents of devices, also inside of instances ---
+# --- results: voltages of nodes and currents of devices, also inside instances ---
 
 
 @dataclass(frozen=True)
 class Trace:
-    """A saved vector: the voltage of one or two nodes, or a current of a device.
+    """Saved vector: the voltage of one or two nodes, or the current of a device.
 
     ``quantity`` is ``v`` of the nodes ``names``, such as ``xa.xb.node``, or ``i`` of the device
-    ``names[0]`` inside of the instances ``path``. ``parameter`` names the current of the device.
+    ``names[0]`` inside the instances ``path``. ``parameter`` names the current of the device.
     """
 
     quantity: str
@@ -357,13 +374,13 @@ class Trace:
     parameter: str = ""
 
     def within(self, instance: str) -> Trace:
-        """Return the vector of an instance of the circuit."""
+        """Return the vector of the same node or device inside an instance."""
         if self.quantity == "v":
             return replace(self, names=tuple(f"{instance}.{name}" for name in self.names))
         return replace(self, path=(instance, *self.path))
 
     def __str__(self) -> str:
-        """Return the name in ngspice, with the letter of an inner device before its path."""
+        """Return the ngspice name; the letter of an inner device precedes its path."""
         device = ".".join([self.names[0][0], *self.path, *self.names] if self.path else self.names)
         if self.parameter:
             return f"@{device}[{self.parameter}]"
@@ -371,7 +388,7 @@ class Trace:
 
 
 def parse_vector(text: str) -> Trace | None:
-    """Return the vector that a text names, None if it names none.
+    """Return the vector that a text describes, None for other text.
 
     The vector may be ``v(node)``, ``v(a,b)``, a bare node, ``i(source)`` or ``@device[parameter]``.
     """
@@ -389,12 +406,13 @@ def parse_vector(text: str) -> Trace | None:
 
 
 def _parse_device(text: str, parameter: str) -> Trace:
+    """Parse the name of a device inside instances."""
     *path, name = text.split(".")
     inner = path[1:] if path and len(path[0]) == 1 else path
     return Trace("i", (name,), tuple(inner), parameter)
 
 
-def terms(expression: str) -> list[tuple[float, str]]:
+def split_terms(expression: str) -> list[tuple[float, str]]:
     """Return the signs and vectors of a sum.
 
     ``v(a)-v(b)`` is ``[(1, "v(a)"), (-1, "v(b)")]``.
@@ -404,5 +422,5 @@ def terms(expression: str) -> list[tuple[float, str]]:
 
 
 def join_terms(signed: Iterable[tuple[float, str]]) -> str:
-    """Return the sum with these signs and vectors, the inverse of :func:`terms`."""
+    """Return the sum of signed vectors, the inverse of :func:`split_terms`."""
     return "".join(("-" if sign < 0 else "+") + text for sign, text in signed).removeprefix("+")

@@ -1,9 +1,9 @@
-"""Subcircuits written for LTspice or PSpice, as ones with the same equations for ngspice.
+"""Translation of subcircuits from LTspice or PSpice to equivalent ngspice circuits.
 
-A tree of :mod:`kc2spice.netlist.read` goes in, and a tree comes out. Elements that ngspice lacks
-become several elements; functions and operators that it reads differently become others. Whatever
-has no equal is refused with its line and the reason. Sources: the help pages of LTspice on circuit
-elements, and for the ideal diode the comparison with LTspice in the documentation of
+Input and output are trees of :mod:`kc2spice.netlist.read`. Elements, functions and operators that
+ngspice lacks or interprets differently are replaced by equivalents. A construct without an
+equivalent raises an error with the line and the reason. Sources: the help pages of LTspice on
+circuit elements, and for the ideal diode the comparison with LTspice in the documentation of
 SpiceSharpParser (article *LTspice-Style Ideal Diode*).
 """
 
@@ -36,43 +36,44 @@ from kc2spice.netlist.expression import (
     Tree,
     Unary,
     Writer,
-    change_operands,
-    literal,
-    parse,
+    literal_value,
+    map_operands,
+    parse_expression,
 )
 from kc2spice.netlist.spelling import split_infix_unit
 
-# Series resistance [Ohm] of an inductor that states none and is not coupled (LTspice help, L).
+# Series resistance [Ohm] of an uncoupled inductor without ``Rser`` (LTspice help, L).
 INDUCTOR_RESISTANCE = "1m"
 ABSOLUTE_ZERO = -273.15  # degrees Celsius
-GMIN = "1e-12"  # S, conductance that an ideal diode without Roff has
-IDEAL_DIODE = frozenset((
+MIN_CONDUCTANCE = "1e-12"  # S, conductance of an ideal diode without Roff
+IDEAL_DIODE_PARAMETERS = frozenset((
     "ron", "roff", "vfwd", "vrev", "rrev", "ilimit", "revilimit", "epsilon", "revepsilon",
 ))  # fmt: skip
-# Ratings and makers in models, which LTspice displays and no equation contains; of a VDMOS also the
-# next ones.
-DISPLAYED = frozenset(("iave", "icrating", "mfg", "type", "vceo", "vpk"))
-VDMOS_DISPLAYED = DISPLAYED | {"qg", "ron", "vds"}
-# Ratings, makers and part numbers that LTspice displays at elements (help, R, C and L).
-RATINGS = {
+# Ratings and manufacturers in models, which LTspice only displays; VDMOS models have more of them.
+DISPLAYED_PARAMETERS = frozenset(("iave", "icrating", "mfg", "type", "vceo", "vpk"))
+VDMOS_DISPLAYED_PARAMETERS = DISPLAYED_PARAMETERS | {"qg", "ron", "vds"}
+# Ratings, manufacturers and part numbers of elements, which LTspice only displays (help, R, C and
+# L).
+DISPLAYED_RATINGS = {
     "r": frozenset(("tol", "pwr", "mfg", "pn", "type")),
     "c": frozenset(("v", "irms", "mfg", "pn", "type")),
     "l": frozenset(("ipk", "irms", "mfg", "pn", "type")),
 }
-PSPICE_SWITCHES = {"vswitch": "SW", "iswitch": "CSW"}  # type with a hysteresis in ngspice
-STEP_CONTROL = frozenset(("tripdv", "tripdt"))  # of a behavioural source: steps, not equations
+PSPICE_SWITCHES = {"vswitch": "SW", "iswitch": "CSW"}  # ngspice model type with hysteresis
+# parameters of a behavioural source that affect time steps, not equations
+STEP_CONTROL_PARAMETERS = frozenset(("tripdv", "tripdt"))
 Syntax = Literal["ngspice", "ltspice", "pspice"]
-_ORDERED = ("<", ">", "<=", ">=", "==", "!=")
-_LOGICAL = ("&&", "||")
-# these parasitics carry a part of the current of their element
-_ACROSS = frozenset(("rpar", "cpar"))
-_METERED = frozenset("bcdefghilrv")  # kinds whose current enters at the first node
-_NOTE = 98  # letters of a comment
-_LARGEST_POWER = 9  # whole exponents up to here become products
+_COMPARISONS = ("<", ">", "<=", ">=", "==", "!=")
+_LOGICAL_OPERATORS = ("&&", "||")
+# parasitics in parallel, which carry a part of the current of the element
+_PARALLEL_PARASITICS = frozenset(("rpar", "cpar"))
+_METERED_KINDS = frozenset("bcdefghilrv")  # element letters whose current enters at the first node
+_MAX_COMMENT = 98  # characters of a comment line
+_MAX_PRODUCT_POWER = 9  # integer exponents up to this value are written as products
 _SETTING = re.compile(r"\s(\w+)\s*=(?!=)")
 _NUMBER_IN_TABLE = re.compile(r"[^\s,(){}=]+")
 _MICRO = str.maketrans({"\u00b5": "u", "\u03bc": "u"})
-_NO_EQUAL = {
+_UNSUPPORTED_FUNCTIONS = {
     "absdelay": "a delay of a voltage", "delay": "a delay of a voltage",
     "ddt": "a derivative in time", "idt": "an integral over time",
     "idtmod": "an integral over time", "sdt": "an integral over time",
@@ -82,14 +83,14 @@ _NO_EQUAL = {
 
 
 def translate_circuit(circuit: Circuit, syntax: Syntax) -> Circuit:
-    """Return the same circuit in the words of ngspice.
+    """Translate a circuit to the syntax of ngspice.
 
     Parameters
     ----------
     circuit : Circuit
         Tree of a file or of a subcircuit.
     syntax : "ngspice", "ltspice" or "pspice"
-        Simulator that the circuit was written for.
+        Syntax of the input circuit.
 
     Returns
     -------
@@ -98,7 +99,7 @@ def translate_circuit(circuit: Circuit, syntax: Syntax) -> Circuit:
 
     Raises
     ------
-    UsageError : something in it has no equal in ngspice; the error names file and line.
+    UsageError : a construct has no equivalent in ngspice; the error contains file and line.
 
     Examples
     --------
@@ -134,98 +135,106 @@ class _Scope:
         coupled = (element.sources for element in elements if element.kind == "k")
         self.coupled = {name.lower() for names in coupled for name in names}
         self.elements = {element.key: element for element in elements}
-        self.metered: dict[str, str] = {}  # elements whose current a law reads, and their meters
+        # elements whose current an expression reads, and their meters
+        self.metered: dict[str, str] = {}
 
     def translated(self) -> Circuit:
-        """The circuit with its items for ngspice."""
-        groups = [(item, tuple(self._item(item))) for item in self.circuit.items]
+        """Circuit translated to ngspice."""
+        groups = [(item, tuple(self._translate_item(item))) for item in self.circuit.items]
         items: list[Item] = []
-        for item, group in groups:  # meters are named when the laws are translated
+        for item, group in groups:  # meters are named during the translation of expressions
             if isinstance(item, Element) and item.key in self.metered:
-                items += _with_meter(item, group, self.metered[item.key])
+                items += _add_meter(item, group, self.metered[item.key])
             else:
                 items += group
-        defaults = self._values(self.circuit.defaults, self.circuit)
+        defaults = self._translate_values(self.circuit.defaults, self.circuit)
         return replace(self.circuit, items=tuple(items), defaults=defaults)
 
-    def _values(self, values: Mapping[str, str], card: Card) -> dict[str, str]:
-        return {name: self._value(text, card) for name, text in values.items()}
+    def _translate_values(self, values: Mapping[str, str], card: Card) -> dict[str, str]:
+        """Translate the values of a card."""
+        return {name: self._translate_value(text, card) for name, text in values.items()}
 
-    def _value(self, text: str, card: Card) -> str:
-        """A value of a card; one in braces or quotes is an expression of parameters."""
+    def _translate_value(self, text: str, card: Card) -> str:
+        """Translate a value of a card; a value in braces or quotes is an expression."""
         text = text.translate(_MICRO)
-        if self.syntax == "ltspice" and (number := split_infix_unit(text)):
-            return "{0}.{2}{1}".format(*number)
+        if self.syntax == "ltspice" and (parameter := split_infix_unit(text)):
+            return "{0}.{2}{1}".format(*parameter)
         if text[:1] + text[-1:] not in ("{}", "''"):
             return text
-        return f"{{{self._law(text[1:-1], card)}}}"
+        return f"{{{self._translate_law(text[1:-1], card)}}}"
 
-    def _law(self, text: str, card: Card) -> str:
+    def _translate_law(self, text: str, card: Card) -> str:
+        """Translate the expression of a card."""
         return _Translator(card, self).law(text)
 
-    def _item(self, item: Item) -> Iterable[Item]:
+    def _translate_item(self, item: Item) -> Iterable[Item]:
+        """Translate an item to the corresponding ngspice items."""
         match item:
             case Circuit():
                 return (_Scope(item, self.models, self.functions, self.syntax).translated(),)
             case Model():
-                return self._model(item)
+                return self._translate_model(item)
             case Parameters():
-                return (replace(item, values=self._values(item.values, item)),)
+                return (replace(item, values=self._translate_values(item.values, item)),)
             case Function():
-                return (replace(item, expression=self._law(item.expression, item)),)
+                return (replace(item, expression=self._translate_law(item.expression, item)),)
             case Element():
-                return self._element(item)
+                return self._translate_element(item)
         return (item,)
 
     # --- models -----------------------------------------------------------------------------------
 
-    def _resolved(self, model: Model) -> Model:
-        """The model with the parameters of the one that it is a kind of (``ako:``)."""
+    def _resolve_model(self, model: Model) -> Model:
+        """Return the model with the parameters of its base model (``ako:``)."""
         if not model.type.lower().startswith("ako:"):
             return model
         base = self.models.get(model.type[4:].lower())
         if base is None or base is model:
             raise model.error("no model to begin with", model.type[4:], "a .model of this file")
-        base = self._resolved(base)
+        base = self._resolve_model(base)
         parameters = _model_parameters(base) | _model_parameters(model)
-        parameters.pop(base.type.lower(), None)  # the type, which stands behind ako: as well
+        parameters.pop(base.type.lower(), None)  # the type, which is also written after ako:
         return replace(model, type=base.type, parameters=parameters)
 
-    def _model(self, model: Model) -> Iterable[Model]:
-        model = self._resolved(model)
+    def _translate_model(self, model: Model) -> Iterable[Model]:
+        """Translate a model to ngspice."""
+        model = self._resolve_model(model)
         kind = model.type.lower()
-        if self._is_ideal(model):
-            return ()  # its diodes become sources
-        if self._is_gradual(model):
-            return ()  # its switches become sources
-        if kind in PSPICE_SWITCHES and self.syntax == "pspice":  # with a hysteresis
+        if self._is_ideal_diode(model):
+            return ()  # diodes of this model are translated to sources
+        if self._is_gradual_switch(model):
+            return ()  # switches of this model are translated to sources
+        if kind in PSPICE_SWITCHES and self.syntax == "pspice":  # switch with hysteresis
             model = replace(model, type=PSPICE_SWITCHES[kind])
         if kind in ("sw", "csw"):
-            _require_switch(model)
-        displayed = VDMOS_DISPLAYED if kind == "vdmos" else DISPLAYED
+            _require_simple_switch(model)
+        displayed = VDMOS_DISPLAYED_PARAMETERS if kind == "vdmos" else DISPLAYED_PARAMETERS
         if self.syntax == "pspice":
-            displayed = displayed | {"t_abs"}  # a setting of each element
+            displayed = displayed | {"t_abs"}  # ``T_ABS`` is set at each element instead
         computed = {k: v for k, v in model.parameters.items() if k.lower() not in displayed}
-        return (replace(model, parameters=self._values(computed, model)),)
+        return (replace(model, parameters=self._translate_values(computed, model)),)
 
     # --- elements ---------------------------------------------------------------------------------
 
-    def _is_ideal(self, model: Model) -> bool:
-        """Whether it is the model of LTspice's piecewise linear diode."""
-        ideal = model.type.lower() == "d" and bool(_model_parameters(model).keys() & IDEAL_DIODE)
+    def _is_ideal_diode(self, model: Model) -> bool:
+        """Return whether the model is LTspice's piecewise linear diode."""
+        ideal = model.type.lower() == "d" and bool(
+            _model_parameters(model).keys() & IDEAL_DIODE_PARAMETERS
+        )
         return ideal and self.syntax == "ltspice"
 
-    def _is_gradual(self, model: Model) -> bool:
-        """Whether it is PSpice's switch between two voltages or currents."""
+    def _is_gradual_switch(self, model: Model) -> bool:
+        """Return whether the model is PSpice's switch with a smooth transition."""
         hysteresis = _model_parameters(model).keys() & {"vt", "vh", "it", "ih"}
         is_switch = model.type.lower() in PSPICE_SWITCHES and self.syntax == "pspice"
         return is_switch and not hysteresis
 
-    def _element(self, element: Element) -> Iterable[Item]:
+    def _translate_element(self, element: Element) -> Iterable[Item]:
+        """Translate an element to the corresponding ngspice items."""
         if element.quantity:
-            return self._source(element)
+            return self._translate_source(element)
         if element.kind == "r" and "r" in element.settings:
-            return (self._resistor(element),)
+            return (self._translate_resistor(element),)
         if element.kind == "a":
             raise element.error("a device of LTspice's own has no equal in ngspice")
         words = " ".join(map(str.lower, (*element.values, *element.parameters)))
@@ -236,62 +245,76 @@ class _Scope:
         if element.kind == "i" and words.endswith(" load"):
             raise element.error("a load without current at 0 V has no equal in ngspice")
         if self.syntax == "ltspice":
-            element = _without_ratings(element)
+            element = _move_ratings(element)
         element = replace(
             element,
-            values=tuple(self._value(text, element) for text in element.values),
-            parameters=self._values(element.parameters, element),
+            values=tuple(self._translate_value(text, element) for text in element.values),
+            parameters=self._translate_values(element.parameters, element),
         )
         model = self.models.get(element.model.lower()) if element.kind == "d" else None
-        if model is not None and self._is_ideal(resolved := self._resolved(model)):
-            return (_ideal_diode(element, self._values(_model_parameters(resolved), resolved)),)
+        if model is not None and self._is_ideal_diode(resolved := self._resolve_model(model)):
+            return (
+                _translate_ideal_diode(
+                    element, self._translate_values(_model_parameters(resolved), resolved)
+                ),
+            )
         switch = self.models.get(element.model.lower()) if element.kind in "sw" else None
-        if switch is not None and self._is_gradual(switch):
-            return (_gradual_switch(element, self._values(_model_parameters(switch), switch)),)
+        if switch is not None and self._is_gradual_switch(switch):
+            return (
+                _translate_gradual_switch(
+                    element, self._translate_values(_model_parameters(switch), switch)
+                ),
+            )
         if element.kind in "eg" and (points := _table_points(element)):
-            law = self._law(f"table(V({','.join(element.nodes[2:])}), {points})", element)
+            law = self._translate_law(f"table(V({','.join(element.nodes[2:])}), {points})", element)
             quantity = "V" if element.kind == "e" else "I"
-            return (_as_source(element, quantity, law),)
+            return (_make_source(element, quantity, law),)
         element = self._with_temperature(element)
-        parasitic = {"c": _capacitor, "l": self._inductor, "v": _voltage}.get(element.kind)
+        parasitic = {
+            "c": _translate_capacitor,
+            "l": self._translate_inductor,
+            "v": _translate_voltage,
+        }.get(element.kind)
         return parasitic(element) if parasitic else (element,)
 
     def _with_temperature(self, element: Element) -> Element:
-        """The element at the temperature of its model (PSpice, ``T_ABS``); 0 K means no noise."""
+        """Return the element with the temperature of its model (PSpice, ``T_ABS``)."""
         names = (element.model, *element.values[:1])
         models = filter(None, (self.models.get(name.lower()) for name in names))
         for model in map(_model_parameters, models):
             if "t_abs" in model and self.syntax == "pspice":
-                is_cold = element.kind == "r" and literal(model["t_abs"]) == ABSOLUTE_ZERO
+                is_cold = element.kind == "r" and literal_value(model["t_abs"]) == ABSOLUTE_ZERO
                 setting = {"noisy": "0"} if is_cold else {"temp": model["t_abs"]}
                 return replace(element, parameters={**element.parameters, **setting})
         return element
 
-    def _resistor(self, element: Element) -> Element:
-        """Translate a resistance by an expression to a source of its current."""
-        law = self._law(element.settings["r"].strip("{}'"), element)
+    def _translate_resistor(self, element: Element) -> Element:
+        """Translate a resistor defined by an expression to a current source."""
+        law = self._translate_law(element.settings["r"].strip("{}'"), element)
         plus, minus = element.nodes
         current = f"V({plus},{minus})/({law})"
         return Element.behaviour(f"B{element.name}", plus, minus, "I", current)
 
-    def _source(self, element: Element) -> Iterable[Item]:
-        """A behavioural source: its law, and the settings that LTspice writes behind the law."""
+    def _translate_source(self, element: Element) -> Iterable[Item]:
+        """Translate a behavioural source: its expression and the settings after it."""
         law, settings = _split_settings(element.expression)
-        result = [replace(element, expression=self._law(law, element))]
+        result = [replace(element, expression=self._translate_law(law, element))]
         for name, value in settings.items():
-            if name in STEP_CONTROL:
+            if name in STEP_CONTROL_PARAMETERS:
                 continue
             across = {"rpar": "r", "cpar": "c"}.get(name)
             if across is None:
                 raise element.error(f"{name} of a behavioural source has no equal in ngspice")
             card = f"{across.upper()}{element.name}_par"
             result.append(
-                _make_parallel_element(element, card, *element.nodes, self._value(value, element))
+                _make_parallel_element(
+                    element, card, *element.nodes, self._translate_value(value, element)
+                )
             )
         return result
 
-    def _inductor(self, element: Element) -> Iterable[Item]:
-        """``L`` in series with ``Rser``; ``Rpar`` and ``Cpar`` across both."""
+    def _translate_inductor(self, element: Element) -> Iterable[Item]:
+        """Translate an inductor with ``Rser`` in series, and ``Rpar`` and ``Cpar`` in parallel."""
         if "flux" in element.settings:
             raise element.error("a flux by an expression has no equal in ngspice")
         ideal = element.key in self.coupled or self.syntax == "pspice"
@@ -300,45 +323,44 @@ class _Scope:
         return _expand_parasitics(element, settings, ())
 
 
-def _with_meter(element: Element, group: Iterable[Item], meter: str) -> Iterator[Item]:
-    """Put a source of 0 V in series with all items that an element becomes."""
+def _add_meter(element: Element, group: Iterable[Item], meter: str) -> Iterator[Item]:
+    """Insert a 0 V source in series with all items of an element."""
     plus, inner = element.nodes[0], f"{element.name}_metered"
     yield _make_parallel_element(element, meter, plus, inner, "0")
     for item in group:
-        assert isinstance(item, Element)  # an element becomes elements
+        assert isinstance(item, Element)  # an element is translated to elements
         yield replace(item, nodes=tuple(inner if node == plus else node for node in item.nodes))
 
 
-def _without_ratings(element: Element) -> Element:
-    """Move the ratings of a resistor, capacitor or inductor into a comment above it."""
-    names = RATINGS.get(element.kind, frozenset())
+def _move_ratings(element: Element) -> Element:
+    """Move the ratings of a resistor, capacitor or inductor to a comment above it."""
+    names = DISPLAYED_RATINGS.get(element.kind, frozenset())
     ratings = {name: text for name, text in element.parameters.items() if name.lower() in names}
     if not ratings:
         return element
     note = " ".join(map("=".join, ratings.items()))
-    note = shorten(f"* {element.name}: the equations do not contain {note}", _NOTE)
+    note = shorten(f"* {element.name}: the equations do not contain {note}", _MAX_COMMENT)
     values = {name: text for name, text in element.parameters.items() if name not in ratings}
     return replace(element, notes=(*element.notes, note), parameters=values)
 
 
 def _make_parallel_element(element: Element, name: str, *words: str) -> Element:
-    """An element that stands for a part of another one, and is in parallel as often."""
+    """Return an auxiliary element with the multiplicity of the original element."""
     count = {key: text for key, text in element.parameters.items() if key.lower() == "m"}
     made = Element.of(name, *words, **({} if name[0] in "Vv" else count))
     return replace(made, where=element.where, written=element.written)
 
 
-def _capacitor(element: Element) -> Iterable[Item]:
-    """``C`` in series with ``Rser`` and with ``Lser``, which ``RLshunt`` bridges; the other
-    parasitics are in parallel with all of these."""
+def _translate_capacitor(element: Element) -> Iterable[Item]:
+    """Translate a capacitor with its parasitics."""
     settings = element.settings
     if "q" in settings or any(word.lower().startswith("q=") for word in element.values):
         raise element.error("a charge by an expression has no equal in ngspice")
     return _expand_parasitics(element, settings, ("lser", "rlshunt"))
 
 
-def _voltage(element: Element) -> Iterable[Item]:
-    """A source in series with ``Rser``; ``Cpar`` across both."""
+def _translate_voltage(element: Element) -> Iterable[Item]:
+    """Translate a voltage source with ``Rser`` in series and ``Cpar`` in parallel."""
     if any(word.lower().startswith("wavefile") for word in element.values):
         raise element.error("a source out of a sound file has no equal in ngspice")
     return _expand_parasitics(element, element.settings, ())
@@ -347,7 +369,7 @@ def _voltage(element: Element) -> Iterable[Item]:
 def _expand_parasitics(
     element: Element, settings: Mapping[str, str], more: tuple[str, ...]
 ) -> Iterator[Element]:
-    """Return the element without its parasitic ``settings``, and an element for each setting."""
+    """Return the element without its parasitics, and an element for each parasitic."""
     parasitic = ("rser", "rpar", "cpar", *more)
     stated = {name: value for name in parasitic if not _is_zero(value := settings.get(name, "0"))}
     left = {k: v for k, v in element.parameters.items() if k.lower() not in parasitic}
@@ -376,11 +398,12 @@ def _expand_parasitics(
 
 
 def _is_zero(text: str) -> bool:
-    return literal(text) == 0
+    """Return whether a text is the number zero."""
+    return literal_value(text) == 0
 
 
-def _ideal_diode(element: Element, model: Mapping[str, str]) -> Element:
-    """Three lines, each with a quadratic transition of its width ``e`` to the next, and limits.
+def _translate_ideal_diode(element: Element, model: Mapping[str, str]) -> Element:
+    """Translate an ideal diode to a current source.
 
     With ``r(x, e) = x - e/2`` above ``e``, ``x^2 / (2 e)`` below and zero for negative ``x``:
     ``i = goff v + (gon - goff) r(v - Vfwd, Epsilon) - (grev - goff) r(-v - Vrev, RevEpsilon)``;
@@ -391,35 +414,36 @@ def _ideal_diode(element: Element, model: Mapping[str, str]) -> Element:
     if unknown:
         raise element.error(f"an ideal diode has no parameter {', '.join(sorted(unknown))}")
 
-    def number(name: str, default: str = "0") -> str:
+    def parameter(name: str, default: str = "0") -> str:
+        """Return a parameter of the model or its default."""
         return f"({model.get(name, default).strip('{}')})"
 
-    off, count = number("roff", f"{{1/{GMIN}}}"), element.settings
+    off, count = parameter("roff", f"{{1/{MIN_CONDUCTANCE}}}"), element.settings
     volts = f"V({','.join(element.nodes)})"
     if "n" in count:
         volts = f"({volts}/({count['n'].strip('{}')}))"
-    forward = _ramp(f"{volts}-{number('vfwd')}", model, "epsilon")
-    current = f"{volts}/{off}+(1/{number('ron', '1')}-1/{off})*{forward}"
+    forward = _ramp_expression(f"{volts}-{parameter('vfwd')}", model, "epsilon")
+    current = f"{volts}/{off}+(1/{parameter('ron', '1')}-1/{off})*{forward}"
     if "vrev" in model:
-        reverse = _ramp(f"-{volts}-abs({number('vrev')})", model, "revepsilon")
-        current += f"-(1/{number('rrev', model.get('ron', '1'))}-1/{off})*{reverse}"
+        reverse = _ramp_expression(f"-{volts}-abs({parameter('vrev')})", model, "revepsilon")
+        current += f"-(1/{parameter('rrev', model.get('ron', '1'))}-1/{off})*{reverse}"
     ends = []
     for name, sign in (("ilimit", "max"), ("revilimit", "min")):
         part = f"{sign}({current}, 0)"
-        ends.append(f"{number(name)}*tanh({part}/{number(name)})" if name in model else part)
+        ends.append(f"{parameter(name)}*tanh({part}/{parameter(name)})" if name in model else part)
     if "ilimit" in model or "revilimit" in model:
         current = "+".join(ends)
     if "m" in count:
         current = f"({count['m'].strip('{}')})*({current})"
-    law = Writer().write(parse(current, where=element.where))
+    law = Writer().write(parse_expression(current, where=element.where))
     return replace(
         element, kind="b", name=f"B{element.name}", model="", values=(), parameters={},
         quantity="I", expression=law,
     )  # fmt: skip
 
 
-def _gradual_switch(element: Element, model: Mapping[str, str]) -> Element:
-    """PSpice's switch, whose conductance changes smoothly between two values of its control.
+def _translate_gradual_switch(element: Element, model: Mapping[str, str]) -> Element:
+    """Translate PSpice's switch, whose conductance changes smoothly with its control.
 
     ``R = Roff exp(-ln(Roff / Ron) u^2 (3 - 2 u))``, where ``u`` rises from 0 at ``Voff`` to 1 at
     ``Von`` (PSpice reference guide, voltage-controlled switch, with its powers collected).
@@ -429,34 +453,35 @@ def _gradual_switch(element: Element, model: Mapping[str, str]) -> Element:
     else:
         control, on, off, default = f"I({element.sources[0]})", "ion", "ioff", "1m"
 
-    def number(name: str, default: str) -> str:
+    def parameter(name: str, default: str) -> str:
+        """Return a parameter of the model or its default."""
         return f"({model.get(name, default).strip('{}')})"
 
-    high, low = number(on, default), number(off, "0")
-    opened, closed = number("roff", "1Meg"), number("ron", "1")
+    high, low = parameter(on, default), parameter(off, "0")
+    opened, closed = parameter("roff", "1Meg"), parameter("ron", "1")
     share = f"min(max(({control}-{low})/({high}-{low}), 0), 1)"
     plus, minus = element.nodes[:2]
     law = f"V({plus},{minus})/{opened}*exp(ln({opened}/{closed})*{share}*{share}*(3-2*{share}))"
-    return _as_source(element, "I", Writer().write(parse(law, where=element.where)))
+    return _make_source(element, "I", Writer().write(parse_expression(law, where=element.where)))
 
 
-def _as_source(element: Element, quantity: str, law: str) -> Element:
-    """Return the behavioural source that takes the place of an element between its first nodes."""
+def _make_source(element: Element, quantity: str, law: str) -> Element:
+    """Return a behavioural source between the first two nodes of an element."""
     plus, minus = element.nodes[:2]
     source = Element.behaviour(f"B{element.name}", plus, minus, quantity, law)
     return replace(source, notes=element.notes, where=element.where, written=element.written)
 
 
 def _table_points(element: Element) -> str:
-    """Return the points of LTspice's ``table=(x, y, ...)``, separated by commas; or nothing."""
+    """Return the points of LTspice's ``table=(x, y, ...)``; empty without a table."""
     text = element.settings.get("table", "")
     for word in element.values:
         text = word[len("table") :] if word.lower().startswith("table(") else text
     return ", ".join(_NUMBER_IN_TABLE.findall(text))
 
 
-def _ramp(excess: str, model: Mapping[str, str], width: str) -> str:
-    """Zero below zero, slope 1 above the width, a parabola in between."""
+def _ramp_expression(excess: str, model: Mapping[str, str], width: str) -> str:
+    """Return an expression with value 0 below 0, slope 1 above the width, a parabola between."""
     text = model.get(width, "0")
     if _is_zero(text):
         return f"max({excess}, 0)"
@@ -466,15 +491,15 @@ def _ramp(excess: str, model: Mapping[str, str], width: str) -> str:
 
 
 def _model_parameters(model: Model) -> dict[str, str]:
-    """Parameters of a model by names in lower case."""
+    """Return the parameters of a model, keyed by names in lower case."""
     return {key.lower(): text for key, text in model.parameters.items()}
 
 
-def _require_switch(model: Model) -> None:
-    """Refuse switches that conduct gradually, or have an inductance, a voltage or a limit."""
+def _require_simple_switch(model: Model) -> None:
+    """Reject switches with smooth transition, inductance, voltage or limit."""
     words = _model_parameters(model)
     name = "vh" if model.type.lower() == "sw" else "ih"
-    width = literal(words.get(name, "0"), where=model.where)
+    width = literal_value(words.get(name, "0"), where=model.where)
     if width is not None and width < 0:
         got = f"{name}={words[name]}"
         raise model.error("a switch that opens gradually has no equal in ngspice", got)
@@ -488,7 +513,7 @@ def _require_switch(model: Model) -> None:
 
 
 def _split_settings(law: str) -> tuple[str, dict[str, str]]:
-    """Split a text into a law and its settings ``name=value``, by names in lower case."""
+    """Split a text into an expression and settings ``name=value``, keyed by names in lower case."""
     starts = list(_SETTING.finditer(law))
     if not starts:
         return law, {}
@@ -501,55 +526,56 @@ def _split_settings(law: str) -> tuple[str, dict[str, str]]:
 
 
 class _Translator:
-    """Translates the expressions of one card."""
+    """Translator of the expressions of one card."""
 
     def __init__(self, card: Card, scope: _Scope) -> None:
         self.card, self.scope = card, scope
 
     def law(self, text: str) -> str:
-        """The expression for ngspice.
+        """Translate an expression to ngspice.
 
         Raises
         ------
-        UsageError : a function or an operator that has no equal.
+        UsageError : a function or an operator has no equivalent.
         """
         if "^" in text and self.scope.syntax == "ltspice":
             message = "LTspice reads ^ as exclusive or, PSpice and ngspice as a power"
             raise self.card.error(message, text[:80], "** for a power")
         text = re.sub(r"(?<!&)&(?!&)", "&&", re.sub(r"(?<!\|)\|(?!\|)", "||", text))
         text = text.replace("~", "!").translate(_MICRO)
-        return Writer().write(self.tree(parse(text, where=self.card.where)))
+        return Writer().write(self.tree(parse_expression(text, where=self.card.where)))
 
     def tree(self, tree: Tree) -> Tree:
-        """The tree for ngspice, whatever it contains first."""
-        tree = change_operands(tree, self.tree)
+        """Translate an expression tree to ngspice, operands first."""
+        tree = map_operands(tree, self.tree)
         match tree:
             case Call(function, arguments):
-                return self._call(function, arguments)
+                return self._translate_call(function, arguments)
             case Choice(test, yes, no):
                 return Choice(_translate_condition(test), yes, no)
             case Unary("!", inner):
                 return Choice(_translate_condition(inner), Number("0"), Number("1"))
-            case Binary(op, left, right) if op in _LOGICAL:
+            case Binary(op, left, right) if op in _LOGICAL_OPERATORS:
                 return Choice(
                     Binary(op, _translate_condition(left), _translate_condition(right)),
                     Number("1"),
                     Number("0"),
                 )
             case Binary("^", base, power):
-                return self._power(base, power)
+                return self._translate_power(base, power)
             case CircuitVariable("i", (name,)):
-                return CircuitVariable("i", (self._meter(name),))
+                return CircuitVariable("i", (self._find_meter(name),))
         return tree
 
-    def _meter(self, name: str) -> str:
+    def _find_meter(self, name: str) -> str:
         """Return the source that measures the current of an element."""
         element = self.scope.elements.get(name.lower())
-        if element is None or element.kind not in _METERED:
+        if element is None or element.kind not in _METERED_KINDS:
             return name
         settings = _split_settings(element.expression)[1] | element.settings
         is_branch = element.kind in "vleh" or element.quantity == "V"
-        if is_branch and not settings.keys() & _ACROSS:  # ngspice has its current
+        # ngspice computes the current of this element
+        if is_branch and not settings.keys() & _PARALLEL_PARASITICS:
             return name
         return self.scope.metered.setdefault(element.key, f"V{element.name}_meter")
 
@@ -559,13 +585,19 @@ class _Translator:
         if reason := _NO_EQUAL.get(function):
             got = Writer().write(Call(function, arguments))
             raise self.card.error(f"{reason} has no equal in ngspice", got[:80])
-        rule = _RULES.get((function, len(arguments))) or _RULES.get((function, -1))
+        rule = _FUNCTION_RULES.get((function, len(arguments))) or _FUNCTION_RULES.get(
+            (function, -1)
+        )
         return Call(function, arguments) if rule is None else rule(*arguments)
 
-    def _power(self, base: Tree, power: Tree) -> Tree:
-        """``base ** power``: ngspice takes powers of the absolute value."""
+    def _translate_power(self, base: Tree, power: Tree) -> Tree:
+        """Translate ``base ** power``; ngspice raises the absolute value to the power."""
         exponent = float(power.text) if isinstance(power, Number) else None
-        if exponent is not None and exponent == int(exponent) and 0 < exponent <= _LARGEST_POWER:
+        if (
+            exponent is not None
+            and exponent == int(exponent)
+            and 0 < exponent <= _MAX_PRODUCT_POWER
+        ):
             if exponent % 2 == 0:
                 return Binary("^", base, power)
             even = Number(str(int(exponent) - 1))
@@ -578,9 +610,9 @@ class _Translator:
 
 
 def _is_positive(tree: Tree) -> bool:
-    """Whether a value cannot be negative.
+    """Return whether an expression cannot be negative.
 
-    Positive numbers, parameters, and functions without negative values.
+    These are positive numbers, parameters, and functions without negative values.
     """
     return isinstance(tree, Number | Name) or (
         isinstance(tree, Call) and tree.function in ("abs", "cosh", "exp", "hypot", "sqrt", "uramp")
@@ -588,19 +620,19 @@ def _is_positive(tree: Tree) -> bool:
 
 
 def _translate_condition(tree: Tree) -> Tree:
-    """A condition: LTspice takes numbers above one half as true."""
-    compared = isinstance(tree, Binary) and tree.op in (*_ORDERED, *_LOGICAL)
+    """Translate a condition; LTspice treats numbers above one half as true."""
+    compared = isinstance(tree, Binary) and tree.op in (*_COMPARISONS, *_LOGICAL_OPERATORS)
     return tree if compared else Binary(">", tree, Number("0.5"))
 
 
 def _translate_limit(x: Tree, a: Tree, b: Tree) -> Tree:
-    """Return the median of three values."""
+    """Translate ``limit`` to the median of three values."""
     low, high = Call("min", (a, b)), Call("max", (a, b))
     return Call("min", (Call("max", (x, low)), high))
 
 
 def _translate_table(x: Tree, *points: Tree) -> Tree:
-    """Straight lines between points, flat beyond their ends.
+    """Translate a table to straight lines between points, constant outside.
 
     ``y1 + sum((y[k+1] - y[k]) share[k])``, the ``share`` of an interval is its part below ``x``.
     """
@@ -615,30 +647,36 @@ def _translate_table(x: Tree, *points: Tree) -> Tree:
 
 
 def _translate_signed_power(x: Tree, power: Tree) -> Tree:
+    """Translate ``pwrs``: the power of the absolute value, with the sign of ``x``."""
     return Binary("*", Call("sgn", (x,)), Binary("^", Call("abs", (x,)), power))
 
 
 def _translate_whole_part(x: Tree) -> Tree:
+    """Translate ``int``: the value rounded towards zero."""
     return Binary("*", Call("sgn", (x,)), Call("floor", (Call("abs", (x,)),)))
 
 
 def _translate_length(x: Tree, y: Tree) -> Tree:
+    """Translate ``hypot``: the square root of a sum of squares."""
     return Call("sqrt", (Binary("+", Binary("*", x, x), Binary("*", y, y)),))
 
 
 def _translate_square(x: Tree) -> Tree:
+    """Translate ``square``."""
     return Binary("*", x, x)
 
 
 def _translate_step_below(x: Tree) -> Tree:
+    """Translate the step function that is 1 below zero."""
     return Choice(_translate_condition(x), Number("0"), Number("1"))
 
 
 def _translate_step_above(x: Tree) -> Tree:
+    """Translate the step function that is 1 above zero."""
     return Choice(_translate_condition(x), Number("1"), Number("0"))
 
 
-_RULES: dict[tuple[str, int], Callable[..., Tree]] = {
+_FUNCTION_RULES: dict[tuple[str, int], Callable[..., Tree]] = {
     ("if", 3): lambda test, yes, no: Choice(_translate_condition(test), yes, no),
     ("limit", 3): _translate_limit,
     ("table", -1): _translate_table,

@@ -1,13 +1,11 @@
-"""Check of circuits of users before a simulator reads these circuits, because netlists are
-programs.
+"""Security check of netlists from users, which can execute programs, before simulation.
 
-The simulator never searches a file. This module reads names, continuation lines and comments by
-the rules of the simulator and writes one text in one spelling. Its lines end in a line feed, its
-blanks are spaces, and it has no includes. A comment begins with ``*`` or ``;``, a continuation line
-with ``+``.
+The simulator gets one text without includes. This module reads names, continuation lines and
+comments by the rules of the simulator. It writes lines that end in a line feed, with spaces as
+blanks. A comment begins with ``*`` or ``;``, a continuation line with ``+``.
 
-Only known commands, element letters, options and file names are allowed. A user can trust a circuit
-that needs more, word for word.
+Only known commands, element letters, options and file names are allowed. If the user trusts a
+circuit, its text is not changed.
 
 A part may define subcircuits only, because every other card acts on the whole deck. A function
 ``max`` replaces ``max`` in all other cards. An option changes the accuracy of the run. An element
@@ -24,22 +22,22 @@ from pathlib import Path, PurePosixPath
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import explain_unsafe_name, make_plain_name, read_bounded
-from kc2spice.netlist.expression import BUILT_IN, FUNCTIONS
-from kc2spice.netlist.read import OPTION_CARDS, Statement, split_comment, statements
-from kc2spice.netlist.spelling import comment
+from kc2spice.netlist.expression import BUILT_IN_NAMES, FUNCTIONS
+from kc2spice.netlist.read import OPTION_CARDS, Statement, split_comment, split_statements
+from kc2spice.netlist.spelling import format_comment
 
-MOST_BYTES = 4_000_000  # bytes of one file, and characters of the whole text
-MOST_FILES = 64  # files of one circuit
-# The simulator accepts any word with this beginning, also behind blanks.
-_INCLUDE = re.compile(r"(?i)\s*\.inc\S*(.*)", re.DOTALL)
-_TARGET = re.compile(r"\"([^\"]*)\"|'([^']*)'|([^\s\"']+)")
-_END = re.compile(r"(?i)\.end(?=\s|$)")
-_GOES_ON = "\\\\"  # two backslashes at the end of a line
+MAX_CIRCUIT_BYTES = 4_000_000  # bytes of one file, and characters of the whole text
+MAX_INCLUDED_FILES = 64  # files of one circuit
+# The simulator accepts any word with this beginning, also after blanks.
+_INCLUDE_LINE = re.compile(r"(?i)\s*\.inc\S*(.*)", re.DOTALL)
+_INCLUDE_TARGET = re.compile(r"\"([^\"]*)\"|'([^']*)'|([^\s\"']+)")
+_END_LINE = re.compile(r"(?i)\.end(?=\s|$)")
+_CONTINUATION_MARK = "\\\\"  # two backslashes at the end of a line continue it
 
 
 @dataclass(frozen=True)
 class Line:
-    """One line of a file, its place as ``file:line``, and its raw text."""
+    """Line of a file: its position as ``file:line`` and its raw text."""
 
     text: str
     where: str
@@ -48,25 +46,25 @@ class Line:
 
 @dataclass(frozen=True)
 class Flat:
-    """A circuit with all that it includes as one text; ``file`` is its name in a deck."""
+    """Circuit without includes, as one text."""
 
     file: str
     lines: tuple[Line, ...]
 
     @property
     def text(self) -> str:
-        """The lines as one text."""
+        """Lines as one text."""
         return "\n".join(map(attrgetter("text"), self.lines))
 
     def cards(self, *, title: bool = False) -> Iterator[Statement]:
-        """Yield every card on one line, with its place as ``file:line``."""
-        for card in statements(self.text, "", title=title):
+        """Cards, each on one line with its position ``file:line``."""
+        for card in split_statements(self.text, "", title=title):
             if card.written:
                 yield replace(card, where=self.lines[card.line - 1].where)
 
 
-def flatten(path: Path, home: Path, *, trust: bool, inside: bool = False) -> Flat:
-    """Return a circuit with the content of its includes from below ``home``.
+def flatten_includes(path: Path, home: Path, *, trust: bool, inside: bool = False) -> Flat:
+    """Return a circuit in which the content of files below ``home`` replaces the includes.
 
     With ``trust``, lines are copied unchanged and includes may come from anywhere. The simulator
     then reads an include that this function cannot read. With ``inside`` too, only files below
@@ -74,8 +72,8 @@ def flatten(path: Path, home: Path, *, trust: bool, inside: bool = False) -> Fla
 
     Raises
     ------
-    UsageError : not readable as text, too large or too many, an include in a circle, or one that
-        leads out of ``home``.
+    UsageError : a file is not text or too large, there are too many files, or an include is
+    circular or leads out of ``home``.
     """
     lines = _Reader(path, home, trust, inside).lines(path.name, path, str(path), ())
     return Flat(make_plain_name(path.name), tuple(lines))
@@ -83,7 +81,7 @@ def flatten(path: Path, home: Path, *, trust: bool, inside: bool = False) -> Fla
 
 @dataclass
 class _Reader:
-    """Reader of a circuit and its includes, which counts files and bytes."""
+    """Reader of a circuit and its includes, which limits the number of files and bytes."""
 
     main: Path
     home: Path
@@ -93,7 +91,7 @@ class _Reader:
     size: int = 0
 
     def lines(self, name: str, path: Path, where: str, chain: tuple[Path, ...]) -> Iterator[Line]:
-        """Yield the lines of the file ``path`` called ``name``, included at ``where``."""
+        """Yield the lines of the file ``path`` that the line ``where`` includes as ``name``."""
         real = path.resolve()
         if real in chain:
             got = " -> ".join(map(attrgetter("name"), (*chain, real)))
@@ -102,7 +100,7 @@ class _Reader:
             )
         goes_on = False
         for number, raw in enumerate(self._read_text(name, real, where).split("\n"), 1):
-            place, match = f"{name}:{number}", _INCLUDE.match(raw)
+            place, match = f"{name}:{number}", _INCLUDE_LINE.match(raw)
             if match is None:
                 line = raw
                 if not self.trust:
@@ -110,55 +108,55 @@ class _Reader:
                 yield Line(line, place, raw)
                 continue
             if goes_on and not self.trust:
-                raise forbidden_line_error("goes on in an include", self.main, place, raw)
-            target = self._read_target(match[1], place, raw)
+                raise make_forbidden_line_error("goes on in an include", self.main, place, raw)
+            target = self._parse_include(match[1], place, raw)
             file = path.parent / target
             try:
-                readable = file.is_file() and file.stat().st_size <= MOST_BYTES
+                readable = file.is_file() and file.stat().st_size <= MAX_CIRCUIT_BYTES
             except OSError:  # the name is too long, or the directory cannot be read
                 readable = False
-            if self.trust and (not target or not readable or self._is_forbidden(file)):
+            if self.trust and (not target or not readable or self._is_outside(file)):
                 yield Line(raw, place, raw)
                 continue
             inner = target if self.trust else str(PurePosixPath(name).parent / target)
-            begin, end = f"* begin of {comment(inner)}", f"* end of {comment(inner)}"
+            begin, end = f"* begin of {format_comment(inner)}", f"* end of {format_comment(inner)}"
             yield Line(begin, place, begin)
             yield from self.lines(inner, file, place, (*chain, real))
             yield Line(end, place, end)
 
-    def _is_forbidden(self, file: Path) -> bool:
-        """Whether a file must not be opened, because it is not below ``home``."""
+    def _is_outside(self, file: Path) -> bool:
+        """Return whether a file must not be opened, because it is not below ``home``."""
         outside = not file.resolve().is_relative_to(self.home.resolve())
         return outside and (self.inside or not self.trust)
 
-    def _read_target(self, rest: str, where: str, raw: str) -> str:
-        """Return the file that an include names: one word, or one text in quotes."""
+    def _parse_include(self, rest: str, where: str, raw: str) -> str:
+        """Return the file of an include line: one word, or one quoted text."""
         rest = split_comment(rest)[0].strip()
-        result = _TARGET.fullmatch(rest)
+        result = _INCLUDE_TARGET.fullmatch(rest)
         target = next(filter(None, result.groups()), "") if result else ""
         if not self.trust:
             reason = (
                 "more than one word" if rest and result is None else explain_unsafe_name(target)
             )
             if reason:
-                raise forbidden_line_error(f"includes {reason}", self.main, where, raw)
+                raise make_forbidden_line_error(f"includes {reason}", self.main, where, raw)
         return target
 
     def _read_text(self, name: str, real: Path, where: str) -> str:
-        """Read a file within the limits of the circuit."""
+        """Read a file within the size limits of the circuit."""
         self.files += 1
-        if self.files > MOST_FILES:
-            expected = f"at most {MOST_FILES}"
+        if self.files > MAX_INCLUDED_FILES:
+            expected = f"at most {MAX_INCLUDED_FILES}"
             raise UsageError("includes too many files", where=str(self.main), expected=expected)
-        if self._is_forbidden(real):
+        if self._is_outside(real):
             message = "the include leads out of the circuit's directory"
             raise UsageError(message, where=where, got=name)
         try:
-            data = read_bounded(real, MOST_BYTES - self.size)
+            data = read_bounded(real, MAX_CIRCUIT_BYTES - self.size)
             self.size += len(data)
             try:
                 text = data.decode("utf-8-sig")
-            except UnicodeDecodeError:  # micro signs in files of many vendors are in Latin-1
+            except UnicodeDecodeError:  # files of many vendors encode micro signs in Latin-1
                 text = data.decode("cp1252")
             return text.replace("\r\n", "\n").replace("\r", "\n")
         except (OSError, ValueError) as error:
@@ -171,7 +169,7 @@ class _Reader:
                     expected="the path of a netlist",
                     hint="give the path of a netlist that kc2spice export or kc2spice run wrote",
                 ) from None
-            expected = f"a text file, at most {MOST_BYTES} bytes with all that it includes"
+            expected = f"a text file, at most {MAX_CIRCUIT_BYTES} bytes with all that it includes"
             raise UsageError(
                 "cannot include this",
                 where=where,
@@ -181,7 +179,7 @@ class _Reader:
             ) from None
 
 
-def forbidden_line_error(reason: str, path: Path, where: str, text: str) -> UsageError:
+def make_forbidden_line_error(reason: str, path: Path, where: str, text: str) -> UsageError:
     """Return the error for a line ``text`` at ``where`` of the circuit ``path``."""
     return UsageError(
         f"the included circuit {reason}",
@@ -193,16 +191,16 @@ def forbidden_line_error(reason: str, path: Path, where: str, text: str) -> Usag
 
 
 def _normalize_line(raw: str, goes_on: bool) -> tuple[str, bool]:
-    """Return a line in a spelling common to all readers, and whether it goes on."""
+    """Return a line in the common spelling, and whether the next line continues it."""
     line = raw.replace("\t", " ").strip(" ")
     if not line or line.startswith("*"):
         return line, goes_on
     card, note = split_comment(line)
-    follows = card.endswith(_GOES_ON)
+    follows = card.endswith(_CONTINUATION_MARK)
     if follows:
-        card = card[: -len(_GOES_ON)].rstrip()
-    if _END.match(card):
-        card, note = "", f"{card} {note}".rstrip()  # lines behind .end are left out
+        card = card[: -len(_CONTINUATION_MARK)].rstrip()
+    if _END_LINE.match(card):
+        card, note = "", f"{card} {note}".rstrip()  # lines after .end are omitted
     if goes_on and card and not card.startswith("+"):
         card = f"+ {card}"
     if not card:
@@ -210,73 +208,80 @@ def _normalize_line(raw: str, goes_on: bool) -> tuple[str, bool]:
     return f"{card} ; {note}" if note else card, follows
 
 
-# --- cards that act on a whole deck ---
+# --- cards that affect the whole deck ---
 
 # fmt: off
 # Names of every card, not of sources alone.
-_FUNCTIONS = FUNCTIONS.union((
+_FUNCTION_NAMES = FUNCTIONS.union((
     "agauss", "arctan", "atan2", "aunif", "db", "ddt", "gauss", "hypot", "i", "if", "int", "limit",
     "pwrs", "sign", "sqr", "stp", "table", "ternary_fcn", "unif", "v",
 ))
-_CONSTANTS = BUILT_IN.union(("c", "echarge", "false", "kelvin", "planck", "true"))
-# Options that change the printed output only, not the computation.
-HARMLESS = frozenset(("acct", "list", "noacct", "node", "nomod", "nopage", "numdgt", "opts", "post",
-                      "probe", "warn", "width"))
+_CONSTANT_NAMES = BUILT_IN_NAMES.union(("c", "echarge", "false", "kelvin", "planck", "true"))
+# Options that change only the printed output, not the computation.
+PRINT_OPTIONS = frozenset((
+    "acct", "list", "noacct", "node", "nomod", "nopage", "numdgt", "opts", "post", "probe", "warn",
+    "width",
+))
 ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".tf", ".noise", ".pz", ".sens", ".disto",
                       ".sp", ".pss", ".hb", ".four"))
-_OUTPUTS = frozenset((".save", ".print", ".plot", ".probe", ".meas", ".measure", ".width"))
+_OUTPUT_COMMANDS = frozenset((".save", ".print", ".plot", ".probe", ".meas", ".measure", ".width"))
 # fmt: on
-_FUNCTION = re.compile(r"(?i)\.(?:func|param|params|csparam)\s+(\w+)\s*\(")
-_PARTS = "a file of subcircuits with their models, parameters and functions"
+_FUNCTION_LINE = re.compile(r"(?i)\.(?:func|param|params|csparam)\s+(\w+)\s*\(")
+_PART_FILE_CONTENT = "a file of subcircuits with their models, parameters and functions"
 
 
 def check_deck_effects(cards: Iterable[Statement], *, part: bool) -> None:
-    """Check that a file of a part defines subcircuits only, and that an edited deck still contains
-    its parts.
+    """Check that a part file defines subcircuits only, and that an edited deck keeps its parts.
 
     Raises
     ------
-    UsageError : a global node, or a built-in function or constant that is defined again; of a part
-        an analysis, an output, a temperature, an option that is more than one of printing, or an
-        element or initial condition outside of every subcircuit; of a deck results at interpolated
-        times. The error names file and line.
+    UsageError : a global node, or a built-in function or constant that is defined again; in a part
+    file, an analysis, an output, a temperature, an option that affects results, or an element or
+    initial condition outside of every subcircuit; in a deck, results at interpolated times. The
+    error contains file and line.
     """
     depth, commands = 0, False
     for card in cards:
         key = card.keyword
-        if commands or key == ".control":  # only a trusted netlist has any
+        if commands or key == ".control":  # only a trusted netlist contains commands
             commands = key != ".endc"
             continue
         depth += (key == ".subckt") - (key == ".ends")
-        for what, expected, hint in _deck_effects(card, depth == 0, part):
+        for what, expected, hint in _find_deck_effects(card, depth == 0, part):
             raise card.error(f"the netlist {what}", card.written[:120], expected, hint)
 
 
-def _deck_effects(card: Statement, outside: bool, part: bool) -> Iterator[tuple[str, str, str]]:
-    """Yield an effect of a card on the deck, the expected card, and the remedy."""
+def _find_deck_effects(
+    card: Statement, outside: bool, part: bool
+) -> Iterator[tuple[str, str, str]]:
+    """Yield each effect of a card on the whole deck, the expected card, and the remedy."""
     key, options = card.keyword, accuracy_options((card,))
-    if part and key in ANALYSES | _OUTPUTS:
+    if part and key in ANALYSES | _OUTPUT_COMMANDS:
         what = "asks for an analysis" if key in ANALYSES else "asks for an output"
-        yield f"{what} of its own", _PARTS, "drop this line: the scene has analysis and results"
+        yield (
+            f"{what} of its own",
+            _PART_FILE_CONTENT,
+            "drop this line: the scene has analysis and results",
+        )
     if part and options:
         what = "temperature" if key == ".temp" else f"option {next(iter(options))}"
         hint = (
             "drop this line; accuracy is set by the scene's [solver], the temperature of a "
             "device by temp=… on its own card"
         )
-        yield f"sets the {what} of the whole deck", _PARTS, hint
+        yield f"sets the {what} of the whole deck", _PART_FILE_CONTENT, hint
     if part and outside and (key in (".ic", ".nodeset") or (key and not key.startswith("."))):
         what = "has a card outside of every subcircuit, which acts on nodes of the whole deck"
-        yield what, _PARTS, "put it into the .subckt or drop it"
+        yield what, _PART_FILE_CONTENT, "put it into the .subckt or drop it"
     if not part and "interp" in options:
         hint = "drop it: events lie between the points that it keeps"
         yield "sets the option interp", "results at every time point", hint
     if key.startswith(".global"):
         hint = "make it a pin: it would be one with any node of its name"
         yield "makes nodes global", "nodes of subcircuits", hint
-    defined = _FUNCTION.match(card.written)
+    defined = _FUNCTION_LINE.match(card.written)
     words = card.words[1:] if key in (".param", ".params") else ()
-    again = (defined and defined[1].lower() in _FUNCTIONS) or _CONSTANTS.intersection(
+    again = (defined and defined[1].lower() in _FUNCTION_NAMES) or _CONSTANT_NAMES.intersection(
         word.partition("=")[0].lower() for word in words
     )
     if outside and again:
@@ -285,9 +290,9 @@ def _deck_effects(card: Statement, outside: bool, part: bool) -> Iterator[tuple[
 
 
 def accuracy_options(cards: Iterable[Statement]) -> Mapping[str, str]:
-    """Return the values of options that change results; ``""`` of a flag.
+    """Return the values of options that affect results; ``""`` for a flag.
 
-    The last value of an option counts.
+    Of a repeated option, the last value is effective.
     """
     result: dict[str, str] = {}
     for card in cards:
@@ -295,20 +300,20 @@ def accuracy_options(cards: Iterable[Statement]) -> Mapping[str, str]:
             result["temp"] = " ".join(card.words[1:])
         for word in card.words[1:] if card.keyword in OPTION_CARDS else ():
             key, _, value = word.partition("=")
-            if key.lower() not in HARMLESS:
+            if key.lower() not in PRINT_OPTIONS:
                 result[key.lower()] = value
     return result
 
 
-# --- lines that could act on the machine ---
+# --- lines that could execute programs or open files ---
 
 # fmt: off
-COMMANDS = OPTION_CARDS.union(_OUTPUTS, (
+ALLOWED_COMMANDS = OPTION_CARDS.union(_OUTPUT_COMMANDS, (
     ".subckt", ".ends", ".model", ".param", ".params", ".func", ".global", ".ic", ".nodeset",
     ".temp", ".end", ".title", ".tran", ".ac", ".dc", ".op", ".tf", ".noise", ".four", ".if",
     ".elseif", ".else", ".endif",
 ))
-OPTIONS = frozenset((
+ALLOWED_OPTIONS = frozenset((
     "abstol", "acct", "autostop", "badmos3", "bypass", "chgtol", "convabsstep", "convstep",
     "cshunt", "defad", "defas", "defl", "defnrd", "defnrs", "defw", "ebdw", "gmin", "gminsteps",
     "interp", "itl1", "itl2", "itl3", "itl4", "itl5", "itl6", "keepopinfo", "list", "maxevtiter",
@@ -317,25 +322,25 @@ OPTIONS = frozenset((
     "post", "probe", "ramptime", "reltol", "rseries", "rshunt", "savecurrents", "scale", "seed",
     "sparse", "srcsteps", "temp", "tnom", "trtol", "trytocompact", "vntol", "warn", "xmu",
 ))
-_ELEMENTS = frozenset("bcdefghijklmqrstuvwxz")
+_ALLOWED_ELEMENTS = frozenset("bcdefghijklmqrstuvwxz")
 _SHELL_WORDS = frozenset((
     "shell", "system", "codemodel", "source", "load", "exec", "alias", "osdi", "write", "wrdata",
     "hardcopy", "cd", "set", "unset", "pre_codemodel", "pre_osdi", "quit", "exit",
 ))
 # fmt: on
-_FILES = re.compile(
+_FILE_WORDS = re.compile(
     r"(?i)\b(\w*file|simulation|lib|library|process)\s*=|\b\w*file\s*\(|"
     r"\b(table|spline|fasttable)\s*\(\s*[\"']"
 )
-_HIDDEN = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e]")
-_STRANGE_BLANK = re.compile(r"[^\S \t]")
-_DISGUISED = re.compile(r"(?i)^[\s+;$/#&]*\.(control|endc|exec|inc|lib|codemodel)")
+_HIDDEN_CHARACTERS = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e]")
+_UNUSUAL_BLANK = re.compile(r"[^\S \t]")
+_DISGUISED_COMMAND = re.compile(r"(?i)^[\s+;$/#&]*\.(control|endc|exec|inc|lib|codemodel)")
 _COMMAND_COMMENT = re.compile(r"(?i)^\s*\*(#|ng_script)")
-_PROGRAMS = re.compile(r"(?i)\b(d_process|d_cosim|filesource|d_source|d_state|table[23]d)\b")
+_PROGRAM_WORDS = re.compile(r"(?i)\b(d_process|d_cosim|filesource|d_source|d_state|table[23]d)\b")
 
 
 def read_checked_circuit(path: Path, *, trust: bool = False, home: Path | None = None) -> Flat:
-    """Return a circuit with its includes, after a check that it is harmless.
+    """Return a circuit with its includes, after a check that it is safe.
 
     Parameters
     ----------
@@ -344,30 +349,30 @@ def read_checked_circuit(path: Path, *, trust: bool = False, home: Path | None =
 
     Raises
     ------
-    UsageError : not readable as text, too large, or a line that could run a program, read or
-        write a file, or reach outside the circuit's own directory.
+    UsageError : the file is not text or too large, or a line could run a program, access a file, or
+    leave the directory of the circuit.
     """
-    result = flatten(path, home or path.parent, trust=trust)
+    result = flatten_includes(path, home or path.parent, trust=trust)
     if trust:
         return result
-    for line in result.lines:  # raw lines, because hidden text could change a card
+    for line in result.lines:  # raw lines, because hidden characters could change a card
         text = line.raw.rstrip("\r")
         for reason in _find_line_faults(text):
-            quotation = repr(text) if _HIDDEN.search(text) else text
-            raise forbidden_line_error(reason, path, line.where, quotation)
+            quotation = repr(text) if _HIDDEN_CHARACTERS.search(text) else text
+            raise make_forbidden_line_error(reason, path, line.where, quotation)
     for card in result.cards():
         for reason in _find_card_faults(card):
-            raise forbidden_line_error(reason, path, card.where, card.written)
+            raise make_forbidden_line_error(reason, path, card.where, card.written)
     return result
 
 
-def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
-    """Return the file ``name`` beside a scene in ``home`` with its includes.
+def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
+    """Return the file ``name`` in the scene directory ``home`` with its includes.
 
     Raises
     ------
-    UsageError : a file that does not exist, that could act on the machine (unless ``trust``), or
-        that acts on the deck beyond its own subcircuits.
+    UsageError : the file does not exist, could execute programs or open files (unless ``trust``),
+    or affects the deck outside its own subcircuits.
     """
     reason = None if trust else explain_unsafe_name(name)
     if reason:
@@ -383,51 +388,53 @@ def included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat:
     return result
 
 
-def read_untrusted(name: str, home: Path) -> Flat:
+def read_untrusted_netlist(name: str, home: Path) -> Flat:
     """Return the file ``name`` unchanged, with its includes from ``home`` or below.
 
     The pins and nodes of the circuit are needed before its user trusts the file.
 
     Raises
     ------
-    UsageError : as :func:`included_netlist`, but for what could act on the machine.
+    UsageError : see :func:`read_included_netlist`; lines that could execute programs are accepted.
     """
     path = home / name
-    result = flatten(path, path.parent if home == Path() else home, trust=True, inside=True)
+    result = flatten_includes(
+        path, path.parent if home == Path() else home, trust=True, inside=True
+    )
     check_deck_effects(result.cards(), part=True)
     return result
 
 
 def _find_line_faults(text: str) -> Iterator[str]:
-    """Yield the faults of a line of a file, also of a continuation or comment line."""
-    if _HIDDEN.search(text) or "\r" in text:
+    """Yield the faults of a physical line, which may be a continuation or comment."""
+    if _HIDDEN_CHARACTERS.search(text) or "\r" in text:
         yield "has control characters that can hide text"
     if _COMMAND_COMMENT.match(text):
         yield "has a comment that the simulator runs as a command"
     if text.lstrip(" \t").startswith("*"):
         return
-    if match := _DISGUISED.match(text):
+    if match := _DISGUISED_COMMAND.match(text):
         yield f"has a {match[1].lower()} command"
-    if _STRANGE_BLANK.search(split_comment(text)[0]):
+    if _UNUSUAL_BLANK.search(split_comment(text)[0]):
         yield "has blanks that the simulator does not take for any"
     if "`" in text:
         yield "has a back quote, which runs a program"
 
 
 def _find_card_faults(card: Statement) -> Iterator[str]:
-    """Yield the faults of a card after its continuation lines are joined."""
+    """Yield the faults of a card with its continuation lines."""
     key = card.keyword
     if key.startswith(".") or key in _SHELL_WORDS:
-        if key not in COMMANDS:
+        if key not in ALLOWED_COMMANDS:
             yield f"has the command {key}"
-    elif key[0] not in _ELEMENTS:
+    elif key[0] not in _ALLOWED_ELEMENTS:
         yield "has a card that is no element"
     if key in OPTION_CARDS:
         for word in card.words[1:]:
             name = word.partition("=")[0].lower()
-            if name not in OPTIONS:
+            if name not in ALLOWED_OPTIONS:
                 yield f"sets the option {name[:40]}, which is more than one of accuracy"
-    if _FILES.search(card.written):
+    if _FILE_WORDS.search(card.written):
         yield "reads or writes a file"
-    if _PROGRAMS.search(card.written):
+    if _PROGRAM_WORDS.search(card.written):
         yield "uses a code model that can run programs"

@@ -1,4 +1,4 @@
-"""Libraries: parts as subcircuits with pins, units and parameters."""
+"""Libraries: subcircuits of parts with pins, units and parameters."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import decode_text, read_bounded
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin, electrical_pins, items_of
-from kc2spice.netlist.expression import literal
+from kc2spice.netlist.expression import literal_value
 from kc2spice.netlist.prefixes import with_prefix
 from kc2spice.netlist.printers.ngspice import Printer, locate_cards
-from kc2spice.netlist.read import read
-from kc2spice.netlist.spelling import comment, number, word
-from kc2spice.netlist.spelling import name as checked_name
+from kc2spice.netlist.read import read_cards
+from kc2spice.netlist.spelling import format_comment, format_number, require_word
+from kc2spice.netlist.spelling import require_name as checked_name
 
-LARGEST = 100_000_000  # bytes of one file
-_PIN = re.compile(r"\* @pin \d+ (\w+) unit=(\S+) flow=(\S+)")
-_PARAM = re.compile(r"\* @param (\w+)=(\S+) unit=(\S+)(?: range=(\S+)\.\.(\S+))? ?(.*)")
+MAX_LIBRARY_BYTES = 100_000_000  # bytes of one file
+_PIN_LINE = re.compile(r"\* @pin \d+ (\w+) unit=(\S+) flow=(\S+)")
+_PARAMETER_LINE = re.compile(r"\* @param (\w+)=(\S+) unit=(\S+)(?: range=(\S+)\.\.(\S+))? ?(.*)")
 
 
 @dataclass(frozen=True)
 class Header:
-    """Origin of a netlist: name of its scene, and hash of the data of its numbers."""
+    """Origin of a netlist: name of the scene, and hash of the input data."""
 
     scene: str
     scene_hash: str
@@ -40,12 +40,12 @@ class Header:
         """Return tool version, scene and licence as comment lines."""
         return (
             f"* tool: kc2spice {__version__}",
-            f"* scene: {comment(self.scene)} hash={comment(self.scene_hash)}",
+            f"* scene: {format_comment(self.scene)} hash={format_comment(self.scene_hash)}",
             "* licence: GPL-3.0-or-later",
         )
 
 
-def plan_lines(plan: Mapping[str, Any], without: Collection[str] = ()) -> tuple[str, ...]:
+def model_comments(plan: Mapping[str, Any], without: Collection[str] = ()) -> tuple[str, ...]:
     """Return models, neglected effects and settings of a deck as comment lines."""
     error = "not estimated" if plan["error_budget"] is None else f"budget {plan['error_budget']:g}"
     settings = []
@@ -62,15 +62,15 @@ def plan_lines(plan: Mapping[str, Any], without: Collection[str] = ()) -> tuple[
     lines = list[str]()
     for head, text in facts.items():
         if text:
-            lines += textwrap.wrap(comment(f"{head}: {text}"), 96, subsequent_indent="  ")
+            lines += textwrap.wrap(format_comment(f"{head}: {text}"), 96, subsequent_indent="  ")
     return tuple(map("* {}".format, lines))
 
 
 @dataclass(frozen=True)
-class ReductionFacts:
-    """Order, band and accuracy of the reduced model that a part was made from.
+class ReductionSummary:
+    """Order, band and accuracy of the reduced model of a part.
 
-    ``error_estimate`` is the relative error of the part's response in the ``norm``. The part
+    ``error_estimate`` is the relative error of the response in the ``norm``. The part
     ``circuit_error`` of the error is due to the elements; it occurs at the frequency ``worst_hz``.
     """
 
@@ -83,14 +83,14 @@ class ReductionFacts:
 
     @property
     def summary(self) -> str:
-        """The facts on one line, the error estimate rounded upwards."""
-        low, high = map(number, self.band_hz)
-        error = number(_round_up(self.error_estimate))
+        """Order, band and error estimate in one line; the estimate is rounded up."""
+        low, high = map(format_number, self.band_hz)
+        error = format_number(_round_up(self.error_estimate))
         return f"order={self.order} band={low}..{high} Hz norm={self.norm} error={error}"
 
 
 def _round_up(value: float) -> float:
-    """Round to three digits, upwards, so that an error bound remains a bound."""
+    """Round up to three digits, so that an error bound remains a bound."""
     mantissa, _, exponent = f"{value:.2e}".partition("e")
     short = float(f"{mantissa}e{exponent}")
     return short if short >= value else float(f"{float(mantissa) + 0.01:.2f}e{exponent}")
@@ -98,13 +98,13 @@ def _round_up(value: float) -> float:
 
 @dataclass(frozen=True, repr=False)
 class Subcircuit:
-    """One part: its ``.subckt`` in the ``circuit`` of a library file, and its pins.
+    """Part as a subcircuit: its ``.subckt`` in the ``circuit`` of a library file, and its pins.
 
     ``title`` is ``NAME: description``. ``file`` is the name of the library file if it differs from
-    ``NAME.lib``. ``no_module`` states why the part must not become a Verilog-A module, "" if it
-    may. ``reduction`` is None if there is no reduced model. ``source`` is the text of a library
+    ``NAME.lib``. ``no_module`` is the reason why the part cannot be a Verilog-A module, otherwise
+    empty. ``reduction`` is None if there is no reduced model. ``source`` is the text of a library
     from another author; all other libraries are printed from their circuits. The first
-    ``head_lines`` comments above the circuit of this name are its head.
+    ``head_lines`` comments above the circuit of this name are its header.
     """
 
     name: str
@@ -114,31 +114,31 @@ class Subcircuit:
     title: str = ""
     file: str = ""
     no_module: str = ""
-    reduction: ReductionFacts | None = None
+    reduction: ReductionSummary | None = None
     source: str = ""
     head_lines: int = 0
 
     @property
     def filename(self) -> str:
-        """Name of the library file that holds this part."""
+        """Name of the library file with this part."""
         return self.file or f"{self.name}.lib"
 
     @cached_property
     def text(self) -> str:
-        """Text of the library file in the words of ngspice."""
+        """Text of the library file in the syntax of ngspice."""
         return self.source or Printer().file(self.circuit)
 
     @cached_property
     def located_tree(self) -> Circuit:
-        """The circuit, each card with its text and its place in the library file."""
+        """Circuit in which each card has its text and its position in the library file."""
         return self.circuit if self.source else locate_cards(self.circuit, self.filename)
 
     def changed(self, circuit: Circuit) -> Subcircuit:
-        """Return the same part with another circuit."""
+        """Return the part with another circuit."""
         return replace(self, circuit=circuit, source="")
 
     def write(self, path: str | Path) -> Path:
-        """Write the library file to a path, or with its own name into a directory."""
+        """Write the library file to a path, or under its default name into a directory."""
         path = Path(path)
         if path.is_dir():
             path = path / self.filename
@@ -146,6 +146,7 @@ class Subcircuit:
         return path
 
     def __repr__(self) -> str:
+        """Return a short description of the part."""
         pins = " ".join(f"{pin.name}[{pin.unit}/{pin.flow}]" for pin in self.pins)
         params = " ".join(f"{param.name}={param.default:g}" for param in self.params)
         return f"<Subcircuit {self.name}: pins {pins}{'; ' + params if params else ''}>"
@@ -154,8 +155,8 @@ class Subcircuit:
 def read_lib(path: str | Path) -> list[Subcircuit]:
     """Read the parts of a library file.
 
-    The head of a subcircuit declares its pins, units and parameters. A subcircuit without a head
-    counts as a part if no other of the file instantiates it; its pins are electrical and its
+    The header of a subcircuit declares pins, units and parameters. A subcircuit without a header is
+    a part if no other subcircuit of the file instantiates it. Its pins are then electrical and its
     parameters have no unit.
 
     Parameters
@@ -170,7 +171,8 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
 
     Raises
     ------
-    UsageError : no such file, no text, no subcircuit in it, or a head that does not fit its card.
+    UsageError : the file is missing, is not text or contains no subcircuit, or a header contradicts
+    its subcircuit.
 
     Examples
     --------
@@ -184,18 +186,18 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
     """
     path = Path(path)
     try:
-        text = decode_text(read_bounded(path, LARGEST))
+        text = decode_text(read_bounded(path, MAX_LIBRARY_BYTES))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise UsageError("this library cannot be read", where=str(path), got=reason) from None
-    parts = subcircuits(text, path.name)
+    parts = parse_subcircuits(text, path.name)
     if not parts:
         raise UsageError("no subcircuit in this library", where=str(path), expected=".subckt")
     return parts
 
 
 def instance_comment(name: str, pins: Iterable[str], defaults: Mapping[str, str]) -> str:
-    """Return an instance to copy, as a comment; nodes have the names of the pins.
+    """Return an example ``X`` line as a comment; its nodes have the names of the pins.
 
     Examples
     --------
@@ -207,17 +209,18 @@ def instance_comment(name: str, pins: Iterable[str], defaults: Mapping[str, str]
 
 
 def parameter_line(param: Param) -> str:
-    """Return the comment of a parameter: default, unit, range and explanation."""
+    """Return the comment line of a parameter: default, unit, range and explanation."""
     bounded = math.isfinite(param.low) or math.isfinite(param.high)
     bounds = f" range={param.low:g}..{param.high:g}" if bounded else ""
-    head = f"* @param {checked_name(param.name)}={number(param.default)} unit={word(param.unit)}"
-    return f"{head}{bounds} {comment(param.doc)}"
+    value = f"{checked_name(param.name)}={format_number(param.default)}"
+    head = f"* @param {value} unit={require_word(param.unit)}"
+    return f"{head}{bounds} {format_comment(param.doc)}"
 
 
-def subcircuits(text: str, file: str) -> list[Subcircuit]:
-    """Return the parts in the text of a library file, as :func:`read_lib` does."""
-    library = read(text, file)
-    parts = list(filter(declared_pins, library.subcircuits))
+def parse_subcircuits(text: str, file: str) -> list[Subcircuit]:
+    """Return the parts in the text of a library file, like :func:`read_lib`."""
+    library = read_cards(text, file)
+    parts = list(filter(parse_declared_pins, library.subcircuits))
     if not parts:
         inner = set(chain.from_iterable(map(_instantiated_names, library.subcircuits)))
         parts = [item for item in library.subcircuits if item.name.lower() not in inner]
@@ -234,31 +237,31 @@ def _instantiated_names(circuit: Circuit) -> Iterator[str]:
 
 
 def join_comments(notes: Iterable[str]) -> list[str]:
-    """Return comments as one line each: three blanks and more continue the line above."""
+    """Return each comment in one line; three or more blanks mark a continuation."""
     return "\n".join(notes).replace("\n*   ", " ").split("\n")
 
 
-def declared_pins(circuit: Circuit) -> list[Pin]:
-    """Return the pins that the head of a subcircuit declares."""
-    return [Pin(*match.groups()) for match in map(_PIN.match, circuit.notes) if match]
+def parse_declared_pins(circuit: Circuit) -> list[Pin]:
+    """Return the pins that the header of a subcircuit declares."""
+    return [Pin(*match.groups()) for match in map(_PIN_LINE.match, circuit.notes) if match]
 
 
 def _make_part(circuit: Circuit, library: Circuit, text: str, file: str) -> Subcircuit:
-    """Return one subcircuit of a library as a part.
+    """Return a subcircuit of a library as a part.
 
     Raises
     ------
-    UsageError : the head lists other pins than the subcircuit has.
+    UsageError : the pins of the header and of the subcircuit differ.
     """
-    pins = declared_pins(circuit)
+    pins = parse_declared_pins(circuit)
     if pins and list(map(attrgetter("key"), pins)) != list(map(str.lower, circuit.pins)):
         listed = " ".join(map(attrgetter("name"), pins))
         message = "the head does not list the pins of its subcircuit"
         raise circuit.error(message, listed, " ".join(circuit.pins))
-    heads = {m[1].lower(): m for m in map(_PARAM.match, join_comments(circuit.notes)) if m}
+    heads = {m[1].lower(): m for m in map(_PARAMETER_LINE.match, join_comments(circuit.notes)) if m}
     params = []
     for name, default in circuit.defaults.items():
-        value, head = literal(default, where=circuit.where), heads.get(name.lower())
+        value, head = literal_value(default, where=circuit.where), heads.get(name.lower())
         labels = (
             (head[3], head[6], float(head[4] or "-inf"), float(head[5] or "inf")) if head else ()
         )

@@ -12,60 +12,61 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Card, Circuit, Directive, Element, Parameters
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
-    BUILT_IN,
+    BUILT_IN_NAMES,
     FUNCTIONS,
     Binary,
     Call,
     CircuitVariable,
     Name,
     Number,
-    parse,
-    walk,
+    parse_expression,
+    walk_tree,
 )
-from kc2spice.netlist.library import declared_pins
-from kc2spice.netlist.scope import GROUND, Scope, circuit, find_instance
+from kc2spice.netlist.library import parse_declared_pins
+from kc2spice.netlist.scope import GROUND_NAMES, Scope, build_scope, find_instance
 from kc2spice.netlist.spelling import split_infix_unit
 
-_ODD = tuple(map(Number, ("1", "3", "5", "7", "9")))
-# Parasitic settings of elements in LTspice, and the equivalent separate elements.
-_PARASITIC = {"rser": "R in series", "lser": "L in series", "rpar": "R across it",
+_ODD_NUMBERS = tuple(map(Number, ("1", "3", "5", "7", "9")))
+# Parasitic settings of LTspice elements, and the equivalent separate elements.
+_PARASITIC_ELEMENTS = {"rser": "R in series", "lser": "L in series", "rpar": "R across it",
               "rlshunt": "R across it", "cpar": "C across it"}  # fmt: skip
 
 
-def lint(deck: Deck) -> None:
-    """Raise the first wiring mistake of ``deck`` as an error that counts the others.
+def require_valid_wiring(deck: Deck) -> None:
+    """Raise an error for the first wiring mistake of ``deck`` with the number of mistakes.
 
     Raises
     ------
-    UsageError : wrong wiring; the message names file, line, mistake and expected text.
+    UsageError : a wiring mistake; the message contains file, line, mistake and expected text.
     """
-    if result := find_circuit_problems(deck):
+    if result := find_wiring_mistakes(deck):
         first = result[0]
         more = f"{len(result) - 1} more after this one" if len(result) > 1 else None
         first.hint = "; ".join(filter(None, (first.hint, more))) or None
         raise first
 
 
-def find_circuit_problems(deck: Deck) -> list[UsageError]:
+def find_wiring_mistakes(deck: Deck) -> list[UsageError]:
     """Return all wiring mistakes of ``deck``.
 
-    Unknown subcircuits, models, parameters, nodes and controlling sources; instances with too many
-    or too few pins; two parts with one name in one scope; nodes that one part alone touches.
+    Mistakes are unknown subcircuits, models, parameters, nodes and controlling sources; a wrong
+    number of pins; repeated names in one scope; and nodes with only one connection.
 
     Raises
     ------
-    UsageError : the text cannot be read at all (missing include, broken card, unclosed subcircuit).
+    UsageError : the text cannot be parsed (missing include, invalid card, unclosed subcircuit).
     """
     try:
         if not _find_problems(deck, deck.trees, deck.scope):
             return []
-    except UsageError:  # the loop below raises the error again, with the place of its card
+    except UsageError:  # the loop below raises the error again, with the position of its card
         pass
-    top = circuit(deck.located_trees[deck.main], deck.located_trees, deck.main)
+    top = build_scope(deck.located_trees[deck.main], deck.located_trees, deck.main)
     return _find_problems(deck, deck.located_trees, top)
 
 
 def _find_problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list[UsageError]:
+    """Return the wiring mistakes of parsed circuits."""
     signals = frozenset(_list_signal_pins(trees.values()))
     read = _saved_nodes(deck, top)
     problems: list[UsageError] = []
@@ -76,7 +77,7 @@ def _find_problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list
 
 
 def _saved_nodes(deck: Deck, top: Scope) -> dict[int, set[str]]:
-    """Return the nodes of subcircuits that the deck saves, such as ``v(x1.p)``.
+    """Return the nodes inside subcircuits that the deck saves, such as ``v(x1.p)``.
 
     The keys are identities of scopes. A node that is saved needs no second connection.
     """
@@ -91,29 +92,32 @@ def _saved_nodes(deck: Deck, top: Scope) -> dict[int, set[str]]:
 
 
 def _list_signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
+    """Yield the subcircuit and name of each signal pin."""
     for item in circuits:
-        for pin in declared_pins(item):
+        for pin in parse_declared_pins(item):
             if pin.flow == "-":
                 yield item.name.lower(), pin.key
         yield from _list_signal_pins(item.subcircuits)
 
 
 def _check_cards(scope: Scope) -> Iterator[UsageError]:
+    """Yield the mistakes of the cards of a scope."""
     for part in scope.elements:
         first = scope.elements_by_key[part.key]
         if first is not part:
             other = f"another name; the first {part.key} is in {first.where}"
             yield part.error("two parts have one name", part.name, other)
-    kinds = {"v": scope.nodes | GROUND, "i": scope.elements_of("vlehb").keys()}
+    kinds = {"v": scope.nodes | GROUND_NAMES, "i": scope.elements_of("vlehb").keys()}
     for card in (*scope.commands, *scope.elements):
         if isinstance(card, Element):
             check = _check_instance if card.kind == "x" else _check_references
             yield from check(card, scope)
-        for text in _expressions(card):
+        for text in _list_expressions(card):
             yield from _check_expression(card, text, scope, kinds)
 
 
 def _check_instance(part: Element, scope: Scope) -> Iterator[UsageError]:
+    """Yield the mistakes of a subcircuit instance."""
     called = scope.find(part.model)
     if called is None:
         near = _suggest_name(part.model, scope.subcircuits)
@@ -134,11 +138,11 @@ def _check_instance(part: Element, scope: Scope) -> Iterator[UsageError]:
 
 
 def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
-    """Yield the mistakes in model, parameters and sources of an element."""
+    """Yield the mistakes in the model, parameters and sources of an element."""
     if part.model and part.model.lower() not in scope.models:
         yield part.error("no such model", part.model, _suggest_name(part.model, scope.models))
     for param in part.settings if part.kind in "rlcvi" else ():
-        if instead := _PARASITIC.get(param):
+        if instead := _PARASITIC_ELEMENTS.get(param):
             yield part.error(
                 "ngspice has no such parameter of an element, LTspice has",
                 f"{param}={part.settings[param]} of {part.name}",
@@ -157,8 +161,8 @@ def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
             yield part.error("no such controlling part", source, _suggest_name(source, present))
 
 
-def _expressions(card: Card) -> Iterator[str]:
-    """Yield the expressions of a card, its law last."""
+def _list_expressions(card: Card) -> Iterator[str]:
+    """Yield the expressions of a card; the law is last."""
     if isinstance(card, Parameters):
         yield from card.values.values()
     elif isinstance(card, Element):
@@ -176,19 +180,23 @@ def _check_expression(
 ) -> Iterator[UsageError]:
     """Yield the mistakes of an expression: unknown names, nodes and sources.
 
-    ``kinds`` lists the known ones. In a law, functions that ngspice lacks or defines
-    differently are faults too.
+    ``kinds`` lists the known ones. In a law, functions that ngspice lacks or defines differently
+    are also mistakes.
     """
     law = isinstance(card, Element) and text is card.expression
     try:
-        tree = card.law if isinstance(card, Element) and law else parse(text, where=card.where)
+        tree = (
+            card.law
+            if isinstance(card, Element) and law
+            else parse_expression(text, where=card.where)
+        )
     except UsageError as error:
         yield error
         return
     functions = FUNCTIONS.union(scope.functions)
-    for leaf in walk(tree):
+    for leaf in walk_tree(tree):
         match leaf:
-            case Name(name) if name.lower() not in BUILT_IN.union(scope.params):
+            case Name(name) if name.lower() not in BUILT_IN_NAMES.union(scope.params):
                 yield card.error("no such parameter", name, _suggest_name(name, scope.params))
             case CircuitVariable(kind, names):
                 for name in map(str.lower, names):
@@ -198,7 +206,7 @@ def _check_expression(
             case Call(name) if law and name not in functions:
                 near = _suggest_name(name, functions)
                 yield card.error("ngspice has no such function", name, near)
-            case Binary("^", _, power) if law and power in _ODD:
+            case Binary("^", _, power) if law and power in _ODD_NUMBERS:
                 message = "ngspice takes odd powers of the absolute value"
                 yield card.error(message, card.written, "a product")
 
@@ -222,7 +230,7 @@ def _check_connections(
         called = scope.find(part.model) if part.kind == "x" else None
         pins = dict(enumerate(called.pins if called else ()))
         for position, node in enumerate(part.ends):
-            if uses[node] > 1 or node in GROUND or node in watched or node.startswith("nc"):
+            if uses[node] > 1 or node in GROUND_NAMES or node in watched or node.startswith("nc"):
                 continue
             pin = pins.get(position, str(position + 1))
             if (part.model.lower(), pin) not in signals:
@@ -235,6 +243,7 @@ def _check_connections(
 
 
 def _card_text(card: Card) -> str:
+    """Return the text of a card for an error message."""
     return card.text if isinstance(card, Directive) else card.written
 
 

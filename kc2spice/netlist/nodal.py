@@ -1,4 +1,4 @@
-"""Nodal analysis of linear circuits: from a tree to its frequency response.
+"""Nodal analysis of linear circuits: frequency response of a syntax tree.
 
 The equations follow from the elements of the tree and the parameters of an instance alone. These
 equations do not depend on the model behind the circuit (C.-W. Ho, A. Ruehli, P. Brennan, IEEE
@@ -16,20 +16,22 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Circuit, Element, Parameters, items_of
-from kc2spice.netlist.expression import Tree, parameter_value, parse
+from kc2spice.netlist.expression import Tree, evaluate_parameter, parse_expression
 
 GROUND = "0"
-DENSE = 60  # unknowns up to which dense matrices, all frequencies at once, take less time
-_BRANCHED = frozenset("vel")  # elements whose current is an unknown of its own
+# number of unknowns up to which dense matrices for all frequencies together are faster
+MAX_DENSE_UNKNOWNS = 60
+_BRANCH_KINDS = frozenset("vel")  # element letters whose current is an additional unknown
 
 
 @dataclass(frozen=True, eq=False)
 class NodalEquations:
-    """``(G + s C) x = b``: node voltages, then currents of sources and inductors.
+    """Equations ``(G + s C) x = b`` of node voltages, and currents of sources and inductors.
 
-    ``rows`` are the unknowns by lower-case names, the current of an element as ``i(NAME)``; this
-    current flows from the first node of the element through the element to the second node. Nodes
-    at ground have no row. ``entries`` are rows, columns and values of G and of C.
+    ``rows`` are the numbers of the unknowns, keyed by lower-case name, the current of an element as
+    ``i(NAME)``; this current flows from the first node of the element through the element to the
+    second node. Nodes at ground have no row. ``entries`` are rows, columns and values of G and of
+    C.
     """
 
     rows: Mapping[str, int]
@@ -55,7 +57,7 @@ class NodalEquations:
                 b[self.rows[name], column] += size
         rows = [self.rows.get(name, -1) for name in answers]
         result = np.zeros((len(s), len(answers), len(loads)), complex)
-        if n <= DENSE:
+        if n <= MAX_DENSE_UNKNOWNS:
             A = G.toarray() + s[:, None, None] * C.toarray()
             x = np.linalg.solve(A, np.broadcast_to(b, (len(s), *b.shape)))
             result[:] = np.where(np.array(rows)[:, None] >= 0, x[:, rows], 0.0)
@@ -68,27 +70,27 @@ class NodalEquations:
 
 @dataclass(frozen=True)
 class NodalCircuit:
-    """The elements R, C, L, G, E and V of a subcircuit, whose sources are zero.
+    """Linear subcircuit of R, C, L, G, E and V, in which all sources are zero.
 
     Raises
     ------
-    UsageError : another element.
+    UsageError : the subcircuit has another element.
     """
 
     circuit: Circuit
 
     @cached_property
     def parameters(self) -> list[tuple[str, Tree]]:
-        """Names in lower case with their expressions, in the order of the cards."""
+        """Expressions of the parameters in the order of the cards, keyed by lower-case name."""
         result: list[tuple[str, Tree]] = []
         for card in items_of(self.circuit.items, Parameters):
             for key, text in card.values.items():
-                result.append((key.lower(), parse(text)))
+                result.append((key.lower(), parse_expression(text)))
         return result
 
     @cached_property
     def elements(self) -> list[tuple[Element, Tree | float]]:
-        """Each element with the expression of its value, zero for a source."""
+        """Each element with the expression of its value; the value of a source is zero."""
         items = items_of(self.circuit.items, Element)
         return list(zip(items, map(_parse_value, items), strict=True))
 
@@ -113,31 +115,31 @@ class NodalCircuit:
         names = self._parameter_values(values)
         stamps: tuple[list[tuple[int, int, float]], ...] = ([], [])
         for item, size in elements:
-            number = size if isinstance(size, float) else parameter_value(size, names)
-            for part, i, j, entry in _stamps(item, number):
+            number = size if isinstance(size, float) else evaluate_parameter(size, names)
+            for part, i, j, entry in _stamp_entries(item, number):
                 if i in rows and j in rows:
                     stamps[part].append((rows[i], rows[j], entry))
         return NodalEquations(rows, tuple(map(_split_columns, stamps)))
 
     def _parameter_values(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return the values of all parameters by names in lower case."""
+        """Return the values of all parameters, keyed by names in lower case."""
         names: dict[str, float] = {}
         for key, text in self.circuit.defaults.items():
-            names[key.lower()] = parameter_value(parse(text), {})
+            names[key.lower()] = evaluate_parameter(parse_expression(text), {})
         names |= values
         for key, tree in self.parameters:
-            names[key] = parameter_value(tree, names)
+            names[key] = evaluate_parameter(tree, names)
         return names
 
 
 def _number_unknowns(
     elements: Iterable[tuple[Element, object]], grounded: Collection[str]
 ) -> dict[str, int]:
-    """Return the number of each unknown: voltages of nodes, then currents of elements."""
+    """Return the number of each unknown: node voltages, then currents of elements."""
     nodes, currents = dict[str, None](), []
     for item, _ in elements:
         nodes |= dict.fromkeys(item.ends)
-        if item.kind in _BRANCHED:
+        if item.kind in _BRANCH_KINDS:
             currents.append(f"i({item.key})")
     unknowns = [*filterfalse(grounded.__contains__, nodes), *currents]
     return dict(zip(unknowns, range(len(unknowns)), strict=True))
@@ -165,16 +167,16 @@ def _parse_value(item: Element) -> Tree | float:
     try:
         return float(item.values[0])
     except ValueError:
-        return parse(item.values[0], where=item.where)
+        return parse_expression(item.values[0], where=item.where)
 
 
-def _stamps(item: Element, size: float) -> Iterable[tuple[int, str, str, float]]:
+def _stamp_entries(item: Element, size: float) -> Iterable[tuple[int, str, str, float]]:
     """Yield the entries of an element in the matrices G and C of ``G x + C dx/dt``.
 
     Each consists of the matrix (0 is G, 1 is C), equation, unknown and value.
 
     The equation of a node is the sum of the currents that leave it. The equation of a current is
-    the law of its element.
+    the constitutive equation of its element.
     """
     a, b = item.ends[:2]
     if item.kind in "rc":

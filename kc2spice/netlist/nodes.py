@@ -12,13 +12,13 @@ from kc2spice.netlist.scope import Scope, find_instance
 
 
 def describe_node(deck: Deck, node: str) -> str | None:
-    """Describe the part that contains a node, and the pins next to the node.
+    """Describe a node of a deck: the part that contains it and the nearest pins.
 
     ``node`` is spelled as in ngspice: ``x1.x2.name``, ``b.x1.b2`` for a device, ``v1#branch`` for
     the current of a source. The result is None if the deck has no such node.
     """
     *path, name = node.lower().partition("#")[0].split(".")
-    if path and len(path[0]) == 1:  # a device: its letter stands before the instance
+    if path and len(path[0]) == 1:  # name of a device: its letter precedes the instance
         del path[0]
     try:
         scope = find_instance(deck.scope, tuple(path))
@@ -41,7 +41,7 @@ def describe_node(deck: Deck, node: str) -> str | None:
 
 
 def _describe_instance(deck: Deck, scope: Scope, instance: str, name: str) -> str:
-    """Describe an instance by its title, and the pin of an inner node.
+    """Describe an instance by its title, and the pin that belongs to an inner node.
 
     The name of an inner node or element ends with its pin: ``fring0`` belongs to ring0.
     """

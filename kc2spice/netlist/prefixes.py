@@ -1,4 +1,4 @@
-"""Numbers with prefixes, such as ``24.9u``, that ngspice reads as equal doubles.
+"""Numbers with SI prefixes, such as ``24.9u``, that ngspice reads without rounding error.
 
 ngspice reads digits as one integer and multiplies it by a power of ten. Rounding makes ``100n``
 another double than ``1e-07``, but ``100.00n`` the same. A parameter is multiplied by its scale
@@ -15,16 +15,17 @@ from itertools import chain
 
 from kc2spice.netlist.expression import PREFIXES
 
-LEAST_PLAIN, MOST_PLAIN = Decimal("0.1"), 1000  # sizes of numbers without a prefix
+# numbers in this range are written without a prefix
+SMALLEST_PLAIN, LARGEST_PLAIN = Decimal("0.1"), 1000
 _FLOAT = re.compile(r"[-+]?(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?")
-_WITHIN = re.compile(rf"(?<![\w.+-]){_FLOAT.pattern}(?![\w.])")
-_SPELLED = re.compile(r"([-+]?)(\d*)\.?(\d*)(?:[eE]([-+]?\d+))?([a-z]*)")
-_LETTERS = {power: key for key, power in PREFIXES.items()}
+_EMBEDDED_FLOAT = re.compile(rf"(?<![\w.+-]){_FLOAT.pattern}(?![\w.])")
+_DIGIT_PARTS = re.compile(r"([-+]?)(\d*)\.?(\d*)(?:[eE]([-+]?\d+))?([a-z]*)")
+_PREFIX_LETTERS = {power: key for key, power in PREFIXES.items()}
 
 
 def read_value(text: str) -> float:
     """Return the double that ngspice reads from a number on a card."""
-    match = _SPELLED.fullmatch(text)
+    match = _DIGIT_PARTS.fullmatch(text)
     assert match is not None
     sign, integer, rest, exponent, letters = match.groups()
     mantissa = 0.0
@@ -36,7 +37,7 @@ def read_value(text: str) -> float:
 
 def read_parameter(text: str) -> float:
     """Return the double that ngspice reads from the value of a parameter."""
-    match = _SPELLED.fullmatch(text)
+    match = _DIGIT_PARTS.fullmatch(text)
     assert match is not None
     plain = float(text.removesuffix(match[5])) * float(f"1e{PREFIXES[match[5]]}")
     return read_value(f"{plain:.15e}")
@@ -58,9 +59,9 @@ def with_prefix(text: str) -> str:
     if not number:
         return "0"
     power = number.adjusted() // 3 * 3
-    plain = LEAST_PLAIN <= abs(number) < MOST_PLAIN
+    plain = SMALLEST_PLAIN <= abs(number) < LARGEST_PLAIN
     same = read_value(text), read_parameter(text)
-    spellings = (_spellings(number, k) for k in ((0,) if plain else (power, power + 3)))
+    spellings = (_spell_number(number, k) for k in ((0,) if plain else (power, power + 3)))
     for spelled in chain.from_iterable(spellings):
         if (read_value(spelled), read_parameter(spelled)) == same:
             return spelled
@@ -68,7 +69,7 @@ def with_prefix(text: str) -> str:
 
 
 def abbreviate(value: float, digits: int = 4) -> str:
-    """Return a number to some digits with its prefix, for comments.
+    """Return a rounded number with its prefix, for comments.
 
     Examples
     --------
@@ -77,23 +78,25 @@ def abbreviate(value: float, digits: int = 4) -> str:
     """
     number = Decimal(f"{value:.{digits - 1}e}")
     power = number.adjusted() // 3 * 3
-    if not number or power not in _LETTERS:
+    if not number or power not in _PREFIX_LETTERS:
         return f"{value:.{digits}g}"
-    return f"{number.scaleb(-power).normalize():f}{_LETTERS[power]}"
+    return f"{number.scaleb(-power).normalize():f}{_PREFIX_LETTERS[power]}"
 
 
-def _spellings(number: Decimal, power: int) -> Iterator[str]:
-    """Yield a number with the scale factor of a power of ten.
+def _spell_number(number: Decimal, power: int) -> Iterator[str]:
+    """Yield spellings of a number with the scale factor of a power of ten.
 
     Further zeros may be rounded to another double.
     """
     mantissa = number.scaleb(-power).normalize()
-    if power in _LETTERS and abs(mantissa) >= LEAST_PLAIN:
+    if power in _PREFIX_LETTERS and abs(mantissa) >= SMALLEST_PLAIN:
         text = f"{mantissa:f}"
         point = "" if "." in text else "."
-        yield from (text + zeros + _LETTERS[power] for zeros in ("", f"{point}0", f"{point}00"))
+        yield from (
+            text + zeros + _PREFIX_LETTERS[power] for zeros in ("", f"{point}0", f"{point}00")
+        )
 
 
 def with_prefixes(text: str) -> str:
-    """Return a word of a card, such as a waveform, with prefixes on the numbers in it."""
-    return _WITHIN.sub(lambda match: with_prefix(match[0]), text)
+    """Return a word of a card, such as a waveform, in which all numbers have prefixes."""
+    return _EMBEDDED_FLOAT.sub(lambda match: with_prefix(match[0]), text)

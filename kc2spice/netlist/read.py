@@ -1,4 +1,4 @@
-"""Reader of netlists of users, templates and libraries into trees."""
+"""Parser of netlists from users, templates and libraries into syntax trees."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from typing import Any
 from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import split_lines
 from kc2spice.netlist.circuit import (
-    CONTROLS,
-    MODELLED,
-    NODES,
+    CONTROL_COUNTS,
+    MODEL_KINDS,
+    NODE_COUNTS,
     Card,
     Circuit,
     Directive,
@@ -32,14 +32,14 @@ from kc2spice.netlist.circuit import (
     Model,
     Parameters,
 )
-from kc2spice.netlist.expression import literal
+from kc2spice.netlist.expression import literal_value
 
-_LAWS = ("value", "vol", "cur", "table", "poly", "laplace")
+_LAW_KEYWORDS = ("value", "vol", "cur", "table", "poly", "laplace")
 
 THERMAL_FLAG = "thermal"  # of a VDMOS of ngspice with pins of temperature (ngspice manual 11.3)
 OPTION_CARDS = frozenset((".options", ".option", ".opt"))
-_OPEN, _CLOSE = "({[", ")}]"
-_INLINE = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment behind a card
+_OPENING_BRACKETS, _CLOSING_BRACKETS = "({[", ")}]"
+_INLINE_COMMENT = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment after a card
 
 
 # --- logical lines ---
@@ -47,22 +47,22 @@ _INLINE = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment behind a car
 
 @dataclass(frozen=True, kw_only=True)
 class Statement(Card):
-    """One logical line, ``written`` without comments and with its continuation lines.
+    """Logical line: ``written`` is the card with its continuation lines, without comments.
 
-    ``line`` is the number of its first physical line, from 1.
+    ``line`` is the number of the first physical line, counted from 1.
     """
 
     line: int
 
     @property
     def keyword(self) -> str:
-        """First word in lower case, ``""`` for trailing comments."""
+        """First word in lower case; ``""`` if the line has comments only."""
         return self.written.split(None, 1)[0].lower() if self.written else ""
 
     @cached_property
     def words(self) -> list[str]:
-        """Words of the card: text in brackets or quotes is one word, so is ``a = b``."""
-        return words(self.written)
+        """Words of the card; text in brackets or quotes and ``a = b`` count as one word."""
+        return split_words(self.written)
 
     @property
     def plain_words(self) -> list[str]:
@@ -70,13 +70,13 @@ class Statement(Card):
         return [word for word in self.words if word.lower() != "params:"]
 
 
-def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
-    """Return all statements of a file, in order; the last one may have comments only.
+def split_statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
+    """Return all statements of a file in order; the last one may have comments only.
 
     With ``title`` the first line is the title of a deck and counts as a comment.
     """
     result: list[tuple[int, list[str], list[str]]] = []  # first line, comments above, pieces
-    pending: list[str] = []  # comment lines behind the newest statement
+    pending: list[str] = []  # comment lines after the newest statement
     lines = split_lines(text)
     for number, raw in enumerate(lines, 1):
         line = raw.strip()
@@ -95,33 +95,34 @@ def statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
     ]
 
 
-def words(text: str) -> list[str]:
+def split_words(text: str) -> list[str]:
     """Split a text at blanks outside of brackets and quotes.
 
     Blanks around a bare ``=`` are dropped.
     """
-    # Only the first of several blanks can begin a match, so that each is read once.
+    # Only the first of several blanks can begin a match, so that the time is linear.
     return list(_split_at_blanks(re.sub(r"(?<!\s)\s*(?<![=<>!])=(?!=)\s*", "=", text)))
 
 
 def split_comment(line: str) -> tuple[str, str]:
     """Return a line without its comment, and the text of the comment."""
-    match = _INLINE.search(line)
+    match = _INLINE_COMMENT.search(line)
     if match is None:
         return line.strip(), ""
     return line[: match.start()].strip(), line[match.end() :].strip()
 
 
 def _split_at_blanks(text: str) -> Iterator[str]:
+    """Yield the words between blanks outside of brackets and quotes."""
     depth, quote, word = 0, "", ""
     for ch in text:
         if quote:
             quote = "" if ch == quote else quote
         elif ch in "\"'":
             quote = ch
-        elif ch in _OPEN:
+        elif ch in _OPENING_BRACKETS:
             depth += 1
-        elif ch in _CLOSE:
+        elif ch in _CLOSING_BRACKETS:
             depth -= 1
         if ch.isspace() and depth <= 0 and not quote:
             if word:
@@ -136,22 +137,22 @@ def _split_at_blanks(text: str) -> Iterator[str]:
 # --- circuits ---
 
 
-def read(text: str, file: str, *, title: bool = False) -> Circuit:
+def read_cards(text: str, file: str, *, title: bool = False) -> Circuit:
     """Parse the cards of ``file`` up to ``.end``, in order.
 
     Raises
     ------
-    UsageError : a broken card, a subcircuit that does not begin or end.
+    UsageError : a card is invalid, or a subcircuit has no beginning or end.
     """
-    return build_tree(statements(text, file, title=title))
+    return build_tree(split_statements(text, file, title=title))
 
 
 def build_tree(cards: Iterable[Statement]) -> Circuit:
-    """Return the tree of cards up to ``.end``, in order.
+    """Return the syntax tree of the cards up to ``.end``, in order.
 
     Raises
     ------
-    UsageError : a broken card, a subcircuit that does not begin or end.
+    UsageError : a card is invalid, or a subcircuit has no beginning or end.
     """
     items, notes = _read_items(iter(cards), None)
     return Circuit(items=items, closing=notes)
@@ -175,7 +176,7 @@ def _read_items(
         if s.keyword == ".control":
             block = takewhile(lambda card: card.keyword != ".endc", cards)
             commands = tuple(map(attrgetter("written"), block))
-            result.append(Directive(".control", commands, **_origin(s)))
+            result.append(Directive(".control", commands, **_card_origin(s)))
         else:
             result.append(_read_subckt(s, cards) if s.keyword == ".subckt" else _read_card(s))
         if s.keyword == ".end":
@@ -186,7 +187,7 @@ def _read_items(
 
 
 def _read_subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
-    """Read a subcircuit whose card is ``s`` from the cards that follow."""
+    """Read a subcircuit that begins with the card ``s``."""
     _, *operands = s.plain_words
     if not operands:
         raise s.error("subcircuit has no name")
@@ -196,7 +197,7 @@ def _read_subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
         raise s.error("a pin name stands twice", " ".join(low))
     defaults = _read_assignments(assigned, s)
     items, closing = _read_items(cards, s)
-    return Circuit(operands[0], tuple(pins), defaults, items, closing, **_origin(s))
+    return Circuit(operands[0], tuple(pins), defaults, items, closing, **_card_origin(s))
 
 
 def _separate_assignments(card: Iterable[str]) -> tuple[list[str], list[str]]:
@@ -210,7 +211,7 @@ def _separate_assignments(card: Iterable[str]) -> tuple[list[str], list[str]]:
 
 def _read_card(s: Statement) -> Item:
     """Read one card that is neither a subcircuit nor a control block."""
-    origin = _origin(s)
+    origin = _card_origin(s)
     if not s.keyword.startswith("."):
         return parse_element(s)
     if s.keyword in (".func", ".param", ".params") and (defined := _read_function(s)):
@@ -221,12 +222,12 @@ def _read_card(s: Statement) -> Item:
         if len(s.words) < 3:
             raise s.error("model card is not complete")
         kind, _, inside = " ".join(s.words[2:]).partition("(")
-        kind, *more = kind.split() + words(inside.rstrip().removesuffix(")"))
+        kind, *more = kind.split() + split_words(inside.rstrip().removesuffix(")"))
         return Model(s.words[1], kind, dict(map(_split_assignment, more)), **origin)
     return Directive(s.keyword, tuple(s.words[1:]), **origin)
 
 
-def _origin(s: Statement) -> dict[str, Any]:
+def _card_origin(s: Statement) -> dict[str, Any]:
     """Return file and line of a card, its text, and the comments above it."""
     return {"notes": s.notes, "where": s.where, "written": s.written}
 
@@ -239,11 +240,11 @@ def _read_function(s: Statement) -> Function | None:
         return None
     arguments = tuple(filter(None, map(str.strip, inside.split(","))))
     law = law.strip().removeprefix("=").strip()
-    return Function(name.strip(), arguments, law, **_origin(s))
+    return Function(name.strip(), arguments, law, **_card_origin(s))
 
 
 def _read_assignments(items: Iterable[str], s: Statement) -> dict[str, str]:
-    """Return the values of assignments ``name=value`` by name, in their order."""
+    """Return the values of assignments ``name=value``, keyed by name, in their order."""
     pairs = {}
     for item in items:
         word = item.strip(",")
@@ -255,6 +256,7 @@ def _read_assignments(items: Iterable[str], s: Statement) -> dict[str, str]:
 
 
 def _is_assignment(word: str) -> bool:
+    """Return whether a word is an assignment."""
     name, equals, _ = word.partition("=")
     return bool(equals) and name.isidentifier()
 
@@ -266,8 +268,8 @@ def _split_assignment(word: str) -> tuple[str, str]:
 
 
 def parse_element(s: Statement) -> Element:
-    """Split the card of an element; all words are values if the letter is unknown."""
-    kind, origin = s.written[0].lower(), _origin(s)
+    """Split the card of an element; for an unknown letter, all words are values."""
+    kind, origin = s.written[0].lower(), _card_origin(s)
     if kind == "b":
         return _read_behaviour(s)
     name, *rest = s.plain_words
@@ -277,30 +279,30 @@ def parse_element(s: Statement) -> Element:
             raise s.error("instance names no subcircuit")
         assignments = _read_assignments(assigned, s)
         return Element(kind, name, tuple(plain[:-1]), (), plain[-1], (), assignments, **origin)
-    if kind not in NODES:
+    if kind not in NODE_COUNTS:
         return Element(kind, name, (), values=tuple(rest), **origin)
     count = _count_nodes(kind, rest)
-    end = count + CONTROLS.get(kind, 0)
+    end = count + CONTROL_COUNTS.get(kind, 0)
     if kind in "fh" and len(rest) > 2 and rest[2].lower().startswith("poly("):
         end = count
-    needed = end + (kind in MODELLED or kind not in "vi")
+    needed = end + (kind in MODEL_KINDS or kind not in "vi")
     if len(rest) < needed or not {"=", "("}.isdisjoint("".join(rest[:count])):
         more = ", then a value or model" if kind not in "vi" else ""
         raise s.error("element is not complete", expected=f"{count} nodes{more}")
     nodes, sources, rest = tuple(rest[:count]), tuple(rest[count:end]), rest[end:]
     if kind in "eg" and count == 2:
         return _read_controlled_source(Element(kind, name, nodes, values=tuple(rest), **origin))
-    model = rest.pop(0) if kind in MODELLED else ""
+    model = rest.pop(0) if kind in MODEL_KINDS else ""
     values = tuple(filterfalse(_is_assignment, rest))
     assignments = dict(map(_split_assignment, filter(_is_assignment, rest)))
     return Element(kind, name, nodes, sources, model, values, assignments, **origin)
 
 
 def _count_nodes(kind: str, rest: Sequence[str]) -> int:
-    """Return the number of nodes of an element, by the words behind its name."""
-    if kind in "eg" and len(rest) > 2 and rest[2].lower().startswith(_LAWS):
+    """Return the number of nodes of an element, from the words after its name."""
+    if kind in "eg" and len(rest) > 2 and rest[2].lower().startswith(_LAW_KEYWORDS):
         word = rest[2].lower().partition("=")[0].partition("(")[0]
-        return 2 if word in _LAWS else 4
+        return 2 if word in _LAW_KEYWORDS else 4
     if kind == "q" and len(rest) > 4 and "=" not in rest[4] and rest[4][0] not in "0123456789.+-":
         return 4
     if kind == "m":
@@ -312,19 +314,22 @@ def _count_nodes(kind: str, rest: Sequence[str]) -> int:
 
 
 def _read_behaviour(s: Statement) -> Element:
-    """Read a B source, whose expression ends with the card."""
+    """Read a B source, whose expression extends to the end of the card."""
     name, *rest = s.written.split(None, 3)
     quantity, _, law = rest[2].partition("=") if len(rest) > 2 else ("", "", "")
     if quantity.strip().upper() not in ("V", "I") or not law.strip():
         raise s.error("behavioural source without a law", expected="I=… or V=expression")
-    origin = _origin(s) | {"quantity": quantity.strip().upper(), "expression": _remove_braces(law)}
+    origin = _card_origin(s) | {
+        "quantity": quantity.strip().upper(),
+        "expression": _remove_braces(law),
+    }
     return Element("b", name, tuple(rest[:2]), **origin)
 
 
 def _read_controlled_source(part: Element) -> Element:
-    """Return an E or G source with its law as one expression, from any spelling.
+    """Return an E or G source in any syntax with its law as one expression.
 
-    A Laplace transform remains unchanged, because it is no function of time.
+    A Laplace transform is unchanged, because it is not a function of time.
     """
     text = " ".join(part.values)
     keyword = text.lower().partition("=")[0].split()[0].partition("(")[0]
@@ -337,7 +342,7 @@ def _read_controlled_source(part: Element) -> Element:
 
 
 def _remove_braces(law: str) -> str:
-    """Return an expression without the braces around all of it."""
+    """Return an expression without the braces that enclose it."""
     law = law.strip()
     inner = law[1:-1]
     depths = accumulate((ch == "{") - (ch == "}") for ch in inner)
@@ -348,7 +353,7 @@ def _remove_braces(law: str) -> str:
 def _read_polynomial(text: str, where: str) -> str:
     """Return the polynomial ``(n) a+ a- b+ b- … p0 p1 …`` as an expression.
 
-    The coefficients follow each other by degree, the products by the order of their factors.
+    The coefficients are sorted by degree, products of one degree by the order of their factors.
     """
     dimension, _, rest = text.removeprefix("(").partition(")")
     tokens = rest.replace("(", " ").replace(")", " ").replace(",", " ").split()
@@ -357,16 +362,16 @@ def _read_polynomial(text: str, where: str) -> str:
     ends, factors = tokens[: 2 * int(dimension)], tokens[2 * int(dimension) :]
     axes = [f"V({a},{b})" for a, b in zip(ends[::2], ends[1::2], strict=True)]
     if len(factors) == 1 and len(axes) == 1:
-        factors = ["0", *factors]  # a lone coefficient is the linear one
+        factors = ["0", *factors]  # a single coefficient is the linear term
     terms = chain.from_iterable(map(partial(combinations_with_replacement, axes), count()))
     return "+".join("*".join((f"({p})", *term)) for p, term in zip(factors, terms, strict=False))
 
 
 def _read_table(text: str, where: str) -> str:
-    """Return the table ``{expression} = (x, y) …``, flat beyond its ends."""
+    """Return the table ``{expression} = (x, y) …`` as an expression, constant outside."""
     control, _, rest = text.lstrip("{").partition("}")
     points = rest.translate(str.maketrans("(),=", "    ")).split()
-    ends = [literal(points[k], where=where) for k in (0, -2)] if len(points) > 1 else [None]
+    ends = [literal_value(points[k], where=where) for k in (0, -2)] if len(points) > 1 else [None]
     if None in ends or len(points) % 2:
         return ""
     first, last = float(ends[0] or 0.0), float(ends[1] or 0.0)

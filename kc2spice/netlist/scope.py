@@ -1,4 +1,4 @@
-"""Circuits with their includes, and names with their scopes."""
+"""Circuits with their includes, and scopes of their names."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from operator import attrgetter
 from pathlib import PurePosixPath
 
 from kc2spice.netlist.circuit import (
-    NODES,
+    NODE_COUNTS,
     Card,
     Circuit,
     Directive,
@@ -18,11 +18,11 @@ from kc2spice.netlist.circuit import (
     Function,
     Model,
     Parameters,
-    lower_keys,
+    lower_names,
 )
 from kc2spice.netlist.expression import parse_vector
 
-GROUND = frozenset({"0", "gnd", "!gnd"})
+GROUND_NAMES = frozenset({"0", "gnd", "!gnd"})
 INCLUDES = (".include", ".inc")
 
 
@@ -56,14 +56,14 @@ class Scope:
 
     @cached_property
     def elements_by_key(self) -> dict[str, Element]:
-        """The first element of each name, by the name in lower case."""
+        """First element of each name, keyed by the name in lower case."""
         result: dict[str, Element] = {}
         for element in self.elements:
             result.setdefault(element.key, element)
         return result
 
     def elements_of(self, kinds: str) -> dict[str, Element]:
-        """Return the elements of some letters by their names in lower case."""
+        """Return the elements with some letters, keyed by their names in lower case."""
         return {key: item for key, item in self.elements_by_key.items() if item.kind in kinds}
 
     def find(self, name: str) -> Scope | None:
@@ -77,42 +77,42 @@ class Scope:
             yield from child.inner_scopes()
 
 
-def circuit(tree: Circuit, files: Mapping[str, Circuit] | None = None, file: str = "") -> Scope:
-    """Return the circuit of a tree with the content of its includes from ``files``.
+def build_scope(tree: Circuit, files: Mapping[str, Circuit] | None = None, file: str = "") -> Scope:
+    """Return the scope of a tree, with the content of its includes from ``files``.
 
     Raises
     ------
-    UsageError : a missing or circular include, a broken card, a name defined twice; the message
-        names file and line.
+    UsageError : an include is missing or circular, a card is invalid, or a name is defined twice;
+    the message contains file and line.
     """
     top = Scope("")
-    _fill(top, tree, (file,), files or {})
+    _fill_scope(top, tree, (file,), files or {})
     return top
 
 
-def _fill(
+def _fill_scope(
     scope: Scope, tree: Circuit, chain: tuple[str, ...], files: Mapping[str, Circuit]
 ) -> None:
     """Add the cards of a circuit, and of the files that it includes, to ``scope``.
 
-    ``chain`` are the files that include each other, the one with the circuit last.
+    ``chain`` are the files that include each other; the last one contains the circuit.
     """
     for item in tree.items:
         match item:
             case Element(kind, name):
-                if kind not in NODES and kind != "x":
-                    letters = "".join(sorted(NODES)).upper()
+                if kind not in NODE_COUNTS and kind != "x":
+                    letters = "".join(sorted(NODE_COUNTS)).upper()
                     expected = f"a name that begins with one of {letters}X"
                     raise item.error("unknown kind of element", name, expected)
                 scope.elements.append(item)
             case Circuit():
-                _fill(_open_subcircuit(item, scope), item, chain, files)
+                _fill_scope(_open_subcircuit(item, scope), item, chain, files)
             case Model(name, kind, given):
-                _require_same(scope, f"model {name}", f"{kind} {given}", item)
+                _require_same_definition(scope, f"model {name}", f"{kind} {given}", item)
                 scope.models[name.lower()] = item
             case Directive(keyword, words) if keyword in INCLUDES:
                 written = " ".join(words).strip("\"'")
-                # relative to the directory of the file
+                # paths are relative to the directory of the file
                 target = str(PurePosixPath(chain[-1]).parent / written)
                 if target in chain:
                     raise item.error(
@@ -122,24 +122,24 @@ def _fill(
                     expected = "one of " + ", ".join(sorted(set(files) - set(chain)))
                     got = written or "no file name"
                     raise item.error("included file is not there", got, expected)
-                _fill(scope, files[target], (*chain, target), files)
+                _fill_scope(scope, files[target], (*chain, target), files)
             case Directive(".control" | ".end"):
                 pass
             case Parameters(values):
                 scope.commands.append(item)
                 for key, value in values.items():
-                    _require_same(scope, f"parameter {key}", value, item)
+                    _require_same_definition(scope, f"parameter {key}", value, item)
                     scope.params[key.lower()] = value
             case Function(name, _, law):
                 scope.commands.append(item)
-                _require_same(scope, f"function {name}", law, item)
+                _require_same_definition(scope, f"function {name}", law, item)
                 scope.functions[name.lower()] = item
             case _:
                 scope.commands.append(item)
 
 
-def _require_same(scope: Scope, what: str, value: str, card: Card) -> None:
-    """Raise UsageError if two files give a name different definitions."""
+def _require_same_definition(scope: Scope, what: str, value: str, card: Card) -> None:
+    """Raise UsageError if two files define a name differently."""
     what, value = what.lower(), value.lower()
     first, place = scope.defined.setdefault(what, (value, card))
     if place.file != card.file and first != value:
@@ -154,7 +154,7 @@ def _open_subcircuit(item: Circuit, parent: Scope) -> Scope:
     if first := parent.subcircuits.maps[0].get(name):
         expected = f"one definition; the first is in {first.where}"
         raise item.error("two subcircuits have one name", item.name, expected)
-    defaults = lower_keys(item.defaults)
+    defaults = lower_names(item.defaults)
     parent.subcircuits[name] = Scope(
         item.name,
         item.where,
@@ -169,7 +169,7 @@ def _open_subcircuit(item: Circuit, parent: Scope) -> Scope:
 
 
 def has_vector(top: Scope, text: str) -> bool:
-    """Whether the circuit contains the nodes or the device of a saved vector."""
+    """Return whether the circuit contains the nodes or the device of a saved vector."""
     result = parse_vector(text.lower())
     if result is None:
         return False
@@ -180,6 +180,7 @@ def has_vector(top: Scope, text: str) -> bool:
 
 
 def _has_node(top: Scope, *path: str) -> bool:
+    """Return whether the circuit contains a node."""
     node, scope = path[-1], find_instance(top, path[:-1])
     return scope is not None and (node == "0" or node in scope.nodes)
 

@@ -1,4 +1,4 @@
-"""Spelling of numbers and names on netlist cards, and templates."""
+"""Text of numbers and names on netlist cards, and templates."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from typing import Any
 
 from kc2spice.core.errors import MissingToolError, UsageError
 
-#: : 1/s, at which a floating charge decays in a netlist. A node that stores charge has a leak of
-# this rate times : its charge, so that the currents sum to zero at an operating point where the
-# charges do, and of : the current in it a share of 1.6e-10 Hz / f, whatever the capacitance.
+# 1/s, decay rate of a floating charge in a netlist. A node that stores charge has a leak of this
+# rate times its charge. At an operating point, the currents then sum to zero where the charges do.
+# The leak carries the fraction 1.6e-10 Hz / f of the node's current, for any capacitance.
 LEAK_RATE = 1e-9
-# A unit in place of the decimal point, such as 4k7, but no exponent such as 1e5.
-_INFIX = re.compile(r"(\d+)([a-df-z][a-z]*)(\d+)", re.IGNORECASE)
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
-# Simulators read these as ground, clock, temperature, a constant, a multiplier, a function.
-_RESERVED = frozenset({"gnd", "time", "temper", "hertz", "temp", "dtemp", "pi", "m", "limit"})
+# A unit in place of the decimal point, such as 4k7, but not an exponent such as 1e5.
+_INFIX_UNIT = re.compile(r"(\d+)([a-df-z][a-z]*)(\d+)", re.IGNORECASE)
+_VALID_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
+# Names that simulators treat as ground, time, temperature, a constant, a multiplier or a function.
+_RESERVED_NAMES = frozenset({"gnd", "time", "temper", "hertz", "temp", "dtemp", "pi", "m", "limit"})
 
 
-def number(value: float) -> str:
+def format_number(value: float) -> str:
     """Return the shortest decimal text that reads back as ``value``.
 
     The number has at most 17 digits and no suffix letters: SPICE reads ``M`` as milli, and
@@ -39,17 +39,17 @@ def number(value: float) -> str:
 
 
 def split_infix_unit(text: str) -> tuple[str, str, str] | None:
-    """Split a number whose unit stands in place of its decimal point; None of any other text.
+    """Split a number with a unit in place of the decimal point; None for other text.
 
-    The parts are the digits before the unit, the unit without ``R`` for ohms, and the digits
-    behind it.
+    The parts are the digits before the unit, the unit (empty for ``R``, ohms), and the digits after
+    it.
 
     Examples
     --------
     >>> split_infix_unit("4k7"), split_infix_unit("2R2"), split_infix_unit("1e5")
     (('4', 'k', '7'), ('2', '', '2'), None)
     """
-    match = _INFIX.fullmatch(text)
+    match = _INFIX_UNIT.fullmatch(text)
     if match is None:
         return None
     integer, unit, decimals = match.groups()
@@ -57,39 +57,39 @@ def split_infix_unit(text: str) -> tuple[str, str, str] | None:
 
 
 def round_to_digits(value: float) -> float:
-    """Return a value with 12 significant digits, without rounding errors of arithmetic."""
+    """Round a value to 12 significant digits, which removes rounding errors."""
     return float(f"{value:.12g}")
 
 
-def write_rounded(value: float) -> str:
+def format_rounded(value: float) -> str:
     """Return the text of a number with 12 significant digits."""
-    return number(round_to_digits(value))
+    return format_number(round_to_digits(value))
 
 
-def name(text: str, *, where: str = "netlist") -> str:
+def require_name(text: str, *, where: str = "netlist") -> str:
     """Return ``text`` if it is a valid name of a node, a part or a parameter.
 
     Raises
     ------
     UsageError : anything but a letter followed by letters, digits and underscores.
     """
-    if _NAME.fullmatch(text) is None or text.lower() in _RESERVED:
+    if _VALID_NAME.fullmatch(text) is None or text.lower() in _RESERVED_NAMES:
         expected = "a letter, then letters, digits or _ (64 at most), no reserved word"
         raise UsageError("not a netlist name", where=where, got=repr(text), expected=expected)
     return text
 
 
-def voltage_between(plus: str, minus: str) -> str:
-    """Return the vector of the voltage from one net to another, empty if both are ground."""
+def format_voltage(plus: str, minus: str) -> str:
+    """Return the vector of the voltage between two nets; empty if both are ground."""
     return f"v({plus})" * (plus != "0") + f"-v({minus})" * (minus != "0")
 
 
-def word(text: str) -> str:
+def require_word(text: str) -> str:
     """Return ``text`` if it is one printable word, such as a unit in a header.
 
     Raises
     ------
-    UsageError : anything else; a line break in it would begin a card.
+    UsageError : the text is not one word; a line break would begin a new card.
     """
     if not text.isprintable() or len(text.split()) != 1 or len(text) > 64:
         raise UsageError(
@@ -103,13 +103,13 @@ def word(text: str) -> str:
 
 
 def require_distinct(names: Sequence[str], inner: str, *, where: str) -> None:
-    """Check that pin names differ in more than case and match no internal node.
+    """Raise an error if pin names differ only in case or match an internal node.
 
     ``inner`` is the pattern of the internal nodes of the subcircuit.
 
     Raises
     ------
-    UsageError : a name that would tie two nodes to each other.
+    UsageError : a name would connect two nodes.
     """
     low = [text.lower() for text in names]
     for text, plain in zip(names, low, strict=True):
@@ -123,7 +123,7 @@ def require_distinct(names: Sequence[str], inner: str, *, where: str) -> None:
             )
 
 
-def comment(text: str) -> str:
+def format_comment(text: str) -> str:
     """Return ``text`` on one line, so that no part of it becomes a card."""
     return " ".join("".join(ch if ch.isprintable() else " " for ch in text).split())
 
@@ -132,8 +132,8 @@ def comment(text: str) -> str:
 
 
 @cache
-def templates(autoescape: bool = False) -> Any:
-    """Return the renderer of the templates of a wheel or of the repository."""
+def template_renderer(autoescape: bool = False) -> Any:
+    """Return the template renderer of the installed package or the repository."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     package = Path(__file__).resolve().parent.parent
@@ -150,20 +150,22 @@ def templates(autoescape: bool = False) -> Any:
         keep_trailing_newline=True,
         line_comment_prefix="##",
     )
-    environment.filters.update(n=number, name=name, comment=comment, q=quote)
+    environment.filters.update(
+        n=format_number, name=require_name, comment=format_comment, q=quote_string
+    )
     return environment
 
 
-def quote(text: str) -> str:
+def quote_string(text: str) -> str:
     """Return ``text`` as a string of an S-expression."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'
 
 
-def render(template: str, **values: object) -> str:
+def render_template(template: str, **values: object) -> str:
     """Return the text of a template with its values.
 
     Filters are ``n`` (number), ``name`` (checked), ``comment`` and ``q`` (a string of an
     S-expression).
     """
-    return templates().get_template(template).render(**values)
+    return template_renderer().get_template(template).render(**values)

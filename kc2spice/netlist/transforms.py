@@ -1,4 +1,4 @@
-"""Changes of decks and libraries: included helpers, other parameters, many copies."""
+"""Transformations of decks and libraries: merged subcircuits, parameters, copies."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from dataclasses import replace
 from typing import TypeVar
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.netlist.circuit import LEAST, Circuit, Element, Item, Param, lower_keys
+from kc2spice.netlist.circuit import SMALLEST_POSITIVE, Circuit, Element, Item, Param, lower_names
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.elements import add_title
-from kc2spice.netlist.expression import join_terms, parse_vector, terms
+from kc2spice.netlist.expression import join_terms, parse_vector, split_terms
 from kc2spice.netlist.library import Subcircuit, instance_comment, parameter_line
 from kc2spice.netlist.scope import Scope
-from kc2spice.netlist.spelling import number
+from kc2spice.netlist.spelling import format_number
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
 Value = TypeVar("Value")
-MOST = 10_000  # copies
+MAX_COPIES = 10_000  # largest number of copies of a deck
 DIGITS = "0123456789"
 
 
-def include_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit:
-    """Return ``part`` with the ``helpers`` that it instantiates, as ``PART_HELPER``.
+def merge_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit:
+    """Return ``part`` with the subcircuits ``helpers`` that it instantiates, as ``PART_HELPER``.
 
     A user then includes one library file, and two library files never define the same name.
     """
@@ -43,45 +43,47 @@ def include_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircu
 
 
 def remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
-    """Return ``part`` without thermal noise of the resistors that only do arithmetic.
+    """Return ``part`` without thermal noise of auxiliary resistors.
 
-    Resistors ``Rnoise…`` keep their noise, and so do those that are called ``noisy`` and a number.
+    Resistors ``Rnoise…`` and ``noisyN`` (N a number) keep their noise.
     """
     names = set(map(str.lower, noisy))
 
-    def silence(entry: Item) -> Item:
+    def silence_resistor(entry: Item) -> Item:
+        """Return an item without thermal noise."""
         if not isinstance(entry, Element) or entry.kind != "r" or entry.key.startswith("rnoise"):
             return entry
         if names & {entry.key, entry.key.rstrip(DIGITS)}:
             return entry
         return replace(entry, parameters={**entry.parameters, "noisy": "0"})
 
-    return part.changed(part.circuit.changed(silence))
+    return part.changed(part.circuit.changed(silence_resistor))
 
 
 def rename_subcircuits(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
-    """Return ``circuit`` with other names of its subcircuits."""
-    new = lower_keys(names)
+    """Return ``circuit`` with renamed subcircuits."""
+    new = lower_names(names)
 
-    def rename(entry: Item) -> Item:
+    def rename_item(entry: Item) -> Item:
+        """Return an item with renamed subcircuits."""
         if isinstance(entry, Circuit):
             return replace(entry, name=new.get(entry.name.lower(), entry.name))
         if isinstance(entry, Element) and entry.kind == "x":
             return replace(entry, model=new.get(entry.model.lower(), entry.model))
         return entry
 
-    return circuit.changed(rename)
+    return circuit.changed(rename_item)
 
 
-# --- parameters without a new netlist: param.PART.NAME ---
+# --- new parameter values in the same netlist: param.PART.NAME ---
 
 
-def library_of(part: Subcircuit) -> str:
-    """Return the name of the library file of a part, without its ending."""
+def library_stem(part: Subcircuit) -> str:
+    """Return the file name of the library of a part, without its suffix."""
     return part.filename.rpartition(".")[0] or part.filename
 
 
-def cards(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
+def parameter_owners(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
     """Yield every subcircuit of a library with its name in ``param.NAME.…``.
 
     The main subcircuit has the name of its file. A helper has its own name, which several libraries
@@ -90,28 +92,28 @@ def cards(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
     """
     for item in part.circuit.subcircuits:
         main = item.name.lower() == part.name.lower()
-        yield (library_of(part) if main else item.name.removeprefix(f"{part.name}_")), item
+        yield (library_stem(part) if main else item.name.removeprefix(f"{part.name}_")), item
 
 
 def parameter_defaults(deck: Deck) -> dict[str, float]:
-    """Return the default of every numeric parameter by ``PART.NAME``."""
+    """Return the default of every numeric parameter, keyed by ``PART.NAME``."""
     result = {}
     for part in deck.parts:
-        for library, item in cards(part):
+        for library, item in parameter_owners(part):
             for name, text in item.defaults.items():
-                with contextlib.suppress(ValueError):  # an expression contains no number to replace
+                with contextlib.suppress(ValueError):  # an expression has no number to replace
                     result[f"{library}.{name}"] = float(text)
     return result
 
 
 def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
-    """Return ``deck`` with new parameter defaults in subcircuit and header.
+    """Return ``deck`` with new parameter defaults in subcircuits and headers.
 
     ``values`` are pairs ``("PART.NAME", value)``.
 
     Raises
     ------
-    UsageError : no part of the deck has that parameter, or not with that value.
+    UsageError : no part of the deck has this parameter, or the value is not allowed.
     """
     known, parts = parameter_defaults(deck), list(deck.parts)
     for key, value in values:
@@ -124,17 +126,17 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
 
 
 def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -> Subcircuit:
-    """Return a part with another default of a parameter of its subcircuit ``library``."""
+    """Return a part with a new default of a parameter of the subcircuit ``library``."""
     new = dict[int, Circuit]()
     params = list(part.params)
-    for k, param in enumerate(params if library == library_of(part) else ()):
+    for k, param in enumerate(params if library == library_stem(part) else ()):
         if param.name.lower() == name.lower():
-            _require_within(param, library, value)
+            _require_in_range(param, library, value)
             params[k] = replace(param, default=value)
     lines = dict(zip(map(parameter_line, part.params), map(parameter_line, params), strict=True))
-    for where, item in cards(part):
+    for where, item in parameter_owners(part):
         if where == library and name in item.defaults:
-            defaults = {**item.defaults, name: number(value)}
+            defaults = {**item.defaults, name: format_number(value)}
             before = instance_comment(item.name, item.pins, item.defaults)
             lines[before] = instance_comment(item.name, item.pins, defaults)
             notes = tuple(lines.get(line, line) for line in item.notes)
@@ -146,32 +148,33 @@ def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -
     return replace(changed, params=tuple(params))
 
 
-def _require_within(param: Param, library: str, value: float) -> None:
-    """Check that a parameter is within its range."""
+def _require_in_range(param: Param, library: str, value: float) -> None:
+    """Raise an error if a parameter is outside of its range."""
     least, most = param.low, param.high
     if least <= value <= most and math.isfinite(value):
         return
     expected = f"{least:g} … {most:g}" if math.isfinite(least) else "a finite number"
     if most == math.inf and least > -math.inf:
-        expected = "above zero" if least == LEAST else f"at least {least:g}"
+        expected = "above zero" if least == SMALLEST_POSITIVE else f"at least {least:g}"
     where, got = f"param.{library}.{param.name}", f"{value:g} {param.unit}"
     raise UsageError("outside the range of this parameter", where=where, got=got, expected=expected)
 
 
-# --- an array of actuators, each with its own drive ---
+# --- array of copies, each with its own source ---
 
 
-def array_deck(deck: Deck, count: int) -> Deck:
+def make_array_deck(deck: Deck, count: int) -> Deck:
     """Return a deck with ``count`` copies of ``deck`` as ``X1``, ``X2``, … on node 0.
 
     Results of copy k are called ``k.NAME``.
 
     Raises
     ------
-    UsageError : a number of copies out of range, or a sweep, which moves one source only.
+    UsageError : the number of copies is out of range, or the deck has a sweep, which varies one
+    source only.
     """
-    if not 1 <= count <= MOST:
-        expected = f"1 to {MOST}"
+    if not 1 <= count <= MAX_COPIES:
+        expected = f"1 to {MAX_COPIES}"
         raise UsageError(
             "not a possible number of copies", where="--count", got=count, expected=expected
         )
@@ -185,7 +188,7 @@ def array_deck(deck: Deck, count: int) -> Deck:
     vectors, units, initial = dict[str, tuple[str, float]](), dict[str, str](), dict[str, float]()
     for k in numbers:
         for name, (expression, factor) in deck.vectors.items():
-            vectors[f"{k}.{name}"] = _inside_instance(expression, f"x{k}"), factor
+            vectors[f"{k}.{name}"] = _move_into_instance(expression, f"x{k}"), factor
         units |= _prefix_keys(f"{k}.", deck.units)
         initial |= _prefix_keys(f"x{k}.", deck.initial)
     title, items = f"{deck.title}, {count} copies", (*copy, *copies)
@@ -194,21 +197,21 @@ def array_deck(deck: Deck, count: int) -> Deck:
 
 
 def _prefix_keys(prefix: str, values: Mapping[str, Value]) -> dict[str, Value]:
-    """Return values by their names behind a prefix."""
+    """Return values with a prefix before each name."""
     return {f"{prefix}{key}": value for key, value in values.items()}
 
 
-def _inside_instance(expression: str, instance: str) -> str:
-    """Return a sum of vectors of an instance by the sum of vectors of its subcircuit."""
+def _move_into_instance(expression: str, instance: str) -> str:
+    """Return a sum of vectors as the same sum inside an instance."""
     signed = []
-    for sign, text in terms(expression):
+    for sign, text in split_terms(expression):
         item = parse_vector(text)
         signed.append((sign, str(item.within(instance)) if item else text))
     return join_terms(signed)
 
 
 def add_noise_sources(deck: Deck, output: str, owners: Iterable[str]) -> Deck:
-    """Return the deck with the density of each noisy resistor as a result.
+    """Return the deck with the noise density of each noisy resistor as a result.
 
     The name of a vector is ``OUTPUT.OWNER.RESISTOR``. The ``output`` is the density of all noise,
     the owner the part whose name the name of the card begins with.

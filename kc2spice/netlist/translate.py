@@ -1,4 +1,4 @@
-"""Netlists for other tools: files in dialects, modules and symbols."""
+"""Netlists for other tools: dialects, Verilog-A modules and symbols."""
 
 from __future__ import annotations
 
@@ -7,29 +7,29 @@ from typing import Any
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import join_terms, terms
+from kc2spice.netlist.expression import join_terms, split_terms
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.dialect_registry import (
     NGSPICE,
     VERILOG_A,
     deck_dialects,
-    dialect_named,
+    find_dialect,
 )
 from kc2spice.netlist.printers.kicad import make_project
 from kc2spice.netlist.printers.ngspice import locate_cards
-from kc2spice.netlist.printers.verilog_a import module_files, testbench
+from kc2spice.netlist.printers.verilog_a import make_testbench, print_module
 
 
-def translate(deck: Deck, dialect: str) -> Deck:
+def translate_deck(deck: Deck, dialect: str) -> Deck:
     """Return ``deck`` with all its files in a dialect; unchanged for ngspice.
 
     Raises
     ------
-    UsageError : an unknown dialect, or a construct that it cannot say.
+    UsageError : the dialect is unknown or has no equivalent of a construct.
     """
     if dialect == NGSPICE:
         return deck
-    printer = dialect_named(dialect)(deck)
+    printer = find_dialect(dialect)(deck)
     main = deck.printed_for(f"* Run it with:  {printer.command} {deck.main}")
     trees = {**deck.located_trees, deck.main: main}
     if deck.text is None:
@@ -37,15 +37,15 @@ def translate(deck: Deck, dialect: str) -> Deck:
     files = {name: printer.file(tree) for name, tree in trees.items()}
     vectors = {}
     for key, (expression, factor) in deck.vectors.items():
-        signed = [(sign, printer.vector(item)) for sign, item in terms(expression)]
+        signed = [(sign, printer.vector(item)) for sign, item in split_terms(expression)]
         vectors[key] = join_terms(signed), factor
     text = files.pop(deck.main)
     changes: dict[str, Any] = {"options": (), "refinements": (), "vectors": vectors}
     return replace(deck, text=text, tree=None, more=files, parts=(), **changes)
 
 
-def dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
-    """Return ``{file name: text}`` of a deck in a dialect, or modules of its parts.
+def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
+    """Return the files of a deck in a dialect, or Verilog-A modules of its parts.
 
     Verilog-A describes devices. A part that cannot be a module, such as a pulse generator, remains
     a library, and ``verilog-a.txt`` gives the reason. The testbench ``NAME_osdi.cir`` runs the
@@ -53,16 +53,17 @@ def dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
 
     Raises
     ------
-    UsageError : an unknown dialect, a construct that it cannot say, or not one module.
+    UsageError : the dialect is unknown or has no equivalent of a construct, or no part can be a
+    module.
     """
     if dialect != VERILOG_A:
-        return translate(deck, dialect).files
+        return translate_deck(deck, dialect).files
     files: dict[str, str] = {}
     left_out: list[UsageError] = []
     modules: list[Subcircuit] = []
     for part in deck.parts:
         try:
-            files |= module_files(part)
+            files |= print_module(part)
             modules.append(part)
         except UsageError as error:
             left_out.append(error)
@@ -71,11 +72,11 @@ def dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
     if left_out:
         paragraphs = ("Not written as modules:", *map(str, left_out))
         files["verilog-a.txt"] = "\n\n".join(paragraphs) + "\n"
-    return files | testbench(deck, modules)
+    return files | make_testbench(deck, modules)
 
 
-def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
-    """Return ``{file name: text}`` of the symbols of a deck with its libraries.
+def write_symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
+    """Return the symbols of a deck with its libraries, keyed by file name.
 
     For ngspice, the files are a KiCad project of the whole deck and the symbols for all other
     simulators. The latter name the libraries ``NAME.DIALECT.lib``, which are written too. In
@@ -91,7 +92,7 @@ def symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
     files = make_project(deck) if dialect == NGSPICE else {}
     spoken = deck_dialects() if dialect == NGSPICE else (dialect,)
     for name in filter(NGSPICE.__ne__, spoken):
-        printer = dialect_named(name)()
+        printer = find_dialect(name)()
         for part in deck.parts:
             stem = part.filename.removesuffix(".lib")
             library = f"{stem}.{name}.lib" if dialect == NGSPICE else f"{stem}.lib"

@@ -27,10 +27,10 @@ from kc2spice.netlist.expression import (
     Name,
     Number,
     Tree,
-    substitute,
-    walk,
+    substitute_names,
+    walk_tree,
 )
-from kc2spice.netlist.spelling import LEAK_RATE, number
+from kc2spice.netlist.spelling import LEAK_RATE, format_number
 from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.linkages import Linkages, find_linkages
 from kc2spice.physics.lookups import CELL, WEIGHT, Lookups, TableFunction, has_tables
@@ -123,7 +123,7 @@ def _write_items(
         yield from _write_lookups(lookups, nodes)
     for tree, name in declaration.power_series.items():
         yield f"* the power series {name}"
-        yield Element.behaviour(f"B{name}", name, rest, "V", text(substitute(tree, nodes)))
+        yield Element.behaviour(f"B{name}", name, rest, "V", text(substitute_names(tree, nodes)))
     rated = set(declaration.branches_with_rate).difference(declaration.inertial_branches)
     rated.update(declaration.displacements if linkages else ())
     for branch in declaration.branches:
@@ -196,7 +196,9 @@ def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line
     """Write the cells of the lookups, and lookups that several laws use."""
     base = lookups.base
     yield from map("* {}".format, wrap(_HEAD["lookup"].format(points=lookups.points), 96))
-    yield Parameters({"table_low": number(lookups.low), "table_step": number(lookups.step)})
+    yield Parameters(
+        {"table_low": format_number(lookups.low), "table_step": format_number(lookups.step)}
+    )
     yield f"* {_HEAD['cell'].format(cell=CELL, weight=WEIGHT)}"
     cell = over(minus(lookups.argument or ZERO, Name("table_low")), Name("table_step"))
     yield from _write_node(CELL, cell, nodes, base)
@@ -233,7 +235,7 @@ def _write_linkages(
         yield f"* {name}: {henry:.6g} H times the inverse of the inductances, less its mean"
         yield from _write_lookup(name, lookups, (inverse - mean)[:, k, l])
     for k, branch in enumerate(linkages.branches):
-        motion = substitute(plus(*lookups.split(linkages.motional[k])), nodes)
+        motion = substitute_names(plus(*lookups.split(linkages.motional[k])), nodes)
         yield from _write_linkage(linkages.declaration, branch, henry, text(motion))
         n, base, terms = branch.name, lookups.base, []
         yield _comment("current", branch, node=n)
@@ -289,7 +291,7 @@ def _write_current(
     voltages = [_only_voltage(nodes[item]) for item in dependencies]
     smooth = not kinks(tree) and not _circuit_variables(tree)
     if not all(voltages) or not smooth or not is_affine(tree, set(dependencies)):
-        yield Element.behaviour(f"B{name}", start, end, "I", text(substitute(tree, nodes)))
+        yield Element.behaviour(f"B{name}", start, end, "I", text(substitute_names(tree, nodes)))
         return
     for item, voltage in zip(dependencies, voltages, strict=True):
         card = f"G{name}" if len(dependencies) == 1 else f"G{name}_{item}"
@@ -297,14 +299,14 @@ def _write_current(
         unit = at.left if isinstance(at, Binary) else ONE
         gain = f"{{{text(times(unit, derivative(tree, item)))}}}"
         yield Element.of(card, start, end, *voltage, gain)
-    rest = plus(substitute(tree, dict.fromkeys(dependencies, ZERO)))
+    rest = plus(substitute_names(tree, dict.fromkeys(dependencies, ZERO)))
     if rest != ZERO:
         yield Element.of(f"I{name}", end, start, f"{{{text(minus(ZERO, rest))}}}")
 
 
 def _circuit_variables(tree: Tree) -> list[CircuitVariable]:
     """Voltages and currents in an expression."""
-    return [node for node in walk(tree) if isinstance(node, CircuitVariable)]
+    return [node for node in walk_tree(tree) if isinstance(node, CircuitVariable)]
 
 
 def _only_voltage(tree: Tree) -> tuple[str, ...]:
@@ -331,7 +333,7 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     yield Element.of(f"Cmass_{n}", v, end, f"{{{text(declaration.mass(b))}}}", IC=f"{{{fast}}}")
     shaken = [other for other in declaration.branches if other.domain.name == b.domain.frame]
     weight = declaration.direct_flow(b)
-    still = plus(substitute(weight, dict.fromkeys(names_of(shaken), ZERO)))
+    still = plus(substitute_names(weight, dict.fromkeys(names_of(shaken), ZERO)))
     if still != ZERO:
         yield Element.of(f"Iweight_{n}", v, base, f"{{{text(still)}}}")
     for other in shaken:
@@ -456,7 +458,7 @@ def _write_states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterat
 
 
 def _write_law(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> str:
-    return text(substitute(declaration.name_power_series(tree), nodes))
+    return text(substitute_names(declaration.name_power_series(tree), nodes))
 
 
 def _write_differentiator(name: str, node: str, minus: str) -> Iterator[Line]:
@@ -545,7 +547,7 @@ def _write_stored_quantity(
     scale = times(_format_power_of_ten(coordinate_quantity(b).factor), scale)
     unit = scale if scale != ZERO else Number("1e-12")
     yield Parameters({f"scale_{b.name}": f"{{{text(unit)}}}"})
-    amount = substitute(declaration.name_power_series(stored), nodes)
+    amount = substitute_names(declaration.name_power_series(stored), nodes)
     if not b.flows:  # a quotient's slope has 1e-32 beside scale^2, which may be that small
         yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
         amount = Binary("*", Name(f"per_{b.name}"), amount)
@@ -630,7 +632,7 @@ def _write_edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterato
         base = declaration.base or (b.minus if b else reference_node(declaration))
         yield f"* {_HEAD['edge'].format(argument=text(argument))}"
         yield f"* edge {k + 1}" if k else _EDGE
-        watched: Tree = Binary("*", Number("1e10"), substitute(argument, nodes))
+        watched: Tree = Binary("*", Number("1e10"), substitute_names(argument, nodes))
         if declaration.metered and b is not None:
             yield Element.behaviour(f"Bedge{k}", f"edge{k}", base, "V", text(watched))
         else:

@@ -16,7 +16,7 @@ import numpy as np
 from kc2spice.core.magnets import CURRENT_EXPONENTS, Coenergy, EMTable, Piecewise
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
-from kc2spice.netlist.expression import Writer, substitute
+from kc2spice.netlist.expression import Writer, substitute_names
 from kc2spice.physics.declaration import (
     Branch,
     Declaration,
@@ -97,7 +97,7 @@ def _declare_force(
     """Declare the force alone, without the back-EMF in the coils."""
     currents = {"i1": expression(i1), "i2": expression(i2)}
     pull = derivative(expression(_write_coenergy(height), tables=_TABLES), "y")
-    force = substitute(minus(ZERO, pull), currents)
+    force = substitute_names(minus(ZERO, pull), currents)
     return Declaration(
         "coils",
         "electromagnetic catch actuator",

@@ -11,7 +11,7 @@ import numpy as np
 
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param, positive_parameter
-from kc2spice.netlist.expression import Name, Tree, Writer, substitute
+from kc2spice.netlist.expression import Name, Tree, Writer, substitute_names
 from kc2spice.physics.declaration import RATE, Declaration, displacement
 from kc2spice.physics.symbolic import (
     derivative,
@@ -130,9 +130,9 @@ def declare_contact(
         if law.pace:
             late = {"x": expression(f"{share}*({x} + pace*{x}{RATE} - {gap})"), "x_rate": rate}
         energy, elastic, force = law._laws
-        energies.append(over(substitute(energy, moved), expression(f"{share}^2")))
-        pressed.append(over(substitute(force, late), expression(share)))
-        damping = minus(pressed[-1], over(substitute(elastic, moved), expression(share)))
+        energies.append(over(substitute_names(energy, moved), expression(f"{share}^2")))
+        pressed.append(over(substitute_names(force, late), expression(share)))
+        damping = minus(pressed[-1], over(substitute_names(elastic, moved), expression(share)))
         branches.append(displacement(x, pin, low, f"force.{port}", carried))
         forces[x] = Writer().write(damping)
     sides = ("a", "va", rigid[0]), ("bottom", "v", rigid[1])

@@ -43,7 +43,15 @@ from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unkn
 from kc2spice.core.naming import names_of
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
-from kc2spice.netlist.expression import Call, Name, Tree, Writer, change_operands, substitute, walk
+from kc2spice.netlist.expression import (
+    Call,
+    Name,
+    Tree,
+    Writer,
+    map_operands,
+    substitute_names,
+    walk_tree,
+)
 from kc2spice.physics.symbolic import (
     ONE,
     ZERO,
@@ -514,7 +522,7 @@ class Declaration:
     def power_series(self) -> dict[Tree, str]:
         """Names of all power series in the flows and stored quantities of the branches."""
         result: dict[Tree, str] = {}
-        for tree in chain.from_iterable(map(walk, self.branch_laws)):
+        for tree in chain.from_iterable(map(walk_tree, self.branch_laws)):
             if isinstance(tree, Call) and tree.function == "poly":
                 result.setdefault(tree, f"poly{len(result) + 1}")
         return result
@@ -522,7 +530,7 @@ class Declaration:
     def name_power_series(self, tree: Tree) -> Tree:
         """Replace power series in ``tree`` by their names."""
         name = self.power_series.get(tree)
-        return change_operands(tree, self.name_power_series) if name is None else Name(name)
+        return map_operands(tree, self.name_power_series) if name is None else Name(name)
 
     @cached_property
     def _number_keys(self) -> tuple[str, ...]:
@@ -605,12 +613,12 @@ class Declaration:
     def _signal_inputs(self) -> dict[str, Tree]:
         result: dict[str, Tree] = {}
         for name, tree in self.signal_trees.items():
-            result[name] = substitute(tree, result)
+            result[name] = substitute_names(tree, result)
         return result
 
     def without_signals(self, tree: Tree) -> Tree:
         """Replace signals in ``tree`` by their expressions."""
-        return plus(substitute(tree, self._signal_inputs)) if self.signals else tree
+        return plus(substitute_names(tree, self._signal_inputs)) if self.signals else tree
 
     @cached_property
     def output_trees(self) -> dict[str, Tree]:
@@ -647,7 +655,7 @@ class Declaration:
     def delayed_flow(self, branch: Branch) -> Tree:
         """Force of a displacement after its lag."""
         tree = self.direct_flow(branch)
-        return plus(substitute(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
+        return plus(substitute_names(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
 
     def loss_coefficient(self, branch: Branch) -> Tree:
         """Damping, conductance or resistance of a branch for small signals.
@@ -738,7 +746,7 @@ class Declaration:
     def at_rest(self, tree: Tree, but: str = "") -> Tree:
         """Return ``tree`` with all coordinates, rates and states set to zero, except ``but``."""
         still = self.variables - {but}
-        return plus(substitute(tree, dict.fromkeys(still, ZERO)))
+        return plus(substitute_names(tree, dict.fromkeys(still, ZERO)))
 
     @cached_property
     def linear(self) -> bool:

@@ -14,7 +14,7 @@ from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Device, Flow, LawPin, Tap
 from kc2spice.core.naming import names_of
-from kc2spice.netlist.expression import Name, Number, Tree, substitute
+from kc2spice.netlist.expression import Name, Number, Tree, substitute_names
 from kc2spice.physics.declaration import LOOPS, Branch, Declaration
 from kc2spice.physics.symbolic import (
     ZERO,
@@ -164,7 +164,7 @@ class DeclaredLaw(Device):
         for b in self.declaration.measured_branches:
             if self._pin_kinds[b.plus] == "signal":
                 units[b.name] = times(_number(b.domain.across.factor), Name(b.name))
-        return plus(substitute(self.declaration.without_signals(tree), units))
+        return plus(substitute_names(self.declaration.without_signals(tree), units))
 
     def _compile_declared(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
         """Compile expressions of the declaration's variables."""

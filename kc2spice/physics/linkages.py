@@ -18,7 +18,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import names_of
-from kc2spice.netlist.expression import Name, Tree, substitute
+from kc2spice.netlist.expression import Name, Tree, substitute_names
 from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.lookups import Lookups, has_tables
 from kc2spice.physics.symbolic import ZERO, derivative, names, plus, times
@@ -61,7 +61,7 @@ class Linkages:
         still = dict.fromkeys(self.currents, ZERO)
         result = []
         for branch in self.branches:
-            flux = plus(substitute(self.declaration.stored_quantity(branch), still))
+            flux = plus(substitute_names(self.declaration.stored_quantity(branch), still))
             moving = self.declaration.displacements
             result.append(plus(*(times(derivative(flux, b.name), Name(b.rate)) for b in moving)))
         return tuple(result)

@@ -22,10 +22,10 @@ from kc2spice.netlist.expression import (
     Name,
     Number,
     Tree,
-    change_operands,
-    walk,
+    map_operands,
+    walk_tree,
 )
-from kc2spice.netlist.spelling import number
+from kc2spice.netlist.spelling import format_number
 from kc2spice.physics.symbolic import (
     ZERO,
     WeightedCalls,
@@ -156,13 +156,13 @@ def _name_calls(tree: Tree, tables: Mapping[str, TableFunction]) -> Tree:
     """Replace each call of a table in ``tree`` by the name of the table."""
     if isinstance(tree, Call) and tree.function in tables:
         return Name(tree.function)
-    return change_operands(tree, lambda node: _name_calls(node, tables))
+    return map_operands(tree, lambda node: _name_calls(node, tables))
 
 
 def has_tables(tree: Tree, tables: Iterable[str]) -> bool:
     """Whether ``tree`` calls a table."""
     known = set(tables)
-    return any(isinstance(node, Call) and node.function in known for node in walk(tree))
+    return any(isinstance(node, Call) and node.function in known for node in walk_tree(tree))
 
 
 def smooth_lookup(values: np.ndarray) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
@@ -206,5 +206,5 @@ def _table_points(values: np.ndarray, tolerance: float = 0.0) -> tuple[Number, .
     result = []
     for k in (*indices, f.size - 1):
         # ngspice keeps 11 digits of a literal in an expression
-        result += [Number(str(k - 2)), Number(number(float(f"{f[k]:.11g}")))]
+        result += [Number(str(k - 2)), Number(format_number(float(f"{f[k]:.11g}")))]
     return tuple(result)

@@ -16,8 +16,8 @@ from kc2spice.core.waveforms import Waveforms, integrate_running
 from kc2spice.netlist.circuit import Circuit, Item, Param, Pin
 from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.spelling import comment, require_distinct, voltage_between
-from kc2spice.netlist.spelling import name as checked
+from kc2spice.netlist.spelling import format_comment, format_voltage, require_distinct
+from kc2spice.netlist.spelling import require_name as checked
 from kc2spice.physics.cards import (
     NO_TABLES,
     force_node,
@@ -366,7 +366,7 @@ def declared_subcircuit(
     head = part_header(header, f"{name}: {d.title}", pins, params, sign=d.sign, **words)
     items = (*subcircuit_items(d, noise, tables), *more)
     circuit = Circuit(name, ends, defaults(params), items, notes=head)
-    title = comment(f"{name}: {d.title}")
+    title = format_comment(f"{name}: {d.title}")
     tree = Circuit(items=(circuit,))
     facts: dict[str, Any] = {"no_module": d.no_module, "head_lines": len(head)}
     return Subcircuit(name, pins, params, tree, title=title, **facts)
@@ -375,7 +375,7 @@ def declared_subcircuit(
 def branch_voltage(build: Build, part: Part, branch: Branch) -> str:
     """Return the vector of the voltage from ``plus`` to ``minus`` of a branch."""
     plus, minus = build.net(part, branch.plus), build.net(part, branch.minus)
-    return voltage_between(plus, minus) or "v(0)"
+    return format_voltage(plus, minus) or "v(0)"
 
 
 def balance_energy(

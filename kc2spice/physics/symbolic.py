@@ -31,11 +31,11 @@ from kc2spice.netlist.expression import (
     Tree,
     Unary,
     Writer,
-    change_operands,
-    children,
-    parse,
-    substitute,
-    walk,
+    map_operands,
+    operands_of,
+    parse_expression,
+    substitute_names,
+    walk_tree,
 )
 
 ZERO, ONE = Number("0"), Number("1")
@@ -74,8 +74,8 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
     ------
     UsageError : not an expression, or a function or operator without a derivative here.
     """
-    tree = parse(text, where=where)
-    for node in walk(tree):
+    tree = parse_expression(text, where=where)
+    for node in walk_tree(tree):
         match node:
             case Call("max", (first, _)) if simplify(first) == ZERO:
                 continue
@@ -113,7 +113,7 @@ def _replace_above(tree: Tree) -> Tree:
     match tree:
         case Call("above", (value,)):
             return _step(simplify(_replace_above(value)))
-    return change_operands(tree, _replace_above)
+    return map_operands(tree, _replace_above)
 
 
 class _Card(Writer):
@@ -137,7 +137,7 @@ def text(tree: Tree) -> str:
     ------
     UsageError : an integral, which has no text.
     """
-    for node in walk(tree):
+    for node in walk_tree(tree):
         if isinstance(node, Call) and node.function == "integral":
             raise UsageError(
                 "a netlist has no integrals",
@@ -149,7 +149,7 @@ def text(tree: Tree) -> str:
 
 def names(tree: Tree) -> frozenset[str]:
     """Names that occur in ``tree``."""
-    return frozenset(node.text for node in walk(tree) if isinstance(node, Name))
+    return frozenset(node.text for node in walk_tree(tree) if isinstance(node, Name))
 
 
 def is_affine(tree: Tree, variables: Set[str]) -> bool:
@@ -230,7 +230,7 @@ def _derivative(tree: Tree, name: str) -> Tree:
 
 
 def _chain_rule(function: str, value: Tree) -> Tree:
-    return substitute(parse(_CHAIN[function]), {"u": value})
+    return substitute_names(parse_expression(_CHAIN[function]), {"u": value})
 
 
 def _product(left: Tree, right: Tree) -> Tree:
@@ -358,7 +358,7 @@ def _terms(tree: Tree) -> list[_Product]:
             )
     if not _may_differ_from_zero(tree):
         return []
-    return [_Product(Fraction(1), (change_operands(tree, simplify),))]
+    return [_Product(Fraction(1), (map_operands(tree, simplify),))]
 
 
 def _as_exponential(base: Tree, power: Tree) -> Tree:
@@ -427,7 +427,7 @@ def split_calls(
         calls = [f for f in term.above if isinstance(f, Call) and f.function in functions]
         others = tuple((Counter(term.above) - Counter(calls)).elements())
         factor = _Product(Fraction(1), others, term.below).tree()
-        inner = (node.function for node in walk(factor) if isinstance(node, Call))
+        inner = (node.function for node in walk_tree(factor) if isinstance(node, Call))
         if len(calls) > 1 or any(name in functions for name in inner):
             raise UsageError(
                 "a netlist has no functions and no products of tables",
@@ -457,7 +457,7 @@ def weighted_sum(calls: WeightedCalls) -> Tree:
 
 def kinks(tree: Tree) -> tuple[Tree, ...]:
     """Arguments ``e`` of every ``max(0, e)`` and of its derivatives, inner ones first."""
-    result = [*chain.from_iterable(map(kinks, children(tree)))]
+    result = [*chain.from_iterable(map(kinks, operands_of(tree)))]
     match tree:
         case Call("clip", (value,)):
             result += _clip_excesses(value)
@@ -484,7 +484,7 @@ def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
             return Binary("+", Binary("*", free, replace_kinks(value, corners)), ends)
         case Choice(Binary(">", value, _), _, _):
             return _flag(value, corners)
-    return change_operands(tree, lambda node: replace_kinks(node, corners))
+    return map_operands(tree, lambda node: replace_kinks(node, corners))
 
 
 def _flag(argument: Tree, corners: tuple[Tree, ...]) -> Name:

@@ -18,7 +18,7 @@ from typing import Any
 from kc2spice.core import __version__
 from kc2spice.core.figure import Figure
 from kc2spice.core.prefix import format_quantity
-from kc2spice.netlist.spelling import templates
+from kc2spice.netlist.spelling import template_renderer
 from kc2spice.report.charts import render_figure
 
 # Parts of keys that differ from the words of a label.
@@ -161,6 +161,6 @@ def _command_line() -> list[str]:
 
 def render_page(template: str, **values: object) -> str:
     """Render a page or a drawing; markup in ``values`` is escaped."""
-    pages = templates(autoescape=True)
+    pages = template_renderer(autoescape=True)
     pages.filters.update(figure=render_figure, px="{:.1f}".format)
     return str(pages.get_template(template).render(**values))

@@ -11,7 +11,7 @@ import numpy as np
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.netlist.deck import PowerTerm
-from kc2spice.netlist.expression import parse_vector, terms
+from kc2spice.netlist.expression import parse_vector, split_terms
 
 Pin = tuple[str, str]
 Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part or pin
@@ -79,7 +79,7 @@ class Vector:
     @property
     def terms(self) -> list[tuple[float, str]]:
         """Signs and vectors of the sum."""
-        return terms(self.expression)
+        return split_terms(self.expression)
 
     @property
     def voltage(self) -> str | None:

@@ -26,8 +26,8 @@ from kc2spice.core.packages import install_command
 from kc2spice.core.untrusted_files import explain_unsafe_name
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import terms
-from kc2spice.netlist.spelling import number
+from kc2spice.netlist.expression import split_terms
+from kc2spice.netlist.spelling import format_number
 from kc2spice.scene.checks import Check, Verdict, require
 from kc2spice.sim.output import (
     FailedRunError,
@@ -281,7 +281,7 @@ def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np
     data = {scale: vectors[first].real / (deck.sweep_scale if scale == "sweep" else 1.0)}
     for key, (expression, factor) in deck.vectors.items():
         parts = []
-        for sign, name in terms(expression):
+        for sign, name in split_terms(expression):
             # in raw files "i(…)" stands around currents of devices
             result = vectors.get(name, vectors.get(f"i({name})"))
             if result is None:
@@ -321,8 +321,8 @@ class RetrySetting:
         """Return ``deck`` with these settings instead of its own options."""
         options = dict(self.options)
         if self.factor != 1.0:
-            options["reltol"] = number(self.factor * deck.reltol)
-            options["chgtol"] = number(self.factor * deck.chgtol)
+            options["reltol"] = format_number(self.factor * deck.reltol)
+            options["chgtol"] = format_number(self.factor * deck.chgtol)
         if not options:
             return deck
         changed = deck.with_options(options, f"retry with {self.name}: {self.why}")

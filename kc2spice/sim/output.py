@@ -20,7 +20,7 @@ import numpy as np
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.importer import DISPLAYED
+from kc2spice.netlist.importer import DISPLAYED_PARAMETERS
 from kc2spice.netlist.nodes import describe_node
 
 # "coarse": ngspice finished, but the energy balances of the result do not close.
@@ -62,7 +62,7 @@ _UNALTERED = re.compile(
 )
 _MODEL = re.compile(r"model issue on line \d+", re.IGNORECASE)
 _DISPLAYED = re.compile(
-    rf"unrecognized parameter \((?:{'|'.join(sorted(DISPLAYED))})\)", re.IGNORECASE
+    rf"unrecognized parameter \((?:{'|'.join(sorted(DISPLAYED_PARAMETERS))})\)", re.IGNORECASE
 )
 MOST_ALTERATIONS = 5  # alterations that an error quotes
 _NO_START = re.compile(r"DC solution failed|transient op failed|initial timepoint", re.IGNORECASE)

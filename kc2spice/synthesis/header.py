@@ -16,13 +16,19 @@ from kc2spice.core.mesh_error import NOT_ESTIMATED, describe_mesh_errors
 from kc2spice.netlist.circuit import Circuit, Param, Pin
 from kc2spice.netlist.library import (
     Header,
-    ReductionFacts,
+    ReductionSummary,
     Subcircuit,
     instance_comment,
     parameter_line,
 )
-from kc2spice.netlist.read import read
-from kc2spice.netlist.spelling import comment, name, number, render, word
+from kc2spice.netlist.read import read_cards
+from kc2spice.netlist.spelling import (
+    format_comment,
+    format_number,
+    render_template,
+    require_name,
+    require_word,
+)
 from kc2spice.rom.linear_model import Certificate, Port
 from kc2spice.scene.model import Terminal
 
@@ -38,11 +44,11 @@ OUTWARDS = (
 def paragraph(text: str) -> list[str]:
     """Wrap a text to comment lines, all but the first indented."""
     words: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
-    lines = textwrap.wrap(comment(text), 96, subsequent_indent="  ", **words)
+    lines = textwrap.wrap(format_comment(text), 96, subsequent_indent="  ", **words)
     return list(map("* {}".format, lines))
 
 
-def rom_lines(reduction: ReductionFacts, certificate: Certificate) -> tuple[str, ...]:
+def rom_lines(reduction: ReductionSummary, certificate: Certificate) -> tuple[str, ...]:
     """Return comment lines about a reduced model and its error estimate.
 
     The lines also give the error of the emitted circuit and the errors above the band. The lines
@@ -89,7 +95,7 @@ def part_header(
     sign = sign if TRANSLATION.flow in map(attrgetter("flow"), pins) else FLOW
     ends = map(attrgetter("name"), pins)
     lines = [
-        f"* {comment(title)}",
+        f"* {format_comment(title)}",
         instance_comment(title.partition(":")[0], ends, defaults(params)),
     ]
     lines += [*header.origin(), *rom]
@@ -98,7 +104,8 @@ def part_header(
         if text:
             lines += paragraph(f"{key}: {text}")
     for i, p in enumerate(pins, 1):
-        lines.append(f"* @pin {i} {name(p.name)} unit={word(p.unit)} flow={word(p.flow)}")
+        name, unit, flow = require_name(p.name), require_word(p.unit), require_word(p.flow)
+        lines.append(f"* @pin {i} {name} unit={unit} flow={flow}")
     lines += map(parameter_line, params)
     return tuple(lines)
 
@@ -111,7 +118,7 @@ def netlist_pins(port: Port) -> tuple[Pin, ...]:
 
 def defaults(params: Iterable[Param]) -> dict[str, str]:
     """Return the defaults of parameters by name, as on a ``.subckt`` card."""
-    return {name(p.name): number(p.default) for p in params}
+    return {require_name(p.name): format_number(p.default) for p in params}
 
 
 def library(
@@ -137,9 +144,9 @@ def library(
     card = " ".join((name, *map(attrgetter("name"), pins), *settings))
     words: dict[str, Any] = {"rating": rating, "validity": validity, "mesh": mesh}
     head = part_header(header, f"{name}: {title}", pins, params, **words)
-    cards = render(f"{template}.j2", card=card, **values)
-    (circuit,) = read(f"{cards}.ends {name}\n", f"{template}.j2").items
+    cards = render_template(f"{template}.j2", card=card, **values)
+    (circuit,) = read_cards(f"{cards}.ends {name}\n", f"{template}.j2").items
     circuit = replace(circuit, notes=(*head, "", *circuit.notes))
-    title = comment(f"{name}: {title}")
+    title = format_comment(f"{name}: {title}")
     tree = Circuit(items=(circuit,))
     return Subcircuit(name, pins, params, tree, title=title, head_lines=len(head))

@@ -17,10 +17,10 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.prefix import PREFIXES, prefix_power
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
 from kc2spice.netlist.elements import Line, attach_comments, pivot_cards
-from kc2spice.netlist.library import Header, ReductionFacts, Subcircuit
+from kc2spice.netlist.library import Header, ReductionSummary, Subcircuit
 from kc2spice.netlist.prefixes import abbreviate
-from kc2spice.netlist.spelling import LEAK_RATE, comment, number, require_distinct
-from kc2spice.netlist.spelling import name as checked_name
+from kc2spice.netlist.spelling import LEAK_RATE, format_comment, format_number, require_distinct
+from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.network import ParallelBranches, parallel_branches
@@ -155,12 +155,12 @@ Value: TypeAlias = float | str  # a number, or an expression of the subcircuit's
 
 def write_value(value: Value) -> str:
     """Return a value as a word of a card."""
-    return f"{{{value}}}" if isinstance(value, str) else number(value)
+    return f"{{{value}}}" if isinstance(value, str) else format_number(value)
 
 
 def scale_value(factor: float, value: Value) -> Value:
     """Multiply a value by a number."""
-    return f"{number(factor)}*{value}" if isinstance(value, str) else factor * value
+    return f"{format_number(factor)}*{value}" if isinstance(value, str) else factor * value
 
 
 @dataclass(frozen=True)
@@ -501,7 +501,9 @@ def make_subcircuit(
     circuit = replace(circuit, notes=(*head, "", *about))
     title = f"{name}: {words['title']}"
     facts: dict[str, Any] = {"reduction": reduction, "head_lines": len(head)}
-    return Subcircuit(name, pins, params, Circuit(items=(circuit,)), title=comment(title), **facts)
+    return Subcircuit(
+        name, pins, params, Circuit(items=(circuit,)), title=format_comment(title), **facts
+    )
 
 
 def _reduction(
@@ -510,7 +512,7 @@ def _reduction(
     order: int,
     certificate: Certificate,
     compared: Iterable[tuple[LinearModel, Mapping[str, float]]],
-) -> ReductionFacts:
+) -> ReductionSummary:
     """Return the facts of a reduced model with the error of its emitted circuit.
 
     The circuit is compared with models at values of its parameters.
@@ -520,7 +522,7 @@ def _reduction(
     worst = max(errors, key=attrgetter("error"))
     total = certificate.error_estimate
     total += worst.error if worst.error > NEGLIGIBLE_ERROR * total else 0.0
-    return ReductionFacts(order, band, certificate.norm, total, worst.error, worst.frequency)
+    return ReductionSummary(order, band, certificate.norm, total, worst.error, worst.frequency)
 
 
 def _decouple_states(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
@@ -797,7 +799,7 @@ def _clamped_lines(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
     words["seconds"] = 1 / LEAK_RATE
     yield (_CLAMPED if t.port.paired else _FILLED).format(**words, **_pin_words(t, base))
     (a, b), c = t.driven_pins(base), t.capacitance or t.clamped
-    inverse = f"{number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
+    inverse = f"{format_number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
     leak = write_value(scale_value(LEAK_RATE, c))
     yield Element.of(f"Cclamped{tag}", a, f"inner{tag}", write_value(scale_value(share, c)))
     yield Element.of(f"Gmore{tag}", a, b, f"current{tag}", base, 1 - share)
@@ -882,7 +884,7 @@ def _resonator_cards(
             body += _relaxation_lines(j + 1, omega[j], damp[j], base)
         body += connect_sources(drive_mode(j + 1, drive[j], terminals, base), base, node)
         if noise and damp[j] > 0:
-            loss = f"{{damping*{number(damp[j])}}}"
+            loss = f"{{damping*{format_number(damp[j])}}}"
             body.append(Element.of(f"Rnoise{j + 1}", f"noise{j + 1}", base, loss))
             body.append(Element.of(f"Gn{j + 1}", base, node, f"noise{j + 1}", base, force[j]))
         for k, t in enumerate(terminals):
@@ -935,7 +937,7 @@ def _mode_cards(j: int, omega: float, damp: float, farad: float, base: str) -> I
     if light:
         yield Element.of(f"Gs{j}", base, p, *velocity, turn)
     if loss > 0:
-        yield Element.of(f"Gd{j}", p, base, *velocity, f"{{damping*{number(loss)}}}")
+        yield Element.of(f"Gd{j}", p, base, *velocity, f"{{damping*{format_number(loss)}}}")
 
 
 def describe_mode(omega: float, damp: float) -> str:
@@ -989,7 +991,9 @@ def _relaxation_lines(j: int, omega: float, damp: float, base: str) -> Iterator[
     hertz, time = omega / (2 * np.pi), damp / omega**2
     yield f"\n* Without inertia, from {hertz:.6g} Hz on: relaxes within {time:.6g} s"
     if time > 0:
-        yield Element.of(f"Cq{j}", f"q{j}", base, f"{{damping*{number(STATE_CONDUCTANCE * time)}}}")
+        yield Element.of(
+            f"Cq{j}", f"q{j}", base, f"{{damping*{format_number(STATE_CONDUCTANCE * time)}}}"
+        )
     yield Element.of(f"Gq{j}", f"q{j}", base, f"q{j}", base, STATE_CONDUCTANCE)
 
 
@@ -1076,7 +1080,7 @@ def _block_cards(
     signals: list[tuple[np.ndarray, bool | None]] = [(S, None)] if len(S) else []
     for block, drifts in [*zip(scaled_blocks, integrating, strict=True), *signals]:
         first, at = at, at + len(block)
-        accuracy = _LOOPED if drifts is None else comment(_describe_poles(block))
+        accuracy = _LOOPED if drifts is None else format_comment(_describe_poles(block))
         body.append(f"\n* States {first + 1} to {at}: {accuracy}")
         for k in range(first, at):
             index, node = k + 1, f"z{k + 1}"
@@ -1088,7 +1092,7 @@ def _block_cards(
             inputs = _weigh_inputs(terminals, farad * states.B[k], base)
             body += connect_sources(sums, base, node, f"Ga{index}_")
             body += connect_sources(inputs, base, node, f"Gb{index}_")
-    about = _STATES.format(farad=number(farad), base=base).split("\n")
+    about = _STATES.format(farad=format_number(farad), base=base).split("\n")
     domains = _port_domains(rom.ports)
     placed = domains and not _count_from_other_pin(domains)
     return [*_OUTWARDS, *about] if placed else about, body

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.netlist.deck import Command, ac, dc, noise, transient
+from kc2spice.netlist.deck import Command, ac_command, dc_command, noise_command, transient_command
 from kc2spice.netlist.elements import add_title
 from kc2spice.scene.model import Build, Names
 from kc2spice.scene.results import NOISE_WAVE
@@ -33,15 +33,15 @@ def make_analysis_cards(build: Build) -> AnalysisCards:
     if selected.type == "transient":
         assert build.largest is not None
         step = build.largest.step
-        return AnalysisCards(transient(scene.stop, step, uic=bool(scene.initial_states)))
+        return AnalysisCards(transient_command(scene.stop, step, uic=bool(scene.initial_states)))
     if selected.type == "ac":
         # ngspice returns only the first of two linear points
         points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points
-        command = ac(selected.start, float(selected.stop or 0.0), points, selected.scale)
+        command = ac_command(selected.start, float(selected.stop or 0.0), points, selected.scale)
         return AnalysisCards(command)
     if sweep is not None:
         first, last = sweep.scale * sweep.values[0], sweep.scale * sweep.values[-1]
-        return AnalysisCards(dc(sweep.source, first, last, sweep.values.size))
+        return AnalysisCards(dc_command(sweep.source, first, last, sweep.values.size))
     return AnalysisCards(Command("op", ()))
 
 
@@ -52,6 +52,6 @@ def _make_noise_cards(build: Build, voltage: str) -> AnalysisCards:
     drive = Element.of(f"V{node}", node, "0", "DC", "0", "AC", "1")
     load = Element.of(f"R{node}", node, "0", "1", noisy="0")
     first, last = selected.start, float(selected.stop or 0.0)
-    command = noise(voltage, drive.name, first, last, selected.points, selected.scale)
+    command = noise_command(voltage, drive.name, first, last, selected.points, selected.scale)
     title = "drives nothing: what the analysis could refer the noise to"
     return AnalysisCards(command, add_title(title, (drive, load)))

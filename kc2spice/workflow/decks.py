@@ -19,11 +19,11 @@ from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Deck, Option
 from kc2spice.netlist.edited_deck import read_edited_deck
 from kc2spice.netlist.elements import add_title
-from kc2spice.netlist.library import Header, Subcircuit, plan_lines
-from kc2spice.netlist.lint import lint
-from kc2spice.netlist.read import statements
+from kc2spice.netlist.library import Header, Subcircuit, model_comments
+from kc2spice.netlist.lint import require_valid_wiring
+from kc2spice.netlist.read import split_statements
 from kc2spice.netlist.scope import INCLUDES
-from kc2spice.netlist.spelling import comment, number
+from kc2spice.netlist.spelling import format_comment, format_number
 from kc2spice.netlist.transforms import add_noise_sources, remove_arithmetic_noise
 from kc2spice.scene.axes import MAX_STEP, describe_plan
 from kc2spice.scene.frames import MOTIONS
@@ -61,7 +61,7 @@ def prepare_deck(
         if edited is not None:
             edits = read_edited_deck(deck, edited)
             deck, build = edits.deck, with_edited_parameters(build, edits, edited)
-        lint(deck)
+        require_valid_wiring(deck)
     return build, deck
 
 
@@ -83,7 +83,7 @@ def make_deck(build: Build) -> Deck:
     results, plan = build.results, describe_plan(build)
     header = Header(scene.name, scene_hash(scene))
     ours = () if scene.solver.max_step else (MAX_STEP,)  # a separate line gives the reason
-    notes = (*header.origin(), *plan_lines(plan, ours))
+    notes = (*header.origin(), *model_comments(plan, ours))
     analysis = make_analysis_cards(build)
     parts = tuple(_libraries(build, header))
     reductions = [f"* {p.name}, rom: {p.reduction.summary}" for p in parts if p.reduction]
@@ -169,7 +169,7 @@ def _items(
         if group.nets:
             net = group.nets[0]
             name = f"L{names.name(net, f'{net}_held')}"
-            inductors.append(Element.of(name, net, "0", number(HOLD)))
+            inductors.append(Element.of(name, net, "0", format_number(HOLD)))
     if inductors:
         yield from add_title("held at the operating point alone: nothing else does", inductors)
 
@@ -206,7 +206,7 @@ def _step_lines(build: Build) -> Iterator[str]:
     """Yield a comment on the largest time step, unless the scene sets it."""
     limit = build.largest
     if limit is not None and not build.scene.solver.max_step:
-        yield f"* {comment(f'largest step {limit.step:g} s: {limit.why}')}"
+        yield f"* {format_comment(f'largest step {limit.step:g} s: {limit.why}')}"
 
 
 def _initial_values(build: Build, loose: Sequence[FloatingNets]) -> dict[str, float]:
@@ -231,7 +231,7 @@ def _initial_values(build: Build, loose: Sequence[FloatingNets]) -> dict[str, fl
 
 def _card_texts(text: str, name: str) -> list[str]:
     """Return the statements that a simulator reads in the file ``name``."""
-    return list(filter(None, map(attrgetter("written"), statements(text, name))))
+    return list(filter(None, map(attrgetter("written"), split_statements(text, name))))
 
 
 def spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
@@ -250,7 +250,7 @@ def spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
 
     others = {path.name: path for path in out.glob("*.cir") if path.is_file()}
     for key in sorted(others.keys() - files.keys() - list_earlier_files(out)):
-        for card in statements(text(others[key]), key, title=True):
+        for card in split_statements(text(others[key]), key, title=True):
             name = card.words[-1].strip("\"'") if card.keyword in INCLUDES else ""
             if name not in files or not (out / name).is_file():
                 continue

@@ -11,9 +11,9 @@ from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.linalg.solver import require_solver, solving_with
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.printers.dialect_registry import deck_dialects, dialect_names
-from kc2spice.netlist.printers.plot_script import plot_script
-from kc2spice.netlist.transforms import array_deck
-from kc2spice.netlist.translate import dialect_files, symbol_files
+from kc2spice.netlist.printers.plot_script import write_plot_script
+from kc2spice.netlist.transforms import make_array_deck
+from kc2spice.netlist.translate import write_dialect_files, write_symbol_files
 from kc2spice.parts.bodies._body_model import reduction_target
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
@@ -57,10 +57,10 @@ def export_scene(
         _require_circuits(build, deck)
         with clock.time_stage("export", "netlists and symbols"):
             if count is not None:
-                deck = array_deck(deck, count)
-            files = dialect_files(deck, dialect)
-            files |= plot_script(deck) if dialect == "ngspice" else {}
-            files |= symbol_files(deck, dialect) if count is None else {}
+                deck = make_array_deck(deck, count)
+            files = write_dialect_files(deck, dialect)
+            files |= write_plot_script(deck) if dialect == "ngspice" else {}
+            files |= write_symbol_files(deck, dialect) if count is None else {}
             spare_other_decks(Path(out), files)
             write_files(files, work)
     return [Path(out) / name for name in sorted(files)]

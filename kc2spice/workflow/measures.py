@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from kc2spice.netlist.deck import Measure
 from kc2spice.netlist.expression import parse_vector as parsed
-from kc2spice.netlist.spelling import number
+from kc2spice.netlist.spelling import format_number
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.rows import LargestRealPart, Vector
 from kc2spice.scene.settings import Probe
@@ -107,12 +107,14 @@ def _measure(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
     if take == "argmax":
         yield Measure(name, kind, (_signed_extreme("MAX_AT", factor), text), 1 / wave.per_unit)
     elif take == "crossing" and probe.level is not None:
-        words = "WHEN", f"{text}={number(probe.level / factor)}", "CROSS=1"
+        words = "WHEN", f"{text}={format_number(probe.level / factor)}", "CROSS=1"
         yield Measure(name, kind, words, 1 / wave.per_unit)
     elif take == "value" and probe.at is not None:
-        yield Measure(name, kind, ("FIND", text, f"AT={number(probe.at * wave.per_unit)}"), factor)
+        yield Measure(
+            name, kind, ("FIND", text, f"AT={format_number(probe.at * wave.per_unit)}"), factor
+        )
     elif take == "final" and kind == "tran":
-        yield Measure(name, kind, ("FIND", text, f"AT={number(wave.last)}"), factor)
+        yield Measure(name, kind, ("FIND", text, f"AT={format_number(wave.last)}"), factor)
     elif word := _TAKEN.get(take):
         size = abs(factor) if word in ("PP", "RMS") else factor
         yield Measure(name, kind, (_signed_extreme(word, factor), text), size)

@@ -31,12 +31,12 @@ from kc2spice.core.progress import Clock, Progress, follow_stage, ignore_progres
 from kc2spice.core.quantities import quantity
 from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.linalg.solver import require_solver, solving_with
-from kc2spice.netlist.deck import Deck, ac
+from kc2spice.netlist.deck import Deck, ac_command
 from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.printers.dialect_registry import dialect_names
-from kc2spice.netlist.printers.plot_script import plot_script
-from kc2spice.netlist.translate import dialect_files, symbol_files
+from kc2spice.netlist.printers.plot_script import write_plot_script
+from kc2spice.netlist.translate import write_dialect_files, write_symbol_files
 from kc2spice.parts.bodies._body_model import full_model_alone, scene_band
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.affine import AffineModel, reduce_affine
@@ -625,8 +625,8 @@ def export_rom(
     reduced, part = _read_part(path, dense)
     deck = first_deck(reduced, part)
     directory = Path(part.name) if out is None else Path(out)
-    files = dialect_files(deck, dialect) | symbol_files(deck, dialect)
-    files |= plot_script(deck) if dialect == "ngspice" else {}
+    files = write_dialect_files(deck, dialect) | write_symbol_files(deck, dialect)
+    files |= write_plot_script(deck) if dialect == "ngspice" else {}
     with stage_directory(directory) as work:
         spare_other_decks(directory, files)
         write_files(files, work)
@@ -678,5 +678,5 @@ def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
             *add_title("the model", (instance,)),
             *add_title("what drives it, and what holds the other ports", sources),
         ),
-        command=ac(low, high, 400, "log"),
+        command=ac_command(low, high, 400, "log"),
     )

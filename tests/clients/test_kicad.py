@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kc2spice.netlist.translate import symbol_files
+from kc2spice.netlist.translate import write_symbol_files
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
@@ -34,7 +34,7 @@ def kicad(program):
 
 
 def project(deck, folder):
-    write_files(deck.files | symbol_files(deck), folder)
+    write_files(deck.files | write_symbol_files(deck), folder)
     return f"{deck.name}.kicad_sch"
 
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from kc2spice.netlist.translate import dialect_files
+from kc2spice.netlist.translate import write_dialect_files
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
@@ -33,7 +33,7 @@ def test_compiled_modules_do_what_the_netlists_do(name, deck_of, program, run, t
     deck = deck_of(name, **shortened(name))
     if deck.command.kind == "noise":
         pytest.skip("sources of noise are ngspice's alone")
-    files = dialect_files(deck, "verilog-a")
+    files = write_dialect_files(deck, "verilog-a")
     write_files(files, tmp_path / "modules")
     write_files(deck.files, tmp_path / "netlists")
     modules = [file for file in files if file.endswith(".va")]

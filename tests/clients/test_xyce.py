@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kc2spice.netlist.translate import translate
+from kc2spice.netlist.translate import translate_deck
 from kc2spice.sim.ngspice import run_deck, write_files
 from kc2spice.sim.output import read_raw
 
@@ -13,7 +13,7 @@ def test_xyce_gives_the_speed_of_ngspice(name, deck_of, program, run, tmp_path):
     xyce = program("Xyce")
     deck = deck_of(name) if name == "impact" else deck_of(name, stop=0.6e-3)
     ours = run_deck(deck, tmp_path / "ngspice")
-    spoken = translate(deck, "xyce")
+    spoken = translate_deck(deck, "xyce")
     write_files(spoken.files, tmp_path / "xyce")
     main = tmp_path / "xyce" / spoken.main
     run([xyce, main.name], main.parent)

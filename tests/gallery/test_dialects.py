@@ -6,7 +6,7 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.netlist.printers.dialect_registry import deck_dialects, dialect_names
-from kc2spice.netlist.translate import dialect_files, translate
+from kc2spice.netlist.translate import translate_deck, write_dialect_files
 from kc2spice.scene.scene_file import list_gallery
 
 QUICK = (
@@ -35,12 +35,12 @@ def test_every_scene_speaks_every_dialect(scene):
     if deck.command.kind == "noise" or alone:
         for dialect in (deck_dialects() if alone else dialect_names())[1:]:
             with pytest.raises(kc.errors.UsageError, match=r"no equivalent|noise"):
-                dialect_files(deck, dialect)
+                write_dialect_files(deck, dialect)
         return
     for dialect in dialect_names()[1:]:
-        assert dialect_files(deck, dialect)
+        assert write_dialect_files(deck, dialect)
     for dialect in deck_dialects()[1:]:
-        spoken = translate(deck, dialect).vectors
+        spoken = translate_deck(deck, dialect).vectors
         assert spoken.keys() == deck.vectors.keys()
         for name, (expression, factor) in spoken.items():
             own, scale = deck.vectors[name]

@@ -12,7 +12,7 @@ import pytest
 
 from kc2spice.core.progress import Clock
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import literal
+from kc2spice.netlist.expression import literal_value
 from kc2spice.netlist.library import read_lib
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.scene.load import load_scene
@@ -361,7 +361,7 @@ def test_modes_of_shipped_buzzers_are_the_branches_that_their_comments_state(sce
     (path,) = TOOL["folder"](scene).glob("*.lib")
     form = r"\* Mode \d+, at the defaults: (\S+) kHz, .*, L=(\S+) C=(\S+) R=(\S+) at anode"
     rows = re.findall(form, path.read_text("utf-8"))
-    branches = [(1e3 * float(f), *map(literal, row)) for f, *row in rows]
+    branches = [(1e3 * float(f), *map(literal_value, row)) for f, *row in rows]
     assert all(
         L * C * (2 * np.pi * f) ** 2 == pytest.approx(1, rel=1e-3) for f, L, C, _ in branches
     )

@@ -13,7 +13,7 @@ import kc2spice as kc
 from kc2spice.bodies.readers.measured import MeasuredAdmittance
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, ignore_progress
-from kc2spice.netlist.deck import ac
+from kc2spice.netlist.deck import ac_command
 from kc2spice.rom.modal import fit_foster_network
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.reduce_files import first_deck
@@ -123,7 +123,7 @@ def test_ngspice_gives_what_the_lossy_model_says(models):
     model = models[1].select(["anode"])
     deck = first_deck(model, kc.subcircuit(model, "lossy"))
     low, high = 1e3, model.certificate.band_hz[1]
-    waves = kc.simulate(replace(deck, command=ac(low, high, 50, "linear"))).waves
+    waves = kc.simulate(replace(deck, command=ac_command(low, high, 50, "linear"))).waves
     f = np.linspace(low, high, 50)
     Y = 2j * np.pi * f * model.transfer(f)[:, 0, 0]
     assert np.abs(waves["anode.current"] / Y - 1).max() < 1e-6

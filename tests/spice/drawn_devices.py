@@ -331,7 +331,11 @@ def shaken(d):
     rng = d.rng
     d.f = d.value(20, 400)
     d.stop = rng.uniform(3, 8) / d.f
-    outer, remanence, recoil = d.value(2e-3, 8e-3), d.value(0.2, 1.3), rng.choice([1.0, 1.05, 1.2])
+    outer, remanence, recoil = (
+        d.value(2e-3, 8e-3),
+        d.value(0.2, 1.3),
+        rng.choice([1.0, 1.05, 1.2]),
+    )
     inner, tall = outer * rng.choice([0.0, rng.uniform(0.2, 0.6)]), outer * d.value(0.4, 2)
     reach, quality, w = outer * d.value(0.05, 0.3), d.value(1, 10), 2 * np.pi * d.f
     w, mass = w * d.value(0.3, 3), 7500 * np.pi * (outer**2 - inner**2) * tall

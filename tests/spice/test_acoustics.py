@@ -8,7 +8,7 @@ import kc2spice as kc
 from kc2spice.core.domains import DOMAINS
 from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE, Ratio
 from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.deck import Deck, ac
+from kc2spice.netlist.deck import Deck, ac_command
 from kc2spice.netlist.library import Header
 from kc2spice.physics import Declaration, branch
 from kc2spice.physics.part import declared_subcircuit
@@ -182,7 +182,7 @@ def test_declared_branches_of_sound_keep_their_units(tmp_path):
         parts=(part,),
         items=driven("in", "horn"),
         vectors={"pressure": ("v(in)", 1.0)},
-        command=ac(RESONANCE / 3, 3 * RESONANCE, 21, "log"),
+        command=ac_command(RESONANCE / 3, 3 * RESONANCE, 21, "log"),
     )
     waves = run_deck(deck, tmp_path)
     exact = 1e-6 * impedance(2j * np.pi * waves["frequency"].real)
@@ -213,7 +213,7 @@ def test_declared_branches_of_rotation_keep_their_units(tmp_path):
         parts=(part,),
         items=driven("tip", "rod"),
         vectors={"angle": ("v(tip)", 1.0)},
-        command=ac(1.0, 1e3, 13, "log"),
+        command=ac_command(1.0, 1e3, 13, "log"),
     )
     waves = run_deck(deck, tmp_path)
     s = 2j * np.pi * waves["frequency"].real

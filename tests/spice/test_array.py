@@ -5,7 +5,7 @@ import pytest
 from device import deck_of
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.transforms import array_deck
+from kc2spice.netlist.transforms import make_array_deck
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 
@@ -13,7 +13,7 @@ from kc2spice.sim.ngspice import run_deck
 @pytest.mark.parametrize("name", ["impact", "harmonic"])
 def test_copies_do_what_the_scene_does(name, model, table, tmp_path):
     deck = deck_of(load_scene(name), model, table)
-    array = array_deck(deck, 3)
+    array = make_array_deck(deck, 3)
     alone, together = run_deck(deck, tmp_path / "one"), run_deck(array, tmp_path / "three")
     for copy in (1, 3):
         for key in deck.vectors:
@@ -27,6 +27,6 @@ def test_copies_do_what_the_scene_does(name, model, table, tmp_path):
 
 def test_sweeps_and_wrong_numbers_are_refused(model, table):
     with pytest.raises(UsageError, match="sweep"):
-        array_deck(deck_of(load_scene("imprint"), model, table), 2)
+        make_array_deck(deck_of(load_scene("imprint"), model, table), 2)
     with pytest.raises(UsageError, match="copies"):
-        array_deck(deck_of(load_scene("impact"), model, table), 0)
+        make_array_deck(deck_of(load_scene("impact"), model, table), 0)

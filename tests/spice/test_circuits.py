@@ -8,7 +8,7 @@ from device import models
 
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.netlist.lint import lint
+from kc2spice.netlist.lint import require_valid_wiring
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.metrics import frequency, metrics
@@ -23,7 +23,7 @@ def run(tables, directory):
     scene = load_scene(tables)
     build = models(scene)
     deck = make_deck(build)
-    lint(deck)
+    require_valid_wiring(deck)
     waves = simulate_deck(build, deck, directory).waves
     return waves, metrics(waves, build).values
 

@@ -5,7 +5,7 @@ from device import built
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.edited_deck import read_edited_deck
-from kc2spice.netlist.lint import lint
+from kc2spice.netlist.lint import require_valid_wiring
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
@@ -75,7 +75,7 @@ OWN = {
 def test_what_a_netlist_says_to_itself_runs(text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     deck = make_deck(built(load_scene(scene(tmp_path, text))))
-    lint(deck)
+    require_valid_wiring(deck)
     waves = run_deck(deck, tmp_path)
     assert waves["load.v"][-1] == pytest.approx(0.5, rel=1e-3)  # 500 Ohm into 1 MOhm
 
@@ -91,10 +91,12 @@ def test_what_a_netlist_says_to_itself_runs(text, tmp_path, monkeypatch):
 def test_two_files_that_define_one_name_are_refused(one, other, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match=said) as caught:
-        lint(make_deck(built(load_scene(scene(tmp_path, one + "\n", other + "\n")))))
+        require_valid_wiring(
+            make_deck(built(load_scene(scene(tmp_path, one + "\n", other + "\n"))))
+        )
     assert "half0.lib:5" in str(caught.value)
     assert "half1.lib:5" in str(caught.value)
-    lint(make_deck(built(load_scene(scene(tmp_path, one + "\n", one + "\n")))))
+    require_valid_wiring(make_deck(built(load_scene(scene(tmp_path, one + "\n", one + "\n")))))
 
 
 def edit(deck, folder, change):

@@ -15,9 +15,9 @@ from networks import FUNCTIONS, H, Network
 import kc2spice as kc
 from kc2spice.core.untrusted_files import parse_toml
 from kc2spice.netlist.library import Header
-from kc2spice.netlist.printers.dialect_registry import dialect_named, dialect_names
-from kc2spice.netlist.printers.verilog_a import module_files
-from kc2spice.netlist.translate import dialect_files
+from kc2spice.netlist.printers.dialect_registry import dialect_names, find_dialect
+from kc2spice.netlist.printers.verilog_a import print_module
+from kc2spice.netlist.translate import write_dialect_files
 from kc2spice.parts.electronics.two_terminal_types import TABLE
 from kc2spice.physics import contact, law
 from kc2spice.physics.contact import Normal
@@ -108,7 +108,7 @@ def printed(name, dialect):
     """Library of the part, or its plain cards in the deck with pins as nodes."""
     scene, part = example(name)
     deck = kc.deck(scene)
-    files = deck.files if dialect == "ngspice" else dialect_files(deck, dialect)
+    files = deck.files if dialect == "ngspice" else write_dialect_files(deck, dialect)
     own = [text for file, text in files.items() if file.startswith(f"{name}.")]
     if own:
         return own[0]
@@ -323,9 +323,9 @@ def worst_cards(kind, dialect):
     part = declared_subcircuit(made, "contact", pressing(normal), {})
     text = part.text
     if dialect == "verilog-a":
-        (text,) = module_files(part).values()
+        (text,) = print_module(part).values()
     elif dialect != "ngspice":
-        text = dialect_named(dialect)().file(part.circuit)
+        text = find_dialect(dialect)().file(part.circuit)
     values = {p.name: p.default for p in part.params}
     if normal.radius:  # the network has no lags
         normal = replace(normal, pace=0.0)

@@ -12,7 +12,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.translate import dialect_files
+from kc2spice.netlist.translate import write_dialect_files
 from kc2spice.physics import Declaration, DeclaredPart, branch, displacement, measured, voltage
 from kc2spice.physics.cards import subcircuit_items
 from kc2spice.reference.integrate import solve_transient
@@ -303,7 +303,7 @@ def test_states_and_signals_are_those_of_the_stated_controller(monkeypatch):
         exact = [pieces[k].sol(t)[1] for k, t in zip(owner, waves["time"], strict=True)]
         np.testing.assert_allclose(waves["regulator.integral"], exact, rtol=limit)
     for dialect in dialect_names()[1:]:
-        assert dialect_files(kc.deck(scene), dialect)
+        assert write_dialect_files(kc.deck(scene), dialect)
 
 
 def test_what_has_a_corner_is_neither_linear_nor_printed_as_linear_sources():

@@ -10,10 +10,10 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.library import Header, subcircuits
-from kc2spice.netlist.printers.dialect_registry import dialect_named, dialect_names
-from kc2spice.netlist.printers.verilog_a import module_files
-from kc2spice.netlist.translate import dialect_files, translate
+from kc2spice.netlist.library import Header, parse_subcircuits
+from kc2spice.netlist.printers.dialect_registry import dialect_names, find_dialect
+from kc2spice.netlist.printers.verilog_a import print_module
+from kc2spice.netlist.translate import translate_deck, write_dialect_files
 from kc2spice.physics.contact import Normal, declare_contact
 from kc2spice.physics.part import declared_subcircuit as declared
 from kc2spice.sim.ngspice import run_deck
@@ -145,7 +145,7 @@ def cards(text):
 @pytest.mark.parametrize("dialect", ["xyce", "ltspice"])
 def test_every_card_of_the_loop_is_in_the_grammar(loop, dialect):
     card = grammar(dialect)
-    translated = dialect_files(loop, dialect)
+    translated = write_dialect_files(loop, dialect)
     assert set(translated) == set(loop.files)
     for name, text in translated.items():
         before, after = len(cards(loop.files[name])), len(cards(text))
@@ -175,7 +175,7 @@ def test_every_law_of_a_contact_is_in_the_grammar(dialect):
     card = grammar(dialect)
     for law in LAWS.values():
         part = pressing(law)
-        text = dialect_named(dialect)().file(part.circuit)
+        text = find_dialect(dialect)().file(part.circuit)
         assert len(cards(text)) == len(cards(part.text))
         for line in cards(text):
             card.parse_string(line)
@@ -216,7 +216,7 @@ REFUSED = [
 def test_what_a_dialect_cannot_say_is_refused(dialect):
     for source in REFUSED:
         with pytest.raises(UsageError) as caught:
-            translate(one(source), dialect)
+            translate_deck(one(source), dialect)
         assert "one.cir:2" in str(caught.value), source
 
 
@@ -224,13 +224,13 @@ def test_switches_that_xyce_does_not_have_are_refused():
     for values in ("VT=0.5 VH=0.1", "VT={k}"):
         deck = one(f".model m SW({values})")
         with pytest.raises(UsageError, match=r"hysteresis|threshold"):
-            translate(deck, "xyce")
-        assert values in translate(deck, "ltspice").files["one.cir"]
+            translate_deck(deck, "xyce")
+        assert values in translate_deck(deck, "ltspice").files["one.cir"]
 
 
 def xyce(cards_, **facts):
     """``(text, results)`` of a deck in Xyce's words."""
-    spoken = translate(Deck(name="one", text=f"* title\n{cards_}\n.end\n", **facts), "xyce")
+    spoken = translate_deck(Deck(name="one", text=f"* title\n{cards_}\n.end\n", **facts), "xyce")
     return spoken.files["one.cir"], spoken.vectors
 
 
@@ -255,7 +255,7 @@ def test_xyce_is_told_what_it_does_otherwise():
 
 def test_unknown_dialects_are_refused(loop):
     with pytest.raises(UsageError, match="unknown dialect") as caught:
-        translate(loop, "hspice")
+        translate_deck(loop, "hspice")
     assert caught.value.expected == "one of " + ", ".join(dialect_names())
 
 
@@ -291,7 +291,7 @@ def test_whatever_ngspice_reads_has_its_value_in_other_words(dialect):
     known = {"if_": lambda test, yes, no: yes if test else no, "abs": abs, "exp": math.exp,
              "pow": pow, "max": max, "table": flat}  # fmt: skip
     for card, expected in TREES.items():
-        text = translate(one(card), dialect).files["one.cir"].partition("\n")[2]
+        text = translate_deck(one(card), dialect).files["one.cir"].partition("\n")[2]
         written = text.replace("\n+", "").splitlines()[0].split("=", 1)[1]
         law = re.sub(r"V\((\w)(,0)?\)", r"\1", written.replace("if(", "if_("))
         law = law.replace("{", "(").replace("}", ")")
@@ -303,7 +303,7 @@ def test_whatever_ngspice_reads_has_its_value_in_other_words(dialect):
 
 def test_libraries_for_ltspice_run_the_same_in_ngspice(loop, tmp_path):
     """ngspice reads all of LTspice's spellings but ``table``, so it can judge the rest."""
-    spoken = translate(loop, "ltspice").files
+    spoken = translate_deck(loop, "ltspice").files
     files = {n: t.replace("table(", "pwl(") for n, t in spoken.items() if n != loop.main}
     short = loop.files[loop.main].replace(" 5m 0 ", " 700u 0 ")
     own = replace(loop, text=short, options=(), stop=0.0007)
@@ -325,7 +325,7 @@ def test_start_values_name_nodes_as_results_do(dialect, name):
     body = ".subckt body x\nC1 x place_x 1u\nR1 place_x 0 1k\n.ends\nXmass a body\nRa a 0 1k"
     cards = f"{body}\n.save v(xmass.place_x)\n.ic v(xmass.place_x)=200 v(a)=1\n.tran 1u 1m"
     deck = Deck(name="one", text=f"* title\n{cards}\n.end\n")
-    text = translate(deck, dialect).files["one.cir"]
+    text = translate_deck(deck, dialect).files["one.cir"]
     assert f".ic V({name})=200 V(a)=1\n" in text
     others = [line for line in text.splitlines() if not line.startswith(".ic")]
     assert any(f"V({name})" in line for line in others)  # as a result
@@ -345,7 +345,7 @@ SHARED = {"t": 1e12, "g": 1e9, "meg": 1e6, "k": 1e3, "m": 1e-3, "u": 1e-6, "n": 
 @pytest.mark.parametrize("word", READ_BY_NGSPICE)
 def test_a_number_is_the_same_double_in_all_dialects(word, dialect):
     """No letters remain but scale factors that every simulator reads alike: LTspice has no atto."""
-    card = translate(one(f"R1 a 0 {word} noisy=0"), dialect).files["one.cir"].splitlines()[1]
+    card = translate_deck(one(f"R1 a 0 {word} noisy=0"), dialect).files["one.cir"].splitlines()[1]
     *_, written = card.split()
     digits, letters = re.fullmatch(r"([\d.]+(?:e[-+]?\d+)?)([a-z]*)", written.lower()).groups()
     assert float(digits) * SHARED[letters] == pytest.approx(READ_BY_NGSPICE[word], rel=1e-15)
@@ -368,7 +368,7 @@ def test_numbers_of_commands_have_no_letters(card):
     analysis = "" if keyword in (".tran", ".ac", ".dc") else ".op\n"
     deck = Deck(name="one", text=f"* title\nV1 a 0 1\nR1 a 0 1k\n{card}\n{analysis}.end\n")
     for dialect in ("ltspice", "xyce"):
-        lines = translate(deck, dialect).files["one.cir"].splitlines()
+        lines = translate_deck(deck, dialect).files["one.cir"].splitlines()
         (written,) = filter(re.compile(rf"{re.escape(keyword)}\b").match, lines)
         values = [float(text) for text in re.findall(r"(?<=[ =])\d\S*", written)]
         assert len(values) == len(COMMANDS[card])
@@ -379,14 +379,14 @@ def test_numbers_of_commands_have_no_letters(card):
 def test_modules_of_verilog_a_have_numbers_without_letters():
     """Verilog-A reads M as mega and has no Meg, so that modules have plain numbers."""
     cards_ = "R1 a b 5Meg\nR2 a b 1M\nC1 a b 2mil\nB1 a b I=V(a,b)*3a+4Ohm"
-    (part,) = subcircuits(f"* load\n.subckt load a b\n{cards_}\n.ends load\n", "load.lib")
-    (module,) = module_files(part).values()
+    (part,) = parse_subcircuits(f"* load\n.subckt load a b\n{cards_}\n.ends load\n", "load.lib")
+    (module,) = print_module(part).values()
     numbers = re.findall(r"(?<![\w.])\d[\w.]*(?:(?<=e)-\d+)?", module)
     assert list(map(float, numbers)) == [5e6, 1e-3, 2 * 25.4e-6, 3.0, 4.0]
 
 
 def test_a_refusal_names_one_action():
     with pytest.raises(UsageError) as caught:
-        translate(one("R1 a 0 1 scale=2"), "xyce")
+        translate_deck(one("R1 a 0 1 scale=2"), "xyce")
     assert "parameter scale of this R card" in str(caught.value)
     assert caught.value.hint.startswith("rewrite this card")

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from kc2spice.cli.main import app
 from kc2spice.core.errors import GateMissedError
 from kc2spice.netlist.circuit import Param
-from kc2spice.netlist.read import read
+from kc2spice.netlist.read import read_cards
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.parametric import ParameterAxis, polynomials
 from kc2spice.rom.varying import Varying
@@ -70,7 +70,7 @@ def test_the_error_of_an_element_is_seen_at_the_lowest_frequency():
     assert part.reduction.circuit_error == pytest.approx(1e-9 / (2 * np.pi * BAND[0]), rel=1e-3)
     assert part.reduction.worst_hz == BAND[0]
     text = re.sub(r"(?m)^(Gleak .*) \S+$", r"\1 1e-15", part.text)
-    leaky = read(text, part.filename).subcircuits[0]
+    leaky = read_cards(text, part.filename).subcircuits[0]
     found = circuit_error(leaky, part.pins, sensor(), BAND)
     assert found.error == pytest.approx(1e-15 / (2 * np.pi * BAND[0] * CLAMPED), rel=1e-3)
     assert found.frequency == BAND[0]
@@ -81,7 +81,7 @@ def test_the_error_of_an_element_is_seen_at_a_resonance():
     part = subcircuit(sensor(), "sensor")
     drag = float(re.search(r"(?m)^Gd1 .*\{damping\*(\S+)\}", part.text)[1])
     off = part.text.replace(f"damping*{drag}", f"damping*{1.01 * drag}")
-    found = circuit_error(read(off, part.filename).subcircuits[0], part.pins, sensor(), BAND)
+    found = circuit_error(read_cards(off, part.filename).subcircuits[0], part.pins, sensor(), BAND)
     assert found.error == pytest.approx(0.01 / 1.01, rel=1e-3)
     assert found.frequency == pytest.approx(1e3, rel=1e-3)
 
@@ -137,7 +137,7 @@ def test_parametric_circuits_are_compared_at_corners_and_inside(monkeypatch):
     assert spelled.tolist() == [[1.0, 1.0]]
     text = part.text.replace("l1_1={exp(", "l1_1={exp(1e-6*x1+")
     assert text != part.text
-    circuit = read(text, part.filename).subcircuits[0]
+    circuit = read_cards(text, part.filename).subcircuits[0]
     errors = {}
     for value in (1.0, 2.0):
         exact = model.at({"length": value})

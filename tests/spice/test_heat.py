@@ -7,7 +7,7 @@ import pytest
 import scipy
 
 import kc2spice as kc
-from kc2spice.netlist.expression import literal
+from kc2spice.netlist.expression import literal_value
 from kc2spice.netlist.nodal import NodalCircuit
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.scene.load import load_scene
@@ -169,7 +169,7 @@ def test_networks_of_random_models_are_passive_and_answer_alike(seed):
     part = kc.subcircuit(model, "network")
     values = re.findall(r"(?m)^[RC]\d+ \S+ \S+ (\S+)$", part.text)
     assert values
-    assert all(literal(value) > 0 for value in values)
+    assert all(literal_value(value) > 0 for value in values)
     f = np.geomspace(1e-4, 1e3, 15)
     s = 2j * np.pi * f
     exact = np.array([B.T @ np.linalg.solve(K + x * E, B) + model.D for x in s])
@@ -192,7 +192,9 @@ def test_one_node_is_its_own_resistor_and_capacitor():
     text = kc.subcircuit(model, "node").text
     (resistance,) = re.findall(r"(?m)^R1 top ambient (\S+)$", text)
     (capacity,) = re.findall(r"(?m)^C1 top ambient (\S+)$", text)
-    assert (literal(resistance), literal(capacity)) == pytest.approx((20.0, 0.5), rel=1e-14)
+    assert (literal_value(resistance), literal_value(capacity)) == pytest.approx(
+        (20.0, 0.5), rel=1e-14
+    )
     assert "@pin 1 top unit=K flow=W" in text
     assert "@pin 2 ambient unit=K flow=W" in text
 

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.importer import translate_circuit
-from kc2spice.netlist.read import read
+from kc2spice.netlist.read import read_cards
 
 
 def run(folder, library, scene, syntax="ltspice"):
@@ -382,19 +382,19 @@ max_step = "20 ns"
 def test_what_has_no_equal_is_refused_with_its_line(card, message):
     text = f".subckt own a\nR1 a 0 1\n{card}\n.ends\n"
     with pytest.raises(UsageError, match=message) as caught:
-        translate_circuit(read(text, "own.lib"), "ltspice")
+        translate_circuit(read_cards(text, "own.lib"), "ltspice")
     assert caught.value.where.startswith("own.lib:")
 
 
 def test_pspice_has_no_unit_in_place_of_the_decimal_point():
     """The card stays as it is, and the check of the whole deck names what ngspice would read."""
-    resistor = translate_circuit(read("R1 a 0 4k7\n", "r.lib"), "pspice").items[0]
+    resistor = translate_circuit(read_cards("R1 a 0 4k7\n", "r.lib"), "pspice").items[0]
     assert resistor.values == ("4k7",)
 
 
 def test_a_model_begins_with_another_one():
     text = ".model base NPN(Bf=100 Is=1f)\n.model own ako:base NPN(Bf=200 mfg=X)\nQ1 c b e own\n"
-    models = translate_circuit(read(text, "m.lib"), "ltspice").items[:2]
+    models = translate_circuit(read_cards(text, "m.lib"), "ltspice").items[:2]
     assert models[1].type.lower() == "npn"
     assert models[1].parameters == {"bf": "200", "is": "1f"}
 
@@ -438,7 +438,7 @@ def test_the_current_of_an_element_includes_its_parasitic_elements(cards, exact,
 
 def test_ratings_become_a_comment():
     text = "C1 a 0 1u V=25 mfg=KEMET ic=2\n"
-    capacitor = translate_circuit(read(text, "own.lib"), "ltspice").items[0]
+    capacitor = translate_circuit(read_cards(text, "own.lib"), "ltspice").items[0]
     assert capacitor.parameters == {"ic": "2"}
     assert capacitor.notes == ("* C1: the equations do not contain V=25 mfg=KEMET",)
 
@@ -483,7 +483,7 @@ type = "op"
 
 def test_a_switch_of_pspice_with_hysteresis_is_that_of_ngspice():
     text = "S1 a 0 c 0 X\n.model X VSWITCH(Ron=1 Roff=1Meg Vt=1 Vh=0.2)\n"
-    switch, model = translate_circuit(read(text, "own.lib"), "pspice").items
+    switch, model = translate_circuit(read_cards(text, "own.lib"), "pspice").items
     assert (switch.kind, model.type) == ("s", "SW")
     assert model.parameters == {"Ron": "1", "Roff": "1Meg", "Vt": "1", "Vh": "0.2"}
 
@@ -505,7 +505,7 @@ type = "op"
 
 def test_a_resistor_of_pspice_at_absolute_zero_has_no_noise():
     text = "R1 a 0 N 1k\n.model N RES(T_ABS=-273.15)\nD1 a 0 J\n.model J D(T_ABS=50)\n"
-    resistor, quiet, diode, _ = translate_circuit(read(text, "own.lib"), "pspice").items
+    resistor, quiet, diode, _ = translate_circuit(read_cards(text, "own.lib"), "pspice").items
     assert resistor.parameters == {"noisy": "0"}
     assert quiet.parameters == {}
     assert diode.parameters == {"temp": "50"}
@@ -514,4 +514,4 @@ def test_a_resistor_of_pspice_at_absolute_zero_has_no_noise():
 def test_a_laplace_transform_of_pspice_is_refused():
     text = "E1 a 0 LAPLACE {V(b)} = {1/(1+s)}\n"
     with pytest.raises(UsageError, match="Laplace transform"):
-        translate_circuit(read(text, "own.lib"), "pspice")
+        translate_circuit(read_cards(text, "own.lib"), "pspice")

@@ -8,7 +8,7 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.core.progress import Clock
-from kc2spice.netlist.translate import translate
+from kc2spice.netlist.translate import translate_deck
 from kc2spice.sim.ngspice import find_ngspice, write_files
 from kc2spice.workflow.decks import prepare_deck
 
@@ -176,18 +176,18 @@ MEASURED = {
 @pytest.mark.parametrize("dialect", MEASURED)
 def test_other_simulators_measure_in_their_own_words(dialect):
     _, deck = prepare_deck(kc.load_scene(DISCHARGE), Clock())
-    lines = translate(deck, dialect).text.split("\n")
+    lines = translate_deck(deck, dialect).text.split("\n")
     assert set(MEASURED[dialect]) <= set(lines)
     assert "* Main metrics in SI units" in lines
 
 
 def test_other_simulators_scale_and_take_magnitudes_in_their_own_words():
     _, deck = prepare_deck(kc.load_scene("gap_biased"), Clock())
-    xyce, ltspice = (translate(deck, dialect).text for dialect in ("xyce", "ltspice"))
+    xyce, ltspice = (translate_deck(deck, dialect).text for dialect in ("xyce", "ltspice"))
     assert re.search(r"(?m)^\.measure AC voltage_hz MAX VM\(\w+\) OUTPUT=FREQ$", xyce)
     assert "LTspice prints no .meas ac voltage_hz MAX_AT" in ltspice
     _, deck = prepare_deck(kc.load_scene("loudspeaker"), Clock())
-    xyce, ltspice = (translate(deck, dialect).text for dialect in ("xyce", "ltspice"))
+    xyce, ltspice = (translate_deck(deck, dialect).text for dialect in ("xyce", "ltspice"))
     scaled = r"(?m)^\.meas\w* TRAN (\w+) (?:PARAM |EQN \{)1e-06\*\1_raw\}?$"
     assert re.search(scaled, xyce)
     assert re.search(scaled, ltspice)
@@ -197,6 +197,6 @@ def test_other_simulators_scale_and_take_magnitudes_in_their_own_words():
 def test_no_measure_scales_one_that_a_dialect_lacks(dialect):
     """Neither gives the place of a maximum of a sweep, so none is multiplied by the unit."""
     _, deck = prepare_deck(kc.load_scene(STRETCHED), Clock())
-    text = translate(deck, dialect).text
+    text = translate_deck(deck, dialect).text
     assert re.search(r"(?m)^\.meas\w* DC rest_m (PARAM |EQN \{)1e-06\*rest_m_raw", text)
     assert not re.search(r"(?m)^\.meas.*largest_m", text)

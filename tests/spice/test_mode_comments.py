@@ -7,7 +7,7 @@ import pytest
 import scipy
 
 import kc2spice as kc
-from kc2spice.netlist.expression import literal
+from kc2spice.netlist.expression import literal_value
 
 MODE = re.compile(
     r"\* Mode \d+: ([\d.e+-]+) (\w*)Hz, Q (\S+), (\w+)=(\S+) (\w+)=(\S+) (\w+)=(\S+) at (\w+)"
@@ -36,7 +36,7 @@ def modes(model):
     """Rows of frequency, Q, values by name, and pin of the printed comments."""
     for match in MODE.finditer(kc.subcircuit(model, "bar").text):
         hertz, prefix, quality, *pairs, pin = match.groups()
-        values = dict(zip(pairs[::2], map(literal, pairs[1::2]), strict=True))
+        values = dict(zip(pairs[::2], map(literal_value, pairs[1::2]), strict=True))
         yield float(hertz) * SI[prefix], float(quality), values, pin
 
 

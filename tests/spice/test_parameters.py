@@ -10,7 +10,7 @@ from device import deck_of
 from kc2spice.bodies.stack import stack_device
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.netlist.deck import Command, Deck
-from kc2spice.netlist.lint import lint
+from kc2spice.netlist.lint import require_valid_wiring
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.synthesis.realize import subcircuit
@@ -79,7 +79,7 @@ def test_changed_parameters_equal_a_new_export(scene, varied, decks, tmp_path):
         "contact.eps", "contact.radius", "sphere.mass", "sphere.radius", "sphere.gravity",
         *(f"pid.{key}" for key in SECTIONS["control"]),
     }  # fmt: skip
-    lint(by_hand)
+    require_valid_wiring(by_hand)
     runs = [run_deck(short(d), tmp_path / n) for n, d in
             (("base", base), ("hand", by_hand), ("export", exported))]  # fmt: skip
     for key in ("sphere.y", "contact.force", "kick.u.ring0", "coil.upper.current", "control.error"):

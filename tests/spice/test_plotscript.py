@@ -6,7 +6,7 @@ import subprocess
 import pytest
 from device import deck_of
 
-from kc2spice.netlist.printers.plot_script import plot_script
+from kc2spice.netlist.printers.plot_script import write_plot_script
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import write_files
 
@@ -14,7 +14,7 @@ from kc2spice.sim.ngspice import write_files
 @pytest.mark.parametrize("name", ["impact", "harmonic"])
 def test_every_curve_of_the_command_file_is_drawn(name, model, table, tmp_path):
     deck = deck_of(load_scene(name), model, table)
-    ((file, text),) = plot_script(deck).items()
+    ((file, text),) = write_plot_script(deck).items()
     assert f"ngspice {file}" in deck.files[deck.main]
     plots = re.findall(r"(?m)^plot (.*)$", text)
     assert plots

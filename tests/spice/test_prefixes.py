@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import literal
+from kc2spice.netlist.expression import literal_value
 from kc2spice.netlist.prefixes import read_parameter, read_value, with_prefix, with_prefixes
 from kc2spice.sim.ngspice import run_deck
 
@@ -64,7 +64,7 @@ def test_plain_prefixes_would_be_other_doubles(tmp_path):
 
 def test_our_reader_reads_the_true_value():
     for text in NUMBERS:
-        assert literal(with_prefix(text)) == float(Decimal(text))
+        assert literal_value(with_prefix(text)) == float(Decimal(text))
 
 
 def test_numbers_are_those_of_an_engineer():

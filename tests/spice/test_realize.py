@@ -8,7 +8,7 @@ import pytest
 from device import bench
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.expression import literal
+from kc2spice.netlist.expression import literal_value
 from kc2spice.netlist.library import Header
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.sim.ngspice import run_deck
@@ -188,7 +188,7 @@ def test_signals_of_coupled_states(dense, tmp_path):
     assert [p.name for p in part.pins] == ["u0", "u1", "y0", "y1", "ref"]
     assert "free integrator" not in part.text
     farads = re.findall(r"(?m)^Cz\d \S+ \S+ (\S+)$", part.text)
-    assert list(map(literal, farads)) == pytest.approx(4 * [1 / (2 * np.pi * 1e3)])
+    assert list(map(literal_value, farads)) == pytest.approx(4 * [1 / (2 * np.pi * 1e3)])
     cards = ["V0 one 0 DC 1 AC 1", "X0 one 0 a0 a1 0 plant", "X1 0 one b0 b1 0 plant"]
     vectors = {f"{n}{k}": (f"v({n}{k})", 1.0) for n in "ab" for k in range(2)}
     waves = run_deck(bench([part], "\n".join([*cards, ".ac lin 4 50 800"]), vectors), tmp_path)

@@ -8,7 +8,7 @@ import kc2spice as kc
 from kc2spice.core.domains import CONSERVATIVE, SPICE_UNITS
 from kc2spice.core.progress import Clock
 from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.translate import dialect_files
+from kc2spice.netlist.translate import write_dialect_files
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.export import export_scene
 
@@ -54,7 +54,7 @@ def test_elements_carry_the_unit_of_their_value():
 def test_decks_state_units_that_are_not_the_simulators_own(dialect):
     def lines(scene):
         deck = deck_of(scene)
-        return dialect_files(deck, dialect)[deck.main].split("\n")
+        return write_dialect_files(deck, dialect)[deck.main].split("\n")
 
     heat = lines(HEATED)
     stated = "* Units of the nodes: 1 V = 1 K (temperatures), 1 A = 1 W (heat flows)."

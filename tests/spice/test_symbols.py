@@ -8,8 +8,8 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.expression import literal
-from kc2spice.netlist.translate import symbol_files
+from kc2spice.netlist.expression import literal_value
+from kc2spice.netlist.translate import write_symbol_files
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
 
@@ -29,7 +29,7 @@ def deck(parts, loop):
 
 @pytest.fixture(scope="module")
 def files(deck):
-    return symbol_files(deck)
+    return write_symbol_files(deck)
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +156,7 @@ def test_the_sheet_joins_what_the_deck_joins(written, files, deck):
 def test_the_sheets_of_scenes_join_what_their_decks_join(name, tmp_path):
     built = device.built(load_scene(name), device.chip(), device.magnets(), others=True)
     deck = make_deck(built)
-    files = symbol_files(deck)
+    files = write_symbol_files(deck)
     sheet = f"{name}.kicad_sch"
     (tmp_path / sheet).write_text(files[sheet])
     named = nets_of_sheet(tmp_path, files, name)
@@ -179,8 +179,8 @@ def test_ltspice_reads_what_the_library_declares(written, deck):
         assert read.attributes["Value"] == part.name
         assert read.attributes["ModelFile"] == f"{stem}.ltspice.lib"
         line = read.attributes.get("SpiceLine", "")
-        read_values = {k: literal(v) for k, v in (w.split("=") for w in line.split())}
-        assert read_values == {k: literal(v) for k, v in params.items()}
+        read_values = {k: literal_value(v) for k, v in (w.split("=") for w in line.split())}
+        assert read_values == {k: literal_value(v) for k, v in params.items()}
         assert all(p.coord.X % 16 == p.coord.Y % 16 == 0 for p in read.pins)
 
 
@@ -233,7 +233,7 @@ stop = "1 ms"
 def test_symbols_of_parts_with_data_sheets_have_the_pins_of_their_libraries(tmp_path):
     (tmp_path / "board.toml").write_text(SHEET_PARTS)
     deck = kc.deck(tmp_path / "board.toml")
-    files = symbol_files(deck)
+    files = write_symbol_files(deck)
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     symbols = {s.library_id: s for s in library(tmp_path).symbols}

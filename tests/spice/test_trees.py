@@ -8,9 +8,9 @@ import kc2spice as kc
 from kc2spice.core.progress import Clock
 from kc2spice.netlist import deck as decks
 from kc2spice.netlist.circuit import Circuit, Element
-from kc2spice.netlist.edited_deck import element_text, read_edited_deck
+from kc2spice.netlist.edited_deck import normalise_element, read_edited_deck
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.read import read
+from kc2spice.netlist.read import read_cards
 from kc2spice.workflow.decks import prepare_deck
 
 
@@ -24,15 +24,15 @@ def elements(circuit):
 
 def test_libraries_read_back_to_the_trees_they_are_printed_from(loop):
     for part in loop.parts:
-        again = read(part.text, part.filename)
+        again = read_cards(part.text, part.filename)
         cards = list(elements(part.located_tree))
-        assert list(map(element_text, elements(again))) == list(map(element_text, cards))
+        assert list(map(normalise_element, elements(again))) == list(map(normalise_element, cards))
         assert [card.written for card in elements(again)] == [card.written for card in cards]
         assert [card.where for card in elements(again)] == [card.where for card in cards]
 
 
 def test_decks_read_back_to_the_trees_they_are_printed_from(loop):
-    again = read(loop.files[loop.main], loop.main, title=True)
+    again = read_cards(loop.files[loop.main], loop.main, title=True)
     cards = [Printer().card(item) for item in loop.circuit.items]
     assert [Printer().card(item) for item in again.items] == cards
     assert [item.notes for item in again.items] == [item.notes for item in loop.circuit.items]
@@ -75,12 +75,12 @@ def test_an_edited_deck_is_read_once(duffing, monkeypatch):
     def unread(*_, **__):
         raise AssertionError("read again")
 
-    monkeypatch.setattr(decks, "read", unread)
+    monkeypatch.setattr(decks, "read_cards", unread)
     assert edited.files[edited.main].count("gmin") == 1
     changed = edited.with_options({"gmin": "1e-14"}, "a test")
     changed = changed.with_results({"more": ("v(more)", 1.0)})
-    assert edited.option("gmin") == "1e-13"
-    assert changed.option("gmin") == "1e-14"
+    assert edited.option_value("gmin") == "1e-13"
+    assert changed.option_value("gmin") == "1e-14"
     text = changed.with_command(decks.Command("op", ())).files[edited.main]
     assert "\n.op\n" in text
     assert ".tran" not in text

@@ -12,7 +12,7 @@ from hard_cases.kit import kick
 from kc2spice.core.domains import DOMAINS
 from kc2spice.core.progress import Clock, ignore_progress
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.library import subcircuits
+from kc2spice.netlist.library import parse_subcircuits
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import Gate
 from kc2spice.scene.load import load_scene
@@ -219,7 +219,7 @@ def missed_gates(build, text, folder):
     """Names of the netlist's checks that fail."""
     part = build.scene.parts["kick"]
     rom, band = build.model(part, LinearModel), (0.0, 500e3)
-    libraries = tuple(subcircuits(text, "chip.lib"))
+    libraries = tuple(parse_subcircuits(text, "chip.lib"))
     frequency, found = bodies.netlist_response(
         part, build, libraries, Clock(ignore_progress), folder, band
     )

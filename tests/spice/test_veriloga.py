@@ -10,9 +10,9 @@ from networks import H, Network
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Param, Pin
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.printers.verilog_a import module_files
-from kc2spice.netlist.read import read
-from kc2spice.netlist.translate import dialect_files
+from kc2spice.netlist.printers.verilog_a import print_module
+from kc2spice.netlist.read import read_cards
+from kc2spice.netlist.translate import write_dialect_files
 
 openvaf = pytest.importorskip("openvaf_py")
 
@@ -23,7 +23,7 @@ NAMES = ("kick", "sphere", "contact", "catch", "coil", "opamp", "pid")
 def modules(parts, tmp_path_factory):
     home = tmp_path_factory.mktemp("veriloga")
     compiled = {}
-    for name, text in (item for part in parts.values() for item in module_files(part).items()):
+    for name, text in (item for part in parts.values() for item in print_module(part).items()):
         (home / name).write_text(text)
         (compiled[name.removesuffix(".va")],) = openvaf.compile_va(str(home / name))
     return compiled
@@ -110,7 +110,7 @@ def test_residuals_and_jacobian(parts, modules, name):
 
 def test_the_dialect_writes_modules(loop, parts):
     more = (*loop.parts, parts["coil"], parts["opamp"])
-    files = dialect_files(replace(loop, parts=more), "verilog-a")
+    files = write_dialect_files(replace(loop, parts=more), "verilog-a")
     (kick,) = (part for part in loop.parts if part.filename == "loop_kick.lib")
     assert set(files) == {f"{name}.va" for name in ("loop_kick", *NAMES[1:])} | {"loop_osdi.cir"}
     bench = files["loop_osdi.cir"]
@@ -122,7 +122,7 @@ def test_the_dialect_writes_modules(loop, parts):
 def part_of(cards_):
     text = f"* part\n.subckt part a b k=2\n{cards_}\n.ends part\n"
     pins, params = (Pin("a", "V", "A"), Pin("b", "V", "A")), (Param("k", 2.0, "-", "gain"),)
-    return Subcircuit("part", pins, params, read(text, "part.lib"), source=text)
+    return Subcircuit("part", pins, params, read_cards(text, "part.lib"), source=text)
 
 
 REFUSED = [
@@ -137,5 +137,5 @@ REFUSED = [
 def test_what_a_module_cannot_say_is_refused():
     for card in REFUSED:
         with pytest.raises(UsageError) as caught:
-            module_files(part_of(card))
+            print_module(part_of(card))
         assert "part.lib:" in str(caught.value), card

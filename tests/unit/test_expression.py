@@ -4,7 +4,7 @@ import operator
 
 import pytest
 
-from kc2spice.netlist.expression import Binary, Choice, Number, Unary, Writer, parse
+from kc2spice.netlist.expression import Binary, Choice, Number, Unary, Writer, parse_expression
 
 OPERATORS = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
@@ -56,17 +56,17 @@ VALUES = [
 
 @pytest.mark.parametrize(("text", "value", "written"), VALUES)
 def test_an_expression_keeps_its_value(text, value, written):
-    tree = parse(text)
+    tree = parse_expression(text)
     assert worth(tree) == value
     assert Writer().write(tree) == written
-    assert parse(written) == tree
+    assert parse_expression(written) == tree
 
 
 @pytest.mark.parametrize(
     ("text", "value"), [("2^3^2", 512), ("2**-1", 0.5), ("-2^2", -4), ("3*2^2", 12), ("2^2*3", 12)]
 )
 def test_a_power_binds_closest_and_from_the_right(text, value):
-    assert worth(parse(text)) == value
+    assert worth(parse_expression(text)) == value
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_a_power_binds_closest_and_from_the_right(text, value):
      ("3V", 3.0), ("1.5e2k", 1.5e5), (".5", 0.5), ("2.", 2.0), ("1e-3", 1e-3), ("2E+1", 20.0)],
 )  # fmt: skip
 def test_scale_factors_are_ngspices(text, value):
-    tree = parse(text)
+    tree = parse_expression(text)
     assert isinstance(tree, Number)
     assert float(tree.text) == pytest.approx(value, rel=1e-15)
-    assert parse(f"max({text}, 1)").arguments == (tree, Number("1"))
+    assert parse_expression(f"max({text}, 1)").arguments == (tree, Number("1"))

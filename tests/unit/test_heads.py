@@ -8,9 +8,9 @@ import pytest
 import kc2spice as kc
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.library import Header, ReductionFacts, join_comments
+from kc2spice.netlist.library import Header, ReductionSummary, join_comments
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.read import read
+from kc2spice.netlist.read import read_cards
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.rom.linear_model import Certificate
 from kc2spice.sim.ngspice import run_deck
@@ -26,7 +26,7 @@ NETLISTS = Path(__file__).parents[2] / "netlists"
 )  # fmt: skip
 def test_a_bound_is_rounded_upwards(error, written):
     certificate = Certificate((0.0, 5e5), error, "residual", True, True)
-    reduction = ReductionFacts(7, (0.0, 5e5), "pointwise", error, 1e-12, 3.0)
+    reduction = ReductionSummary(7, (0.0, 5e5), "pointwise", error, 1e-12, 3.0)
     first, second, *_ = lines = rom_lines(reduction, certificate)
     assert first == f"* rom: order=7 band=0.0..500000.0 Hz norm=pointwise error={written}"
     assert second.startswith("*   (residual; emitted circuit")
@@ -47,7 +47,7 @@ def test_a_head_has_an_instance_to_copy_and_lines_of_100_characters():
 def declared_use(circuit):
     """The instance that the head of a subcircuit shows, as an element."""
     (line,) = (line for line in join_comments(circuit.notes) if line.startswith("* use: "))
-    (element,) = read(line.removeprefix("* use: ").replace(" + ", " ") + "\n", "use").items
+    (element,) = read_cards(line.removeprefix("* use: ").replace(" + ", " ") + "\n", "use").items
     return element
 
 
@@ -56,7 +56,7 @@ def test_the_instance_of_a_head_has_the_pins_and_parameters_of_its_subcircuit(pa
     text = path.read_text(encoding="utf-8")
     if "* tool:" not in text:
         return
-    for circuit in read(text, path.name).subcircuits:
+    for circuit in read_cards(text, path.name).subcircuits:
         use = declared_use(circuit)
         assert (use.model, use.nodes) == (circuit.name, circuit.pins)
         assert use.parameters == circuit.defaults
@@ -64,7 +64,7 @@ def test_the_instance_of_a_head_has_the_pins_and_parameters_of_its_subcircuit(pa
 
 def test_the_instance_of_a_helper_runs_as_it_is_copied(tmp_path):
     path = NETLISTS / "kick_and_catch" / "amplifier.lib"
-    whole = read(path.read_text("utf-8"), path.name)
+    whole = read_cards(path.read_text("utf-8"), path.name)
     (helper,) = (c for c in whole.subcircuits if c.name == "amplifier_opamp_slew")
     assert "* amplifier_opamp_slew: operational amplifier with slew rate and current limit" in (
         helper.notes

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.library import subcircuits
-from kc2spice.netlist.printers.lines import card_lines, comment_lines
+from kc2spice.netlist.library import parse_subcircuits
+from kc2spice.netlist.printers.lines import wrap_card, wrap_comments
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.read import read
+from kc2spice.netlist.read import read_cards
 from kc2spice.sim.ngspice import run_deck
 
 SUM = "+".join(f"{k}e-05*V(in_{k % 3},0)/w{k % 2}" for k in range(1, 40))
@@ -23,31 +23,31 @@ CARDS = [
 
 @pytest.mark.parametrize("card", CARDS)
 def test_a_long_card_reads_back_as_the_same(card):
-    lines = list(card_lines(card))
+    lines = list(wrap_card(card))
     assert len(lines) > 1
     assert max(map(len, lines)) <= 100
     assert all(line.startswith("+ ") for line in lines[1:])
     texts = ("\n".join(text) + "\n" for text in (lines, [card]))
-    one, whole = (Printer().file(read(text, "cards.lib")) for text in texts)
+    one, whole = (Printer().file(read_cards(text, "cards.lib")) for text in texts)
     assert one == whole
 
 
 def test_short_cards_and_words_that_have_no_end_stay():
-    assert list(card_lines("R1 a b 1k")) == ["R1 a b 1k"]
+    assert list(wrap_card("R1 a b 1k")) == ["R1 a b 1k"]
     path = f'.include "{"long name " * 12}.lib"'
-    assert path.partition(" ")[2] in "\n".join(card_lines(path))
+    assert path.partition(" ")[2] in "\n".join(wrap_card(path))
 
 
 def test_comments_go_on_behind_three_blanks():
     use = "* use: X1 " + "node " * 16 + "body " + "damping=1 " * 6
-    first, second = comment_lines(use)
+    first, second = wrap_comments(use)
     assert second.startswith("*   + damping=1")
     assert " ".join([first, second.removeprefix("*   + ")]) == use.strip()
-    law = list(comment_lines("*   force = " + "+".join(["stop*max(0,x)"] * 20)))
+    law = list(wrap_comments("*   force = " + "+".join(["stop*max(0,x)"] * 20)))
     assert max(map(len, law)) <= 100
     assert len(law) > 2
     two = f"* {'first ' * 10}\n* {'second ' * 10}"
-    assert list(comment_lines(two)) == two.split("\n")
+    assert list(wrap_comments(two)) == two.split("\n")
 
 
 def test_a_library_with_long_comments_reads_back_with_its_title_and_parameters():
@@ -60,9 +60,9 @@ def test_a_library_with_long_comments_reads_back_with_its_title_and_parameters()
 R1 a b {{size}}
 .ends part
 """
-    printed = Printer().file(read(text, "part.lib"))
+    printed = Printer().file(read_cards(text, "part.lib"))
     assert max(map(len, printed.splitlines())) <= 100
-    (part,) = subcircuits(printed, "part.lib")
+    (part,) = parse_subcircuits(printed, "part.lib")
     assert part.title == f"part: {words.strip()}"
     assert part.params[0].doc == words.strip()
 
@@ -74,9 +74,9 @@ def test_ngspice_reads_the_same_number_from_continued_expressions(tmp_path):
     values = []
     for name, lines in (("whole", [law]), ("continued", [])):
         card = f"B1 out 0 V={{{law}}}"
-        cards = [card] if lines else list(card_lines(card))
+        cards = [card] if lines else list(wrap_card(card))
         parameter = f".param y={{{law.replace('^', '**')}}}"
-        cards += [parameter] if lines else list(card_lines(parameter))
+        cards += [parameter] if lines else list(wrap_card(parameter))
         assert (len(cards) > 2) == (name == "continued")
         text = "\n".join([name, ".param x=0.9", *cards, "V1 p 0 {y}", "R1 out 0 1", ".op", ".end"])
         deck = Deck(

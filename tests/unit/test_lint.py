@@ -4,7 +4,7 @@ import pytest
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.lint import find_circuit_problems, lint
+from kc2spice.netlist.lint import find_wiring_mistakes, require_valid_wiring
 
 LIBRARY = """* divider: a part
 * @pin 1 top unit=V flow=A
@@ -24,7 +24,7 @@ def deck(cards, library=LIBRARY):
 
 
 def complaints(cards, library=LIBRARY):
-    return [(p.where, p.message, p.got) for p in find_circuit_problems(deck(cards, library))]
+    return [(p.where, p.message, p.got) for p in find_wiring_mistakes(deck(cards, library))]
 
 
 GOOD = [
@@ -56,7 +56,7 @@ GOOD = [
 @pytest.mark.parametrize("cards", GOOD)
 def test_sound_decks_pass(cards):
     assert complaints(cards) == []
-    lint(deck(cards))
+    require_valid_wiring(deck(cards))
 
 
 BAD = [
@@ -98,7 +98,7 @@ def test_wrong_wiring_is_named(cards, message, where):
     found = [(w, m) for w, m, _ in complaints(cards)]
     assert any(w == where and message in m for w, m in found), found
     with pytest.raises(UsageError) as caught:
-        lint(deck(cards))
+        require_valid_wiring(deck(cards))
     assert caught.value.exit_code == 2
     assert "test.cir:" in str(caught.value)
 
@@ -119,7 +119,7 @@ def test_wrong_wiring_is_named(cards, message, where):
 )
 def test_unreadable_decks_are_named(cards, message):
     with pytest.raises(UsageError, match=message) as caught:
-        lint(deck(cards))
+        require_valid_wiring(deck(cards))
     assert caught.value.where is not None
     assert caught.value.where.startswith(("test.cir:", "divider.lib:"))
 

@@ -12,7 +12,7 @@ import skrf
 
 import kc2spice as kc
 from kc2spice.bodies.readers.measured import is_measured, read_measured
-from kc2spice.netlist.deck import ac
+from kc2spice.netlist.deck import ac_command
 from kc2spice.rom.io import read_rom
 from kc2spice.rom.multiport import fit_multiport
 from kc2spice.rom.network import parallel_branches
@@ -154,7 +154,7 @@ def test_a_measurement_becomes_a_circuit_within_its_stated_deviation(tmp_path):
     peaks = [np.sqrt(b.elastance / b.inductance) / (2 * np.pi) for b in branches]
     assert peaks == pytest.approx([52e3, 66e3], rel=2e-4)
     deck = first_deck(rom, kc.subcircuit(rom, "part"))
-    waves = kc.simulate(replace(deck, command=ac(40e3, 80e3, 401, "linear"))).waves
+    waves = kc.simulate(replace(deck, command=ac_command(40e3, 80e3, 401, "linear"))).waves
     assert np.abs(waves["anode.current"] / Y - 1).max() == pytest.approx(
         found["error_estimate"], rel=1e-3
     )
@@ -187,7 +187,7 @@ def test_a_measured_two_port_becomes_a_passive_circuit(tmp_path):
     sources = sum(line[:1] in "GE" for line in part.text.splitlines())
     assert sources < 6 * rom.order  # each input its own states, loops closed by waves
     deck = first_deck(rom, part)
-    waves = kc.simulate(replace(deck, command=ac(f[0], f[-1], len(f), "linear"))).waves
+    waves = kc.simulate(replace(deck, command=ac_command(f[0], f[-1], len(f), "linear"))).waves
     for k in range(2):
         seen = np.abs(waves[f"port{k + 1}.current"] - noisy[:, k, 0]).max()
         assert seen <= 1.001 * found["error_estimate"] * np.abs(noisy[:, k, 0]).max()
@@ -228,7 +228,7 @@ def test_published_files_become_circuits_as_near_as_stated(tmp_path, name, devia
     assert found["error_estimate"] == pytest.approx(float(deviation), rel=0.03)
     rom = read_rom(found["rom"])
     deck = first_deck(rom, kc.subcircuit(rom, "published"))
-    linear = ac(float(net.f[0]), float(net.f[-1]), len(net.f), "linear")
+    linear = ac_command(float(net.f[0]), float(net.f[-1]), len(net.f), "linear")
     waves = kc.simulate(replace(deck, command=linear)).waves
     first = net.y[:, :, 0]
     size = np.abs(first) if found["norm"] == "pointwise" else np.abs(first).max(axis=0)

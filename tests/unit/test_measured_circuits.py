@@ -11,8 +11,8 @@ import skrf
 
 import kc2spice as kc
 from kc2spice.bodies.readers.measured import read_measured
-from kc2spice.netlist.deck import ac
-from kc2spice.netlist.expression import parse
+from kc2spice.netlist.deck import ac_command
+from kc2spice.netlist.expression import parse_expression
 from kc2spice.rom.branch_fit import fit_one_port
 from kc2spice.rom.io import read_rom
 from kc2spice.rom.network import CircuitBranch, ParallelBranches, parallel_branches
@@ -98,7 +98,9 @@ def coil_file(path):
 def simulated(model, f):
     """Impedance [Ohm] of the emitted library by ngspice, at frequencies one by one."""
     deck = first_deck(model, kc.subcircuit(model, "part"))
-    found = [kc.simulate(replace(deck, command=ac(at, 2 * at, 2, "linear"))).waves for at in f]
+    found = [
+        kc.simulate(replace(deck, command=ac_command(at, 2 * at, 2, "linear"))).waves for at in f
+    ]
     return np.array([1 / waves["anode.current"][0] for waves in found])
 
 
@@ -115,7 +117,7 @@ def test_a_coil_conducts_below_its_band(tmp_path):
     library = kc.subcircuit(model, "coil").text
     cards = re.findall(r"^[RLCGEV].*", library, re.M)
     assert len(cards) == 6  # a resistor and an inductor of each branch, all positive
-    assert all(float(parse(card.split()[3]).text) > 0 for card in cards)
+    assert all(float(parse_expression(card.split()[3]).text) > 0 for card in cards)
 
 
 def test_resistance_at_zero_frequency_is_that_of_the_user(tmp_path):
@@ -163,7 +165,7 @@ def test_a_capacitor_blocks_and_its_leak_is_below_its_error(tmp_path):
     assert parallel_branches(model).conductance == 0
     assert np.abs(simulated(model, f[::20]) * Y[::20] - 1).max() < 2e-6
     text = kc.subcircuit(model, "sensor").text
-    leak = float(parse(re.search(r"^Rleak \S+ \S+ (\S+)", text, re.M)[1]).text)
+    leak = float(parse_expression(re.search(r"^Rleak \S+ \S+ (\S+)", text, re.M)[1]).text)
     assert leak > 1e8 * np.abs(1 / Y[0])
 
 

@@ -10,7 +10,7 @@ import pytest
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import read_checked_circuit
-from kc2spice.netlist.lint import lint
+from kc2spice.netlist.lint import require_valid_wiring
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.output import read_raw
 
@@ -160,7 +160,7 @@ def test_damaged_circuits_are_refused_with_their_line(chunk, tmp_path):
         path.write_bytes(mutated(text, rng).encode("utf-8", "replace"))
         try:
             library = read_checked_circuit(path).text
-            lint(Deck(name="t", text=main, more={"user.lib": library}, stop=1e-3))
+            require_valid_wiring(Deck(name="t", text=main, more={"user.lib": library}, stop=1e-3))
         except UsageError as error:
             assert re.match(r"(user\.lib|t\.cir)(:\d+)?$|.*user\.lib", str(error.where)), error
             bad += 1

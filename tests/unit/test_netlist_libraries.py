@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from kc2spice.netlist.circuit import Circuit, Element
-from kc2spice.netlist.expression import literal
+from kc2spice.netlist.expression import literal_value
 from kc2spice.netlist.library import read_lib
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.read import read
+from kc2spice.netlist.read import read_cards
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))
@@ -60,7 +60,7 @@ def tokens(text):
     """Cards without blanks, brackets and continuation, and numbers as values: printing may change
     their spelling."""
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("*")]
-    joined = NUMBER.sub(lambda number: repr(literal(number[0])), "\n".join(lines))
+    joined = NUMBER.sub(lambda number: repr(literal_value(number[0])), "\n".join(lines))
     joined = joined.replace("\n+", "")
     return [re.sub(r"[\s(){},]", "", card).lower() for card in joined.splitlines()]
 
@@ -76,9 +76,9 @@ def laws(circuit):
 @pytest.mark.parametrize("path", LIBRARIES, ids=lambda p: f"{p.parent.name}/{p.stem}")
 def test_a_library_is_the_same_when_it_is_printed_anew(path):
     text = path.read_text()
-    tree = read(text, path.name)
+    tree = read_cards(text, path.name)
     printed = Printer().file(tree)
-    again = read(printed, path.name)
+    again = read_cards(printed, path.name)
     assert list(laws(tree)) == list(laws(again))
     assert Printer().file(again) == printed
     assert tokens(printed) == tokens(text)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.expression import parameter_value, parse
+from kc2spice.netlist.expression import evaluate_parameter, parse_expression
 from kc2spice.netlist.nodal import NodalCircuit
-from kc2spice.netlist.read import read
+from kc2spice.netlist.read import read_cards
 
 LADDER = """\
 .subckt ladder in out ref size=1
@@ -34,7 +34,7 @@ def test_a_ladder_answers_as_its_impedances(stages):
     ]
     renamed = [f"{c.split()[0]}_{k} {c.split(None, 1)[1]}" for k, c in enumerate(copies)]
     text = "\n".join([*cards[:2], *renamed, cards[-1]])
-    (circuit,) = read(text, "ladder").subcircuits
+    (circuit,) = read_cards(text, "ladder").subcircuits
     f = np.array([1e3, 1e5, 3e5])
     s, size = 2j * np.pi * f, 3.0
     equations = NodalCircuit(circuit).equations({"size": size}, ["ref"], {"held": "in"})
@@ -48,8 +48,8 @@ def test_a_ladder_answers_as_its_impedances(stages):
 
 
 def test_what_is_not_linear_is_refused():
-    (circuit,) = read(".subckt d a b\nD1 a b x\n.ends d\n", "d").subcircuits
+    (circuit,) = read_cards(".subckt d a b\nD1 a b x\n.ends d\n", "d").subcircuits
     with pytest.raises(UsageError, match="not an element of a linear circuit"):
         NodalCircuit(circuit).equations({}, ["b"], {})
     with pytest.raises(UsageError, match="not a number"):
-        parameter_value(parse("2*V(a)"), {})
+        evaluate_parameter(parse_expression("2*V(a)"), {})

@@ -5,8 +5,8 @@ import pytest
 from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import explain_unsafe_name
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.include_scan import included_netlist, read_checked_circuit
-from kc2spice.netlist.lint import lint
+from kc2spice.netlist.include_scan import read_checked_circuit, read_included_netlist
+from kc2spice.netlist.lint import require_valid_wiring
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.verify.verify import verify_scenes
 
@@ -193,7 +193,7 @@ def test_paths_count_from_the_file_they_stand_in(user):
         "models/inner.lib": "* inner\n",
     }).text  # fmt: skip
     assert "\n* inner\n" in text
-    lint(Deck(name="user", text=text))
+    require_valid_wiring(Deck(name="user", text=text))
 
 
 @pytest.mark.parametrize(
@@ -224,14 +224,14 @@ def test_a_circuit_in_a_folder_includes_what_lies_beside_it(tmp_path):
     (tmp_path / "sub" / "inner.lib").write_text(".param a=1\n")
     (tmp_path / "inner.lib").write_text(".param a=2\n")
     expected = "* begin of inner.lib\n.param a=1\n\n* end of inner.lib\n"
-    found = included_netlist("sub/user.cir", tmp_path)
+    found = read_included_netlist("sub/user.cir", tmp_path)
     assert (found.file, found.text) == ("user.cir", expected)
 
 
 def test_what_is_copied_beside_a_scene_is_read_before(tmp_path):
     (tmp_path / "user.cir").write_text(".control\n.endc\n")
     with pytest.raises(UsageError, match="control"):
-        included_netlist("user.cir", tmp_path)
+        read_included_netlist("user.cir", tmp_path)
 
 
 MULTIPLIED = {f"{i}.lib": f".include {i + 1}.lib\n" * 2 for i in range(10)}
@@ -263,7 +263,7 @@ def test_names_in_a_scene_cannot_lead_elsewhere(name):
     assert explain_unsafe_name(name)
     home = load_scene("bring_your_own").home
     with pytest.raises(UsageError) as caught:
-        included_netlist(name, home)
+        read_included_netlist(name, home)
     assert caught.value.exit_code == 2
     assert "includes" in str(caught.value)
     with pytest.raises(UsageError):

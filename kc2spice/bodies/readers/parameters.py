@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from kc2spice.bodies.readers.sidecar import Sidecar
 from kc2spice.core.errors import UsageError, wrong
-from kc2spice.netlist.expression import Name, Tree, parameter_value, parse, walk
+from kc2spice.netlist.expression import Name, Tree, evaluate_parameter, parse_expression, walk_tree
 from kc2spice.rom.affine import AffineTerm, ModelParameter
 from kc2spice.rom.pencil import Matrix
 
@@ -45,11 +45,11 @@ def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
     """
     entry, where = settings.terms[number], f"{settings.where}: terms[{number}].factor"
     try:
-        tree = parse(entry.factor, where=where)
+        tree = parse_expression(entry.factor, where=where)
     except RecursionError:
         raise wrong(where, "too deep an expression", entry.factor, "fewer parentheses") from None
     known = {name.lower() for name in settings.parameters}
-    for node in walk(tree):
+    for node in walk_tree(tree):
         if isinstance(node, Name) and node.text.lower() not in known:
             expected = f"one of {', '.join(settings.parameters)}"
             raise wrong(where, "no such parameter", node.text, expected)
@@ -63,7 +63,7 @@ def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
 def _evaluate(tree: Tree, values: Mapping[str, float], where: str) -> float:
     """Value of a factor, with errors that name the key of the factor."""
     try:
-        return parameter_value(tree, {name.lower(): value for name, value in values.items()})
+        return evaluate_parameter(tree, {name.lower(): value for name, value in values.items()})
     except UsageError as error:
         error.where = where
         raise

@@ -1,4 +1,4 @@
-"""Syntax of Xyce and LTspice that differs from ngspice.
+"""Base class of the dialects: differences of other simulators from ngspice.
 
 Sources: Xyce Reference Guide (devices B, S, X, commands .PRINT and .SUBCKT) and LTspice Help
 (B sources, .model SW, .save).
@@ -25,11 +25,11 @@ from kc2spice.netlist.circuit import (
     Model,
     Parameters,
     items_of,
-    lower_keys,
+    lower_names,
 )
 from kc2spice.netlist.deck import ANALYSES, Deck
 from kc2spice.netlist.expression import (
-    EVERYWHERE,
+    COMMON_FUNCTIONS,
     Binary,
     Call,
     Choice,
@@ -37,31 +37,31 @@ from kc2spice.netlist.expression import (
     Trace,
     Tree,
     Unary,
-    parse,
+    parse_expression,
     parse_vector,
 )
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import INCLUDES
 
-_SAME = frozenset({".end", *ANALYSES, *INCLUDES}) - {".noise"}
-# written in the same way in all dialects, except for braces and parameters
-_SHARED = frozenset("rclvikfhxdqjmbegs")
-# Models with the parameters of SPICE2, which have the same meaning in all three simulators.
-_SEMICONDUCTORS = {
+_COMMON_COMMANDS = frozenset({".end", *ANALYSES, *INCLUDES}) - {".noise"}
+# elements with the same syntax in all dialects, except for braces and parameters
+_COMMON_ELEMENTS = frozenset("rclvikfhxdqjmbegs")
+# Models with SPICE2 parameters, which have the same meaning in all three simulators.
+_SEMICONDUCTOR_PARAMETERS = {
     "d": "is rs n tt cjo vj m eg xti fc bv ibv",
     "npn": "is bf nf vaf ikf ise ne br nr var ikr rb rc re cje vje mje tf cjc vjc mjc tr",
     "nmos": "level vto kp gamma phi lambda rd rs is cgso cgdo cgbo tox",
     "njf": "vto beta lambda rd rs cgs cgd pb is",
 }
 for _p_type, _n_type in (("pnp", "npn"), ("pmos", "nmos"), ("pjf", "njf")):
-    _SEMICONDUCTORS[_p_type] = _SEMICONDUCTORS[_n_type]
-COMMON = EVERYWHERE.union(["acosh", "asinh", "atanh", "ceil", "int", "log10", "sgn", "uramp"])
-_EULER = "2.718281828459045"
+    _SEMICONDUCTOR_PARAMETERS[_p_type] = _SEMICONDUCTOR_PARAMETERS[_n_type]
+COMMON = COMMON_FUNCTIONS.union(["acosh", "asinh", "atanh", "ceil", "int", "log10", "sgn", "uramp"])
+_EULER_NUMBER = "2.718281828459045"
 
 
-# Parameters of cards that Xyce and LTspice have as ngspice does.
-_PARAMETERS = {
+# Element parameters of ngspice that Xyce and LTspice also have.
+_ELEMENT_PARAMETERS = {
     "r": {"tc", "tc1", "tc2", "temp"},
     "c": {"ic", "m"},
     "l": {"ic", "m"},
@@ -72,27 +72,27 @@ _PARAMETERS = {
     "j": {"area", "m", "temp"},
     "m": {"l", "w", "ad", "as", "pd", "ps", "nrd", "nrs", "m", "temp"},
 }
-_NOISE = frozenset({"noisy"})  # parameters of a noise analysis, which dialects refuse
+_NOISE_PARAMETERS = frozenset({"noisy"})  # parameters of a noise analysis, which dialects reject
 _EXPONENT = r"e[-+]?\d+"
 _NUMBER = re.compile(
     rf"(?<![\w.])(?:\d+\.?\d*|\.\d+)(?:{_EXPONENT})?((?!{_EXPONENT})[a-z]\w*)(?![\w.])", re.I
 )
-_SCALES = frozenset({"t", "g", "meg", "k", "m", "u", "n", "p", "f"})  # the same in all
+# scale factors of all simulators
+_COMMON_SCALE_FACTORS = frozenset({"t", "g", "meg", "k", "m", "u", "n", "p", "f"})
 
 
 class Dialect(Printer, ABC):
-    """One simulator's spelling of a netlist, as differences from ngspice.
+    """Syntax of one simulator, as differences from ngspice.
 
     ``dialect`` is the name for ``--dialect``, ``title`` the name of the simulator in messages and
     ``command`` the command that runs a deck. ``keyword`` stands before parameters of subcircuits.
-    ``functions`` are those of expressions that the simulator has, ``rewritten`` those that
-    :meth:`call` writes in other words. ``known_options`` are settings that it has too, behind
-    ``option_prefix``; other ones become comments. ``joined`` commands are written as one card.
-    ``parameters`` are those of each kind of card. ``temperature`` is the name of the temperature in
-    expressions.
+    ``functions`` are the functions of the simulator, ``rewritten`` the functions that :meth:`call`
+    replaces. ``known_options`` are options that the simulator has, after ``option_prefix``; other
+    options are written as comments. Commands in ``joined`` are merged into one card. ``parameters``
+    are those of each kind of card. ``temperature`` is the name of the temperature in expressions.
 
     ``deck`` is the deck that is printed, None for a library alone, and :attr:`analysis` its
-    analysis. :meth:`refusal` is the error for a construct that the simulator lacks.
+    analysis. :meth:`refuse` is the error for a construct that the simulator lacks.
     """
 
     dialect: ClassVar[str] = ""
@@ -102,7 +102,7 @@ class Dialect(Printer, ABC):
     joined = frozenset({".save"})  # Xyce writes one file per ``.print``
     functions = COMMON
     rewritten = frozenset({"pow", "pwl"})
-    parameters: Mapping[str, set[str]] = MappingProxyType(_PARAMETERS)
+    parameters: Mapping[str, set[str]] = MappingProxyType(_ELEMENT_PARAMETERS)
     temperature = ""
     measure_keyword = ".meas"
 
@@ -110,32 +110,33 @@ class Dialect(Printer, ABC):
         super().__init__()
         self.deck = deck
         self.defined: set[str] = set()
-        self.unmeasured: set[str] = set()  # names of measures without an equivalent
+        self.unmeasured: set[str] = set()  # names of measurements without an equivalent
 
     @cached_property
     def analysis(self) -> Directive:
-        """The card of the deck's analysis; for a library, a transient from initial states."""
+        """Card of the deck's analysis; for a library, a transient from initial states."""
         items = self.deck.trees[self.deck.main].items if self.deck else ()
         analyses = (card for card in items_of(items, Directive) if card.keyword in ANALYSES)
         transient = Directive(".tran", ("uic",))
         return min(analyses, key=attrgetter("keyword"), default=transient)
 
     def symbols(self, part: Subcircuit, library: str) -> dict[str, str]:
-        """Return the symbols of a part of the file ``library``; by default none."""
+        """Return the symbols of a part in the file ``library``; none by default."""
         return {}
 
     # -- cards ------------------------------------------------------------------------------
 
     def file(self, circuit: Circuit) -> str:
-        """Return the text of a file; its functions are known everywhere in the file."""
+        """Return the text of a file."""
         self.defined = {item.name.lower() for item in items_of(circuit.items, Function)}
         return super().file(circuit)
 
     def lines(self, items: Sequence[Item]) -> Iterator[str]:
-        """Yield the cards; the simulator may need all cards of one command as one card."""
+        """Yield the cards, merged where the simulator needs one card per command."""
         return super().lines(_join_commands(items, self.joined))
 
     def card(self, item: Item) -> str:
+        """Return the text of one card."""
         if isinstance(item, Parameters) and item.keyword != ".param":
             raise self.refusal(item.written, f"the command {item.keyword}")
         if not isinstance(item, Directive):
@@ -151,14 +152,14 @@ class Dialect(Printer, ABC):
                 return self.save(list(map(self.vector, item.words)))
             case ".ic" | ".nodeset":
                 return self.directive(replace(item, words=tuple(map(self.start, item.words))))
-            case keyword if keyword in _SAME & ANALYSES:
+            case keyword if keyword in _COMMON_COMMANDS & ANALYSES:
                 return self.directive(replace(item, words=tuple(map(self.number, item.words))))
-            case keyword if keyword in _SAME:
+            case keyword if keyword in _COMMON_COMMANDS:
                 return self.directive(item)
         raise self.refusal(item.text, f"the command {item.keyword}")
 
     def measure(self, card: Directive) -> str:
-        """Return the card of a measure, or "" if the simulator has no equivalent."""
+        """Return the card of a measurement, or "" if the simulator has no equivalent."""
         if len(card.words) < 3:
             return ""
         kind, name, what, *rest = card.words
@@ -184,9 +185,9 @@ class Dialect(Printer, ABC):
         return " ".join((self.measure_keyword, kind.upper(), name, *read))
 
     def measured(self, text: str, kind: str) -> str:
-        """Return the vector of a measure.
+        """Return the vector of a measurement.
 
-        In ``ac`` it is the magnitude of a voltage, or the real part of a current.
+        In an ``ac`` analysis this is the magnitude of a voltage, or the real part of a current.
         """
         if text.startswith("vm("):
             return self.magnitude(self.vector(f"v({text[3:]}"))
@@ -194,12 +195,12 @@ class Dialect(Printer, ABC):
         return self.real_part(plain) if kind == "ac" else plain
 
     def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Return the words that measure the place of an extreme; by default none."""
+        """Return the keywords that locate an extremum; none by default."""
         return ()
 
     @abstractmethod
     def scaled(self, kind: str, name: str, expression: str) -> str:
-        """Return the card of a measure that is an expression of others."""
+        """Return a measurement card with an expression of other measurements."""
 
     @abstractmethod
     def magnitude(self, vector: str) -> str:
@@ -216,9 +217,15 @@ class Dialect(Printer, ABC):
         return UsageError(message, where=self.where, got=got, expected=expected, hint=hint)
 
     def element(self, part: Element) -> str:
+        """Return the card of an element."""
         laplace = part.kind in "eg" and len(part.nodes) == 2 and not part.quantity
         files = "file" in " ".join((*part.values, *part.parameters)).lower()
-        if part.kind not in _SHARED or laplace or files or (part.kind in "eg" and part.parameters):
+        if (
+            part.kind not in _COMMON_ELEMENTS
+            or laplace
+            or files
+            or (part.kind in "eg" and part.parameters)
+        ):
             raise self.refusal(part.written, f"this {part.kind.upper()} card")
         known = self.parameters.get(part.kind)
         if known is not None:
@@ -226,10 +233,10 @@ class Dialect(Printer, ABC):
         return super().element(part)
 
     def _known_parameters(self, part: Element, known: set[str]) -> dict[str, str]:
-        """Return the parameters of a card, without those of a noise analysis."""
+        """Return the parameters of a card except those of a noise analysis."""
         result = {}
         for key, value in part.parameters.items():
-            if key.lower() in _NOISE:
+            if key.lower() in _NOISE_PARAMETERS:
                 continue
             if key.lower() not in known:
                 what = f"the parameter {key} of this {part.kind.upper()} card"
@@ -239,18 +246,18 @@ class Dialect(Printer, ABC):
         return result
 
     def model(self, model: Model) -> str:
-        """Return a switch, or a semiconductor with parameters that all simulators have."""
-        parameters = lower_keys(model.parameters)
+        """Return the card of a switch, or of a semiconductor with common parameters."""
+        parameters = lower_names(model.parameters)
         values = dict(zip(parameters, map(self.value, parameters.values()), strict=True))
         if model.type.lower() == "sw":
             return self.switch(model.name, values)
-        known = _SEMICONDUCTORS.get(model.type.lower(), "").split()
+        known = _SEMICONDUCTOR_PARAMETERS.get(model.type.lower(), "").split()
         if not set(values) <= set(known) or values.get("level", "1") != "1":
             raise self.refusal(model.written, "this model")
         return super().model(model)
 
     def options(self, words: Sequence[str]) -> str:
-        """Return the options that the simulator has; others become comments."""
+        """Return the options that the simulator has; other options become comments."""
         supported, comments = [], []
         for word in words:
             if word.partition("=")[0].lower() in self.known_options:
@@ -261,18 +268,20 @@ class Dialect(Printer, ABC):
         return "\n".join([*lines, *comments])
 
     def save(self, vectors: list[str]) -> str:
+        """Return the card that saves vectors."""
         return "\n+ ".join([".save", *vectors])
 
     @abstractmethod
     def switch(self, name: str, values: Mapping[str, str]) -> str:
-        """Return the model of a voltage-controlled switch."""
+        """Return the model card of a voltage-controlled switch."""
 
     def start(self, text: str) -> str:
-        """Return a start value ``v(NODE)=VALUE`` in this dialect."""
+        """Return an initial value ``v(NODE)=VALUE`` in this dialect."""
         node, equals, value = text.partition("=")
         return f"{self.vector(node)}={self.value(value)}" if equals else text
 
     def vector(self, text: str) -> str:
+        """Return a saved vector in this dialect."""
         result = parse_vector(text)
         bare = "(" not in text and "@" not in text
         if result is None or bare or result.parameter.lower() not in ("", "i", "id", "current"):
@@ -282,28 +291,31 @@ class Dialect(Printer, ABC):
         return f"V({','.join(self.node(name.split('.')) for name in result.names)})"
 
     def node(self, path: list[str]) -> str:
+        """Return the name of a node inside instances."""
         return ":".join(path)
 
     def device(self, trace: Trace) -> str:
+        """Return the name of a device current."""
         return ":".join([*trace.path, *trace.names])
 
     def number(self, text: str) -> str:
-        """Return a word with numbers that all simulators read as the same value.
+        """Return a word in which all simulators read the numbers as the same value.
 
-        Units behind a number and scale factors such as ``mil``, ``a`` or ``x`` are replaced.
+        Units after a number and scale factors such as ``mil``, ``a`` or ``x`` are replaced.
         """
         return _NUMBER.sub(_remove_letters, text)
 
     # -- expressions ------------------------------------------------------------------------
 
     def name(self, text: str) -> str:
-        known = {"e": _EULER, "temper": self.temperature}
+        """Return the spelling of a parameter or keyword."""
+        known = {"e": _EULER_NUMBER, "temper": self.temperature}
         if text.lower() == "hertz":
             raise self.refusal(text, f"the word {text}")
         return known.get(text.lower(), text)
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Return a function by its meaning, such as ``table`` for ``pwl``."""
+        """Return a function with the same meaning, such as ``table`` for ``pwl``."""
         if function == "pwl":
             values = arguments[1:]
             flat = len(values) >= 4 and values[1] == values[3] and values[-1] == values[-3]
@@ -326,8 +338,8 @@ class Dialect(Printer, ABC):
         return super().call(spelled, arguments)
 
     def test(self, tree: Tree) -> str:
-        """Return a condition: true is not zero in ngspice, above one half in LTspice."""
-        if isinstance(tree, Binary) and tree.op in _COMPARED:
+        """Return a condition; true is nonzero in ngspice, and above one half in LTspice."""
+        if isinstance(tree, Binary) and tree.op in _COMPARISON_OPERATORS:
             return super().write(tree)
         return f"{self.write(_number_of_condition(tree), 3)}>0.5"
 
@@ -348,21 +360,21 @@ class Dialect(Printer, ABC):
 
 
 def _remove_letters(match: re.Match[str]) -> str:
-    """Return a number with a common scale factor, or the same double without letters."""
-    if match[1].lower() in _SCALES:
+    """Return a number with a common scale factor, or without letters."""
+    if match[1].lower() in _COMMON_SCALE_FACTORS:
         return match[0]
-    tree = parse(match[0])
+    tree = parse_expression(match[0])
     return tree.text if isinstance(tree, Number) else match[0]
 
 
 _ONE, _ZERO = Number("1"), Number("0")
-_COMPARED = ("<", "<=", ">", ">=")
+_COMPARISON_OPERATORS = ("<", "<=", ">", ">=")
 
 
 def _number_of_condition(tree: Tree) -> Tree:
-    """Return a condition as a number, 0 or 1."""
+    """Return a condition as the number 0 or 1."""
     match tree:
-        case Binary(op) if op in _COMPARED:
+        case Binary(op) if op in _COMPARISON_OPERATORS:
             return Choice(tree, _ONE, _ZERO)
         case Binary("&&", left, right):
             return Binary("*", _number_of_condition(left), _number_of_condition(right))
@@ -378,9 +390,9 @@ def _number_of_condition(tree: Tree) -> Tree:
 
 
 def _join_commands(items: Sequence[Item], joined: frozenset[str]) -> list[Item]:
-    """Return the items with one card for all cards of each of the commands ``joined``.
+    """Merge all cards of each of the commands ``joined`` into one card.
 
-    It replaces the first of these cards and has the comments of all, such as the deck's title.
+    The merged card replaces the first of these cards and has the comments of all of them.
     """
     merged: dict[str | int, Item] = {}
     for number, item in enumerate(items):

@@ -1,7 +1,7 @@
-"""Dialects of netlists by name, from this and from other packages.
+"""Registry of netlist dialects from this and other packages.
 
 A module of :mod:`kc2spice.netlist.printers.dialects` is named after its dialect. Other packages
-name theirs as entry points of the group :data:`GROUP`.
+declare their dialects as entry points of the group :data:`ENTRY_POINT_GROUP`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from operator import attrgetter
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.netlist.printers.dialect import Dialect
 
-GROUP = "kc2spice.dialects"
-PACKAGE = "kc2spice.netlist.printers.dialects"
-# the printer from which all dialects derive, and the only output that is no netlist
+ENTRY_POINT_GROUP = "kc2spice.dialects"
+DIALECT_PACKAGE = "kc2spice.netlist.printers.dialects"
+# the base printer of all dialects, and the only output that is not a netlist
 NGSPICE, VERILOG_A = "ngspice", "verilog-a"
 _dialects: dict[str, type[Dialect]] = {}
 
@@ -39,7 +39,8 @@ def register_dialect(dialect: type[Dialect]) -> type[Dialect]:
 
     Raises
     ------
-    UsageError : it is no subclass of Dialect, lacks a method, or has the name ngspice or verilog-a.
+    UsageError : the class is not a subclass of Dialect, lacks a method, or is named ngspice or
+    verilog-a.
 
     Examples
     --------
@@ -70,7 +71,7 @@ def register_dialect(dialect: type[Dialect]) -> type[Dialect]:
 
 
 def _require_dialect(value: object) -> None:
-    """Check that a value is a class of a dialect that can be instantiated."""
+    """Raise an error if a value is not a dialect class that can be instantiated."""
     got, hint = repr(value), "derive a class from kc.Dialect and register the class"
     if isinstance(value, type) and issubclass(value, Dialect):
         missing = ", ".join(sorted(getattr(value, "__abstractmethods__", ())))
@@ -90,14 +91,14 @@ def _require_dialect(value: object) -> None:
 @cache
 def _module_names() -> tuple[str, ...]:
     """Return the names of the dialects of this package."""
-    modules = pkgutil.iter_modules(import_module(PACKAGE).__path__)
+    modules = pkgutil.iter_modules(import_module(DIALECT_PACKAGE).__path__)
     return tuple(map(attrgetter("name"), modules))
 
 
 @cache
 def _entry_points() -> tuple[EntryPoint, ...]:
-    """Return the dialects of other distributions, from the metadata of all of them."""
-    return tuple(entry_points(group=GROUP))
+    """Return the dialects of other distributions from their metadata."""
+    return tuple(entry_points(group=ENTRY_POINT_GROUP))
 
 
 def deck_dialects() -> tuple[str, ...]:
@@ -111,15 +112,15 @@ def dialect_names() -> tuple[str, ...]:
     return (*deck_dialects(), VERILOG_A)
 
 
-def dialect_named(name: str) -> type[Dialect]:
-    """Return the printer of a dialect; its module is imported when needed.
+def find_dialect(name: str) -> type[Dialect]:
+    """Return the printer class of a dialect; its module is imported when needed.
 
     Raises
     ------
     UsageError : no dialect with a printer has this name.
     """
     if name not in _dialects and name in _module_names():
-        import_module(f"{PACKAGE}.{name}")
+        import_module(f"{DIALECT_PACKAGE}.{name}")
     for entry in _entry_points():
         if name not in _dialects and entry.name == name:
             register_dialect(entry.load())

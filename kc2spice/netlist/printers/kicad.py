@@ -1,4 +1,4 @@
-"""KiCad: symbols of parts and elements, and decks as projects.
+"""KiCad symbols of parts and elements, and KiCad projects of decks.
 
 Wires join the pins of a net in one row, and global labels join the rows. The nets have the node
 names of the deck, so that a curve has the same name in KiCad, in the deck and in the results. The
@@ -26,20 +26,21 @@ from kc2spice.netlist.expression import parse_vector
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.printers.symbol_layout import Place, arrange_pins
-from kc2spice.netlist.scope import GROUND, Scope, circuit
-from kc2spice.netlist.spelling import render
+from kc2spice.netlist.scope import GROUND_NAMES, Scope, build_scope
+from kc2spice.netlist.spelling import render_template
 
 GRID = 2.54  # mm, 100 mil
-_SPICE = 'type="{}" model="{}" lib=""'  # fields of an element with the value of its netlist card
+# symbol fields of an element with the value of its netlist card
+_SPICE_FIELD = 'type="{}" model="{}" lib=""'
 LIBRARY = "kc2spice"
-_POLES = (Place(1, "+", "top", 0, 2), Place(2, "-", "bottom", 0, -2))
-_SPOTS = (
+_POLE_PINS = (Place(1, "+", "top", 0, 2), Place(2, "-", "bottom", 0, -2))
+_CONTROLLED_SOURCE_PINS = (
     Place(1, "out+", "right", 3, 1),
     Place(2, "out-", "right", 3, -1),
     Place(3, "in+", "left", -3, 1),
     Place(4, "in-", "left", -3, -1),
 )
-_ELEMENTS = {  # by letter: name, title, drawing
+_ELEMENT_SYMBOLS = {  # keyed by element letter: name, title, drawing
     "V": ("SOURCE", "voltage source", "voltage"),
     "I": ("CURRENT", "current source", "current"),
     "R": ("RESISTOR", "resistor", "bar"),
@@ -51,7 +52,7 @@ _ELEMENTS = {  # by letter: name, title, drawing
     "E": ("VOLTAGE_BY_VOLTAGE", "voltage source controlled by a voltage", "box"),
     "G": ("CURRENT_BY_VOLTAGE", "current source controlled by a voltage", "box"),
 }
-_MARKS = {  # reference, title, drawing, pin, where the text begins, kind of pin
+_MARK_SYMBOLS = {  # reference, title, drawing, pin, where the text begins, kind of pin
     "GND": ("#PWR", "ground, node 0", "ground", Place(1, "GND", "top", 0, 0, 0.0), (0.0, -4.0),
             "power_in"),
     "PWR_FLAG": ("#FLG", "tells that ground is driven", "flag",
@@ -63,9 +64,9 @@ _MARKS = {  # reference, title, drawing, pin, where the text begins, kind of pin
 
 @dataclass(frozen=True)
 class Symbol:
-    """A drawing with pins at ``places``.
+    """Symbol drawing with pins at ``places``.
 
-    Reference and value begin at ``text``, one above the other. ``half`` is the half width and the
+    Reference and value begin at ``text``, in two lines. ``half`` is the half width and the
     half height [mm] of a symbol that is drawn as a box.
     """
 
@@ -80,12 +81,12 @@ class Symbol:
     named_pins: bool = False
 
 
-def symbol_library(symbols: Iterable[Symbol]) -> str:
+def print_symbol_library(symbols: Iterable[Symbol]) -> str:
     """Return the text of a symbol library."""
-    return render("kicad.j2", symbols=list(symbols), grid=GRID, sheet=None)
+    return render_template("kicad.j2", symbols=list(symbols), grid=GRID, sheet=None)
 
 
-def part_symbol(part: Subcircuit) -> Symbol:
+def draw_part_symbol(part: Subcircuit) -> Symbol:
     """Return the symbol of a part.
 
     The parameters have the exact defaults of the library until the user changes ``Sim.Params``.
@@ -102,23 +103,23 @@ def part_symbol(part: Subcircuit) -> Symbol:
 
 
 def element_symbols() -> dict[str, Symbol]:
-    """Return the symbols of elements by letter, and of ``GND`` and other marks.
+    """Return the symbols of elements, keyed by letter, and of ``GND`` and other marks.
 
     Values are written as in a netlist (``Sim.Device`` ``SPICE``), so that no digit is lost.
     """
     result = {}
-    for letter, (name, title, drawing) in _ELEMENTS.items():
+    for letter, (name, title, drawing) in _ELEMENT_SYMBOLS.items():
         box = drawing == "box"
-        places = _SPOTS if box else _POLES
+        places = _CONTROLLED_SOURCE_PINS if box else _POLE_PINS
         fields = _standard_fields(letter, name, title) | {
             "Sim.Device": "SPICE",
-            "Sim.Params": _SPICE.format(letter, "0"),
+            "Sim.Params": _SPICE_FIELD.format(letter, "0"),
             "Sim.Pins": " ".join(f"{p.number}={p.number}" for p in places),
         }
         side = 2 * GRID
         text = (-side, side + 1.3) if box else (GRID + 0.8, -0.9)
         result[letter] = Symbol(name, fields, drawing, places, text, (side, side), named_pins=box)
-    for name, (reference, title, drawing, place, text, pins) in _MARKS.items():
+    for name, (reference, title, drawing, place, text, pins) in _MARK_SYMBOLS.items():
         fields, simulated = _standard_fields(reference, name, title), name != "PROBE"
         mark = Symbol(name, fields, drawing, (place,), text, pins=pins, simulated=simulated)
         result[name] = mark
@@ -126,40 +127,41 @@ def element_symbols() -> dict[str, Symbol]:
 
 
 def _standard_fields(reference: str, value: str, description: str) -> dict[str, str]:
+    """Return the standard fields of a symbol."""
     fields = {"Reference": reference, "Value": value, "Footprint": "", "Datasheet": ""}
     return fields | {"Description": description}
 
 
-# --- a deck as a project ---
+# --- KiCad project of a deck ---
 
-_TURN = {
+_GROUND_ANGLES = {
     "bottom": 0,
     "right": 90,
     "top": 180,
     "left": 270,
-}  # angle of a ground, away from the symbol
-# grid units at which rows break, and the papers on which the sheet then has a good shape
-_ENOUGH = {105: ("A4",), 150: ("A4", "A3"), 220: ("A3", "A2"), 320: ("A2", "A1", "A0")}
-MARGIN = 10
-_LETTER = 0.5  # width of a letter in grid units
-_PAPERS = {
+}  # angle of a ground symbol, which points away from the part
+# row width in grid units, and the paper sizes with a suitable shape
+_ROW_WIDTHS = {105: ("A4",), 150: ("A4", "A3"), 220: ("A3", "A2"), 320: ("A2", "A1", "A0")}
+SHEET_MARGIN = 10
+_LETTER_WIDTH = 0.5  # average width of a letter in grid units
+_PAPER_SIZES = {
     "A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841),
 }  # fmt: skip
-_STAMP = 40  # mm, height of the title block
-_COMMENT = 80  # letters of a line in the title block
-_VALUE = 56  # letters of a value
+_TITLE_BLOCK_HEIGHT = 40  # mm
+_MAX_COMMENT = 80  # characters of a line in the title block
+_MAX_VALUE = 56  # characters of a value
 _NUMBER = re.compile(r"(?<![\w.])\d+\.?\d*(?:e[-+]?\d+)?(?![\w.])")
-_OURS = frozenset({".save", ".print", ".meas", ".end", ".include", ".inc"})
-_KINDS = {".tran": "TRAN", ".ac": "AC", ".dc": "DC", ".op": "OP"}
+_KICAD_COMMANDS = frozenset({".save", ".print", ".meas", ".end", ".include", ".inc"})
+_ANALYSIS_KINDS = {".tran": "TRAN", ".ac": "AC", ".dc": "DC", ".op": "OP"}
 _COLOURS = ("rgb(228, 26, 28)", "rgb(55, 126, 184)", "rgb(77, 175, 74)", "rgb(152, 78, 163)")
 
 
 @dataclass(frozen=True)
 class _Item:
-    """A symbol on the sheet at a grid position, with its fields and nets.
+    """Symbol on the sheet at a grid position, with its fields and nets.
 
-    ``reach`` is the room that it needs to the left, right, top and bottom, in grid units. The room
-    at the left and right includes the columns of its wires.
+    ``reach`` is the space that the symbol needs to the left, right, top and bottom, in grid units.
+    The room at the left and right includes the columns of its wires.
     """
 
     symbol: Symbol
@@ -182,7 +184,7 @@ class _Item:
 
     @property
     def ends(self) -> Iterator[tuple[int, int, str, str]]:
-        """Free ends on the sheet, where y points down: x, y, side, net."""
+        """Free ends on the sheet: x, y (downwards), side, net."""
         for place, net in zip(self.symbol.places, self.nets, strict=True):
             yield self.x + place.x, self.y - place.y, place.side, net
 
@@ -197,13 +199,13 @@ def make_project(deck: Deck) -> dict[str, str]:
     ------
     UsageError : the deck instantiates a subcircuit that none of its files defines.
     """
-    top = circuit(deck.located_trees[deck.main], deck.located_trees, deck.main)
+    top = build_scope(deck.located_trees[deck.main], deck.located_trees, deck.main)
     plain = element_symbols()
-    drawn = {part.name.lower(): part_symbol(part) for part in deck.parts}
+    drawn = {part.name.lower(): draw_part_symbol(part) for part in deck.parts}
     items = [_draw_element(element, drawn, plain) for element in top.elements]
     counts = Counter(chain.from_iterable(map(attrgetter("nets"), items)))
     for net, count in counts.items():
-        if count == 1 and net not in GROUND:
+        if count == 1 and net not in GROUND_NAMES:
             fields = {"Reference": f"TP{len(items) + 1}", "Value": net}
             items.append(_reserve_room(plain["PROBE"], plain["PROBE"].fields | fields, (net,)))
     title = deck.title.removeprefix(f"{deck.name}: ")
@@ -211,11 +213,11 @@ def make_project(deck: Deck) -> dict[str, str]:
     used = [*drawn.values(), *_unique_symbols(plain.values())]
     return {
         f"{deck.name}.kicad_sch": _draw_sheet(deck.name, title, items, commands, plain),
-        f"{deck.name}.kicad_pro": render(
-            "kicad_project.j2", name=deck.name, sheet=_uuid(deck.name, "sheet")
+        f"{deck.name}.kicad_pro": render_template(
+            "kicad_project.j2", name=deck.name, sheet=_make_uuid(deck.name, "sheet")
         ),
         f"{deck.name}.wbk": _write_workbook(deck, top, commands),
-        f"{LIBRARY}.kicad_sym": symbol_library(used),
+        f"{LIBRARY}.kicad_sym": print_symbol_library(used),
         "sym-lib-table": (
             "(sym_lib_table\n\t(version 7)\n"
             f'\t(lib (name "{LIBRARY}")(type "KiCad")(uri "${{KIPRJMOD}}/{LIBRARY}.kicad_sym")'
@@ -226,25 +228,25 @@ def make_project(deck: Deck) -> dict[str, str]:
 
 def _simulation_commands(top: Scope) -> Iterator[str]:
     """Yield the commands of the deck that KiCad needs, with the names of its symbols."""
-    sources = {key: _end_in_number(item.name) for key, item in top.elements_by_key.items()}
+    sources = {key: _add_reference_number(item.name) for key, item in top.elements_by_key.items()}
     for card in top.commands:
-        if not (isinstance(card, Directive) and card.keyword in _OURS):
+        if not (isinstance(card, Directive) and card.keyword in _KICAD_COMMANDS):
             words = Printer().card(card).split()
             yield " ".join(_rename_source(word, sources) for word in words)
 
 
 def _unique_symbols(symbols: Iterable[Symbol]) -> list[Symbol]:
-    """Return the symbols, each name once."""
+    """Return the symbols without repeated names."""
     return list({symbol.name: symbol for symbol in symbols}.values())
 
 
-def _end_in_number(name: str) -> str:
-    """Return a name that ends in a number, as references in KiCad do."""
+def _add_reference_number(name: str) -> str:
+    """Return a name that ends in a number, as KiCad references do."""
     return name if name[-1].isdigit() else f"{name}1"
 
 
 def _rename_source(word: str, references: Mapping[str, str]) -> str:
-    """Return a word of a command with the reference of the source or instance in it."""
+    """Return a word of a command with the KiCad reference of its source or instance."""
     if word.lower() in references:
         return references[word.lower()]
     head, dot, rest = word.partition(".")
@@ -260,8 +262,8 @@ def _draw_element(element: Element, parts: dict[str, Symbol], plain: dict[str, S
     ------
     UsageError : an unknown subcircuit, or an element without a symbol.
     """
-    letter, name = element.name[0].upper(), _end_in_number(element.name)
-    nets = tuple("0" if node.lower() in GROUND else node for node in element.nodes)
+    letter, name = element.name[0].upper(), _add_reference_number(element.name)
+    nets = tuple("0" if node.lower() in GROUND_NAMES else node for node in element.nodes)
     parameters = " ".join(map("=".join, element.parameters.items()))
     if letter == "X":
         symbol = parts.get(element.model.lower())
@@ -271,29 +273,29 @@ def _draw_element(element: Element, parts: dict[str, Symbol], plain: dict[str, S
         return _reserve_room(symbol, fields | {"Reference": name}, nets)
     symbol = plain.get(letter)
     if symbol is None or len(symbol.places) != len(nets):
-        known = ", ".join(sorted(_ELEMENTS))
+        known = ", ".join(sorted(_ELEMENT_SYMBOLS))
         raise element.error(
             "the sheet has no symbol for this card", expected=f"one of {known} or X"
         )
     law = Printer().law(element) if element.quantity else ""
-    words = (*map(_end_in_number, element.sources), *element.values, parameters, law)
+    words = (*map(_add_reference_number, element.sources), *element.values, parameters, law)
     value = " ".join(filter(None, words))
     fields = symbol.fields | {
         "Reference": name,
         "Value": f"{_shorten_value(value)} {element.unit}".rstrip(),
-        "Sim.Params": _SPICE.format(letter, value),
+        "Sim.Params": _SPICE_FIELD.format(letter, value),
     }
     return _reserve_room(symbol, fields, nets)
 
 
 def _shorten_value(value: str) -> str:
-    """Return a value with six digits on one short line; ``Sim.Params`` has all digits."""
+    """Return a short value with six digits; ``Sim.Params`` has all digits."""
     short = _NUMBER.sub(lambda number: f"{float(number[0]):.6g}", value)
-    return short if len(short) <= _VALUE else short[: _VALUE - 2].rpartition(" ")[0] + " …"
+    return short if len(short) <= _MAX_VALUE else short[: _MAX_VALUE - 2].rpartition(" ")[0] + " …"
 
 
 def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...]) -> _Item:
-    """Return an item with the room that its pins, labels and texts need."""
+    """Return an item with the space that its pins, labels and texts need."""
     room = {"left": 1, "right": 1, "top": 1, "bottom": 1}
     for place, net in zip(symbol.places, nets, strict=True):
         label = _label_length(net) + (len(nets) if place.side in ("left", "right") else 0)
@@ -301,21 +303,21 @@ def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...])
         for side, far in out.items():
             room[side] = max(room[side], far + (label if side == place.side else 0))
     longest = max(len(fields["Value"]), len(fields["Reference"]))
-    right = max(room["right"], ceil(symbol.text[0] / GRID + _LETTER * longest))
+    right = max(room["right"], ceil(symbol.text[0] / GRID + _LETTER_WIDTH * longest))
     up = max(room["top"], ceil(symbol.text[1] / GRID) + 2)
     return _Item(symbol, fields, nets, (room["left"], right, up, room["bottom"]))
 
 
 def _label_length(net: str) -> int:
     """Return the length of a label, or of a ground for node 0, in grid units."""
-    return 2 if net == "0" else ceil(_LETTER * len(net)) + 2
+    return 2 if net == "0" else ceil(_LETTER_WIDTH * len(net)) + 2
 
 
 def _split_rows(items: Iterable[_Item], width: int) -> list[list[_Item]]:
-    """Return the items in rows of a width in grid units, each at its horizontal position."""
+    """Split the items into rows of a width in grid units, each at its horizontal position."""
     items = list(items)
     longest = max(map(_label_length, chain.from_iterable(map(attrgetter("nets"), items))))
-    start = max(MARGIN, longest + MARGIN // 2)
+    start = max(SHEET_MARGIN, longest + SHEET_MARGIN // 2)
     rows: list[list[_Item]] = []
     x = width
     for item in items:
@@ -328,11 +330,11 @@ def _split_rows(items: Iterable[_Item], width: int) -> list[list[_Item]]:
     return rows
 
 
-def _arrange_rows(items: Iterable[_Item], width: int) -> tuple[list[_Item], list[_Track]]:
+def _stack_rows(items: Iterable[_Item], width: int) -> tuple[list[_Item], list[_Track]]:
     """Return the items at their positions, and the tracks above and below each row."""
     placed: list[_Item] = []
     tracks: list[_Track] = []
-    y = MARGIN
+    y = SHEET_MARGIN
     for row in _split_rows(items, width):
         _, _, ups, downs = zip(*map(attrgetter("reach"), row), strict=True)
         above = len(_shared_nets(row, upwards=True))
@@ -348,7 +350,7 @@ def _arrange_rows(items: Iterable[_Item], width: int) -> tuple[list[_Item], list
 
 @dataclass(frozen=True)
 class _Track:
-    """A horizontal wire of a net at height ``y``, with the ends of pins that it joins.
+    """Horizontal wire of a net at height ``y``, with the pin ends that it joins.
 
     Each pin at ``(x, y)`` has a ``column``, the position of the vertical wire to the track.
     """
@@ -381,12 +383,12 @@ class _Track:
 
 
 def _channel_ends(row: Iterable[_Item], upwards: bool) -> list[tuple[int, int, str, str]]:
-    """Return the ends that lead to the channel above a row, or to the one below."""
+    """Return the pin ends that lead to the channel above a row, or below it."""
     return [end for end in _free_ends(row) if (end[2] == "top") == upwards]
 
 
 def _shared_nets(row: Iterable[_Item], upwards: bool) -> frozenset[str]:
-    """Return the nets with several ends in one channel; grounds have symbols of their own."""
+    """Return the nets with several ends in one channel; grounds have separate symbols."""
     counts = Counter(net for _, _, _, net in _channel_ends(row, upwards))
     return frozenset(net for net, count in counts.items() if count > 1) - {"0"}
 
@@ -394,8 +396,8 @@ def _shared_nets(row: Iterable[_Item], upwards: bool) -> frozenset[str]:
 def _lay_tracks(row: Iterable[_Item], y: int, upwards: bool) -> list[_Track]:
     """Return the tracks of a channel that begins at height ``y``.
 
-    The net that begins furthest to the left has the track next to the row. No wire then crosses
-    the label of another one.
+    The net that begins furthest to the left has the track next to the row. No wire then crosses the
+    label of another track.
     """
     shared = _shared_nets(row, upwards)
     ends: dict[str, dict[tuple[int, int], int]] = {net: {} for net in shared}
@@ -413,10 +415,10 @@ def _lay_tracks(row: Iterable[_Item], y: int, upwards: bool) -> list[_Track]:
 
 
 def _choose_columns(item: _Item, shared: Container[str]) -> dict[tuple[int, int], int]:
-    """Return the column of each end of an item, by the position of the end.
+    """Return the column of each pin end of an item, keyed by its position.
 
     The lowest pin of a side has the column next to the symbol. Each higher pin has a column beyond
-    those of the pins below, and beyond their labels.
+    the columns and labels of the pins below.
     """
     result = {}
     for side, outwards in (("left", -1), ("right", 1), ("top", 0), ("bottom", 0)):
@@ -440,14 +442,14 @@ def _free_ends(items: Iterable[_Item]) -> Iterator[tuple[int, int, str, str]]:
 def _draw_sheet(
     name: str, title: str, items: list[_Item], commands: list[str], plain: dict[str, Symbol]
 ) -> str:
-    """Return the text of the sheet, on the smallest paper of a good shape."""
-    for width in _ENOUGH:
-        placed, tracks = _arrange_rows(items, width)
+    """Return the text of the sheet, on the smallest paper of a suitable shape."""
+    for width in _ROW_WIDTHS:
+        placed, tracks = _stack_rows(items, width)
         heights = chain(map(attrgetter("bottom"), placed), map(attrgetter("y"), tracks))
         bottom = max(heights) + 3
-        right = GRID * (max(map(attrgetter("right"), placed)) + MARGIN // 2)
-        paper = _choose_paper(right, GRID * (bottom + len(commands)) + _STAMP)
-        if paper in _ENOUGH[width]:
+        right = GRID * (max(map(attrgetter("right"), placed)) + SHEET_MARGIN // 2)
+        paper = _choose_paper(right, GRID * (bottom + len(commands)) + _TITLE_BLOCK_HEIGHT)
+        if paper in _ROW_WIDTHS[width]:
             break
     every = [*placed, *_draw_grounds(placed, plain)]
     wired = frozenset(chain.from_iterable(map(attrgetter("pins"), tracks)))
@@ -457,55 +459,55 @@ def _draw_sheet(
         labels=[*single, *map(attrgetter("label"), tracks)],
         wires=list(chain.from_iterable(map(attrgetter("wires"), tracks))),
         junctions=list(chain.from_iterable(map(attrgetter("junctions"), tracks))),
-        texts=[(line, MARGIN, bottom + k) for k, line in enumerate(commands)],
+        texts=[(line, SHEET_MARGIN, bottom + k) for k, line in enumerate(commands)],
         items=every,
     )
-    return render(
+    return render_template(
         "kicad.j2",
         sheet=sheet,
         symbols=_unique_symbols(map(attrgetter("symbol"), every)),
         grid=GRID,
         name=name,
-        title=shorten(title, _COMMENT),
-        uuid=partial(_uuid, name),
+        title=shorten(title, _MAX_COMMENT),
+        uuid=partial(_make_uuid, name),
     )
 
 
 def _choose_paper(width: float, height: float) -> str:
     """Return the smallest paper with room for a drawing [mm], otherwise A0."""
-    for paper, (available_width, available_height) in _PAPERS.items():
+    for paper, (available_width, available_height) in _PAPER_SIZES.items():
         if width <= available_width and height <= available_height:
             return paper
     return "A0"
 
 
 def _draw_grounds(items: list[_Item], plain: dict[str, Symbol]) -> Iterator[_Item]:
-    """Yield a ground at every pin on node 0, and one flag."""
+    """Yield a ground at every pin on node 0, and one power flag."""
     count = 0
     for x, y, side, net in _free_ends(items):
         if net == "0":
             count += 1
-            yield _ground_mark(plain["GND"], f"#PWR{count:02d}", x, y, _TURN[side])
-    if count:  # a mark in a corner, on a ground that joins no pin
-        corner = MARGIN - 2, MARGIN - 2
+            yield _ground_mark(plain["GND"], f"#PWR{count:02d}", x, y, _GROUND_ANGLES[side])
+    if count:  # the flag is in a corner, on a ground without a pin
+        corner = SHEET_MARGIN - 2, SHEET_MARGIN - 2
         yield _ground_mark(plain["GND"], "#PWR00", *corner)
         yield _ground_mark(plain["PWR_FLAG"], "#FLG01", *corner)
 
 
 def _ground_mark(symbol: Symbol, reference: str, x: int, y: int, turn: int = 0) -> _Item:
-    """Return a symbol on node 0 at a position, turned by an angle [degrees]."""
+    """Return a ground symbol at a position, rotated by an angle [degrees]."""
     fields = symbol.fields | {"Reference": reference}
     return _Item(symbol, fields, ("0",), x=x, y=y, turn=turn)
 
 
 def _write_workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
-    """Return KiCad's saved simulation: the analysis and four node voltages.
+    """Write the simulation workbook of KiCad: the analysis and four node voltages.
 
-    The first voltage of every part precedes any second one.
+    One voltage of every part is chosen before a second voltage of any part.
     """
-    analyses = (line for line in commands if line.split()[0].lower() in _KINDS)
+    analyses = (line for line in commands if line.split()[0].lower() in _ANALYSIS_KINDS)
     analysis = next(analyses, "")
-    kind = _KINDS[analysis.split()[0].lower()] if analysis else "TRAN"
+    kind = _ANALYSIS_KINDS[analysis.split()[0].lower()] if analysis else "TRAN"
     first: dict[str, str] = {}
     nodes = []
     for name, (text, _) in deck.vectors.items():
@@ -518,9 +520,9 @@ def _write_workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
         spelled.update(zip(part.ends, part.nodes, strict=True))
     names = filter(None, map(spelled.get, dict.fromkeys([*first.values(), *nodes])))
     traces = list(zip(names, _COLOURS, strict=False))
-    return render("kicad_workbook.j2", analysis=analysis, kind=kind, traces=traces)
+    return render_template("kicad_workbook.j2", analysis=analysis, kind=kind, traces=traces)
 
 
-def _uuid(*what: object) -> str:
-    """Return an identifier that is equal in every export of the same item."""
+def _make_uuid(*what: object) -> str:
+    """Return an identifier that is the same in every export of an item."""
     return str(uuid5(NAMESPACE_URL, "kc2spice/" + "/".join(map(str, what))))

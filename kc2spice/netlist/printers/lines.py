@@ -1,4 +1,4 @@
-"""Lines of at most 100 characters: continuation lines of cards and of comments."""
+"""Line breaks of cards and comments after at most 100 characters."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import chain
 
-WIDTH = 100  # characters of the longest line
-SHORTEST = 50  # characters that a line has before a break within a word is worse than a short line
-_EXPRESSION = re.compile(r"(?i)^[beg]\S*\s.*?=|=\{|^\+ ")
-_SUMMAND = re.compile(r"(?<=[\w)}\]])(?<![\d.][eE])[-+]")
-_OPERATOR = re.compile(r"(?<=[\w)}\]])[*/]|(?<=,)(?=\S)")
-_PROBE = re.compile(r"(?i)\b[vi]\([^()]*\)")
+MAX_WIDTH = 100  # characters of the longest line
+MIN_WIDTH = 50  # characters; a line is broken within a word rather than made shorter
+_EXPRESSION_START = re.compile(r"(?i)^[beg]\S*\s.*?=|=\{|^\+ ")
+_SUM_BREAK = re.compile(r"(?<=[\w)}\]])(?<![\d.][eE])[-+]")
+_PRODUCT_BREAK = re.compile(r"(?<=[\w)}\]])[*/]|(?<=,)(?=\S)")
+_PROBE_TERM = re.compile(r"(?i)\b[vi]\([^()]*\)")
 
 
-def card_lines(card: str) -> Iterator[str]:
-    """Yield the lines of a card. A long one goes on behind ``+``.
+def wrap_card(card: str) -> Iterator[str]:
+    """Yield the lines of a card; continuation lines begin with ``+``.
 
-    Simulators put a blank between the pieces. A line therefore ends between words, or before an
-    operator or behind a comma of an expression.
+    Simulators insert a blank between the lines. A line therefore ends between words, before an
+    operator, or after a comma of an expression.
     """
     for line in card.split("\n"):
         if line.startswith("*"):
             yield from _wrap_comment(line)
             continue
         begin, lead = 0, ""
-        breaks = _possible_ends(line) if len(line) > WIDTH else ()
-        while len(lead) + len(line) - begin > WIDTH:
-            end = _choose_end(breaks, begin, WIDTH - len(lead))
+        breaks = _possible_ends(line) if len(line) > MAX_WIDTH else ()
+        while len(lead) + len(line) - begin > MAX_WIDTH:
+            end = _choose_end(breaks, begin, MAX_WIDTH - len(lead))
             if not end:
                 break
             yield lead + line[begin:end].rstrip()
@@ -37,21 +37,22 @@ def card_lines(card: str) -> Iterator[str]:
         yield lead + line[begin:]
 
 
-def comment_lines(text: str) -> Iterator[str]:
-    """Yield comments as lines; further lines of a comment are indented."""
+def wrap_comments(text: str) -> Iterator[str]:
+    """Yield the lines of comments; continuation lines of a comment are indented."""
     for line in text.split("\n"):
         yield from _wrap_comment(line)
 
 
 def _wrap_comment(line: str) -> Iterator[str]:
-    if len(line) <= WIDTH or not line.startswith("*"):
+    """Yield the lines of one comment."""
+    if len(line) <= MAX_WIDTH or not line.startswith("*"):
         yield line
         return
     lead = line[: len(line) - len(line.lstrip("* "))]
     further = "*   + " if line.startswith("* use: ") else "*" + " " * max(3, len(lead) + 1)
     yield from textwrap.wrap(
-        _add_blanks(line[len(lead) :], WIDTH - len(further)),
-        WIDTH,
+        _add_blanks(line[len(lead) :], MAX_WIDTH - len(further)),
+        MAX_WIDTH,
         initial_indent=lead,
         subsequent_indent=further,
         break_long_words=False,
@@ -60,36 +61,36 @@ def _wrap_comment(line: str) -> Iterator[str]:
 
 
 def _add_blanks(text: str, width: int) -> str:
-    """Return a text with blanks before operators of words that are longer than a line."""
+    """Return a text with blanks before the operators in words longer than a line."""
     words = text.split(" ")
     for k, word in enumerate(words):
         if len(word) > width:
-            words[k] = _SUMMAND.sub(r" \g<0>", word)
+            words[k] = _SUM_BREAK.sub(r" \g<0>", word)
     return " ".join(words)
 
 
 def _choose_end(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
     """Return the best end of a line from ``begin``, 0 if it must not be split.
 
-    ``breaks`` are the possible ends, the better kinds first.
+    ``breaks`` are the possible ends, grouped by preference.
     """
     for places in breaks:
-        last = _last_within(places, begin + SHORTEST, begin + width)
+        last = _last_between(places, begin + MIN_WIDTH, begin + width)
         if last:
             return last
     possible = sorted(chain.from_iterable(breaks))
-    last = _last_within(possible, begin + 1, begin + width)
+    last = _last_between(possible, begin + 1, begin + width)
     return last or next((place for place in possible if place > begin), 0)
 
 
-def _last_within(places: Sequence[int], low: int, high: int) -> int:
-    """Return the last of rising places from ``low`` to ``high``, 0 if there is none."""
+def _last_between(places: Sequence[int], low: int, high: int) -> int:
+    """Return the last of ascending positions from ``low`` to ``high``, 0 if there is none."""
     count = bisect_right(places, high)
     return places[count - 1] if count and places[count - 1] >= low else 0
 
 
 def _possible_ends(line: str) -> tuple[list[int], ...]:
-    """Return the positions at which a line may end, the better kinds first.
+    """Return the positions at which a line may end, grouped by preference.
 
     The possible ends are blanks between words, blanks within brackets, and operators of sums and
     products.
@@ -105,10 +106,10 @@ def _possible_ends(line: str) -> tuple[list[int], ...]:
             depth -= 1
         elif ch == " " and place > 1:
             (inner if depth > 0 else outer).append(place)
-    for probe in _PROBE.finditer(line):
+    for probe in _PROBE_TERM.finditer(line):
         fixed.update(range(*probe.span()))
-    match = _EXPRESSION.search(line)
+    match = _EXPRESSION_START.search(line)
     begin = match.end() if match else len(line)
-    signs = map(re.Match.start, _SUMMAND.finditer(line, begin))
-    others = map(re.Match.start, _OPERATOR.finditer(line, begin))
+    signs = map(re.Match.start, _SUM_BREAK.finditer(line, begin))
+    others = map(re.Match.start, _PRODUCT_BREAK.finditer(line, begin))
     return outer, *(sorted(set(kind) - fixed) for kind in (inner, signs, others))

@@ -1,4 +1,4 @@
-"""Printer of trees for ngspice, the base of printers for other simulators."""
+"""Printer of syntax trees for ngspice, and base class of other printers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import chain, count
 
 from kc2spice.netlist.circuit import (
-    NODES,
+    NODE_COUNTS,
     Circuit,
     Directive,
     Element,
@@ -18,17 +18,18 @@ from kc2spice.netlist.circuit import (
     Parameters,
     items_of,
 )
-from kc2spice.netlist.expression import Name, Tree, Writer, parse, walk
+from kc2spice.netlist.expression import Name, Tree, Writer, parse_expression, walk_tree
 from kc2spice.netlist.prefixes import with_prefixes
-from kc2spice.netlist.printers.lines import card_lines, comment_lines
+from kc2spice.netlist.printers.lines import wrap_card, wrap_comments
 
-_BARE = frozenset({"time", "temper", "hertz", "pi"})  # no parameters
-_NUMBERED = frozenset({".tran", ".ac", ".dc", ".noise"})  # cards whose words are numbers
-_WIDTH = 96
+# names that are not parameters and need no braces
+_BARE_NAMES = frozenset({"time", "temper", "hertz", "pi"})
+_NUMERIC_CARDS = frozenset({".tran", ".ac", ".dc", ".noise"})  # cards whose words are numbers
+_TABLE_WIDTH = 96
 
 
 class Printer(Writer):
-    """One simulator's netlists."""
+    """Printer of netlists for one simulator."""
 
     title = "ngspice"
     keyword = ""  # word before parameters of subcircuits and instances
@@ -37,6 +38,7 @@ class Printer(Writer):
         self.where = "netlist"
 
     def file(self, circuit: Circuit) -> str:
+        """Return the text of a file."""
         lines = [*self.lines(circuit.items), *_print_comments(circuit.closing)]
         return "\n".join(lines) + "\n"
 
@@ -49,14 +51,14 @@ class Printer(Writer):
                 yield card if isinstance(item, Circuit) else _continue_card(card)
 
     def card(self, item: Item) -> str:
-        """Return one card, or a subcircuit, without the comments above it; "" for none."""
+        """Return one card or subcircuit without the comments above it; "" if it prints nothing."""
         match item:
             case Element():
                 return self.element(item)
             case Model():
                 return self.model(item)
             case Parameters():
-                return f"{item.keyword} {self.pairs(item.values)}"
+                return f"{item.keyword} {self.join_pairs(item.values)}"
             case Function(name, arguments, _):
                 law = self.value(f"{{{item.expression.strip('{}')}}}")
                 return f".func {name}({','.join(arguments)}) {law}"
@@ -69,15 +71,16 @@ class Printer(Writer):
         """Return the card that begins a subcircuit."""
         keyword = self.keyword if circuit.defaults else ""
         return _join_words(
-            ".subckt", circuit.name, *circuit.pins, keyword, self.pairs(circuit.defaults)
+            ".subckt", circuit.name, *circuit.pins, keyword, self.join_pairs(circuit.defaults)
         )
 
     def element(self, part: Element) -> str:
+        """Return the card of an element."""
         keyword = self.keyword if part.kind == "x" and part.parameters else ""
         law = self.law(part) if part.quantity else ""
-        known = part.kind in NODES  # for other letters, the words may be nodes
+        known = part.kind in NODE_COUNTS  # for other letters, the words may be nodes
         values = " ".join(map(self.value, part.values) if known else part.values)
-        pairs = self.pairs(part.parameters)
+        pairs = self.join_pairs(part.parameters)
         return _join_words(
             part.name, *part.nodes, *part.sources, part.model, values, law, keyword, pairs
         )
@@ -88,24 +91,25 @@ class Printer(Writer):
         Braces enclose all of an expression with parameters, because ngspice inserts the text of
         inner braces.
         """
-        words = [leaf.text.lower() for leaf in items_of(walk(part.law), Name)]
+        words = [leaf.text.lower() for leaf in items_of(walk_tree(part.law), Name)]
         text = self.write(part.law)
-        inner = f"{{{text}}}" if not _BARE.issuperset(words) else text
+        inner = f"{{{text}}}" if not _BARE_NAMES.issuperset(words) else text
         return f"{part.quantity if part.kind == 'b' else 'value'}={inner}"
 
     def model(self, model: Model) -> str:
-        inside = self.pairs(model.parameters)
+        """Return the card of a model."""
+        inside = self.join_pairs(model.parameters)
         return _join_words(".model", model.name, model.type + (f"({inside})" if inside else ""))
 
     def directive(self, card: Directive) -> str:
-        """Return any other card with a dot; a control block has one command on each line."""
+        """Return any other card with a dot; each command of a control block has its own line."""
         if card.keyword == ".control":
             return "\n".join([".control", *card.words, ".endc"])
-        words = map(self.number, card.words) if card.keyword in _NUMBERED else card.words
+        words = map(self.number, card.words) if card.keyword in _NUMERIC_CARDS else card.words
         return _join_words(card.keyword, *words)
 
-    def pairs(self, assignments: Mapping[str, str]) -> str:
-        """Return assignments as words; one without a value is a flag."""
+    def join_pairs(self, assignments: Mapping[str, str]) -> str:
+        """Return assignments as words; an assignment without a value is a flag."""
         return " ".join(
             f"{key}={self.value(value)}" if value else key for key, value in assignments.items()
         )
@@ -115,61 +119,63 @@ class Printer(Writer):
         return with_prefixes(text)
 
     def value(self, text: str) -> str:
-        """Return a word of a card, which in braces or single quotes is an expression."""
+        """Return a word of a card; a word in braces or single quotes is an expression."""
         if text[:1] not in ("{", "'"):
             return self.number(text)
-        written = self.write(parse(text, where=self.where))
+        written = self.write(parse_expression(text, where=self.where))
         return f"{{{written.replace(', ', ',')}}}"  # a blank would end the word
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Return a function; each line of a table has several rows."""
+        """Return a function call; each line of a table has several rows."""
         if function != "pwl":
             return super().call(function, arguments)
         head, *numbers = map(self.write, arguments)
         rows = list(map(", ".join, zip(numbers[::2], numbers[1::2], strict=False)))
-        lines = textwrap.wrap(", ".join(rows), _WIDTH, break_long_words=False)
+        lines = textwrap.wrap(", ".join(rows), _TABLE_WIDTH, break_long_words=False)
         return f"pwl({head},\n+ " + "\n+ ".join(lines) + ")"
 
 
 def _print_comments(notes: Iterable[str]) -> tuple[str, ...]:
-    """Return comments as the lines that are printed."""
-    return tuple(chain.from_iterable(map(comment_lines, notes)))
+    """Return comments as printed lines."""
+    return tuple(chain.from_iterable(map(wrap_comments, notes)))
 
 
 def _continue_card(card: str) -> str:
-    """Return a card with its continuation lines; a control block has none."""
-    return card if card.startswith(".control") else "\n".join(card_lines(card))
+    """Return a card with continuation lines; a control block is unchanged."""
+    return card if card.startswith(".control") else "\n".join(wrap_card(card))
 
 
 def _join_words(*words: str) -> str:
+    """Join words by blanks."""
     return " ".join(filter(None, words))
 
 
 def locate_cards(circuit: Circuit, file: str) -> Circuit:
-    """Return the tree of a ``file`` with the line and the printed text of each card."""
+    """Return the tree of a ``file`` in which each card has its line number and printed text."""
     return replace(circuit, items=tuple(_locate_items(circuit.items, Printer(), file, count(1))))
 
 
 def _locate_items(
     items: Iterable[Item], printer: Printer, file: str, lines: Iterator[int]
 ) -> Iterator[Item]:
-    """Yield items with their places; ``lines`` yields the numbers of the file's lines."""
+    """Yield items with their positions; ``lines`` yields line numbers of the file."""
     for item in items:
-        _skip(lines, len(_print_comments(item.notes)))
+        _skip_lines(lines, len(_print_comments(item.notes)))
         if isinstance(item, Circuit):
             head = _continue_card(printer.head(item))
             where = f"{file}:{next(lines)}"
-            _skip(lines, head.count("\n"))
+            _skip_lines(lines, head.count("\n"))
             inner = tuple(_locate_items(item.items, printer, file, lines))
-            _skip(lines, len(_print_comments(item.closing)) + 1)
+            _skip_lines(lines, len(_print_comments(item.closing)) + 1)
             yield replace(item, items=inner, where=where, written=head.replace("\n+", ""))
         elif card := printer.card(item):
             card = _continue_card(card)
             where = f"{file}:{next(lines)}"
-            _skip(lines, card.count("\n"))
+            _skip_lines(lines, card.count("\n"))
             yield replace(item, where=where, written=card.replace("\n+", ""))
 
 
-def _skip(lines: Iterator[int], number: int) -> None:
+def _skip_lines(lines: Iterator[int], number: int) -> None:
+    """Skip a number of lines."""
     for _ in range(number):
         next(lines)

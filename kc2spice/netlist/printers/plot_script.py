@@ -1,32 +1,32 @@
-"""Scripts by which ngspice plots the results of a deck."""
+"""Scripts that plot the results of a deck in ngspice."""
 
 from __future__ import annotations
 
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import terms
+from kc2spice.netlist.expression import split_terms
 
-CURVES = 6  # curves of one window
-_PREFIX = {1e-6: "u", 1e-3: "m", 1.0: ""}
-_AXIS = {"tran": "", "ac": " xlog", "dc": "", "noise": " loglog"}
+MAX_CURVES = 6  # curves in one window
+_PLOT_PREFIXES = {1e-6: "u", 1e-3: "m", 1.0: ""}
+_PLOT_AXES = {"tran": "", "ac": " xlog", "dc": "", "noise": " loglog"}
 
 
-def plot_script(deck: Deck) -> dict[str, str]:
+def write_plot_script(deck: Deck) -> dict[str, str]:
     """Return ``{"NAME_plot.sp": text}`` with one window for each unit of the results.
 
-    The script is empty if there are no curves. ngspice runs a file whose first line is
+    The result is empty if there are no curves. ngspice runs a file whose first line is
     ``*ng_script`` as commands.
     """
-    axis = _AXIS.get(deck.command.kind)
+    axis = _PLOT_AXES.get(deck.command.kind)
     windows: dict[str, list[str]] = {}
     for name, (expression, factor) in deck.vectors.items():
-        if len(terms(expression)) == 1 and abs(factor) in _PREFIX:
-            unit = _PREFIX[abs(factor)] + deck.units.get(name, "1")
+        if len(split_terms(expression)) == 1 and abs(factor) in _PLOT_PREFIXES:
+            unit = _PLOT_PREFIXES[abs(factor)] + deck.units.get(name, "1")
             windows.setdefault(unit, []).append(expression)
     if axis is None or not windows:
         return {}
     wrap = "db({})" if deck.command.kind == "ac" else "{}"
     lines = [
-        f"plot {' '.join(map(wrap.format, list(dict.fromkeys(vectors))[:CURVES]))}{axis} "
+        f"plot {' '.join(map(wrap.format, list(dict.fromkeys(vectors))[:MAX_CURVES]))}{axis} "
         f"ylabel '{'dB of ' if deck.command.kind == 'ac' else ''}{unit}' title '{deck.name}'"
         for unit, vectors in windows.items()
     ]

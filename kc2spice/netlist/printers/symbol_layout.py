@@ -1,4 +1,4 @@
-"""Places of pins on the symbol of a part."""
+"""Positions of pins on the symbol of a part."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from operator import attrgetter
 from kc2spice.core.domains import ELECTRICAL, REFERENCES, SIGNAL, TRANSLATION
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.scope import Scope, circuit
+from kc2spice.netlist.scope import Scope, build_scope
 
-_LETTER = 0.45  # width of a letter in grid units
-_CONTROLLED = frozenset("egs")  # letters of elements whose last two nodes draw no current
+_LETTER_WIDTH = 0.45  # width of a letter in grid units
+_CONTROLLED_KINDS = frozenset("egs")  # letters of elements whose last two nodes draw no current
 
 
 @dataclass(frozen=True)
 class Place:
-    """The free end of a pin at grid position ``(x, y)``, with y upwards.
+    """Free end of a pin at grid position ``(x, y)``, with y upwards.
 
     The end of the pin is ``length`` away from the body of the symbol.
     """
@@ -32,7 +32,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Box:
-    """A symbol of half width and half height in grid units."""
+    """Rectangular symbol with half width and half height in grid units."""
 
     width: int
     height: int
@@ -40,7 +40,7 @@ class Box:
 
 
 def arrange_pins(part: Subcircuit) -> Box:
-    """Return the symbol of ``part``; its pins are numbered as on ``.subckt``.
+    """Return the symbol of ``part`` with its pins, numbered as on ``.subckt``.
 
     The left side of an actuator has its electrical terminals, the right side its mechanical ports.
     Electronics have their inputs on the left and their outputs on the right. Mechanical parts have
@@ -50,8 +50,8 @@ def arrange_pins(part: Subcircuit) -> Box:
     longest = max(_longest_name(left), _longest_name(right))
     rows = max(len(left), len(right))
     # names at the bottom are vertical, between the names on both sides
-    width = max(3, ceil(_LETTER * longest + 0.6 + 0.5 * len(below)))
-    height = max(ceil((rows + 1) / 2), ceil((_LETTER * _longest_name(below) + 0.8) / 2))
+    width = max(3, ceil(_LETTER_WIDTH * longest + 0.6 + 0.5 * len(below)))
+    height = max(ceil((rows + 1) / 2), ceil((_LETTER_WIDTH * _longest_name(below) + 0.8) / 2))
     places = []
     for side, x, pins in (("left", -width - 1, left), ("right", width + 1, right)):
         for row, (number, pin) in enumerate(pins):
@@ -69,11 +69,11 @@ def _longest_name(pins: list[tuple[int, Pin]]) -> int:
 
 
 def _find_sensed_nodes(scope: Scope | None) -> set[str]:
-    """Return the nodes that elements of ``scope`` sense without a current."""
+    """Return the nodes whose voltage elements of ``scope`` sense without current."""
     sensed: set[str] = set()
     loaded: set[str] = set()
     for item in scope.elements if scope else ():
-        two = item.kind in _CONTROLLED and len(item.nodes) == 4
+        two = item.kind in _CONTROLLED_KINDS and len(item.nodes) == 4
         loaded |= set(item.ends[:2] if two else () if item.kind == "x" else item.ends)
         sensed |= {*item.ends[2:]} if two else item.sensed_nodes
         if item.kind == "x" and scope and (called := scope.find(item.model)):
@@ -84,7 +84,7 @@ def _find_sensed_nodes(scope: Scope | None) -> set[str]:
 
 
 def _assign_sides(part: Subcircuit) -> tuple[list[tuple[int, Pin]], ...]:
-    """Return the pins with their numbers on the left, on the right and below."""
+    """Return the numbered pins on the left, on the right and at the bottom."""
     electrical, signals, displacements, others = list[str](), list[str](), list[str](), list[str]()
     for pin in part.pins:
         if pin.name in REFERENCES:
@@ -97,12 +97,12 @@ def _assign_sides(part: Subcircuit) -> tuple[list[tuple[int, Pin]], ...]:
             moves = pin.unit == TRANSLATION.across.pin_unit
             (displacements if moves else others).append(pin.name)
     mechanical = displacements or others
-    sensed = _find_sensed_nodes(circuit(part.circuit).find(part.name))
+    sensed = _find_sensed_nodes(build_scope(part.circuit).find(part.name))
     left = {pin.name for pin in part.pins if pin.key in sensed} - REFERENCES
     if electrical and mechanical:
         left = set(electrical)
     elif electrical:
-        left.update(signals)  # commands, even if they draw a current
+        left.update(signals)  # command inputs, even if they draw a current
         left = left or {electrical[0]}
     elif mechanical:
         left = set(mechanical)

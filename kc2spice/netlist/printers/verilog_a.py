@@ -1,8 +1,8 @@
 """Parts as Verilog-A modules, translated element by element.
 
-Every card becomes one contribution on the same nodes. Module and ``.subckt`` therefore are the same
-system of equations (Verilog-AMS Language Reference Manual 2.4, chapters 4 and 5). Nested instances
-are flattened, because Verilog-A compilers of simulators do not support hierarchy.
+Every card becomes one contribution on the same nodes. Module and ``.subckt`` therefore have the
+same system of equations (Verilog-AMS Language Reference Manual 2.4, chapters 4 and 5). Nested
+instances are flattened, because Verilog-A compilers of simulators do not support hierarchy.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from kc2spice.netlist.circuit import (
     Model,
     Parameters,
     items_of,
-    lower_keys,
+    lower_names,
 )
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
-    EVERYWHERE,
+    COMMON_FUNCTIONS,
     Binary,
     CircuitVariable,
     Name,
     Number,
     Tree,
     Writer,
-    literal,
-    parse,
+    literal_value,
+    parse_expression,
     parse_vector,
     probed_names,
-    substitute,
-    walk,
+    substitute_names,
+    walk_tree,
 )
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.scope import GROUND, INCLUDES, Scope, circuit
-from kc2spice.netlist.spelling import number
+from kc2spice.netlist.scope import GROUND_NAMES, INCLUDES, Scope, build_scope
+from kc2spice.netlist.spelling import format_number
 
-# Verilog-AMS Language Reference Manual 2.4, annex B, and the names of our own header.
-_WORDS = (
+# Verilog-AMS Language Reference Manual 2.4, annex B, and names in the kc2spice header.
+_RESERVED_WORDS = (
     "above abs absdelay absdelta access acos acosh ac_stim aliasparam always analog "
     "analysis and asin asinh assert assign atan atan2 atanh automatic begin branch buf "
     "bufif0 bufif1 case casex casez ceil cell cmos config connect connectmodule "
@@ -65,18 +65,21 @@ _WORDS = (
     "vectored wait wand weak0 weak1 while white_noise wire wor wreal xnor xor zi_nd zi_np "
     "zi_zd zi_zp electrical V I"
 )
-_RESERVED = frozenset(_WORDS.split())
-_UNSAID = "Verilog-A has no equivalent of this card"
-HOLD = 1e9  # S, of initial conditions
-SERIES = 1e-15  # Ohm, of a source of voltage
-_PRINTED = (".print", ".meas")  # cards about waves of nodes that a module may not have
-_SPELLED = {"uramp": "max(0.0, {0})", "sgn": "({0} > 0.0 ? 1.0 : ({0} < 0.0 ? -1.0 : 0.0))"}
-_SWITCH = {"vt": "0.0", "vh": "0.0", "ron": "1.0", "roff": "1e12"}
+_RESERVED_NAMES = frozenset(_RESERVED_WORDS.split())
+_NO_EQUIVALENT = "Verilog-A has no equivalent of this card"
+HOLD_CONDUCTANCE = 1e9  # S, holds an initial condition; large against all other conductances
+SOURCE_RESISTANCE = 1e-15  # Ohm, in series with a voltage source
+_OUTPUT_CARDS = (".print", ".meas")  # cards that print waves of nodes which a module may not have
+_FUNCTION_TEMPLATES = {
+    "uramp": "max(0.0, {0})",
+    "sgn": "({0} > 0.0 ? 1.0 : ({0} < 0.0 ? -1.0 : 0.0))",
+}
+_SWITCH_DEFAULTS = {"vt": "0.0", "vh": "0.0", "ron": "1.0", "roff": "1e12"}
 
 
 @dataclass
 class Module:
-    """A module while it is written."""
+    """Verilog-A module under construction."""
 
     declarations: list[str] = field(default_factory=list)
     functions: list[str] = field(default_factory=list)
@@ -86,13 +89,13 @@ class Module:
     identifiers: set[str] = field(default_factory=set)
 
     def identifier(self, name: str) -> str:
-        """Return ``name``, with ``_`` behind it if the word is taken."""
-        while name in _RESERVED or name in self.identifiers:
+        """Return ``name``, with ``_`` appended if the word is reserved or in use."""
+        while name in _RESERVED_NAMES or name in self.identifiers:
             name += "_"
         self.identifiers.add(name)
         return name
 
-    def variable(self, name: str, value: str) -> str:
+    def declare_variable(self, name: str, value: str) -> str:
         """Declare a variable with its value, such as a charge, and return its name."""
         spelled = self.identifier(name)
         self.declarations.append(f"real {spelled};")
@@ -102,7 +105,7 @@ class Module:
 
 @dataclass
 class VerilogNames(Writer):
-    """Spelling inside one instance; its ``prefix`` distinguishes nested instances."""
+    """Spelling of names inside one instance; its ``prefix`` distinguishes nested instances."""
 
     module: Module
     scope: Scope
@@ -113,11 +116,11 @@ class VerilogNames(Writer):
     part: str = ""
 
     def node(self, name: str) -> str:
-        """Return the name of a node, which is declared if it is new."""
+        """Return the name of a node, and declare a new node."""
         key, nodes = name.lower(), self.module.nodes
         if key in self.pins:
             return self.pins[key]
-        if key in GROUND:
+        if key in GROUND_NAMES:
             raise UsageError("a module has no global ground", where=self.where, got=name)
         local = self.prefix + key
         if local not in nodes:
@@ -125,11 +128,12 @@ class VerilogNames(Writer):
         return nodes[local]
 
     def across(self, names: Iterable[str]) -> str:
+        """Return the access function of the voltage between two nodes."""
         return f"V({','.join(map(self.node, names))})"
 
     def value(self, text: str) -> str:
         """Return the spelling of a literal or an ``{expression}`` of a card."""
-        return self.law(parse(text, where=self.where))
+        return self.law(parse_expression(text, where=self.where))
 
     def law(self, tree: Tree) -> str:
         """Return the spelling of an expression as a factor of a product."""
@@ -153,50 +157,53 @@ class VerilogNames(Writer):
         return super().write(tree, level)
 
     def branch(self, source: str) -> str:
+        """Return the name of the branch of a source."""
         return f"br_{self.prefix}{source.lower()}"
 
     def name(self, text: str) -> str:
+        """Return the spelling of a parameter or keyword."""
         if text.lower() not in self.params:
             raise UsageError("Verilog-A has no equivalent of this word", where=self.where, got=text)
         return self.params[text.lower()]
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+        """Return the spelling of a function call."""
         if function == "pwl":
             name = f"table_{self.prefix}{self.part}_{len(self.module.functions)}"
-            numbers = [literal(self.write(a), where=self.where) for a in arguments[1:]]
+            numbers = [literal_value(self.write(a), where=self.where) for a in arguments[1:]]
             points = [value for value in numbers if value is not None]
             at, f = points[::2], points[1::2]
             if len(points) < max(4, len(numbers)) or len(at) != len(f) or at != sorted(set(at)):
                 message = "a table of a module has two rising numbers or more, each with its value"
                 raise UsageError(message, where=self.where, got=self.part)
-            self.module.functions.append(_table(name, at, f))
+            self.module.functions.append(_table_expression(name, at, f))
             return f"{name}({self.write(arguments[0])})"
         if defined := self.scope.functions.get(function):
             bound = dict(zip(map(str.lower, defined.arguments), arguments, strict=False))
-            body = parse(defined.expression, where=defined.where)
+            body = parse_expression(defined.expression, where=defined.where)
             inserted = {}
-            for leaf in items_of(walk(body), Name):
+            for leaf in items_of(walk_tree(body), Name):
                 if leaf.text.lower() in bound:
                     inserted[leaf.text] = bound[leaf.text.lower()]
-            return f"({self.write(substitute(body, inserted))})"
+            return f"({self.write(substitute_names(body, inserted))})"
         if function == "pow" and len(arguments) == 2:
             return self.write(Binary("^", *arguments))
-        if spelled := _SPELLED.get(function):
+        if spelled := _FUNCTION_TEMPLATES.get(function):
             return spelled.format(self.write(arguments[0]))
         spelled = "ln" if function == "log" else function
-        if spelled not in EVERYWHERE:
+        if spelled not in COMMON_FUNCTIONS:
             raise UsageError(
                 "Verilog-A has no equivalent of this function", where=self.where, got=function
             )
         return super().call(spelled, arguments)
 
 
-def module_files(part: Subcircuit) -> dict[str, str]:
+def print_module(part: Subcircuit) -> dict[str, str]:
     """Return the module of a part as ``{name.va: text}``.
 
     Raises
     ------
-    UsageError : a construct without a Verilog-A form (waveforms, hysteresis, global ground).
+    UsageError : a construct has no equivalent in Verilog-A (waveforms, hysteresis, global ground).
     """
     if part.no_module:
         raise UsageError(
@@ -206,14 +213,14 @@ def module_files(part: Subcircuit) -> dict[str, str]:
             expected="ngspice, xyce or ltspice",
             hint="export this scene with --dialect ngspice",
         )
-    scope = circuit(part.located_tree).subcircuits[part.name.lower()]
+    scope = build_scope(part.located_tree).subcircuits[part.name.lower()]
     module = Module()
     pins, params = {}, {}
     for pin in part.pins:
         pins[pin.key] = module.identifier(pin.name)
     for p in part.params:
         spelled = params[p.name.lower()] = module.identifier(p.name)
-        line = f"parameter real {spelled} = {number(p.default)};"
+        line = f"parameter real {spelled} = {format_number(p.default)};"
         module.declarations.append(f"{line}  // {p.unit}: {p.doc}")
     names = VerilogNames(module, scope, pins, params, "")
     for key, default in scope.defaults.items():  # of a user's subcircuit, without a description
@@ -245,15 +252,15 @@ def module_files(part: Subcircuit) -> dict[str, str]:
     return {part.filename.removesuffix(".lib") + ".va": "\n".join(body) + "\n"}
 
 
-def _expand(names: VerilogNames) -> None:
-    """Add the contributions of an instance and of the instances within."""
+def _expand_circuit(names: VerilogNames) -> None:
+    """Add the contributions of an instance and of its inner instances."""
     scope, module, prefix = names.scope, names.module, names.prefix
     for card in scope.commands:
         names.where = card.where
         if isinstance(card, Directive) or card.written.startswith(".csparam"):
-            raise card.error(_UNSAID)
+            raise card.error(_NO_EQUIVALENT)
         for key, text in card.values.items() if isinstance(card, Parameters) else ():
-            names.params[key.lower()] = module.variable(prefix + key, names.value(text))
+            names.params[key.lower()] = module.declare_variable(prefix + key, names.value(text))
     for part in scope.elements:
         names.where, names.part = part.where, part.key
         module.laws += map(_convert_comment, part.notes)
@@ -278,14 +285,14 @@ def _expand_instance(part: Element, outer: VerilogNames) -> None:
     params = {}
     for key, default in called.defaults.items():
         value = outer.value(part.settings.get(key, default))
-        params[key] = outer.module.variable(prefix + key, value)
-    _expand(VerilogNames(outer.module, called, pins, params, prefix))
+        params[key] = outer.module.declare_variable(prefix + key, value)
+    _expand_circuit(VerilogNames(outer.module, called, pins, params, prefix))
 
 
 def _contribute(part: Element, names: VerilogNames) -> None:
-    """Add the contribution of one primitive element.
+    """Add the contribution of one element.
 
-    The contribution is a current between the nodes of the element, or a voltage across a branch
+    A contribution is a current between the nodes of the element, or a voltage across a branch
     with its name.
     """
     module = names.module
@@ -301,10 +308,12 @@ def _contribute(part: Element, names: VerilogNames) -> None:
     right = names.law(part.law) if part.quantity else _element_contribution(part, names, across)
     module.laws.append(f"{through} <+ {right};")
     if part.kind == "c" and "ic" in part.settings:
-        # Written with the time, because ngspice also calls the first time step ``ic``.
-        search = '(analysis("ic") || analysis("tran")) && $abstime <= 0.0'
+        # The time is compared as well, because ngspice also treats the first time step as ``ic``.
+        search_interval = '(analysis("ic") || analysis("tran")) && $abstime <= 0.0'
         start = names.value(part.settings["ic"])
-        clamp = f"({search} ? {number(HOLD)} : 0.0)*({across} - {start})"
+        clamp = (
+            f"({search_interval} ? {format_number(HOLD_CONDUCTANCE)} : 0.0)*({across} - {start})"
+        )
         module.laws.append(f"{through} <+ {clamp};")
 
 
@@ -315,10 +324,12 @@ def _element_contribution(part: Element, names: VerilogNames, across: str) -> st
         case "r":
             return f"{across}/{_card_value(part, names)}"
         case "c":
-            # If ddt contains equal products, OpenVAF (Reloaded, 2026-08) sometimes gives the
-            # derivative of one to the node of another.
+            # If ddt contains equal products, OpenVAF (Reloaded, 2026-08) may assign the derivative
+            # of one product to the node of another.
             charge = f"{_card_value(part, names)}*{across}"
-            return f"ddt({names.module.variable(f'charge_{names.prefix}{part.key}', charge)})"
+            return (
+                f"ddt({names.module.declare_variable(f'charge_{names.prefix}{part.key}', charge)})"
+            )
         case "l":
             return f"ddt({_card_value(part, names)}*{current})"
         case "e" | "g":
@@ -330,14 +341,14 @@ def _element_contribution(part: Element, names: VerilogNames, across: str) -> st
         case "i":
             return _steady_value(part, names)
         case "v":
-            # OpenVAF makes one node of the ends of a plain 0 V, and its current zero
-            series = f" + {number(SERIES)}*{current}"
+            # OpenVAF merges the ends of a 0 V source into one node, and sets its current to zero
+            series = f" + {format_number(SOURCE_RESISTANCE)}*{current}"
             return _steady_value(part, names) + (series if _is_sensed(part, names.scope) else "")
-    raise part.error(_UNSAID)
+    raise part.error(_NO_EQUIVALENT)
 
 
 def _is_sensed(source: Element, scope: Scope) -> bool:
-    """Whether an element or an expression reads the current of a voltage source."""
+    """Return whether an element or an expression reads the current of a voltage source."""
     for item in scope.elements:
         if source.key in map(str.lower, item.sources):
             return True
@@ -347,20 +358,20 @@ def _is_sensed(source: Element, scope: Scope) -> bool:
 
 
 def _card_value(part: Element, names: VerilogNames) -> str:
-    """Return the one value of a card; a multiplier or a model is refused."""
+    """Return the only value of a card; a multiplier or a model is rejected."""
     if len(part.values) != 1 or set(part.settings) - ({"ic"} if part.kind == "c" else set()):
-        raise part.error(_UNSAID)
+        raise part.error(_NO_EQUIVALENT)
     return names.value(part.values[0])
 
 
 def _steady_value(part: Element, names: VerilogNames) -> str:
-    """Return the value of a source that never changes, such as a waveform of zeros."""
+    """Return the value of a constant source, such as a waveform of zeros."""
     words = [w for w in part.values if w.lower() != "dc"]
     if len(words) == 1 and "(" not in words[0].partition("{")[0]:
         return names.value(words[0])
     wave, _, inside = " ".join(words).rstrip(")").partition("(")
     listed = inside.replace(",", " ").split() if wave.strip().lower() == "pwl" else []
-    points = [literal(word, where=part.where) for word in listed]
+    points = [literal_value(word, where=part.where) for word in listed]
     if points and None not in points and not any(points[1::2]):
         return "0.0"
     raise part.error("a module has no sources with waveforms")
@@ -369,9 +380,14 @@ def _steady_value(part: Element, names: VerilogNames) -> str:
 def _switch_resistance(part: Element, names: VerilogNames) -> str:
     """Return the resistance of a switch, which depends on its control voltage."""
     model = names.scope.models.get(part.model.lower())
-    parameters = _SWITCH | (lower_keys(model.parameters) if model else {})
-    worth = {k: literal(v, where=names.where) for k, v in parameters.items()}
-    if not model or worth.keys() != _SWITCH.keys() or None in worth.values() or worth["vh"]:
+    parameters = _SWITCH_DEFAULTS | (lower_names(model.parameters) if model else {})
+    worth = {k: literal_value(v, where=names.where) for k, v in parameters.items()}
+    if (
+        not model
+        or worth.keys() != _SWITCH_DEFAULTS.keys()
+        or None in worth.values()
+        or worth["vh"]
+    ):
         raise part.error("Verilog-A has no equivalent of this switch")
     on, off, level = map(names.value, itemgetter("ron", "roff", "vt")(parameters))
     return f"({names.across(part.nodes[2:])} > {level} ? {on} : {off})"
@@ -382,7 +398,7 @@ def _couple_inductors(part: Element, names: VerilogNames) -> list[str]:
     inductors = names.scope.elements_of("l")
     coils = list(filter(None, map(inductors.get, map(str.lower, part.sources))))
     if len(coils) != 2:
-        raise part.error(_UNSAID)
+        raise part.error(_NO_EQUIVALENT)
     first, second = coils
     product = f"{names.value(first.values[0])}*{names.value(second.values[0])}"
     mutual = f"{_card_value(part, names)}*sqrt({product})"
@@ -390,35 +406,37 @@ def _couple_inductors(part: Element, names: VerilogNames) -> list[str]:
     return [f"V({one}) <+ ddt({mutual}*I({two}));", f"V({two}) <+ ddt({mutual}*I({one}));"]
 
 
-def _table(name: str, x: list[float], f: list[float]) -> str:
+def _table_expression(name: str, x: list[float], f: list[float]) -> str:
     """Return a piecewise linear function that extrapolates its outer segments."""
     lines = [f"  analog function real {name};", "    input x;", "    real x;", "    begin"]
 
-    def search(low: int, high: int, indent: str) -> None:
+    def search_interval(low: int, high: int, indent: str) -> None:
+        """Return the expression of a binary search between two points."""
         if high - low == 1:
             slope = (f[high] - f[low]) / (x[high] - x[low])
-            value = f"{number(f[low])} + ({number(slope)})*(x - ({number(x[low])}))"
+            value, start = format_number(f[low]), format_number(x[low])
+            value = f"{value} + ({format_number(slope)})*(x - ({start}))"
             lines.append(f"{indent}{name} = {value};")
             return
         middle = (low + high) // 2
-        lines.append(f"{indent}if (x < {number(x[middle])}) begin")
-        search(low, middle, indent + "  ")
+        lines.append(f"{indent}if (x < {format_number(x[middle])}) begin")
+        search_interval(low, middle, indent + "  ")
         lines.append(f"{indent}end else begin")
-        search(middle, high, indent + "  ")
+        search_interval(middle, high, indent + "  ")
         lines.append(f"{indent}end")
 
-    search(0, len(x) - 1, "      ")
+    search_interval(0, len(x) - 1, "      ")
     return "\n".join([*lines, "    end", "  endfunction"])
 
 
-# --- a testbench for modules compiled to OSDI, for an ngspice that can load them ---
+# --- testbench of modules compiled to OSDI, for an ngspice that loads OSDI ---
 
 
-def testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:
-    """Return the files of a deck with ``modules`` in place of their subcircuits.
+def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:
+    """Return the files of a deck with ``modules`` instead of subcircuits.
 
-    ``openvaf-r NAME.va`` makes ``NAME.osdi`` of each module. Parts that are no modules remain
-    libraries. Vectors inside of modules cannot be saved and are left out. The transient needs no
+    ``openvaf-r NAME.va`` compiles each module to ``NAME.osdi``. Parts that are no modules remain
+    libraries. Vectors inside modules cannot be saved and are omitted. The transient needs no
     ``uic``, because the modules contain their initial conditions.
     """
     stems = {p.name.lower(): p.filename.removesuffix(".lib") for p in modules}
@@ -429,7 +447,7 @@ def testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:
         f"* Run it with:  {compiled} && ngspice -b -r {deck.name}.raw {main}",
         "* Each part is a Verilog-A module, compiled by OpenVAF and loaded by ngspice 39 or later.",
     )
-    items = [_use_modules(item, stems, replaced) for item in tree.items]
+    items = [_replace_instance(item, stems, replaced) for item in tree.items]
     loads = tuple(map("pre_osdi {}.osdi".format, stems.values()))
     control = Directive(".control", loads, notes=items[0].notes)
     models = []
@@ -441,11 +459,11 @@ def testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:
     return files | {n: text for n, text in deck.files.items() if n not in {deck.main, *replaced}}
 
 
-def _use_modules(item: Item, stems: Mapping[str, str], replaced: Collection[str]) -> Item:
-    """Return an item of a deck with modules.
+def _replace_instance(item: Item, stems: Mapping[str, str], replaced: Collection[str]) -> Item:
+    """Return an item of a deck that uses modules instead of subcircuits.
 
-    An instance of a module is an N card with a model, to which its parameters belong. A card that
-    has no use there becomes an empty one.
+    An instance of a module is an N card with a model that contains its parameters. A card without
+    an equivalent becomes an empty card.
     """
     if isinstance(item, Element) and item.model.lower() in stems:
         name = f"N{item.name[1:]}"
@@ -454,20 +472,20 @@ def _use_modules(item: Item, stems: Mapping[str, str], replaced: Collection[str]
         return item
     words = item.words
     if item.keyword == ".save":
-        words = tuple(filter(_exists_outside, words))
+        words = tuple(filter(_is_outside_subcircuits, words))
     elif item.keyword == ".tran":
         words = tuple(word for word in words if word.lower() != "uic")
-    elif item.keyword in _PRINTED or (item.keyword in INCLUDES and words[0] in replaced):
+    elif item.keyword in _OUTPUT_CARDS or (item.keyword in INCLUDES and words[0] in replaced):
         words = ()
     if item.words and not words:
-        # these cards state the printed vectors
-        notes = () if item.keyword in _PRINTED else item.notes
+        # these cards define the printed vectors
+        notes = () if item.keyword in _OUTPUT_CARDS else item.notes
         return replace(item, keyword="", words=(), notes=notes)
     return replace(item, words=words)
 
 
-def _exists_outside(text: str) -> bool:
-    """Whether a vector is one of the deck, not one inside of a subcircuit."""
+def _is_outside_subcircuits(text: str) -> bool:
+    """Return whether a vector belongs to the deck and not to the inside of a subcircuit."""
     result = parse_vector(text)
     if result is None or result.path or result.parameter or "." in result.names[0]:
         return False

@@ -10,7 +10,7 @@ from kc2spice.core import laws
 from kc2spice.core.progress import Clock
 from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.spelling import voltage_between
+from kc2spice.netlist.spelling import format_voltage
 from kc2spice.parts.bodies._body_model import BodyModel
 from kc2spice.parts.bodies._body_ports import flow_name, paired_ports, wave_name
 from kc2spice.parts.bodies._box import varied_keys
@@ -91,7 +91,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
             name, node = wave_name(part.name, ports, port), build.net(part, port.terminals[0])
             if port.paired:
                 plus, minus = port.terminals
-                across = voltage_between(build.net(part, plus), build.net(part, minus))
+                across = format_voltage(build.net(part, plus), build.net(part, minus))
                 if across:
                     result[f"{name}.voltage"] = Vector(across, 1.0, "V")
                 if (meter := find_current_into(part, port.terminals[0], build)) is not None:

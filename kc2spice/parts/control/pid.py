@@ -16,7 +16,7 @@ from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.transforms import include_helpers
+from kc2spice.netlist.transforms import merge_helpers
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics._template import BANDWIDTH, opamp_subcircuit
 from kc2spice.parts.magnetics.ring_magnet_coils import Coils, result_prefix
@@ -178,7 +178,7 @@ def pid_subcircuit(
         pi=math.pi,
         output=output,
     )
-    return include_helpers(part, [opamp_subcircuit(header)])
+    return merge_helpers(part, [opamp_subcircuit(header)])
 
 
 class Pid(PartType[Control]):

@@ -15,7 +15,7 @@ from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE, Frequency, 
 from kc2spice.netlist.circuit import Element, Item, Param
 from kc2spice.netlist.elements import attach_comments
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.spelling import number
+from kc2spice.netlist.spelling import format_number
 from kc2spice.parts.mechanics import sphere
 from kc2spice.physics.cards import state_node
 from kc2spice.physics.declaration import Declaration, displacement, measured
@@ -117,8 +117,8 @@ dc = "1 um"
                 Element.of("Gnoise", "ref", "out", "drawn", "ref", size / root),
             ))  # fmt: skip
         elif keys.noise:
-            step = number(0.5 / keys.bandwidth)
-            wave = f"TRNOISE({number(size)} {step} 0 0)"
+            step = format_number(0.5 / keys.bandwidth)
+            wave = f"TRNOISE({format_number(size)} {step} 0 0)"
             cards = attach_comments((
                 f"* noise in {DISPLACEMENT.pin_unit}, a new random value at every {step} s",
                 Element.of("Inoise", "ref", "out", "DC", "0", wave),

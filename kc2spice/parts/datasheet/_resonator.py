@@ -28,7 +28,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.prefixes import abbreviate
-from kc2spice.netlist.spelling import LEAK_RATE, comment
+from kc2spice.netlist.spelling import LEAK_RATE, format_comment
 from kc2spice.parts.datasheet._stated_values import Relation
 from kc2spice.scene.model import (
     Build,
@@ -191,7 +191,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         tree = Circuit(items=(circuit,))
         return (
             Subcircuit(
-                name, pins, content.params, tree, title=comment(title), head_lines=len(head)
+                name, pins, content.params, tree, title=format_comment(title), head_lines=len(head)
             ),
         )
 

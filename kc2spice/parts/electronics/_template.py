@@ -19,7 +19,7 @@ from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE, Current, Se
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.transforms import include_helpers
+from kc2spice.netlist.transforms import merge_helpers
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics._driver_laws import (
     OUTPUT,
@@ -112,7 +112,7 @@ class TemplatePart(PartType[KeysT]):
         result = library(self.template, header, name, self.heading, self.fixed, params, **words)
         if not self.opamp:
             return result
-        return include_helpers(
+        return merge_helpers(
             result, [opamp_subcircuit(header, self.opamp, values.get("input_noise"))]
         )
 

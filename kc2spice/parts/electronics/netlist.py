@@ -19,11 +19,11 @@ from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.importer import Syntax, translate_circuit
-from kc2spice.netlist.include_scan import included_netlist, read_untrusted
+from kc2spice.netlist.include_scan import read_included_netlist, read_untrusted_netlist
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.read import read
-from kc2spice.netlist.scope import Scope, circuit, has_vector
-from kc2spice.netlist.spelling import name as checked
+from kc2spice.netlist.read import read_cards
+from kc2spice.netlist.scope import Scope, build_scope, has_vector
+from kc2spice.netlist.spelling import require_name as checked
 from kc2spice.parts.electronics._template import SLACK, pin_voltages, rails_check
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import (
@@ -154,11 +154,11 @@ class Netlist(PartType[NetlistKeys]):
     def subcircuits(
         self, part: Part[NetlistKeys], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        result = included_netlist(part.keys.file, build.scene.home, trust=build.trust)
+        result = read_included_netlist(part.keys.file, build.scene.home, trust=build.trust)
         pins = tuple(Pin(t.name, t.unit, t.flow) for t in build.scene.pins(part.name))
         text, file = result.text, result.file
         title = text.partition("\n")[0].lstrip("* ")
-        tree = translate_circuit(read(text, file), part.keys.syntax)
+        tree = translate_circuit(read_cards(text, file), part.keys.syntax)
         source = text if part.keys.syntax == "ngspice" else ""
         name = part.keys.subckt
         return (Subcircuit(name, pins, (), tree, title=title, file=file, source=source),)
@@ -293,9 +293,9 @@ def _inner_vector(node: str, part: str = "") -> str:
 
 def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
     """Read its subcircuit as elements with nodes."""
-    flat = read_untrusted(part.keys.file, scene.home)
-    tree = translate_circuit(read(flat.text, flat.file), part.keys.syntax)
-    result = circuit(tree).find(part.keys.subckt)
+    flat = read_untrusted_netlist(part.keys.file, scene.home)
+    tree = translate_circuit(read_cards(flat.text, flat.file), part.keys.syntax)
+    result = build_scope(tree).find(part.keys.subckt)
     if result is None:
         raise part.wrong("subckt", "no such subcircuit", part.keys.subckt)
     return result
@@ -319,7 +319,7 @@ class _File:
 def _read(file: str, home: Path, stamp: int) -> _File:
     """Contents of a file that a scene needs; ``stamp`` is its modification time."""
     result, excites = {}, False
-    for card in read_untrusted(file, home).cards():
+    for card in read_untrusted_netlist(file, home).cards():
         words = list(map(str.lower, card.words))
         excites = excites or (card.keyword[:1] in ("v", "i") and "ac" in words[3:])
         if card.keyword == ".subckt" and len(card.words) > 1:

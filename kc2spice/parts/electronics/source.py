@@ -20,8 +20,8 @@ from kc2spice.core.spectrum import find_waveform_frequency
 from kc2spice.core.untrusted_files import locate_file_in_folder, read_bounded
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.netlist.read import words
-from kc2spice.netlist.spelling import number, voltage_between
+from kc2spice.netlist.read import split_words
+from kc2spice.netlist.spelling import format_number, format_voltage
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import (
     Build,
@@ -237,8 +237,8 @@ class Source(PartType[SourceKeys]):
             return tuple(card.with_unit(kind.value_unit) for card in swept)
         wave = part.keys.waveform.spice(kind.scale)
         size = kind.scale * part.keys.amplitude
-        ac = ("AC", number(size)) if size else ()
-        card = Element.of(f"{kind.letter}{part.name}", *ends, *words(wave), *ac)
+        ac = ("AC", format_number(size)) if size else ()
+        card = Element.of(f"{kind.letter}{part.name}", *ends, *split_words(wave), *ac)
         return (card.with_unit(kind.value_unit),)
 
     def inner_names(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[tuple[str, ...]]:
@@ -264,7 +264,7 @@ class Source(PartType[SourceKeys]):
         out, ret = build.net(part, "out"), build.net(part, "ret")
         if out != ret and (kind.letter == "V" or ret == "0"):
             across = kind.domain.across
-            ends = voltage_between(out, ret)
+            ends = format_voltage(out, ret)
             result[f"{n}.{across.symbol}"] = Vector(ends, across.factor, across.unit)
         return result
 
@@ -324,7 +324,8 @@ def _sweep_cards(
     last = kind.scale * quantity(selected.to, kind.unit)
     swept = build.inner_name(part, part.name, "swept")
     folded = build.inner_name(part, part.name, "folded")
-    value = f"{number(last)}{'-' if first < last else '+'}abs(V({swept})-({number(last)}))"
+    end = format_number(last)
+    value = f"{end}{'-' if first < last else '+'}abs(V({swept})-({end}))"
     yield Element.of(f"V{swept}", swept, "0", first)
     if kind.letter == "I":
         yield Element.behaviour(f"BI{part.name}", ends[0], ends[1], "I", value)

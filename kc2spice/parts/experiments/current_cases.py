@@ -15,7 +15,7 @@ from kc2spice.core.quantities import Current, Section
 from kc2spice.core.waveforms import Waveforms, constant_waveform
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.elements import Line, attach_comments
-from kc2spice.netlist.spelling import number
+from kc2spice.netlist.spelling import format_number
 from kc2spice.parts.magnetics.ring_magnet_coils import Coils
 from kc2spice.parts.mechanics.sphere import sphere_of
 from kc2spice.physics import coils
@@ -75,7 +75,8 @@ class CurrentCases(PartType[CurrentCasesKeys]):
             a, b = build.inner_name(part, f"lower{k}"), build.inner_name(part, f"upper{k}")
             force = build.inner_name(part, f"force{k}")
             cards += [
-                f"* {number(lower)} A in the lower, {number(upper)} A in the upper coil",
+                f"* {format_number(lower)} A in the lower, "
+                f"{format_number(upper)} A in the upper coil",
                 Element.of(
                     build.inner_name(part, f"Xcatch{k}"), a, "0", b, "0", y, force, "0", library
                 ),

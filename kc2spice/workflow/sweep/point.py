@@ -23,12 +23,12 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded
 from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.include_scan import included_netlist
+from kc2spice.netlist.include_scan import read_included_netlist
 from kc2spice.netlist.transforms import (
     Parameters,
-    cards,
-    library_of,
+    library_stem,
     parameter_defaults,
+    parameter_owners,
     with_parameters,
 )
 from kc2spice.report.html import flatten_mapping
@@ -110,7 +110,7 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     result = {}
     for name in sorted(netlists.union(*(files for _, files in parts))):
         if name in netlists:
-            result[name] = included_netlist(name, scene.home).text.encode()
+            result[name] = read_included_netlist(name, scene.home).text.encode()
             continue
         try:
             result[name] = read_bounded(scene.home / name, MAX_FILES)
@@ -217,7 +217,7 @@ def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str
     known, parts, unjudged = parameter_defaults(deck), dict(build.scene.parts), set[str]()
     for key, value in values:
         library, _, name = key.partition(".")
-        users = {library_of(p) for p in deck.parts if library in dict(cards(p))}
+        users = {library_stem(p) for p in deck.parts if library in dict(parameter_owners(p))}
         for owner in (p for p, used in build.libraries.items() if used in users):
             other = with_value(parts[owner], name, known.get(key, math.nan), value)
             if other is not None:

@@ -13,7 +13,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Item
-from kc2spice.netlist.deck import Deck, ac
+from kc2spice.netlist.deck import Deck, ac_command
 from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.spelling import LEAK_RATE
@@ -241,7 +241,7 @@ def _deck(
         parts=(library,),
         items=tuple(items),
         vectors=vectors,
-        command=ac(band[1] / POINTS, band[1], POINTS, "linear"),
+        command=ac_command(band[1] / POINTS, band[1], POINTS, "linear"),
     )
 
 

@@ -28,7 +28,7 @@ from kc2spice.equations.replay import find_replayed_nets, list_recorded_vectors
 from kc2spice.equations.scene_laws import scene_laws
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import Flat, read_checked_circuit
-from kc2spice.netlist.library import Subcircuit, subcircuits
+from kc2spice.netlist.library import Subcircuit, parse_subcircuits
 from kc2spice.report.verify_page import Findings, plot_comparison, write_verify
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import PAIRS, Check, Gate, Verdict
@@ -347,7 +347,7 @@ def _included_subcircuits(flat: Flat) -> tuple[Subcircuit, ...]:
     _, *included = files.items()
     result: list[Subcircuit] = []
     for name, lines in included:
-        result += subcircuits("\n".join(lines), name)
+        result += parse_subcircuits("\n".join(lines), name)
     return tuple(result)
 
 

@@ -1,1 +1,1 @@
-"""Simulators besides ngspice: each module registers one dialect."""
+"""Dialects of simulators other than ngspice: each module registers one dialect."""

@@ -10,15 +10,15 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.dialect import Dialect
 from kc2spice.netlist.printers.dialect_registry import register_dialect
 from kc2spice.netlist.printers.symbol_layout import arrange_pins
-from kc2spice.netlist.spelling import number
+from kc2spice.netlist.spelling import format_number
 
-GRID = 32  # LTspice's units, two of its grid: pins must lie on multiples of 16
-_SIDES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM", "top": "TOP"}
+GRID = 32  # grid units of LTspice; pins must lie on multiples of 16
+_SIDE_NAMES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM", "top": "TOP"}
 
 
 @register_dialect
 class LTspice(Dialect):
-    """LTspice, which inserts parameters of behavioural sources as text."""
+    """Dialect of LTspice, which inserts parameters of behavioural sources as text."""
 
     dialect = "ltspice"
     title = "LTspice"
@@ -28,60 +28,67 @@ class LTspice(Dialect):
     known_options = frozenset(
         {"reltol", "abstol", "vntol", "chgtol", "trtol", "method", "gmin", "itl1", "itl2", "itl4"}
     )
-    bare = True  # how parameters are written
+    bare = True  # parameters are written without braces
 
     def name(self, text: str) -> str:
-        """Return a name; a parameter is in braces, so that its sign meets no operator."""
+        """Return a name; a parameter has braces, so that a sign of its value cannot follow an
+        operator.
+        """
         word = super().name(text)
         plain = self.bare or word != text or text.lower() in ("time", "pi", "temp")
         return word if plain else f"({{{word}}})"
 
     def law(self, part: Element) -> str:
+        """Return the expression of a behavioural source."""
         self.bare = part.kind != "b"
         text = self.write(part.law)
         quantity, self.bare = part.quantity, True
         return f"{quantity}={text}" if part.kind == "b" else f"value={{{text}}}"
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
-        """Return the model with all parameters, because the default of ``ROFF`` differs."""
+        """Return the switch model with all parameters, because the default of ``ROFF`` differs."""
         parameters = {"vt": "0", "vh": "0", "ron": "1", "roff": "1e12"} | dict(values)
         return f".model {name} SW({' '.join(f'{k.upper()}={v}' for k, v in parameters.items())})"
 
     def element(self, part: Element) -> str:
-        """Return an element; inductors get no series resistance, by default a milliohm."""
+        """Return an element; inductors get no default series resistance."""
         return super().element(part) + (" Rser=0" if part.kind == "l" else "")
 
     def scaled(self, kind: str, name: str, expression: str) -> str:
+        """Return a measurement card with an expression."""
         return f"{self.measure_keyword} {kind.upper()} {name} PARAM {expression}"
 
     def magnitude(self, vector: str) -> str:
+        """Return the magnitude of a complex vector."""
         return f"mag({vector})"
 
     def real_part(self, vector: str) -> str:
+        """Return the real part of a complex vector."""
         return f"re({vector})"
 
     def node(self, path: list[str]) -> str:
         """Return the name of a node, in which instances have no X."""
-        return ":".join([*_instance_names(path[:-1]), path[-1]])
+        return ":".join([*_strip_instance_letters(path[:-1]), path[-1]])
 
     def device(self, trace: Trace) -> str:
-        """Return a device with its letter in front, such as ``b:contact:ring0``."""
+        """Return a device name with the letter first, such as ``b:contact:ring0``."""
         (name,) = trace.names
-        inner = (name[0], *_instance_names(trace.path), name[1:])
+        inner = (name[0], *_strip_instance_letters(trace.path), name[1:])
         return ":".join(inner) if trace.path else name
 
     def symbols(self, part: Subcircuit, library: str) -> dict[str, str]:
+        """Return the symbol file of a part."""
         stem = part.filename.removesuffix(".lib")
         return {f"{stem}.asy": _draw_symbol(part, library)}
 
 
-def _instance_names(path: Iterable[str]) -> list[str]:
+def _strip_instance_letters(path: Iterable[str]) -> list[str]:
     """Return the names of instances without their letter X."""
     return [instance[1:] for instance in path]
 
 
 def _draw_symbol(part: Subcircuit, library: str) -> str:
-    """Return the symbol of one part; With the symbol, LTspice includes the file ``library``."""
+    """Return the symbol of one part, which includes the file ``library``."""
     box = arrange_pins(part)
     x, y = GRID * box.width, GRID * box.height
     lines = [
@@ -96,11 +103,11 @@ def _draw_symbol(part: Subcircuit, library: str) -> str:
         f"SYMATTR Description {part.title}",
     ]
     if part.params:
-        parameters = " ".join(f"{p.name}={number(p.default)}" for p in part.params)
+        parameters = " ".join(f"{p.name}={format_number(p.default)}" for p in part.params)
         lines.append(f"SYMATTR SpiceLine {parameters}")
-    for pin in box.places:  # on the outline; y points down here
+    for pin in box.places:  # on the outline of the symbol; y points downwards here
         x = max(-box.width, min(box.width, pin.x)) * GRID
         y = -max(-box.height, min(box.height, pin.y)) * GRID
-        lines += [f"PIN {x} {y} {_SIDES[pin.side]} 8", f"PINATTR PinName {pin.name}"]
+        lines += [f"PIN {x} {y} {_SIDE_NAMES[pin.side]} 8", f"PINATTR PinName {pin.name}"]
         lines.append(f"PINATTR SpiceOrder {pin.number}")
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""Sandia's Xyce."""
+"""Netlist dialect of the simulator Xyce (Sandia National Laboratories)."""
 
 from __future__ import annotations
 
@@ -9,23 +9,25 @@ from itertools import filterfalse
 
 from kc2spice.netlist.circuit import Directive, Element
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import Number, Tree, literal
+from kc2spice.netlist.expression import Number, Tree, literal_value
 from kc2spice.netlist.printers.dialect import COMMON, Dialect
 from kc2spice.netlist.printers.dialect_registry import register_dialect
-from kc2spice.netlist.scope import GROUND
-from kc2spice.netlist.spelling import number, write_rounded
+from kc2spice.netlist.scope import GROUND_NAMES
+from kc2spice.netlist.spelling import format_number, format_rounded
 
-STEP = 1e-6  # s, largest time step if a controller closes a loop
-TIGHT = 1e-5  # largest reltol; otherwise a tenth of the given reltol, for contacts within 1e-5
-SWITCH_BAND = 1e-3  # V on either side of the threshold: its switch has no jump
+LOOP_TIME_STEP = 1e-6  # s, largest time step if a controller closes a feedback loop
+# largest reltol; below this, a tenth of the reltol of ngspice, for contacts within 1e-5
+MAX_RELTOL = 1e-5
+# V on either side of the threshold, because the switch of Xyce needs a transition
+SWITCH_BAND = 1e-3
 
 
-_SCALES = {"tran": "TIME", "ac": "FREQ"}  # words of measures for the scale
+_SCALE_NAMES = {"tran": "TIME", "ac": "FREQ"}  # names of the scale in measurement cards
 
 
 @register_dialect
 class Xyce(Dialect):
-    """Xyce, whose function ``uramp`` lacks the chain rule (release 7.5).
+    """Dialect of Xyce, whose function ``uramp`` lacks the chain rule (release 7.5).
 
     The second of two ``.options timeint`` replaces the first.
     """
@@ -49,39 +51,43 @@ class Xyce(Dialect):
         return super().call(function, arguments)
 
     def element(self, part: Element) -> str:
-        """Return a card without ``IC=`` if the analysis has no ``uic``.
+        """Return a card, without ``IC=`` if the analysis has no ``uic``.
 
         ngspice ignores ``IC=`` without ``uic``, Xyce does not.
         """
-        if not _from_states(self.analysis) and part.kind in "cl":
+        if not _starts_from_initial_states(self.analysis) and part.kind in "cl":
             parameters = {k: v for k, v in part.parameters.items() if k.lower() != "ic"}
             part = replace(part, parameters=parameters)
         return super().element(part)
 
     def directive(self, card: Directive) -> str:
-        """Return a card of an analysis that Xyce runs as ngspice does.
+        """Return the card of an analysis that Xyce runs like ngspice.
 
         A logarithmic range ends at the first point at or beyond its end. Xyce would stop before an
         end that is not one of its points. Steps are limited if a controller closes a
         loop: error control alone loses 5e-4 of a launch. Contacts begin at rest.
         """
         if card.keyword == ".tran":
-            nodes = _initial_nodes(self.deck) if self.deck and not _from_states(card) else ()
+            nodes = (
+                _initial_nodes(self.deck)
+                if self.deck and not _starts_from_initial_states(card)
+                else ()
+            )
             guesses = " ".join(map("V({})=0".format, dict.fromkeys(nodes)))
             return (f".nodeset {guesses}\n" if guesses else "") + self._limit_steps(card)
         if card.keyword != ".ac" or not card.words:
             return card.text
-        numbers = [literal(word, where=card.where) for word in card.words[1:]]
+        numbers = [literal_value(word, where=card.where) for word in card.words[1:]]
         per = {"dec": 10.0, "oct": 2.0}.get(card.words[0].lower())
         if per is None or len(numbers) != 3 or None in numbers:
             return card.text
         count, start, stop = (float(value or 0.0) for value in numbers)
         steps = math.ceil(count * math.log(stop / start, per) - 1e-6)
-        beyond = start * per ** ((steps + 1e-6) / count)  # rounding must not lose the last point
-        return " ".join([card.keyword, *card.words[:3], number(beyond)])
+        beyond = start * per ** ((steps + 1e-6) / count)  # rounding must not remove the last point
+        return " ".join([card.keyword, *card.words[:3], format_number(beyond)])
 
     def options(self, words: Sequence[str]) -> str:
-        """Return the options with a smaller ``reltol``, which Xyce needs."""
+        """Return the options with the smaller ``reltol`` that Xyce needs."""
         timed = self.analysis.keyword == ".tran"
         return super().options([*map(_tighten_reltol, words)] if timed else words)
 
@@ -91,10 +97,13 @@ class Xyce(Dialect):
             return card.text
         words = [w for w in card.words if w.lower() == "uic"]
         numbers = [w for w in card.words if w not in words]
-        step, stop, start, ceiling = [*numbers, *["0", number(STEP)][len(numbers) - 2 :]]
-        largest = literal(ceiling, where=card.where)
-        if largest is None or largest > STEP:
-            ceiling = number(STEP)
+        step, stop, start, ceiling = [
+            *numbers,
+            *["0", format_number(LOOP_TIME_STEP)][len(numbers) - 2 :],
+        ]
+        largest = literal_value(ceiling, where=card.where)
+        if largest is None or largest > LOOP_TIME_STEP:
+            ceiling = format_number(LOOP_TIME_STEP)
         return " ".join([card.keyword, step, stop, start, ceiling, *words])
 
     def law(self, part: Element) -> str:
@@ -103,46 +112,50 @@ class Xyce(Dialect):
         return f"{quantity}={{{self.write(part.law)}}}"
 
     def scaled(self, kind: str, name: str, expression: str) -> str:
+        """Return a measurement card with an expression."""
         return f"{self.measure_keyword} {kind.upper()} {name} EQN {{{expression}}}"
 
     def magnitude(self, vector: str) -> str:
+        """Return the magnitude of a complex vector."""
         return f"VM{vector.removeprefix('V')}"
 
     def real_part(self, vector: str) -> str:
+        """Return the real part of a complex vector."""
         return f"{vector[0]}R{vector[1:]}"
 
     def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Return the words that measure the position of an extreme; none in a sweep.
+        """Return the keywords that locate an extremum; none in a sweep.
 
-        There Xyce prints a place that it has scaled.
+        In a sweep, Xyce prints a scaled position.
         """
-        return (extreme, vector, f"OUTPUT={_SCALES[kind]}") if kind in _SCALES else ()
+        return (extreme, vector, f"OUTPUT={_SCALE_NAMES[kind]}") if kind in _SCALE_NAMES else ()
 
     def save(self, vectors: list[str]) -> str:
+        """Return the card that saves vectors."""
         kind = self.analysis.keyword.removeprefix(".").upper()
         return "\n+ ".join([f".print {kind} format=raw", *vectors])
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
-        """Return a switch, whose ``VON`` and ``VOFF`` must differ.
+        """Return the model of a switch, whose ``VON`` and ``VOFF`` must differ.
 
         Xyce has no hysteresis.
         """
         parameters = " ".join(f"{key.upper()}={value}" for key, value in values.items())
-        band = literal(values.get("vh", "0"), where=self.where)
-        middle = literal(values.get("vt", "0"), where=self.where)
+        band = literal_value(values.get("vh", "0"), where=self.where)
+        middle = literal_value(values.get("vt", "0"), where=self.where)
         if band != 0.0:
             raise self.refusal(parameters, "a switch with hysteresis")
         if middle is None:
             raise self.refusal(parameters, "a switch whose threshold is an expression")
         return (
-            f".model {name} VSWITCH(VON={number(middle + SWITCH_BAND)} "
-            f"VOFF={number(middle - SWITCH_BAND)} "
+            f".model {name} VSWITCH(VON={format_number(middle + SWITCH_BAND)} "
+            f"VOFF={format_number(middle - SWITCH_BAND)} "
             f"RON={values.get('ron', '1')} ROFF={values.get('roff', '1e12')})"
         )
 
 
-def _from_states(card: Directive) -> bool:
-    """Whether an analysis begins from initial states, not from an operating point."""
+def _starts_from_initial_states(card: Directive) -> bool:
+    """Return whether an analysis begins from initial states, not from an operating point."""
     return card.keyword == ".tran" and "uic" in map(str.lower, card.words)
 
 
@@ -155,13 +168,15 @@ def _initial_nodes(deck: Deck) -> Iterator[str]:
         joined = dict(zip(called.pins, instance.ends, strict=False))
         for part in called.elements:
             outer = map(joined.get, part.ends if "ic" in part.settings else ())
-            yield from filterfalse(GROUND.__contains__, filter(None, outer))
+            yield from filterfalse(GROUND_NAMES.__contains__, filter(None, outer))
 
 
 def _tighten_reltol(word: str) -> str:
-    """Return an option of ngspice with ``reltol`` as Xyce needs it."""
+    """Return an ngspice option with the ``reltol`` that Xyce needs."""
     name, _, value = word.partition("=")
     if name.lower() != "reltol":
         return word
-    reltol = literal(value, where="reltol")
-    return f"{name}={write_rounded(TIGHT if reltol is None else min(reltol / 10, TIGHT))}"
+    reltol = literal_value(value, where="reltol")
+    return (
+        f"{name}={format_rounded(MAX_RELTOL if reltol is None else min(reltol / 10, MAX_RELTOL))}"
+    )
