@@ -1,8 +1,7 @@
 """kc2spice: finite-element actuator models as SPICE subcircuits, run with their electronics.
 
 ``import kc2spice as kc`` provides the functions of the command line under the same names.
-Everything named in ``__all__`` is loaded when it is used first, so that the import itself costs
-nothing.
+Each name in ``__all__`` is loaded at its first use, so that the import is fast.
 """
 
 from __future__ import annotations
@@ -87,7 +86,7 @@ __all__ = [
     "sweep",
     "verify",
 ]
-_HOMES = {
+_HOME_MODULES = {
     **dict.fromkeys(("LinearModel", "Port", "Certificate"), "rom.linear_model"),
     **dict.fromkeys(("AffineModel", "ModelParameter"), "rom.affine"),
     **dict.fromkeys(("Pin", "Param"), "netlist.circuit"),
@@ -107,7 +106,7 @@ _HOMES = {
     "register_reductor": "rom.reductors.registry",
     "parametric_subcircuit": "synthesis.parametric_resonators",
     "subcircuit": "synthesis.realize",
-}  # within the package; all others are of its module api
+}  # modules within the package; all other names are defined in its module api
 
 
 def __getattr__(name: str) -> Any:
@@ -115,7 +114,7 @@ def __getattr__(name: str) -> Any:
         return import_module("kc2spice.core.errors")
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"kc2spice.{_HOMES.get(name, 'api')}"), name)
+    return getattr(import_module(f"kc2spice.{_HOME_MODULES.get(name, 'api')}"), name)
 
 
 def __dir__() -> list[str]:

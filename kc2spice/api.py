@@ -48,7 +48,7 @@ __all__ = [
     "sweep",
     "verify",
 ]
-AnyScene = Scene | str | Path | Mapping[str, Any]  # what :func:`kc2spice.load_scene` takes
+AnyScene = Scene | str | Path | Mapping[str, Any]  # argument types of :func:`kc2spice.load_scene`
 Function = Callable[[float, Mapping[str, float]], float]
 
 
@@ -306,7 +306,7 @@ def export(
     >>> [path.name for path in kc.export(lamp, "netlists", dialect="xyce")]
     ['lamp.cir']
     """
-    # imported here, because `run` does not need it
+    # imported here, because `run` does not need this module
     from kc2spice.workflow.export import export_scene
 
     return export_scene(load_scene(scene), Path(out), dialect, trust=trust)
@@ -354,7 +354,7 @@ def verify(
     >>> kc.verify(lamp)["passed"]
     True
     """
-    from kc2spice.workflow.verify.verify import verify_scenes  # as above
+    from kc2spice.workflow.verify.verify import verify_scenes  # imported here for the same reason
 
     loaded = load_scene(scene)
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
@@ -393,7 +393,7 @@ class Result:
 
     @property
     def scale(self) -> str:
-        """Name of the wave that all others are over: ``time``, ``frequency`` or ``sweep``."""
+        """Name of the scale of all other waves: ``time``, ``frequency`` or ``sweep``."""
         return next(iter(self.waves))
 
     @property
@@ -422,7 +422,7 @@ class Result:
         return self.waves[scale]
 
     def plot(self, *names: str) -> Any:
-        """Draw waves, or one of ``figures``, or without names the first of the figures.
+        """Draw waves or one of ``figures``; without names, draw the first of ``figures``.
 
         Waves of one unit share a pair of axes; complex ones are drawn by magnitude. Returns a
         matplotlib figure that notebooks show by themselves; ``.savefig(path)`` writes it.
@@ -528,7 +528,7 @@ def _format_html_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> st
 
 
 def _summarize(value: Any) -> str:
-    """Return a metric on one line; of an array its length."""
+    """Return a metric in one line; an array is represented by its length."""
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return str(value)
     if isinstance(value, (int, float)):
@@ -613,11 +613,11 @@ class Table(tuple[dict[str, Any], ...]):
 
 
 def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
-    """Refuse values of a sweep that are not lists with entries, by key.
+    """Raise an error for values of a sweep that are not non-empty lists.
 
     Raises
     ------
-    UsageError : names the key.
+    UsageError : the error contains the key.
     """
     expected = "a mapping of keys to lists, such as {'load.resistance': ['1 kOhm', '2 kOhm']}"
     for key, item in values.items():

@@ -1,7 +1,7 @@
 """Parts of kc2spice as subcircuits of PySpice and InSpice.
 
-PySpice has not been kept up since 2021, InSpice is its live fork (Python 3.12 and later). kc2spice
-itself does not use these packages to run decks.
+PySpice has not been maintained since 2021; InSpice is a maintained fork (Python 3.12 and later).
+kc2spice itself does not use these packages to run decks.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
     parent = import_optional(f"{package}.Spice.Netlist", "pyspice.subcircuit").SubCircuit
 
     class Part(parent):  # type: ignore[misc,valid-type]
-        """A part of kc2spice, with the text of its library file."""
+        """Part of kc2spice with the text of its library file."""
 
         def __str__(self) -> str:
             return part.text.rstrip("\n") + "\n"

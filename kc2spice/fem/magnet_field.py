@@ -42,7 +42,7 @@ from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.magnets import EMTable
 from kc2spice.core.quantities import MU_0
 from kc2spice.fem.magnet_keys import Catch, Ring
-from kc2spice.linalg.factor import Factor, supernodal
+from kc2spice.linalg.factor import Factor, factorise_supernodal
 
 COMPARED = 5  # least number of heights that are also solved on a mesh half as fine
 RING, SPHERE, LOWER, UPPER = range(4)  # columns of loads and of their fields
@@ -144,7 +144,7 @@ class FieldEquations:
         """
         a = np.zeros(loads.shape)
         # Minimum degree: an order by nested dissection would cost more than these factors.
-        factor = Factor(self.matrix, supernodal(self.matrix))
+        factor = Factor(self.matrix, factorise_supernodal(self.matrix))
         a[self.free] = factor.solve(loads[self.free])
         return a
 

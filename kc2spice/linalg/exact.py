@@ -1,7 +1,7 @@
-"""Products and solutions of dense matrices beyond double precision, by BLAS.
+"""Products and solutions of dense matrices with more than double precision, by BLAS.
 
-In a badly conditioned matrix, slow motions depend on small differences of large numbers.
-Residuals in extended precision reveal this difference, so the results belong to the given matrix.
+In an ill-conditioned matrix, low-frequency modes depend on small differences of large numbers.
+Residuals in extended precision preserve these differences.
 
 Sources: matrix products without error, Ozaki, Ogita, Oishi and Rump, Numer. Algorithms 59 (2012)
 95; iterative refinement, Skeel, Math. Comput. 35 (1980) 817.
@@ -16,11 +16,11 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 
-SLICES = 4  # slices of about 21 bits each
-REFINEMENTS = 5
-# relative corrections: below the first, the next correction is rounding; above the second, no digit
-# is correct
-ENOUGH, LOST = 1e-8, 1e-3
+SLICE_COUNT = 4  # number of slices with about 21 bits each
+MAX_REFINEMENTS = 5
+# relative corrections: below the first limit, the next correction is rounding error; above the
+# second, no digit is correct
+CONVERGED_CORRECTION, DIVERGED_CORRECTION = 1e-8, 1e-3
 
 
 class ExactMatrix:
@@ -32,29 +32,29 @@ class ExactMatrix:
     def __init__(self, matrix: np.ndarray) -> None:
         self.shape = matrix.shape
         self._bits = int((53 - np.log2(max(matrix.shape[1], 2))) // 2)
-        self._slices = tuple(part.T for part in _slices(matrix.T, self._bits))
+        self._slices = tuple(part.T for part in _slice_matrix(matrix.T, self._bits))
 
     def __matmul__(self, X: np.ndarray) -> np.ndarray:
-        """``A X`` in extended precision; X (m, k) real or complex, double or extended."""
+        """Return ``A X`` in extended precision for real or complex X (m, k)."""
         if np.iscomplexobj(X):
             both = self @ np.hstack([X.real, X.imag])
             k = X.shape[1]
             return np.asarray(both[:, :k] + 1j * both[:, k:])
-        right = tuple(_slices(X, self._bits))
+        right = tuple(_slice_matrix(X, self._bits))
         total = np.zeros((self.shape[0], X.shape[1]), dtype=np.longdouble)
-        for i in reversed(range(len(self._slices))):  # small terms first
-            for j in reversed(range(min(len(right), SLICES - i))):
+        for i in reversed(range(len(self._slices))):  # small terms are added first
+            for j in reversed(range(min(len(right), SLICE_COUNT - i))):
                 total += self._slices[i] @ right[j]
         return total
 
 
-def _slices(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
-    """Split P into parts of few bits, so that their products are exact.
+def _slice_matrix(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
+    """Split a matrix into slices of few bits, whose products are exact.
 
     The bits are those below the largest entry of each column. Sums of products of two parts are
     exact in double precision.
     """
-    for _ in range(SLICES):
+    for _ in range(SLICE_COUNT):
         top = np.abs(P).max(axis=0, initial=0.0).astype(float)
         if not top.any():
             return
@@ -65,43 +65,44 @@ def _slices(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
 
 
 class RefinedSolver:
-    """Solver for ``A + s E`` at any s, refined until all digits of the entries count."""
+    """Solver for ``A + s E`` at any s with iterative refinement to full accuracy."""
 
     def __init__(self, A: np.ndarray, E: np.ndarray) -> None:
         self._plain = A, E
         self._sides = (ExactMatrix(A), ExactMatrix(E)), (ExactMatrix(A.T), ExactMatrix(E.T))
 
     def at(self, s: complex, B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``(A + s E)^-1 B`` and ``(A + s E)^-T C'``.
+        """Return ``(A + s E)^-1 B`` and ``(A + s E)^-T C'``.
 
         Raises
         ------
-        SimulationError : s is a pole, or so near one that not even refinement finds digits.
+        SimulationError : s is so near to a pole that refinement fails.
         """
         A, E = self._plain
         lu, pivots, info = scipy.linalg.lapack.zgetrf(
             np.asarray(A + s * E, dtype=complex), overwrite_a=True
         )
         if info:
-            raise _singular(s)
+            raise _make_singular_error(s)
         result = []
         for trans, (rhs, (first, second)) in enumerate(zip((B, C.T), self._sides, strict=True)):
             x = np.zeros(rhs.shape, dtype=complex)
             rest = rhs.astype(complex)
-            for _ in range(REFINEMENTS):
+            for _ in range(MAX_REFINEMENTS):
                 step = scipy.linalg.lapack.zgetrs(lu, pivots, rest, trans=trans)[0]
                 x = x + step
                 change = np.abs(step).max() / max(np.abs(x).max(), np.finfo(float).tiny)
-                if change <= ENOUGH:
+                if change <= CONVERGED_CORRECTION:
                     break
                 rest = np.asarray(rhs - (first @ x + np.clongdouble(s) * (second @ x)), complex)
-            if not change < LOST:
-                raise _singular(s)
+            if not change < DIVERGED_CORRECTION:
+                raise _make_singular_error(s)
             result.append(x)
         return result[0], result[1]
 
 
-def _singular(s: complex) -> SimulationError:
+def _make_singular_error(s: complex) -> SimulationError:
+    """Return the error of a value s at a pole."""
     return SimulationError(
         "matrix cannot be factorised", where="direct solver", got=f"singular at s = {s:.6g} 1/s"
     )

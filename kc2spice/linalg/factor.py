@@ -1,6 +1,6 @@
 """Direct solution of sparse symmetric systems with a checked residual.
 
-A model whose factors exceed the memory is refused before the factorisation begins.
+A model whose factors exceed the memory is rejected before the factorisation begins.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ import scipy
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.gmsh_session import gmsh_session
 from kc2spice.core.memory import available_bytes
-from kc2spice.linalg.processor import fast_kernels
+from kc2spice.linalg.processor import use_fast_kernels
 from kc2spice.linalg.solver import DirectSolver, factorise_by, solve_by, supplied_solver
 
-USABLE = 0.9
-# Entries of the LU factors over n sqrt(bandwidth): 4 for chains, 9 for plates, 34 for solids.
-FILL = 34.0
-REAL_BYTES = 12.0  # one real number and half an index
-ENTRY_BYTES = 24.0  # one complex number, its index, and the work space around it
+USABLE_MEMORY_SHARE = 0.9
+# Entries of the LU factors divided by n sqrt(bandwidth): 4 for chains, 9 for plates, 34 for solids.
+FILL_FACTOR = 34.0
+REAL_BYTES = 12.0  # bytes of a real entry of a factor: the number and half an index
+ENTRY_BYTES = 24.0  # bytes of a complex entry of a factor: the number, its index, and work space
 
 
 def require_bytes(need: float, purpose: str, *, where: str, hint: str) -> None:
-    """Compare ``need`` [B] with the memory that is free now.
+    """Raise an error if ``need`` [B] exceeds the memory that is free now.
 
     Raises
     ------
-    UsageError : it is more than this machine can give.
+    UsageError : the machine has less memory.
     """
-    free = USABLE * available_bytes()
+    free = USABLE_MEMORY_SHARE * available_bytes()
     if need > free:
         raise UsageError(
             "model too large for this machine's memory",
@@ -49,7 +49,7 @@ def require_bytes(need: float, purpose: str, *, where: str, hint: str) -> None:
 def require_factors(
     matrix: scipy.sparse.sparray | np.ndarray, *, definite: bool = False, where: str = "reduction"
 ) -> None:
-    """Compare the factors of a reduction with the memory that is free now.
+    """Raise an error if the factors of a reduction exceed the memory that is free now.
 
     The factorisations are one real and one complex one; the estimate is up to five times too large
     for plates. A ``definite`` or quasi-definite matrix needs one factor without pivoting only, with
@@ -62,8 +62,11 @@ def require_factors(
     """
     rows = matrix.shape[0]
     size = 0.5 * REAL_BYTES if definite else ENTRY_BYTES + REAL_BYTES
-    # the bandwidth is at most the number of rows, and its search takes as long as an assembly
-    if supplied_solver() is not None or size * FILL * rows**1.5 <= USABLE * available_bytes():
+    # the bandwidth is at most the number of rows; its computation takes as long as an assembly
+    if (
+        supplied_solver() is not None
+        or size * FILL_FACTOR * rows**1.5 <= USABLE_MEMORY_SHARE * available_bytes()
+    ):
         return
     pattern = scipy.sparse.csr_array(abs(matrix))
     order = scipy.sparse.csgraph.reverse_cuthill_mckee(pattern + pattern.T, symmetric_mode=True)
@@ -72,7 +75,7 @@ def require_factors(
     entries = pattern.tocoo()
     band = int(np.abs(place[entries.row] - place[entries.col]).max(initial=0)) + 1
     require_bytes(
-        size * max(FILL * rows * np.sqrt(band), pattern.nnz),
+        size * max(FILL_FACTOR * rows * np.sqrt(band), pattern.nnz),
         f"{rows} factorised equations",
         where=where,
         hint="use a coarser mesh, or a machine with more memory",
@@ -81,25 +84,25 @@ def require_factors(
 
 Inverse: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
-# A backward-stable solver leaves about 1e-15; four digits of slack for growth, no more.
+# Residuals of a backward-stable solver are about 1e-15; the limit leaves four digits for growth.
 RESIDUAL_LIMIT = 1e-11
-# Factors without pivoting for size lose digits; each refinement step gains as many digits as the
-# factor retains.
-REFINEMENTS = 3
-# Up to this half-bandwidth a banded factor costs no more than the search for a better order.
-NARROW = 600
+# Factors without pivoting lose digits; each refinement step gains as many digits as the factor has.
+MAX_REFINEMENTS = 3
+# Half-bandwidth up to which a banded factor costs less than the search for a better order.
+MAX_HALF_BANDWIDTH = 600
 # Number of unknowns from which a multifrontal factor in Python takes less time than SuperLU.
-QUASI_DEFINITE = 20_000
+QUASI_DEFINITE_UNKNOWNS = 20_000
 # Number of unknowns from which nested dissection saves more time than it needs.
-LARGE = 5000
-_LINE = 1  # gmsh's number of the element type with two nodes
-_STORED_ORDERS = 2  # orders: a reduction factorises matrices of one pattern, or of two
+DISSECTION_UNKNOWNS = 5000
+_LINE_ELEMENT = 1  # gmsh's number of the element type with two nodes
+# number of stored elimination orders: a reduction factorises matrices of one or two patterns
+_STORED_ORDERS = 2
 _orders: dict[bytes, np.ndarray | None] = {}
 
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """A factorised matrix; ``solve`` refuses to return an inaccurate solution.
+    """Factorised matrix; ``solve`` raises an error instead of returning an inaccurate solution.
 
     ``order`` (n,) is the order of elimination, None if the solver chose it. ``negative`` is the
     number of negative eigenvalues, None if it is unknown.
@@ -131,7 +134,7 @@ class Factor:
         if more := self.matrix.shape[0] - size:
             rhs = np.concatenate([rhs, np.zeros((more, *rhs.shape[1:]))])
         solution = self.apply_inverse(rhs)
-        for _ in range(REFINEMENTS):
+        for _ in range(MAX_REFINEMENTS):
             residual = rhs - self.matrix @ solution
             if self._backward_error(solution, residual, rhs) <= RESIDUAL_LIMIT:
                 return solution[:size]
@@ -148,15 +151,17 @@ class Factor:
         return solution[:size]
 
     def _backward_error(self, x: np.ndarray, residual: np.ndarray, rhs: np.ndarray) -> float:
-        """Normwise: ``|r| / (|A| |x| + |rhs|)``, zero if the right-hand side is zero."""
+        """Return the normwise backward error ``|r| / (|A| |x| + |rhs|)``."""
         scale = self.norm * np.abs(x).max(initial=0.0) + np.abs(rhs).max(initial=0.0)
         return float(np.abs(residual).max(initial=0.0) / scale) if scale else 0.0
 
 
-Pair: TypeAlias = tuple[Factor, Factor]  # of a matrix and of its transpose
+Pair: TypeAlias = tuple[Factor, Factor]  # factors of a matrix and of its transpose
 
 
-def supernodal(matrix: scipy.sparse.csc_array, order: np.ndarray | None = None) -> Inverse:
+def factorise_supernodal(
+    matrix: scipy.sparse.csc_array, order: np.ndarray | None = None
+) -> Inverse:
     """Factorise ``A[p][:, p] = L L'`` of a real matrix by CHOLMOD in cvxopt.
 
     If the order ``p`` is None, the minimum degree order is used.
@@ -165,8 +170,8 @@ def supernodal(matrix: scipy.sparse.csc_array, order: np.ndarray | None = None) 
     ------
     RuntimeError : not positive definite.
     """
-    with fast_kernels():
-        import cvxopt.cholmod  # imported here, because it is only one of three solvers
+    with use_fast_kernels():
+        import cvxopt.cholmod  # imported here, because only one of three solvers needs it
 
     lower = scipy.sparse.coo_array(scipy.sparse.tril(matrix))
     places = lower.row.astype(np.int64), lower.col.astype(np.int64)
@@ -193,35 +198,35 @@ def factorise(
 
     A narrow positive definite matrix (planes numbered one after another) gets a banded Cholesky
     factor, which costs n b^2 operations and no fill, any other definite matrix a supernodal
-    Cholesky factor; all other matrices the factor of :func:`two_sided`. An ``order`` of elimination
-    that is known from a matrix of a similar pattern spares the search for one. A supplied solver is
-    used for a definite matrix only if it counts negative eigenvalues.
+    Cholesky factor; all other matrices the factor of :func:`factorise_two_sided`. An ``order`` of
+    elimination that is known from a matrix of a similar pattern spares the search for one. A
+    supplied solver is used for a definite matrix only if it counts negative eigenvalues.
 
     Raises
     ------
     SimulationError : ``definite`` was promised and is not true, or the matrix is singular.
     """
     if not definite:
-        return two_sided(matrix, symmetric=True)[0]
+        return factorise_two_sided(matrix, symmetric=True)[0]
     solver = supplied_solver()
     if solver is not None and (factor := _factorise_definite_by(solver, matrix)) is not None:
         return factor
     coo = scipy.sparse.coo_array(matrix)
     bandwidth = int(np.abs(coo.row - coo.col).max(initial=0))
     try:
-        narrow = bandwidth <= NARROW
+        narrow = bandwidth <= MAX_HALF_BANDWIDTH
         if narrow:
             order, apply = None, _factor_banded(coo, bandwidth)
         else:
             order = find_order(matrix) if order is None else order
-            apply = supernodal(matrix, order)
+            apply = factorise_supernodal(matrix, order)
     except (np.linalg.LinAlgError, RuntimeError) as error:
-        raise _indefinite_error(str(error)) from error
+        raise _make_indefinite_error(str(error)) from error
     return Factor(matrix, apply, order, negative=0)
 
 
-def _indefinite_error(got: str) -> SimulationError:
-    """Error of a matrix that has no Cholesky factor."""
+def _make_indefinite_error(got: str) -> SimulationError:
+    """Return the error of a matrix without a Cholesky factor."""
     return SimulationError(
         "matrix cannot be factorised",
         where="direct solver",
@@ -232,13 +237,13 @@ def _indefinite_error(got: str) -> SimulationError:
 
 
 def _factorise_definite_by(solver: DirectSolver, matrix: scipy.sparse.csc_array) -> Factor | None:
-    """Factorise a definite matrix by a supplied solver; None if it proves no definiteness."""
+    """Factorise a definite matrix by a supplied solver; None if definiteness is not proven."""
     supplied = factorise_by(solver, matrix)
     negative = getattr(supplied, "negative_eigenvalues", None)
     if negative is None:
         return None
     if negative:
-        raise _indefinite_error(f"{negative} negative eigenvalues")
+        raise _make_indefinite_error(f"{negative} negative eigenvalues")
     return Factor(matrix, lambda rhs: solve_by(supplied, matrix, rhs), negative=0)
 
 
@@ -258,9 +263,9 @@ def _factorise_both_by(
 def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
     """Factorise a large real symmetric matrix that may be quasi-definite.
 
-    It is if the block of rows with a positive diagonal is positive definite, and the block of the
-    others negative definite. Such a matrix gets a multifrontal factor without pivoting. Every other
-    one, and one of fewer than ``LARGE`` unknowns, gets the factor of :func:`two_sided`.
+    A matrix is quasi-definite if the rows with a positive diagonal form a positive definite block,
+    and the other rows a negative definite block. Such a matrix gets a multifrontal factor without
+    pivoting. All other matrices, and small matrices, get the factor of :func:`factorise_two_sided`.
 
     Raises
     ------
@@ -271,20 +276,21 @@ def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
         minus = matrix.diagonal() < 0
         trial = np.random.default_rng(0).standard_normal(matrix.shape[0])
         try:
-            from kc2spice.linalg.quasidefinite import QuasiDefinite  # late: loads scipy.linalg
+            # imported here, because it loads scipy.linalg
+            from kc2spice.linalg.quasidefinite import QuasiDefinite
 
             apply = QuasiDefinite(matrix, minus, _group_unknowns(matrix)[0], order).solve
             factor = Factor(matrix, apply, order, negative=int(minus.sum()))
             factor.solve(trial)
             return factor
-        except (RuntimeError, SimulationError):  # of other signs: pivots are needed
+        # the signs of the pivots differ, so pivoting is necessary
+        except (RuntimeError, SimulationError):
             require_factors(matrix)
-    return two_sided(matrix, symmetric=True)[0]
+    return factorise_two_sided(matrix, symmetric=True)[0]
 
 
-def two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> Pair:
-    """Factors of a sparse matrix and of its transpose; the first attempt has no pivoting if this
-    preserves the fill of a symmetric matrix.
+def factorise_two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> Pair:
+    """Factorise a sparse matrix and its transpose, first without pivoting if possible.
 
     A trial solution shows whether this factor is accurate. If it is not (indefinite matrices,
     saddle points), partial pivoting follows.
@@ -357,7 +363,7 @@ def find_order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
 
     Source: G. Karypis, V. Kumar, SIAM J. Sci. Comput. 20 (1998) 359.
     """
-    if matrix.shape[0] < LARGE:
+    if matrix.shape[0] < DISSECTION_UNKNOWNS:
         return None
     matrix = matrix if matrix.has_sorted_indices else matrix.sorted_indices()
     pattern = hashlib.blake2b(matrix.indptr.tobytes())
@@ -371,6 +377,7 @@ def find_order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
 
 
 def _nested_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
+    """Compute an elimination order by nested dissection."""
     group, first = _group_unknowns(matrix)
     columns = scipy.sparse.coo_array(matrix[:, first])
     pairs = np.sort(np.column_stack([group[columns.row], columns.col]), axis=1).astype(np.int64)
@@ -401,12 +408,12 @@ def _group_unknowns(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndar
 
 
 def _order_graph(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes of a graph of ``edges`` (m, 2) and their places, from a mesh of lines."""
+    """Return the nodes of a graph of ``edges`` (m, 2) and their order, from a mesh of lines."""
     nodes = int(edges.max()) + 1
     with gmsh_session() as gmsh:
         gmsh.model.addDiscreteEntity(1, 1)
         gmsh.model.mesh.addNodes(1, 1, np.arange(1, nodes + 1), np.zeros(3 * nodes))
         numbers = np.arange(1, len(edges) + 1)
-        gmsh.model.mesh.addElementsByType(1, _LINE, numbers, (edges + 1).ravel())
+        gmsh.model.mesh.addElementsByType(1, _LINE_ELEMENT, numbers, (edges + 1).ravel())
         old, new = gmsh.model.mesh.computeRenumbering("Metis")
     return np.asarray(old, dtype=np.int64) - 1, np.asarray(new, dtype=np.int64) - 1

@@ -21,19 +21,21 @@ import scipy
 from kc2spice.core.errors import MissingToolError
 from kc2spice.core.extras import LIBRARIES
 
-# Types of matrices, of which PARDISO reads the upper triangle if they are symmetric.
-SYMMETRIC = {False: -2, True: 6}  # by whether the matrix is complex
-UNSYMMETRIC = {False: 11, True: 13}
-FACTORISE, SOLVE, RELEASE = 12, 33, -1  # phases
-SAME = 1e-12  # largest difference of a symmetric matrix and its transpose, relative
+# Matrix types of PARDISO, which reads the upper triangle of symmetric matrices; the key is whether
+# the matrix is complex.
+SYMMETRIC_TYPES = {False: -2, True: 6}
+UNSYMMETRIC_TYPES = {False: 11, True: 13}
+FACTORISE, SOLVE, RELEASE = 12, 33, -1  # phases of a PARDISO call
+# largest relative difference between a symmetric matrix and its transpose
+SYMMETRY_TOLERANCE = 1e-12
 PIVOT_DIGITS = {
     True: 8,
     False: 13,
 }  # a pivot below 10^-digits of the norm is replaced, if symmetric
-# Places in the array of parameters, from 0.
+# indices in the parameter array ``iparm``, counted from 0
 OWN_VALUES, ORDER, PIVOTS, SCALING, MATCHING = 0, 1, 9, 10, 12
 REPLACED_PIVOTS, BUNCH_KAUFMAN, NEGATIVE = 13, 20, 22
-NESTED_DISSECTION = 2  # of METIS
+NESTED_DISSECTION = 2  # value of ``ORDER``: nested dissection by METIS
 
 
 class Pardiso:
@@ -47,7 +49,7 @@ class Pardiso:
     Attributes
     ----------
     negative_eigenvalues : int or None
-        Number of negative eigenvalues; None of complex, unsymmetric and nearly singular matrices.
+        Number of negative eigenvalues; None for complex, unsymmetric and nearly singular matrices.
 
     Raises
     ------
@@ -56,12 +58,12 @@ class Pardiso:
     """
 
     def __init__(self, matrix: Any) -> None:
-        _library()  # loaded first, so that an error leaves nothing to release
+        _load_library()  # loaded first, so that an error leaves no memory to release
         difference = abs(matrix - matrix.T).max()
-        symmetric = bool(difference <= SAME * abs(matrix).max())
+        symmetric = bool(difference <= SYMMETRY_TOLERANCE * abs(matrix).max())
         complex_numbers = bool(np.iscomplexobj(matrix))
         rows = _with_diagonal(matrix, symmetric)
-        self._kind = (SYMMETRIC if symmetric else UNSYMMETRIC)[complex_numbers]
+        self._kind = (SYMMETRIC_TYPES if symmetric else UNSYMMETRIC_TYPES)[complex_numbers]
         self._entries = rows.data.astype(complex if complex_numbers else float)
         self._begin, self._columns = (a.astype(np.int32) + 1 for a in (rows.indptr, rows.indices))
         self._memory = np.zeros(64, dtype=np.int64)
@@ -71,22 +73,24 @@ class Pardiso:
         self._settings[[SCALING, MATCHING]] = not symmetric
         self._settings[BUNCH_KAUFMAN] = symmetric
         memory = self._memory, self._settings
-        release = weakref.finalize(self, _call, RELEASE, self._kind, rows.shape[0], (), *memory)
+        release = weakref.finalize(
+            self, _call_pardiso, RELEASE, self._kind, rows.shape[0], (), *memory
+        )
         release.atexit = False
-        self._run(FACTORISE, np.zeros((rows.shape[0], 1), self._entries.dtype))
-        signs_known = self._kind == SYMMETRIC[False] and not self._settings[REPLACED_PIVOTS]
+        self._run_phase(FACTORISE, np.zeros((rows.shape[0], 1), self._entries.dtype))
+        signs_known = self._kind == SYMMETRIC_TYPES[False] and not self._settings[REPLACED_PIVOTS]
         self.negative_eigenvalues = int(self._settings[NEGATIVE]) if signs_known else None
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Return ``A^-1 rhs`` of right-hand sides (n, k)."""
-        return self._run(SOLVE, rhs)
+        """Return ``A^-1 rhs`` for right-hand sides (n, k)."""
+        return self._run_phase(SOLVE, rhs)
 
-    def _run(self, phase: int, rhs: np.ndarray) -> np.ndarray:
-        """The solution of a phase."""
+    def _run_phase(self, phase: int, rhs: np.ndarray) -> np.ndarray:
+        """Run a phase of PARDISO and return the solution."""
         rhs = np.asfortranarray(rhs, dtype=self._entries.dtype)
         x = np.zeros_like(rhs, order="F")
         matrix = self._entries, self._begin, self._columns
-        _call(phase, self._kind, len(rhs), matrix, self._memory, self._settings, rhs, x)
+        _call_pardiso(phase, self._kind, len(rhs), matrix, self._memory, self._settings, rhs, x)
         return x
 
 
@@ -97,11 +101,11 @@ def require_library() -> None:
     ------
     MissingToolError : the package ``mkl`` is not installed.
     """
-    _library()
+    _load_library()
 
 
 def _with_diagonal(matrix: Any, symmetric: bool) -> scipy.sparse.csr_array:
-    """Rows with all entries of the diagonal, also zeros; of a symmetric matrix its upper part."""
+    """Return the rows with a complete diagonal; for a symmetric matrix, only the upper triangle."""
     entries = scipy.sparse.coo_array(scipy.sparse.triu(matrix) if symmetric else matrix)
     n = entries.shape[0]
     diagonal = np.arange(n)
@@ -111,7 +115,7 @@ def _with_diagonal(matrix: Any, symmetric: bool) -> scipy.sparse.csr_array:
     return rows
 
 
-def _call(
+def _call_pardiso(
     phase: int,
     kind: int,
     size: int,
@@ -121,7 +125,7 @@ def _call(
     rhs: np.ndarray | None = None,
     x: np.ndarray | None = None,
 ) -> None:
-    """Call the library.
+    """Call PARDISO.
 
     Raises
     ------
@@ -133,7 +137,7 @@ def _call(
     one, error = ctypes.c_int32(1), ctypes.c_int32(0)
     numbers = [one, one, *map(ctypes.c_int32, (kind, phase, size))]
     silent = ctypes.c_int32(0)
-    _library().pardiso(
+    _load_library().pardiso(
         _address(memory),
         *map(ctypes.byref, numbers),
         *map(_address, (entries, begin, columns, nothing)),
@@ -148,13 +152,13 @@ def _call(
 
 
 def _address(array: np.ndarray) -> ctypes.c_void_p:
-    """Address of the first number."""
+    """Return the memory address of the first number of an array."""
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
 @cache
-def _library() -> ctypes.CDLL:
-    """The library that the package ``mkl`` installs, or one of the system."""
+def _load_library() -> ctypes.CDLL:
+    """Load the library from the package ``mkl`` or from the system."""
     try:
         files = importlib.metadata.files("mkl") or []
     except importlib.metadata.PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Kernels of linear algebra for processors that are younger than a library.
+"""Choice of OpenBLAS kernels for processors that are newer than the library.
 
 The OpenBLAS in cvxopt supports processors up to 2021. On a younger Intel processor it falls back to
 kernels of 2004: a Cholesky factor of 103 000 unknowns took 12.5 s of CPU, and 4.4 s with kernels
@@ -12,18 +12,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-VARIABLE = "OPENBLAS_CORETYPE"  # read by OpenBLAS when it is loaded
-# Processor families of OpenBLAS by the instructions that they need, the fastest first.
+# environment variable that OpenBLAS reads when it is loaded
+CORE_TYPE_VARIABLE = "OPENBLAS_CORETYPE"
+# processor families of OpenBLAS and the instructions that they need, fastest first
 KERNELS = {
     "SkylakeX": {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl", "fma", "avx2"},
     "Haswell": {"fma", "avx2"},
 }
-# exists on Linux only; on other systems OpenBLAS selects the kernels
+# exists on Linux only; other systems select the kernels themselves
 _CPU_INFO = Path("/proc/cpuinfo")
 
 
 def select_kernels(flags: set[str]) -> str | None:
-    """Return the fastest kernels for these instructions, None without any.
+    """Return the fastest kernels for these instructions, None if there are none.
 
     Examples
     --------
@@ -43,17 +44,17 @@ def processor_flags() -> set[str]:
 
 
 @contextmanager
-def fast_kernels() -> Iterator[None]:
-    """Let a library that is imported in this context use kernels of the processor.
+def use_fast_kernels() -> Iterator[None]:
+    """Let a library that is imported in this context use the kernels of the processor.
 
     A choice of the user in the environment has priority.
     """
-    kernels = None if VARIABLE in os.environ else select_kernels(processor_flags())
+    kernels = None if CORE_TYPE_VARIABLE in os.environ else select_kernels(processor_flags())
     if kernels is None:
         yield
         return
-    os.environ[VARIABLE] = kernels
+    os.environ[CORE_TYPE_VARIABLE] = kernels
     try:
         yield
     finally:
-        del os.environ[VARIABLE]
+        del os.environ[CORE_TYPE_VARIABLE]

@@ -24,15 +24,16 @@ import scipy
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf
 
-# Most zeros of a supernode, as a share of its entries, by its number of unknowns: zeros cost
-# operations, and supernodes cost time of Python. Chosen by trial.
-RELAXED = ((48, 1.0), (160, 0.4), (500, 0.12), (np.inf, 0.05))
-STRIP = 64  # columns of a remainder that are added to a front at once
+# Largest share of zeros in a supernode, by its number of unknowns, chosen by trial: zeros cost
+# operations, and small supernodes cost interpreter time.
+ZERO_SHARES = ((48, 1.0), (160, 0.4), (500, 0.12), (np.inf, 0.05))
+STRIP_WIDTH = 64  # columns of a remainder that are added to a front at once
 
 
 @dataclass(frozen=True, eq=False)
 class Supernode:
-    """Pivots ``begin`` to ``end``, the ``rows`` (m,) behind them, and the ``parent`` supernode.
+    """Supernode of the elimination tree: pivots ``begin`` to ``end``, coupled ``rows`` (m,), and
+    parent.
 
     Numbers are those in the order of elimination. The parent is -1 if there are no rows.
     """
@@ -137,11 +138,11 @@ def _assemble_front(
     for indices, update in updates:
         at, transposed = place[indices], update.T
         pivots = int(np.searchsorted(at, count))
-        for first in (*range(0, pivots, STRIP), *range(pivots, len(at), STRIP)):
+        for first in (*range(0, pivots, STRIP_WIDTH), *range(pivots, len(at), STRIP_WIDTH)):
             target, skip = (panel, 0) if first < pivots else (remainder, count)
-            last = min(first + STRIP, pivots if first < pivots else len(at))
+            last = min(first + STRIP_WIDTH, pivots if first < pivots else len(at))
             begins = (at[first:last] - skip) * target.shape[1]
-            # one index of the flat matrix takes half of the time of two
+            # a flat index takes half the time of two indices
             target.reshape(-1)[begins[:, None] + (at[first:] - skip)] += transposed[
                 first:last, first:
             ]
@@ -182,7 +183,7 @@ def _eliminate_pivots(panel: np.ndarray, remainder: np.ndarray, minus: np.ndarra
 
 
 def _cholesky(matrix: np.ndarray) -> np.ndarray:
-    """Lower Cholesky factor of a dense matrix."""
+    """Return the lower Cholesky factor of a dense matrix."""
     if not matrix.size:
         return matrix
     factor, failure = dpotrf(matrix, lower=1, clean=1)
@@ -262,7 +263,7 @@ def _relaxed_supernodes(
             child_count, child_behind, child_zeros = sizes[child]
             total = count + child_count
             more = zeros + child_zeros + child_count * (count + behind - child_behind)
-            limit = next(share for most, share in RELAXED if total <= most)
+            limit = next(share for most, share in ZERO_SHARES if total <= most)
             if more <= limit * total * (0.5 * total + behind):
                 pivots[j] = pivots.pop(child) + pivots[j]
                 count, zeros = total, more

@@ -103,9 +103,9 @@ def translate_circuit(circuit: Circuit, syntax: Syntax) -> Circuit:
 
     Examples
     --------
-    >>> from kc2spice.netlist.read import read
+    >>> from kc2spice.netlist.read import read_cards
     >>> text = ".subckt p a b\\nC1 a b 10n Rser=0.1\\nB1 a b I=if(V(a,b)>1, 1m, 0)\\n.ends"
-    >>> for item in translate_circuit(read(text, "p.lib"), "ltspice").subcircuits[0].items:
+    >>> for item in translate_circuit(read_cards(text, "p.lib"), "ltspice").subcircuits[0].items:
     ...     print(item.name, *item.nodes, *(item.values or [item.expression]))
     C1 C1_inner b 10n
     RC1_ser a C1_inner 0.1

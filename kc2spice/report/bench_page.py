@@ -15,7 +15,7 @@ from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.prefix import format_quantity
 from kc2spice.report.html import PageSection, write_page
 
-SMALLEST_ERROR = 1e-16  # place of an error of zero on the logarithmic axis
+SMALLEST_ERROR = 1e-16  # value that represents a zero error on the logarithmic axis
 
 
 def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
@@ -82,7 +82,7 @@ def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _list_metrics(metrics: Sequence[str]) -> str:
-    """Return the names of metrics on one line; curves of one group share a name."""
+    """Return the names of metrics in one line; curves of one group share a name."""
     groups = Counter(name.partition(".")[0] for name in metrics)
     return ", ".join(n if count == 1 else f"{n} ({count} curves)" for n, count in groups.items())
 

@@ -21,10 +21,10 @@ from jinja2.utils import htmlsafe_json_dumps
 from kc2spice.core.figure import Curve, Figure, Map, Panel
 from kc2spice.core.prefix import PREFIXES, prefix_power
 
-POINTS = 4000  # approximate number of points of a panel: two for each pixel of a wide screen
-CURVES = 4  # largest number of curves in one legend
-# Units that take a prefix on an axis.
-_PLAIN_UNITS = {
+PANEL_POINTS = 4000  # approximate number of points of a panel: two for each pixel of a wide screen
+LEGEND_CURVES = 4  # largest number of curves in one legend
+# units that get an SI prefix on an axis
+_PREFIXABLE_UNITS = {
     "m", "m/s", "s", "V", "A", "W", "N", "J", "C", "F", "H", "Hz", "Pa", "T", "g", "Ω",
 }  # fmt: skip
 
@@ -74,7 +74,7 @@ def _sort_curves(panel: Panel) -> Panel:
     if panel.equal:
         return panel
     curves = chain.from_iterable(map(_split_at_turns, panel.curves))
-    # The last curve is drawn on top.
+    # the last curve is drawn on top
     return replace(panel, curves=tuple(sorted(curves, key=_is_reference)))
 
 
@@ -168,7 +168,7 @@ def _choose_prefix(label: str, values: np.ndarray) -> tuple[str, float]:
     factor, unit = _split_prefix(text)
     finite = np.asarray(values, dtype=float)
     largest = float(np.abs(finite[np.isfinite(finite)]).max(initial=0.0))
-    if not quantity or unit not in _PLAIN_UNITS or largest == 0.0:
+    if not quantity or unit not in _PREFIXABLE_UNITS or largest == 0.0:
         return label, 1.0
     power = prefix_power(largest * factor)
     scale = factor / 10.0**power
@@ -179,23 +179,23 @@ def _choose_prefix(label: str, values: np.ndarray) -> tuple[str, float]:
 
 def _split_prefix(unit: str) -> tuple[float, str]:
     """Return the factor of the prefix and the plain unit: ``mA`` is 1e-3 times ``A``."""
-    if unit in _PLAIN_UNITS:
+    if unit in _PREFIXABLE_UNITS:
         return 1.0, unit
     for power, prefix in PREFIXES.items():
         plain = unit.removeprefix(prefix)
-        if prefix and unit.startswith(prefix) and plain in _PLAIN_UNITS:
+        if prefix and unit.startswith(prefix) and plain in _PREFIXABLE_UNITS:
             return 10.0**power, plain
     return 1.0, unit
 
 
 def _split_curves(panel: Panel) -> Iterator[Panel]:
-    """Yield panels of at most ``CURVES`` curves; each contains the first reference."""
-    if panel.equal or len(panel.curves) <= CURVES:
+    """Yield panels of at most ``LEGEND_CURVES`` curves; each contains the first reference."""
+    if panel.equal or len(panel.curves) <= LEGEND_CURVES:
         yield panel
         return
     shared = list(filter(_is_reference, panel.curves))[:1]
     others = [curve for curve in panel.curves if curve not in shared]
-    count = -(-len(others) // (CURVES - len(shared)))
+    count = -(-len(others) // (LEGEND_CURVES - len(shared)))
     for indices in np.array_split(np.arange(len(others)), count):
         yield replace(panel, curves=(*others[indices[0] : indices[-1] + 1], *shared))
 
@@ -362,7 +362,9 @@ def _selected_points(panel: Panel) -> list[np.ndarray]:
     if panel.equal or panel.map is not None:
         return [np.arange(len(curve.x)) for curve in curves]
     count = max(len(curves), 1)
-    alone = [_thin_points(np.asarray(curve.y, dtype=float), POINTS // count) for curve in curves]
+    alone = [
+        _thin_points(np.asarray(curve.y, dtype=float), PANEL_POINTS // count) for curve in curves
+    ]
     if all(np.array_equal(curve.x, curves[0].x) for curve in curves[1:]):
         both = np.unique(np.concatenate([np.zeros(0, dtype=int), *alone]))
         return [both] * len(curves)

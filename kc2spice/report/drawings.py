@@ -13,14 +13,20 @@ from kc2spice.core.figure import Shape
 from kc2spice.report.html import render_page
 from kc2spice.scene.model import Scene
 
-SKETCH_WIDTH, SKETCH_HEIGHT = 520.0, 300.0  # largest size of the devices, in units of the page
+# largest width and height of the side view, in page units
+SKETCH_WIDTH, SKETCH_HEIGHT = 520.0, 300.0
 LETTER_WIDTH = 6.2
-TRACK, BOX = 24.0, 74.0  # distance of two nets; height of a part
-# Colours of the page, light or dark, and those of a drawing without a page.
+NET_SPACING, PART_HEIGHT = 24.0, 74.0  # spacing of two nets; height of a part
+# Colours of the page in light and dark mode, and of a drawing without a page.
 BLUE, ORANGE = "var(--blue, #0072B2)", "var(--orange, #B86E00)"
 GREEN, GREY = "var(--green, #009E73)", "var(--grey, #75797D)"
-FILLS = {"ceramic": "#F3D9A4", "metal": "#D9D9D9", "magnet": "#B8C9E6", "coil": "#E3B7A0"}
-COLOURS = {"A": BLUE, "N": ORANGE, "Nm": ORANGE, "-": GREEN}
+MATERIAL_COLOURS = {
+    "ceramic": "#F3D9A4",
+    "metal": "#D9D9D9",
+    "magnet": "#B8C9E6",
+    "coil": "#E3B7A0",
+}
+FLOW_COLOURS = {"A": BLUE, "N": ORANGE, "Nm": ORANGE, "-": GREEN}
 
 
 def draw_devices(scene: Scene) -> str:
@@ -45,11 +51,11 @@ def draw_devices(scene: Scene) -> str:
     return render_page(
         "devices.svg.j2",
         shapes=placed,
-        fills=FILLS,
+        fills=MATERIAL_COLOURS,
         labels=labels,
         side=side,
         scale=scale,
-        bar=float(f"{0.25 * (right - left):.0e}"),  # one digit
+        bar=float(f"{0.25 * (right - left):.0e}"),  # rounded to one digit
         low=max(scale * (top - bottom), line) + 34,
         spoken="Side view: " + "; ".join(names),
         width=side + 50 + LETTER_WIDTH * max(map(len, names), default=0),
@@ -57,7 +63,7 @@ def draw_devices(scene: Scene) -> str:
 
 
 def describe_devices(scene: Scene) -> str:
-    """Return the caption of the side view, with all labels; narrow windows cut them off."""
+    """Return the caption of the side view with all labels, which narrow windows cut off."""
     names = filter(None, map(attrgetter("label"), _place_shapes(scene)))
     return f"Side view, to scale. {'; '.join(dict.fromkeys(names))}."
 
@@ -91,18 +97,18 @@ def draw_circuit(scene: Scene) -> str:
         boxes.append((x, width, part.name, part.type.name.replace("_", " ")))
         at = x + (width - sum(steps)) / 2
         for pin, step in zip(pins, steps, strict=True):
-            end = (at + step / 2, pin.name, COLOURS.get(pin.flow, GREY))
+            end = (at + step / 2, pin.name, FLOW_COLOURS.get(pin.flow, GREY))
             ends.setdefault(scene.net(part.name, pin.name), []).append(end)
             at += step
         x += width + 22
     spans = {net: (min(rows)[0], max(rows)[0]) for net, rows in ends.items()}
     lines = {net: span for net, span in spans.items() if net != "0" and len(ends[net]) > 1}
     levels = _stack_nets(lines)
-    top = TRACK * (1 + max(levels.values(), default=0)) + 18
+    top = NET_SPACING * (1 + max(levels.values(), default=0)) + 18
     nets = []
     for net, rows in ends.items():
         first, last = spans[net]
-        height = top - TRACK * (levels[net] + 1) if net in levels else None
+        height = top - NET_SPACING * (levels[net] + 1) if net in levels else None
         nets.append(
             {
                 "name": net,
@@ -113,7 +119,7 @@ def draw_circuit(scene: Scene) -> str:
                 "level": height,
             }
         )
-    look: dict[str, Any] = {"top": top, "box": BOX, "width": x, "blue": BLUE, "grey": GREY}
+    look: dict[str, Any] = {"top": top, "box": PART_HEIGHT, "width": x, "blue": BLUE, "grey": GREY}
     spoken = "Circuit of " + ", ".join(scene.parts)
     return render_page("circuit.svg.j2", boxes=boxes, nets=nets, spoken=spoken, **look)
 

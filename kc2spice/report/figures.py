@@ -17,11 +17,21 @@ SKY, PURPLE, BLACK, GREY = "#56B4E9", "#CC79A7", "#222222", "#8A8A8A"
 PALETTE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
 
 LABELS_ABOVE = 4  # largest number of labels above the axes; a longer legend is beside them
-_LEGEND_ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": LABELS_ABOVE}
-_LEGEND_BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
-_MARKS = ("o", "s", "^", "D", "v", "P")
-_LINES: dict[str, Any] = {"-": "-", "--": "--", ":": ":", "reference": (0, (1, 3)), "step": "-"}
-_STYLE: Any = {
+_LEGEND_ABOVE_AXES: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": LABELS_ABOVE}
+_LEGEND_BESIDE_AXES: Any = {
+    "loc": "upper left",
+    "bbox_to_anchor": (1.01, 1.0),
+    "borderaxespad": 0.0,
+}
+_MARKERS = ("o", "s", "^", "D", "v", "P")
+_LINE_STYLES: dict[str, Any] = {
+    "-": "-",
+    "--": "--",
+    ":": ":",
+    "reference": (0, (1, 3)),
+    "step": "-",
+}
+_PLOT_STYLE: Any = {
     "font.size": 9.5,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -65,7 +75,7 @@ def make_notebook_figure(figure: Figure) -> Any:
             self.savefig(stream, format="png")
             return stream.getvalue()
 
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(_PLOT_STYLE):
         count, columns = len(figure.panels), figure.columns
         rows = -(-count // columns)
         size = (3.6 * columns, 2.7 * rows) if columns > 1 else (7.0, max(2.6 * rows, 4.0))
@@ -100,21 +110,24 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
         axes.set_aspect("equal", adjustable="datalim")
     elif panel.span is not None:
         axes.set_xlim(*panel.span)
-    elif panel.map is None and panel.curves and panel.curves[0].style in _LINES:
+    elif panel.map is None and panel.curves and panel.curves[0].style in _LINE_STYLES:
         axes.set_xlim(panel.curves[0].x.min(), panel.curves[0].x.max())
     axes.set(xlabel=panel.x, ylabel=panel.y)
     labels = axes.get_legend_handles_labels()[1]
     if len(labels) > 1:
         inches = axes.get_window_extent().width / axes.figure.dpi
-        long = sum(map(len, labels)) + 6 * len(labels) > 16 * inches  # letters and handles
-        axes.legend(**(_LEGEND_BESIDE if len(labels) > LABELS_ABOVE or long else _LEGEND_ABOVE))
+        # width of the legend in letters, with its handles
+        long = sum(map(len, labels)) + 6 * len(labels) > 16 * inches
+        axes.legend(
+            **(_LEGEND_BESIDE_AXES if len(labels) > LABELS_ABOVE or long else _LEGEND_ABOVE_AXES)
+        )
 
 
 def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
     """Draw the ``k``-th curve of a panel; all lines but the first have marks."""
     colour = BLACK if curve.style == "reference" else PALETTE[k % len(PALETTE)]
     look: dict[str, Any] = {"color": colour, "label": curve.label or None}
-    marks = {"marker": _MARKS[k % len(_MARKS)], "ms": 4}
+    marks = {"marker": _MARKERS[k % len(_MARKERS)], "ms": 4}
     if curve.style == "bar":
         wide = 0.9 * float(np.diff(curve.x[:2])[0]) if len(curve.x) > 1 else 0.8
         axes.bar(curve.x, curve.y, wide, **look)
@@ -124,7 +137,7 @@ def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
     elif curve.style == "-" and k > 0:
         look |= marks | {"mfc": "white", "markevery": (0.03 * k, 0.15)}
     else:
-        look |= {"ls": _LINES[curve.style]}
+        look |= {"ls": _LINE_STYLES[curve.style]}
         look |= {"drawstyle": "steps-post"} if curve.style == "step" else {}
     axes.plot(curve.x, curve.y, **look)
 
@@ -138,7 +151,7 @@ def _set_log_scale(axes: Any, axis: Any) -> None:
 
     axes.set(**{f"{axis.axis_name}scale": "log"})
     low, high = axis.get_data_interval()
-    decades = 2 if axis.axis_name == "x" else 3  # beyond, labels side by side would overlap
+    decades = 2 if axis.axis_name == "x" else 3  # beyond this, adjacent labels would overlap
     narrow = low > 0 and high < 10**decades * low
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,)))
     axis.set_minor_locator(NullLocator())

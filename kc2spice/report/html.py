@@ -21,7 +21,7 @@ from kc2spice.core.prefix import format_quantity
 from kc2spice.netlist.spelling import template_renderer
 from kc2spice.report.charts import render_figure
 
-# Parts of keys that differ from the words of a label.
+# label words that differ from the words of a key
 _LABEL_WORDS = {
     "bvd": "equivalent circuit",
     "quality": "Q factor",
@@ -47,7 +47,7 @@ _QUANTITIES = {
     "s": "time", "m": "position", "m/s": "velocity", "Hz": "frequency", "V": "voltage",
     "A": "current", "N": "force", "J": "energy",
 }  # fmt: skip
-FEW = 8  # values of a list that one row contains
+MAX_ROW_VALUES = 8  # values of a list in one row
 
 
 def format_times(seconds: Mapping[str, float]) -> list[tuple[str, str]]:
@@ -88,10 +88,10 @@ def distinguish_labels(labels: Mapping[str, str], units: Mapping[str, str]) -> d
     return result
 
 
-def format_fact(key: str, value: Any, unit: str = "") -> tuple[str, str]:
+def format_metric(key: str, value: Any, unit: str = "") -> tuple[str, str]:
     """Return a key of ``result.json`` and its value with ``unit`` as words."""
     values = value if isinstance(value, (list, tuple)) else [value]
-    if len(values) > FEW:
+    if len(values) > MAX_ROW_VALUES:
         return label_key(key, unit), f"{len(values)} values, in result.json"
     return label_key(key, unit), ", ".join(format_value(item, unit) for item in values)
 

@@ -15,11 +15,11 @@ from kc2spice.core.prefix import ROUNDING_NOISE, format_quantity, format_value_a
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.drawings import describe_devices, draw_circuit, draw_devices
 from kc2spice.report.html import (
-    FEW,
+    MAX_ROW_VALUES,
     PageSection,
     distinguish_labels,
     flatten_mapping,
-    format_fact,
+    format_metric,
     format_times,
     format_value,
     write_page,
@@ -29,7 +29,7 @@ from kc2spice.scene.settings import Probe
 
 WIDE_RANGE = 20.0  # ratio of frequencies above which their axis is logarithmic
 OPERATING_RESULTS = 6  # results at the operating point that a terminal shows
-LEAD = "Finite-element models, reduced, exported as a netlist and run in ngspice."
+LEAD_TEXT = "Finite-element models, reduced, exported as a netlist and run in ngspice."
 NETS_NOTE = (
     "Pins by what they carry: blue electrical, orange mechanical, green signals. The names of the "
     "nets are those of the netlist."
@@ -77,7 +77,7 @@ def write_run(
         PageSection("Files", links=result.get("files", ())),
     ]
     title = f"{scene.name}: {scene.title}" if scene.title else scene.name
-    return write_page(path, title, LEAD, sections, origin=(f"scene {scene_hash(scene)}",))
+    return write_page(path, title, LEAD_TEXT, sections, origin=(f"scene {scene_hash(scene)}",))
 
 
 def format_results(result: Mapping[str, Any]) -> list[PageSection]:
@@ -89,8 +89,8 @@ def format_results(result: Mapping[str, Any]) -> list[PageSection]:
     tried = list(map(_attempt_row, attempts)) if len(attempts) > 1 else []
     models, units = [], result.get("model_units", {})
     for name, facts in result.get("model", {}).items():
-        models.append(PageSection(f"Model: {name}", _fact_rows(facts, units.get(name, {}))))
-    metrics = _fact_rows(result.get("metrics", {}), result.get("metric_units", {}))
+        models.append(PageSection(f"Model: {name}", _summary_rows(facts, units.get(name, {}))))
+    metrics = _summary_rows(result.get("metrics", {}), result.get("metric_units", {}))
     check_head = ("", "check", "value", "limit", "action")
     attempt_head = ("setting", "changes", "outcome", "blamed", "time")
     return [
@@ -127,12 +127,12 @@ def _attempt_row(attempt: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _certificate_rows(certificate: Mapping[str, Any]) -> Rows:
-    """Return the facts of a reduction within its band, then the facts above the band."""
+    """Return the properties of a reduction within its band and above the band."""
     facts = {}
     for name, value in certificate.items():
         if value is not None and not name.startswith("above_band"):
             facts[name] = value
-    return [*_fact_rows(facts, {"band_hz": "Hz"}), *format_above_band(certificate)]
+    return [*_summary_rows(facts, {"band_hz": "Hz"}), *format_above_band(certificate)]
 
 
 def format_operating_point(result: Mapping[str, Any], most: int | None = None) -> Rows:
@@ -199,7 +199,7 @@ def _metric_rows(result: Mapping[str, Any]) -> Rows:
     for name, value in metrics.items():
         error = errors.get(name)
         estimate = "" if error is None else f" (error estimate {100 * error:.2g} %)"
-        label, text = _fact_row(name, value, units, scales)
+        label, text = _summary_row(name, value, units, scales)
         rows[name] = label, text + estimate
     return _label_rows(rows, units)
 
@@ -213,6 +213,7 @@ def format_verdict(checks: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _is_single(value: Any) -> bool:
+    """Return whether a metric is a single number."""
     return not isinstance(value, (list, tuple, Mapping))
 
 
@@ -268,9 +269,9 @@ def format_plan(
     shares = result.get("shares", {})
     settings = []
     for key, value, error in map(dict.values, planned["settings"]):
-        settings.append((key, f"{value:g}", _format_error(shares.get(key, error))))
+        settings.append((key, f"{value:g}", _format_relative_error(shares.get(key, error))))
     for name, error in result.get("errors", {}).items():
-        settings.append((f"error of {name}", "", _format_error(error)))
+        settings.append((f"error of {name}", "", _format_relative_error(error)))
     parts = list(map(tuple, map(dict.values, planned["parts"])))
     omitted = list(map(tuple, map(dict.values, planned["left_out"])))
     return [
@@ -280,50 +281,52 @@ def format_plan(
     ]
 
 
-def _format_error(error: float | None) -> str:
+def _format_relative_error(error: float | None) -> str:
+    """Return a relative error as text, empty if it is unknown."""
     return "not estimated" if error is None else f"{error:.2g}"
 
 
-def _fact_rows(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
-    """Return rows of single numbers, ranges and a few words.
+def _summary_rows(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
+    """Return table rows for results that are one number, a range or a short text.
 
-    ``units`` are by dotted name. Figures show the curves.
+    ``units`` are keyed by dotted name. Curves are shown in figures.
     """
     values = {}
     for name, value in flatten_mapping(facts):
         if _is_single(value) or _is_short(value):
             values[name] = value
     scales = _largest_by_unit(values, units)
-    rows = {name: _fact_row(name, value, units, scales) for name, value in values.items()}
+    rows = {name: _summary_row(name, value, units, scales) for name, value in values.items()}
     return _label_rows(rows, units)
 
 
 def _label_rows(rows: Mapping[str, tuple[str, str]], units: Mapping[str, str]) -> Rows:
-    """Return rows of keys; a label that several keys have also names the quantity."""
+    """Return rows of keys; a repeated label also contains the quantity."""
     labels = distinguish_labels({name: label for name, (label, _) in rows.items()}, units)
     return [(labels[name], text) for name, (_, text) in rows.items()]
 
 
 def _is_short(values: Sequence[Any]) -> bool:
+    """Return whether a list is short enough for one row."""
     words = all(isinstance(value, str) for value in values)
-    return len(values) <= (FEW if words else 2)
+    return len(values) <= (MAX_ROW_VALUES if words else 2)
 
 
-def _fact_row(
+def _summary_row(
     name: str, value: Any, units: Mapping[str, str], scales: Mapping[str, float]
 ) -> tuple[str, str]:
     """Return label and text of a number; ``scales`` are largest magnitudes."""
     unit = units.get(name, "")
-    return format_fact(name.replace(".", "_"), _chop_rounding(value, scales, unit), unit)
+    return format_metric(name.replace(".", "_"), _chop_rounding(value, scales, unit), unit)
 
 
 def _format_energy(name: str, entries: Mapping[str, float]) -> PageSection:
     """Return the table of an energy balance."""
-    return PageSection(f"Energy: {name}", _fact_rows(entries, dict.fromkeys(entries, "J")))
+    return PageSection(f"Energy: {name}", _summary_rows(entries, dict.fromkeys(entries, "J")))
 
 
 def _format_modes(part: str, table: Mapping[str, Any]) -> PageSection:
-    """Return the table of the modes of one body, without ports that no mode moves."""
+    """Return the table of the modes of a body, without ports that no mode moves."""
     units, modes = table["units"], table["modes"]
     coupled = []
     head = ["frequency", "Q"]

@@ -19,17 +19,18 @@ from kc2spice.core.prefix import format_quantity
 from kc2spice.report.html import PageSection, format_value, label_key, write_page
 from kc2spice.scene.model import Scene
 
-CONFIDENCE = 0.95  # probability of the confidence intervals
-NUMBERS = (float, int, bool)  # types of a column of numbers
-EQUAL = 1e-9  # relative difference of values of a metric that is rounding of the simulator
-POINTS_PER_KEY = 10  # values of a key of words that the plan lists
+CONFIDENCE_LEVEL = 0.95  # probability of the confidence intervals
+NUMBER_TYPES = (float, int, bool)  # types of a column of numbers
+# relative difference of metrics that are equal up to rounding of the simulator
+EQUALITY_TOLERANCE = 1e-9
+MAX_LISTED_VALUES = 10  # values of a text key that the plan lists
 
 Table = Mapping[str, Sequence[Any]]
 Axis = tuple[str, np.ndarray]  # label with unit, and the numbers
 
 
 def _belongs_to(column: Sequence[Any], *kinds: type) -> bool:
-    """Return whether all values of a column but None are of one of these types."""
+    """Return whether all values of a column except None have one of these types."""
     present = set(map(type, column)) - {type(None)}
     return len(present) == 1 and present <= set(kinds)
 
@@ -49,9 +50,9 @@ def compute_yields(table: Table, keys: Sequence[str]) -> dict[str, dict[str, flo
     for name, column in table.items():
         if name not in keys and _belongs_to(column, bool):
             count, total = sum(map(bool, column)), len(column)
-            interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
+            interval = binomtest(count, total).proportion_ci(CONFIDENCE_LEVEL, method="exact")
             ends = {"low": float(interval.low), "high": float(interval.high)}
-            result[name] = {"share": count / total, **ends, "confidence": CONFIDENCE}
+            result[name] = {"share": count / total, **ends, "confidence": CONFIDENCE_LEVEL}
     return result
 
 
@@ -74,7 +75,7 @@ def write_sweep(
     metrics = []
     spread = []
     for name, column in table.items():
-        if name not in units and _belongs_to(column, *NUMBERS):
+        if name not in units and _belongs_to(column, *NUMBER_TYPES):
             metrics.append(name)
             if not _belongs_to(column, bool):
                 spread.append(_quantile_row(name, column, metric_units.get(name, "")))
@@ -108,8 +109,8 @@ def _yield_row(name: str, share: Mapping[str, float]) -> tuple[str, str]:
 def _key_row(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple[str, str]:
     """Return the row of a swept key: number of values, and their range or list."""
     distinct = list(dict(zip(map(repr, column), column, strict=True)).values())
-    text = ", ".join(map(str, distinct[:POINTS_PER_KEY]))
-    if _belongs_to(column, *NUMBERS):
+    text = ", ".join(map(str, distinct[:MAX_LISTED_VALUES]))
+    if _belongs_to(column, *NUMBER_TYPES):
         text = " … ".join(format_quantity(end(distinct), units[key]) for end in (min, max))
     return key, f"{len(distinct)} values, {text}"
 
@@ -135,7 +136,7 @@ def plot_sweep(
     words: dict[str, Sequence[Any]] = {}
     crossed = 1
     for key, unit in units.items():
-        if _belongs_to(table[key], *NUMBERS):
+        if _belongs_to(table[key], *NUMBER_TYPES):
             values = _read_numbers(table[key])
             x[key] = format_axis_label(key.replace("_", " "), unit), values
             crossed *= np.unique(values).size
@@ -199,7 +200,7 @@ def _plot_map(x: Axis, y: Axis, z: Axis) -> Panel:
 def _plot_histogram(axis: Axis) -> Panel:
     """Plot the distribution of a metric with its median and two quantiles."""
     values = axis[1][np.isfinite(axis[1])]
-    spread = np.ptp(values) > EQUAL * np.abs(values).max()
+    spread = np.ptp(values) > EQUALITY_TOLERANCE * np.abs(values).max()
     counts, edges = np.histogram(values, bins="auto" if spread else 1)
     bars = Curve("", (edges[:-1] + edges[1:]) / 2, counts.astype(float), "bar")
     low, middle, high = np.quantile(values, (0.05, 0.5, 0.95)).tolist()

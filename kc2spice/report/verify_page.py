@@ -13,24 +13,25 @@ import numpy as np
 from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, scale_axis
 from kc2spice.core.prefix import format_quantity, format_ratio, format_value_and_limit
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.report.html import PageSection, format_fact, format_times, write_page
-from kc2spice.scene.checks import PAIRS, Check
+from kc2spice.report.html import PageSection, format_metric, format_times, write_page
+from kc2spice.scene.checks import SOLUTION_PAIRS, Check
 
-OUTCOMES = {True: "ok", False: "MISSED"}
-PANELS = 4  # largest number of panels in one figure
-SMALLEST_DIFFERENCE = 1e-17  # place of a difference of zero on a logarithmic axis
+VERDICT_WORDS = {True: "ok", False: "MISSED"}
+MAX_PANELS = 4  # largest number of panels in one figure
+SMALLEST_DIFFERENCE = 1e-17  # value that represents a zero difference on a logarithmic axis
 
 Solutions = Mapping[str, Waveforms]
 
 
 @dataclass
 class Findings:
-    """Results of the verification of one scene.
+    """Results of the verification of a scene.
 
-    ``errors`` contains the largest relative error of each of :data:`kc2spice.scene.checks.PAIRS`.
-    ``wall_s`` contains the time of each stage, ``left_out`` the names of parts without a law.
-    ``answers`` contains the metrics of each solution: ``ngspice``, ``rom`` (laws) and ``fom``
-    (full models, for the part of the run that they cover).
+    ``errors`` contains the largest relative error of each of
+    :data:`kc2spice.scene.checks.SOLUTION_PAIRS`. ``wall_s`` contains the time of each stage,
+    ``left_out`` the names of parts without a law. ``answers`` contains the metrics of each
+    solution: ``ngspice``, ``rom`` (laws) and ``fom`` (full models, for the part of the run that
+    they cover).
     """
 
     checks: list[Check] = field(default_factory=list)
@@ -59,7 +60,7 @@ class Findings:
 
 
 def write_verify(path: Path, findings_by_scene: Mapping[str, Findings]) -> Path:
-    """Write the page of the findings of each scene, which are by its name."""
+    """Write the page of the verification results, keyed by scene name."""
     rows = list(map(_summary_row, findings_by_scene, findings_by_scene.values()))
     head = ("scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full")
     sections = [PageSection("Summary", rows, head, "Errors are the largest relative ones.")]
@@ -72,12 +73,12 @@ def write_verify(path: Path, findings_by_scene: Mapping[str, Findings]) -> Path:
 
 def _summary_row(scene: str, findings: Findings) -> tuple[str, ...]:
     """Return the row of a scene: its verdict and the errors between solutions."""
-    errors = map(format_ratio, map(findings.errors.get, PAIRS))
-    return scene, OUTCOMES[findings.passed], *errors
+    errors = map(format_ratio, map(findings.errors.get, SOLUTION_PAIRS))
+    return scene, VERDICT_WORDS[findings.passed], *errors
 
 
 def format_verification(scene: str, record: Mapping[str, Any]) -> list[PageSection]:
-    """Return gates and times of one scene's record, for page and terminal."""
+    """Return error limits and times of one scene, for page and terminal."""
     checks = list(map(_check_row, record["checks"]))
     times = format_times(record["wall_s"])
     return [
@@ -94,10 +95,11 @@ def _check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
         texts = format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
     else:
         texts = format_value_and_limit(value, limit, unit)
-    return OUTCOMES[check["passed"]], check["name"], *texts
+    return VERDICT_WORDS[check["passed"]], check["name"], *texts
 
 
 def _drop_nan(value: float | None) -> float | None:
+    """Return None instead of NaN."""
     return None if value is None or np.isnan(value) else value
 
 
@@ -111,7 +113,7 @@ def _format_details(scene: str, findings: Findings) -> list[PageSection]:
         errors.append((pair, error.output, *sizes))
     for name, value in findings.metrics.items():
         if not isinstance(value, Mapping):
-            facts.append(format_fact(name, value, findings.units.get(name, "")))
+            facts.append(format_metric(name, value, findings.units.get(name, "")))
     return [
         PageSection(f"{scene}: each output", errors, head),
         PageSection(f"{scene}: results", facts, note=" ".join(findings.notes)),
@@ -125,7 +127,7 @@ def _format_details(scene: str, findings: Findings) -> list[PageSection]:
 def plot_comparison(
     name: str, title: str, solutions: Solutions, units: Mapping[str, str]
 ) -> Iterator[Figure]:
-    """Plot the waves of all solutions, and their differences to the first one.
+    """Plot the waves of all solutions, and their differences from the first solution.
 
     One panel shows the largest wave of each unit, one further figure the differences of all.
     """
@@ -159,7 +161,7 @@ def plot_comparison(
 def plot_solutions(name: str, curves: Solutions) -> Iterator[Figure]:
     """Plot the response of each port of a body to a load on the same port."""
     last = list(curves.values())[-1]
-    pairs = list(filter(_is_driving_point, last))[:PANELS]
+    pairs = list(filter(_is_driving_point, last))[:MAX_PANELS]
     end = float(last["frequency"].real[-1]) / 1e3
     panels = []
     for pair in pairs:
@@ -190,7 +192,7 @@ def _largest_waves(names: Iterable[str], waves: Waveforms, units: Mapping[str, s
         size = np.abs(waves[name]).max(initial=0.0)
         if size > 0 and (unit not in best or size > np.abs(waves[best[unit]]).max()):
             best[unit] = name
-    return list(best.values())[:PANELS]
+    return list(best.values())[:MAX_PANELS]
 
 
 def _real_values(values: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ from scipy.optimize import least_squares
 from kc2spice.core.domains import ELECTRICAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.extras import import_optional
-from kc2spice.linalg.processor import fast_kernels
+from kc2spice.linalg.processor import use_fast_kernels
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import explicit_pencil
 from kc2spice.rom.state_space import ABCD
@@ -176,7 +176,7 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
         [ B'P        -1   D' ]  <= 0
         [ C           D   -1 ]
     """
-    with fast_kernels():
+    with use_fast_kernels():
         from cvxopt import matrix, solvers
 
     A, B, _, _ = model

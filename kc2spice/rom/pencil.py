@@ -16,11 +16,11 @@ import scipy
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.exact import ExactMatrix
 from kc2spice.linalg.factor import (
-    QUASI_DEFINITE,
+    QUASI_DEFINITE_UNKNOWNS,
     Factor,
     factorise,
     factorise_quasi_definite,
-    two_sided,
+    factorise_two_sided,
 )
 
 Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array or Schur; scipy brings no types
@@ -95,12 +95,12 @@ class Schur:
         is_symmetric = is_equal(self.pp, self.pp.T)
         if is_symmetric and self.is_large:
             return factorise_quasi_definite(self.pp)
-        return two_sided(self.pp, symmetric=is_symmetric)[0]
+        return factorise_two_sided(self.pp, symmetric=is_symmetric)[0]
 
     @property
     def is_large(self) -> bool:
         """Whether the matrices are so large that pivoting would take more time."""
-        return bool(self.uu.shape[0] + self.pp.shape[0] >= QUASI_DEFINITE)
+        return bool(self.uu.shape[0] + self.pp.shape[0] >= QUASI_DEFINITE_UNKNOWNS)
 
     def is_proven_definite(self, factor: Factor | None) -> bool:
         """Whether a ``factor`` of all four blocks proves that the complement is positive definite.
@@ -328,7 +328,7 @@ class Pencil:
         SimulationError : ``s`` is a pole.
         """
         try:
-            return two_sided(self.at(s), symmetric=self.symmetric)
+            return factorise_two_sided(self.at(s), symmetric=self.symmetric)
         except SimulationError as error:
             raise SimulationError(
                 error.message, where=error.where, got=f"{error.got} at s = {s:.6g} 1/s"
@@ -338,7 +338,7 @@ class Pencil:
     def is_large(self) -> bool:
         """Whether the matrices are so large that pivoting would take more time."""
         K = self.coefficients[0]
-        return K.is_large if isinstance(K, Schur) else self.size >= QUASI_DEFINITE
+        return K.is_large if isinstance(K, Schur) else self.size >= QUASI_DEFINITE_UNKNOWNS
 
     def pencil_solver(self, square: float) -> Factor:
         """Factor of ``K - square M``, real; at zero K must be definite.
@@ -624,7 +624,7 @@ def eliminate_massless(pencil: Pencil) -> Pencil:
         return pencil
     try:
         lift = schur.inner.solve(pencil.B[p])
-        turned = two_sided(blocks[3], symmetric=is_equal(blocks[3], blocks[3].T))[1]
+        turned = factorise_two_sided(blocks[3], symmetric=is_equal(blocks[3], blocks[3].T))[1]
         back = turned.solve(pencil.C[:, p].T)
     except SimulationError:
         return pencil

@@ -1,7 +1,7 @@
-"""Plan of a run: its parts, joins, omissions and numerical settings (axes).
+"""Plan of a run: parts, nets, neglected effects and numerical settings (axes).
 
-A key that trades time for error has a :class:`kc2spice.core.quantities.Notch` in its declaration.
-``error_budget`` and ``bench`` move along the same axes, and ``explain`` lists them.
+A key that trades computing time for accuracy has a :class:`kc2spice.core.quantities.Notch` in its
+declaration. ``error_budget`` and ``bench`` vary the axes, and ``explain`` lists them.
 """
 
 from __future__ import annotations
@@ -23,22 +23,23 @@ from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.rows import Neglected
 from kc2spice.scene.settings import Analysis, Rom, Solver
 
-MAX_STEP = "solver.max_step"
-MAX_TIME_POINTS = 2e5  # time points of a transient at its finest step
-# factor on the highest frequency: steps and contacts excite a body above its band
+MAX_STEP_KEY = "solver.max_step"
+MAX_TIME_POINTS = 2e5  # time points of a transient with its finest step
+# ratio of the highest frequency to the band of a reduction: steps and contacts excite modes above
+# the band
 BAND_GROWTH = 2.0
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Numerical setting with its key, its value and its notch.
+    """Numerical setting: its key, its value and its notch.
 
     ``name`` is the dotted name of the key.
-    ``low`` and ``high`` bound the value. ``finer`` contains further keys of all finer settings.
-    ``band`` belongs to the tolerance of a reduction: its highest frequency grows by ``wider`` with
-    each finer notch. ``decades`` is the width of a grid with equally many points in each decade;
-    finer grids contain the coarser ones. ``model`` marks settings that cost no time of the
-    simulator, ``mesh`` those of meshes.
+    ``low`` and ``high`` bound the value. ``finer`` contains further keys that each finer setting
+    needs. ``band`` belongs to the tolerance of a reduction: its highest frequency grows by
+    ``wider`` with each finer notch. ``decades`` is the width of a grid with equally many points in
+    each decade; finer grids contain the coarser ones. ``model`` marks settings that cost no time of
+    the simulator, ``mesh`` those of meshes.
     """
 
     name: str
@@ -54,7 +55,7 @@ class Axis:
     mesh: bool = False
 
     def at(self, notches: float) -> dict[str, Any]:
-        """Return keys refined by ``notches``; negative ones are coarser.
+        """Return keys refined by ``notches``; negative numbers make them coarser.
 
         The result is empty without a change.
         """
@@ -84,12 +85,12 @@ def find_axes(build: Build) -> tuple[Axis, ...]:
 
 
 def find_finest_axes(build: Build) -> tuple[Axis, ...]:
-    """Return the settings at their finest value: only a coarser run shows their error."""
+    """Return the settings at their finest value, whose error only a coarser run shows."""
     return tuple(axis for axis in _list_axes(build) if not axis.at(1.0) and axis.at(-1.0))
 
 
 def _list_axes(build: Build) -> Iterator[Axis]:
-    """Yield all settings of a scene with a notch."""
+    """Yield all settings of a scene that have a notch."""
     scene = build.scene
     if scene.analysis.type == "transient":
         solver = {axis.name: axis for axis in _list_marked(scene.solver, "solver")}
@@ -99,7 +100,7 @@ def _list_axes(build: Build) -> Iterator[Axis]:
         if step is None and build.largest is not None:
             step = build.largest.step
         if step is not None:
-            axis = _make_axis(MAX_STEP, step, Solver.model_fields["max_step"])
+            axis = _make_axis(MAX_STEP_KEY, step, Solver.model_fields["max_step"])
             yield replace(axis, low=min(step, scene.stop / MAX_TIME_POINTS))
     elif scene.analysis.small and "analysis" in scene.tables:
         (axis,) = _list_marked(scene.analysis, "analysis")
@@ -117,7 +118,7 @@ def _count_decades(analysis: Analysis) -> float:
 
 
 def _list_marked(keys: BaseModel, prefix: str) -> Iterator[Axis]:
-    """Yield axes of keys with a notch in a table and its tables, except reductions."""
+    """Yield the axes of marked keys in a table and its inner tables, except reductions."""
     for name, declared in type(keys).model_fields.items():
         value = getattr(keys, name)
         if isinstance(value, BaseModel) and not isinstance(value, Rom):
@@ -154,7 +155,8 @@ def _list_reductions(build: Build) -> Iterator[Axis]:
             certificate = getattr(build.models.get(part.name), "certificate", None)
             band = rom.band if certificate is None else certificate.band_hz
         axis = _make_axis(f"{prefix}.tolerance", rom.tolerance, Rom.model_fields["tolerance"])
-        # A run has one value of each parameter: it needs no range, and its band may be wider.
+        # A run has one value of each parameter, so it needs no parameter range, and its band may be
+        # wider.
         plain: dict[str, Any] = {f"{prefix}.parameters": {}} if rom.parameters else {}
         wider = (BAND_GROWTH**2 if plain else BAND_GROWTH) if timed else 1.0
         yield replace(axis, band=band, wider=wider, finer=plain)
@@ -184,11 +186,12 @@ def _make_axis(name: str, value: float, declared: FieldInfo) -> Axis:
 
 
 def _find_notch(declared: FieldInfo) -> Notch | None:
+    """Return the notch of a key, None without one."""
     return next((item for item in declared.metadata if isinstance(item, Notch)), None)
 
 
-def move_axes(selected: Sequence[Axis], notches: Mapping[str, float]) -> dict[str, Any]:
-    """Return the keys of moved axes; ``notches`` are by the names of the axes."""
+def apply_notches(selected: Sequence[Axis], notches: Mapping[str, float]) -> dict[str, Any]:
+    """Return the keys of refined axes; ``notches`` are keyed by name of the axis."""
     result: dict[str, Any] = {}
     for axis in selected:
         result |= axis.at(notches.get(axis.name, 0.0))
@@ -196,14 +199,14 @@ def move_axes(selected: Sequence[Axis], notches: Mapping[str, float]) -> dict[st
 
 
 def _describe_noise(part: Part, build: Build) -> str:
-    """Return the noise sources of a part in words, if the scene has a noise analysis."""
+    """Describe the noise sources of a part, if the scene has a noise analysis."""
     result = part.type.noise
     noise = result if isinstance(result, str) else "thermal noise at 27 C" if result else "no noise"
     return f"; {noise}" if build.has_noise else ""
 
 
 def _describe_mesh(part: Part, build: Build) -> str:
-    """Return the text of a part about its mesh."""
+    """Describe the mesh of a part."""
     text = part.type.discretisation(part, build)
     return f"; {text}" if text else ""
 
@@ -220,12 +223,11 @@ def _estimate_mesh_error(axis: Axis, build: Build) -> float | None:
 
 
 def describe_plan(build: Build) -> dict[str, Any]:
-    """Return the plan of a run, ``plan`` of ``result.json``.
+    """Return the plan of a run, which is ``plan`` in ``result.json``.
 
     ``parts`` contains ``source`` and ``detail`` of each part, ``joins`` the nets, and ``frames``
     the origin of displacements. ``left_out`` lists each neglected effect once. ``settings`` lists
-    the keys that trade time for error, with the relative ``error`` that is known before a run,
-    otherwise None.
+    the keys that trade time for error, with the relative ``error`` if it is known before a run.
     """
     scene = build.scene
     parts = []
@@ -242,7 +244,7 @@ def describe_plan(build: Build) -> dict[str, Any]:
     settings = []
     for axis in find_axes(build):
         error = _estimate_mesh_error(axis, build)
-        # In a transient, steps excite a body above the band of its tolerance.
+        # The steps of a transient excite a body above the band of the tolerance.
         if scene.analysis.small and axis.name.endswith("rom.tolerance"):
             error = axis.value
         settings.append({"key": axis.name, "value": axis.value, "error": error})

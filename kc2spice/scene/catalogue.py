@@ -1,7 +1,7 @@
-"""Parts that can be bought: values of their data sheets, with source and date.
+"""Catalogue of commercial parts: data-sheet values with source and date.
 
-``catalogue.toml`` contains one table for each part number. A part number is accepted wherever a
-scene is: its scene drives the part in the circuit of its kind.
+``catalogue.toml`` contains one table for each part number. A part number is accepted in place of a
+scene: the scene drives the part in a test circuit for its kind.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from kc2spice.core.untrusted_files import make_identifier
 
 @dataclass(frozen=True)
 class CataloguePart:
-    """A part of a maker, and how its scene is written.
+    """Part of a manufacturer, with the text of its scene.
 
     ``keys`` are lines of the part's table; ``band`` are the first and the last frequency of its
-    scene, empty for a transient. ``redundant`` are values of the sheet that are no keys.
-    ``assumed`` states values that the sheet does not contain. The ``scene`` of a part without keys
-    is a built-in one.
+    scene, empty for a transient. ``redundant`` are data-sheet values without a key. ``assumed``
+    describes values that the data sheet does not contain. A part without keys has a built-in
+    ``scene``.
     """
 
     number: str
@@ -42,28 +42,28 @@ class CataloguePart:
 
     @property
     def title(self) -> str:
-        """Maker, part number and device."""
+        """Manufacturer, part number and device."""
         return f"{self.maker} {self.number}: {self.device}"
 
     @property
     def words(self) -> str:
-        """Text in which words are searched."""
+        """Text that a search for words reads."""
         return f"{self.number} {self.maker} {self.device} {self.kind}".casefold()
 
     @property
     def stem(self) -> str:
-        """Name of its scene."""
+        """Name of the scene of the part."""
         return make_identifier(self.number, "part")
 
     @property
     def rated_voltage(self) -> str:
-        """Text of the key ``voltage``, at which the circuit of its kind drives it; may be empty."""
+        """Text of the key ``voltage``, the drive of the test circuit; may be empty."""
         lines = (line.split('"')[1] for line in self.keys.splitlines() if "voltage =" in line)
         return next(lines, "")
 
     @property
     def text(self) -> str:
-        """Scene with the part in the circuit of its kind, as text of a TOML file."""
+        """Scene with the part in its test circuit, as text of a TOML file."""
         circuit = _read_tables()["circuits"][self.kind]
         lines = [f"# {self.source}, {self.date}"]
         lines += [f"# assumed: {self.assumed}"] if self.assumed else []
@@ -85,7 +85,7 @@ def _read_tables() -> dict[str, Any]:
 
 @cache
 def read_catalogue() -> Mapping[str, CataloguePart]:
-    """Return all parts by their numbers.
+    """Return all parts, keyed by part number.
 
     Examples
     --------
@@ -100,7 +100,7 @@ def read_catalogue() -> Mapping[str, CataloguePart]:
 
 
 def find_part(name: str) -> CataloguePart | None:
-    """Return the part with this number, in whatever case; None if there is none."""
+    """Return the part with this number in any letter case; None if there is none."""
     parts = read_catalogue()
     numbers = {number.casefold(): number for number in parts}
     number = numbers.get(name.casefold())
@@ -108,11 +108,11 @@ def find_part(name: str) -> CataloguePart | None:
 
 
 def search_parts(words: str = "") -> list[CataloguePart]:
-    """Return the parts whose number, maker, device or kind contain every word.
+    """Return the parts whose number, manufacturer, device or kind contain every word.
 
     Raises
     ------
-    UsageError : there is none.
+    UsageError : no part matches.
 
     Examples
     --------

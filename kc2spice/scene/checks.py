@@ -1,4 +1,4 @@
-"""Metrics and checks of a result: physics, energy balances, gates of ``verify``."""
+"""Metrics and checks of a result: physics, energy balances, error limits of ``verify``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kc2spice.scene.settings import Action, Solver
 if TYPE_CHECKING:
     import numpy as np
 
-PAIRS = ("rom_vs_fom", "ngspice_vs_rom", "ngspice_vs_fom")
+SOLUTION_PAIRS = ("rom_vs_fom", "ngspice_vs_rom", "ngspice_vs_fom")
 Measure = Literal["relative", "absolute", "travel", "largest", "spectral"]
 
 
@@ -33,11 +33,11 @@ class Metric:
 
 @dataclass(frozen=True)
 class Check:
-    """Check that ``value`` does not exceed ``limit``, with an ``advice`` if it does.
+    """Check that ``value`` does not exceed ``limit``, with ``advice`` for a violation.
 
     A value that was not reached is NaN. ``action`` is the effect of a violation on the run. A
-    ``coarse`` check fails because of too large steps, and tighter tolerances may correct it. A
-    ``wiring`` check compares the netlist with the scene; an edited deck may differ on purpose.
+    ``coarse`` check fails if steps are too large; tighter tolerances may correct this. A ``wiring``
+    check compares the netlist with the scene; an edited deck may differ intentionally.
     ``suggested`` contains dotted keys with values that avoid the violation, if they are known and
     not set. A check of the ``discretisation`` compares a model with a finer one at the frequencies
     of the run. In a transient, ``verify`` includes this check unless it solves the finer model.
@@ -82,8 +82,8 @@ class Balance(EqualByContent):
     """Energy balance of a run.
 
     ``entries`` [J] are the energies at the end, ``missing`` [J] is the largest error at any time.
-    ``limit`` is the largest ratio of ``missing`` to ``scale`` [J]. ``exact`` contains for each wave
-    the values of the run, and the exact response of a linear part to its loads.
+    ``limit`` is the largest ratio of ``missing`` to ``scale`` [J]. ``exact`` contains, for each
+    wave, the values of the run and the exact response of a linear part to its loads.
     """
 
     entries: dict[str, float]
@@ -101,15 +101,15 @@ class Balance(EqualByContent):
 
 @dataclass(frozen=True)
 class Verdict:
-    """All checks of a run, with energy balances and gates of ``verify`` by parts."""
+    """All checks of a run, with energy balances and error limits, keyed by part."""
 
     checks: tuple[Check, ...] = ()
     balances: tuple[tuple[str, Balance], ...] = ()
     gates: tuple[tuple[str, Gate], ...] = ()
 
 
-def require(checks: tuple[Check, ...], where: str) -> None:
-    """Raise for the first violated check that fails the run.
+def require_passed(checks: tuple[Check, ...], where: str) -> None:
+    """Raise an error for the first violated check that fails the run.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def require(checks: tuple[Check, ...], where: str) -> None:
     for check in checks:
         if check.fatal:
             value, limit = format_value_and_limit(check.value, check.limit, check.unit)
-            # a sentence contains names of keys as the user writes them
+            # the sentence contains names of keys in the user's spelling
             name = check.name if " " in check.name else check.name.replace("_", " ")
             raise SimulationError(
                 f"a check of the result failed: {name}",
@@ -129,8 +129,8 @@ def require(checks: tuple[Check, ...], where: str) -> None:
             )
 
 
-def motion_gate(solver: Solver) -> float:
-    """Return the relative gate of motion between ngspice and the equations.
+def motion_error_limit(solver: Solver) -> float:
+    """Return the relative error limit of motions in ngspice against the reference solver.
 
     At the usual tolerances, errors are 1e-5 to 3e-5. The differences fall as ``(reltol
     chgtol)^0.55``.
@@ -140,7 +140,7 @@ def motion_gate(solver: Solver) -> float:
 
 @dataclass(frozen=True)
 class Gate:
-    """Largest difference between two solutions in one result.
+    """Largest accepted difference between two solutions in one result.
 
     ``of`` is the name of a metric or of waves (a prefix ends with ``*``). ``limits`` contains the
     largest difference for each pair of solutions. ``measure`` is the measure of the difference:
@@ -150,9 +150,9 @@ class Gate:
     * *largest*: by the largest value of all waves together;
     * *spectral*: each entry of a response by its size, at least 1e-6 of its peak.
 
-    ``share`` is the part of the scale, from its start on, that is looked at; ``leads`` states
-    whether its difference represents the scene in ``errors``. In a transient, a gate of the
-    ``discretisation`` of a part compares with a finer one of this part alone.
+    ``share`` is the part of the scale, from its start on, that is compared; ``leads`` states
+    whether the difference is the one of the scene in ``errors``. In a transient, a gate of the
+    ``discretisation`` compares with a finer mesh of this part only.
     """
 
     words: str

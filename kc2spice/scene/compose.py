@@ -1,8 +1,8 @@
 """Nets of a scene: joins of pins, and checks of these joins.
 
 A target is ``"gnd"`` or ``"part.pin"``. All pins that are joined, directly or over other pins, are
-one net. The netlist names it after its first pin in the order of the scene. One allocator
-distributes all names at the top of a deck, so that nets and cards have different names.
+one net. The node is named after its first pin in the order of the scene. One allocator assigns all
+names at the top level of a deck, so that nets and cards have different names.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from kc2spice.scene.parttype import find_current_into
 from kc2spice.scene.rows import Rest
 
 Pin = tuple[str, str]
-_GROUND: Pin = (GROUND, "")
-LISTED_PINS = 5  # pins that an error lists
-METER = "meter"  # last word of the name of an ammeter
+_GROUND_NAMES: Pin = (GROUND, "")
+LISTED_PINS = 5  # pins that an error message lists
+METER_SUFFIX = "meter"  # last word of the name of an ammeter
 
 
 def join_parts(scene: Scene) -> Scene:
@@ -43,7 +43,8 @@ def join_parts(scene: Scene) -> Scene:
     scene = _with_nets(replace(scene, frames={}, nets={}))
     if frames := find_frames(scene):
         scene = _with_nets(replace(scene, frames=frames))
-        scene = replace(scene, frames=find_frames(scene))  # the further pins may name nodes
+        # further pins may appear in the names of nodes
+        scene = replace(scene, frames=find_frames(scene))
     return scene
 
 
@@ -56,7 +57,7 @@ def with_joins(scene: Scene) -> Scene:
 
 
 def with_rests(scene: Scene) -> Scene:
-    """Return the scene with constraints and loads of its parts at rest."""
+    """Return the scene with constraints and loads of its parts in equilibrium."""
     records = {}
     for name, record in scene.records.items():
         records[name] = replace(record, rest=record.part.type.at_rest(record.part, scene))
@@ -72,7 +73,7 @@ def _with_nets(scene: Scene) -> Scene:
             terminals[part.name, terminal.name] = terminal
     _require_distinct_pins(terminals)
     scene = replace(scene, terminals=terminals)
-    union = Groups([_GROUND, *terminals])
+    union = Groups([_GROUND_NAMES, *terminals])
     for part in scene.parts.values():
         for pin, target, where in _list_joins(part, scene):
             other = _find_target(target, scene, where)
@@ -116,7 +117,7 @@ def _list_joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
 def _find_target(target: str, scene: Scene, where: str) -> Pin:
     """Return the pin that a target names."""
     if target in (GROUND, "0"):
-        return _GROUND
+        return _GROUND_NAMES
     name, dot, pin = target.partition(".")
     if (name, pin) in scene.terminals:
         return (name, pin)
@@ -135,8 +136,8 @@ def _find_target(target: str, scene: Scene, where: str) -> Pin:
 
 
 def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
-    """Refuse a join of pins of different kinds."""
-    if _GROUND in (a, b):
+    """Reject a join of pins of different kinds."""
+    if _GROUND_NAMES in (a, b):
         return
     first, second = scene.terminals[a], scene.terminals[b]
     if not _are_compatible(first, second):
@@ -155,13 +156,13 @@ def _are_compatible(a: Terminal, b: Terminal) -> bool:
 
 
 def _require_one_kind(net: list[Pin], scene: Scene) -> None:
-    """Refuse a net on which a signal pin joins two pins of different kinds."""
-    for a, b in combinations(() if _GROUND in net else net, 2):
+    """Reject a net on which a signal pin joins two pins of different kinds."""
+    for a, b in combinations(() if _GROUND_NAMES in net else net, 2):
         _require_same_kind(a, b, scene, f"{a[0]}.pins.{a[1]}")
 
 
 def _require_distinct_pins(terminals: Mapping[Pin, Terminal]) -> None:
-    """Refuse two pins of a part whose names a simulator does not distinguish."""
+    """Reject two pins of a part whose names a simulator does not distinguish."""
     spellings: dict[Pin, str] = {}
     for name, pin in terminals:
         first = spellings.setdefault((name, pin.lower()), pin)
@@ -179,7 +180,7 @@ def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
     names, nets = Names(("0", GROUND)), dict[Pin, str]()
     for group in groups:
         preferred = group[0], "_".join(group[0]).lower()
-        nets |= dict.fromkeys(group, "0" if _GROUND in group else names.name(*preferred))
+        nets |= dict.fromkeys(group, "0" if _GROUND_NAMES in group else names.name(*preferred))
     return {pin: nets[pin] for pin in scene.terminals}
 
 
@@ -195,8 +196,8 @@ def _with_inner_names(scene: Scene) -> Scene:
     scene = replace(scene, names=names)
     meters = {}
     for name, pin in _list_metered(scene):
-        preferred = f"v{name}_{pin}_{METER}".lower()
-        meters[name, pin] = free.name((METER, name, pin), preferred)
+        preferred = f"v{name}_{pin}_{METER_SUFFIX}".lower()
+        meters[name, pin] = free.name((METER_SUFFIX, name, pin), preferred)
     return replace(scene, meters=meters)
 
 
@@ -231,7 +232,7 @@ def powered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 
 
 def _list_metered(scene: Scene) -> Iterator[Pin]:
-    """Yield pins of subcircuits whose flow a probe reads from an ammeter.
+    """Yield pins of subcircuits whose through quantity a probe reads from an ammeter.
 
     Probes read it as ``PART.power``, as ``PART.PIN.current`` or another flow such as
     ``PART.PIN.force``, and as ``PART.current``, which is the flow through the first pin.
@@ -246,17 +247,21 @@ def _list_metered(scene: Scene) -> Iterator[Pin]:
         for pin, domain in metered_pins(part, scene).items():
             flow = domain.through_variable.name
             first = domain is ELECTRICAL and pin == next(iter(powered))
-            paired = part.reduced and not domain.reference  # a result of the body
+            paired = part.reduced and not domain.reference  # result of the body itself
             if (
                 (quantity == "power" and pin in powered)
                 or quantity in (f"{pin}.power", f"{pin}.{flow}")
-                or (first and quantity == flow and not (paired and _is_result(part, pin, scene)))
+                or (
+                    first
+                    and quantity == flow
+                    and not (paired and _reports_pin_current(part, pin, scene))
+                )
             ):
                 yield name, pin
 
 
-def _is_result(body: Part, pin: str, scene: Scene) -> bool:
-    """Return whether a part has the current through the pin of a body as a result."""
+def _reports_pin_current(body: Part, pin: str, scene: Scene) -> bool:
+    """Return whether the results of a part include the current through a pin of the body."""
     build = Build(scene, {})
     records = {}
     for name, _ in scene.joined(body.name, pin):
@@ -267,19 +272,19 @@ def _is_result(body: Part, pin: str, scene: Scene) -> bool:
 
 
 def _require_joined(scene: Scene, alone: Collection[Pin]) -> None:
-    """Refuse a required pin that is not joined."""
+    """Reject a required pin that is not joined."""
     for (name, pin), terminal in scene.terminals.items():
         if terminal.required and (name, pin) in alone:
-            raise _unjoined_error(name, terminal, alone, scene)
+            raise _make_unjoined_error(name, terminal, alone, scene)
 
 
-def _unjoined_error(
+def _make_unjoined_error(
     name: str, terminal: Terminal, alone: Collection[Pin], scene: Scene
 ) -> UsageError:
-    """Return the error of a required pin.
+    """Return the error of a required pin that is not joined.
 
-    The hint suggests another pin that is not joined. Any other pin may have a potential, such as a
-    bias voltage, which the new joint would short-circuit. Ground would clamp a motion.
+    The hint suggests a free pin. A joined pin may have a potential, such as a bias voltage, which
+    the new join would short-circuit. Ground would clamp a motion.
     """
     fitting: list[Pin] = []
     waiting: list[Pin] = []
@@ -308,7 +313,7 @@ def _unjoined_error(
 
 
 def _require_one_output(scene: Scene) -> None:
-    """Refuse a net that two outputs set, or an output on ground."""
+    """Reject a net that two outputs set, or an output on ground."""
     drivers = {"0": "ground"}
     for (name, pin), terminal in scene.terminals.items():
         net = scene.nets[name, pin]
@@ -322,7 +327,7 @@ def _require_one_output(scene: Scene) -> None:
 
 
 def _require_distinct_ends(scene: Scene) -> None:
-    """Refuse a part of two pins that are on one net: it has no effect."""
+    """Reject a part whose two pins are on one net, because it has no effect."""
     for part in scene.parts.values():
         pins = scene.pins(part.name)
         if len(pins) != 2 or pins[0].kind != pins[1].kind or pins[0].flow == "-":
@@ -340,7 +345,7 @@ def _require_distinct_ends(scene: Scene) -> None:
 
 
 def _require_no_source_loop(scene: Scene) -> None:
-    """Refuse loops of ideal sources, in which currents have no unique value."""
+    """Reject loops of ideal sources, in which currents have no unique value."""
     union = Groups(["0", *scene.nets.values()])
     for part in scene.parts.values():
         for plus, minus in scene.records[part.name].rest.ideal:
@@ -357,7 +362,7 @@ def _require_no_source_loop(scene: Scene) -> None:
 
 
 def _require_ground(scene: Scene) -> None:
-    """Refuse parts without a connection to ground: their potentials are not unique."""
+    """Reject parts without a connection to ground: their potentials are not unique."""
     union = Groups(["0", *scene.nets.values()])
     first: dict[str, str] = {}
     for (part, _), net in scene.nets.items():
@@ -398,7 +403,7 @@ class Groups:
 
 
 def describe_nets(scene: Scene) -> tuple[str, ...]:
-    """Return one line of text for each net with more than one pin."""
+    """Return a line of text for each net with more than one pin."""
     nets: dict[str, list[str]] = {}
     for (part, pin), net in scene.nets.items():
         nets.setdefault(net, []).append(f"{part}.{pin}")

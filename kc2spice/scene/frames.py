@@ -16,9 +16,10 @@ from operator import mul
 from kc2spice.core.domains import ACCELERATION, TRANSLATION, VELOCITY
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.rows import SQUARE, FrameShake, ShakenFrame
+from kc2spice.scene.rows import PERPENDICULAR_COSINE, FrameShake, ShakenFrame
 
-MOTIONS = (TRANSLATION.across.pin_unit, VELOCITY.pin_unit)  # units of pins that move or sense it
+# units of pins that move the body or sense its motion
+MOTION_UNITS = (TRANSLATION.across.pin_unit, VELOCITY.pin_unit)
 
 
 def find_frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
@@ -67,7 +68,7 @@ def _find_body_frames(part: Part, scene: Scene) -> dict[str, ShakenFrame]:
         shakes = []
         for source, net in accelerations.items():
             share = _compute_cosine(directions.get(pin), directions.get(source))
-            if share is None or abs(share) > SQUARE:
+            if share is None or abs(share) > PERPENDICULAR_COSINE:
                 shakes.append(FrameShake(net, (part.name, source), share))
         result[pin] = ShakenFrame(part.name, tuple(shakes))
     return result
@@ -87,7 +88,7 @@ def _moving_pins(part: Part, scene: Scene, *, listening: bool = False) -> list[s
     """
     result = []
     for terminal in scene.pins(part.name):
-        reads = listening and terminal.unit in MOTIONS and not terminal.signal_out
+        reads = listening and terminal.unit in MOTION_UNITS and not terminal.signal_out
         if (terminal.moving or reads) and scene.net(part.name, terminal.name) != "0":
             result.append(terminal.name)
     return result
@@ -187,7 +188,7 @@ def describe_frames(scene: Scene) -> Iterator[str]:
     nets: dict[str, list[str]] = {}
     for (part, pin), net in scene.nets.items():
         end = scene.terminals[part, pin]
-        if net != "0" and (end.moving or (net in nets and end.unit in MOTIONS)):
+        if net != "0" and (end.moving or (net in nets and end.unit in MOTION_UNITS)):
             nets.setdefault(net, []).append(f"{part}.{pin}")
     relative = {scene.nets[pin]: frame for pin, frame in scene.frames.items()}
     if nets and not relative:

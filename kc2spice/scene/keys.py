@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from kc2spice.core.quantities import find_unit, list_keys
 from kc2spice.scene.model import DEFAULT_TABLES, Scene
-from kc2spice.scene.parttype import part_types
+from kc2spice.scene.parttype import load_part_types
 from kc2spice.scene.settings import Frame, Probe
 
 
@@ -66,7 +66,7 @@ def list_all_keys() -> Iterator[Key]:
     Keys of a part have the prefix of the table that needs no ``part``, otherwise the type's name.
     """
     yield from list_schema_keys(Frame)
-    for name, kind in part_types().items():
+    for name, kind in load_part_types().items():
         yield from list_schema_keys(kind.schema, f"{DEFAULT_TABLES.get(name, name)}.")
 
 

@@ -1,4 +1,4 @@
-"""Scenes from the list_gallery, TOML files or mappings, checked and resolved."""
+"""Scenes from the gallery, TOML files or mappings, checked and resolved."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from kc2spice.core.untrusted_files import (
 from kc2spice.scene.compose import with_joins
 from kc2spice.scene.model import DEFAULT_TYPES, GROUND, Names, Part, PartType, Scene
 from kc2spice.scene.overrides import read_overrides, set_key
-from kc2spice.scene.parttype import part_type, type_names
+from kc2spice.scene.parttype import find_part_type, type_names
 from kc2spice.scene.plausible import apply_action, check_drive_levels
 from kc2spice.scene.problems import check_periods, check_scene
 from kc2spice.scene.resolve import resolve, with_governed
@@ -33,7 +33,7 @@ from kc2spice.scene.settings import Analysis, Frame
 from kc2spice.scene.start_conditions import find_start_errors
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
-_PARTS_COMMAND = "kc2spice scenes --parts"  # lists the part types with their keys
+_PARTS_COMMAND = "kc2spice scenes --parts"  # command that lists the part types with their keys
 _GRAMMAR_KEYS = ("part", "pins")  # keys of every part table
 
 
@@ -115,7 +115,7 @@ def load_scene(
 def _require_known_parts(
     data: Mapping[str, Any], tables: Mapping[str, Any], source: SceneFile
 ) -> None:
-    """Refuse values for a whole part, and overrides of a part that the scene lacks.
+    """Reject a value for a whole part, and overrides of a part that the scene lacks.
 
     An override with a part type adds a part.
 
@@ -151,7 +151,7 @@ def _copy_tables(value: Any) -> Any:
 
 def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
     """Return the checked and resolved scene of tables; ``where`` of errors is a key."""
-    types = {name: _find_type(name, table) for name, table in _list_part_tables(data)}
+    types = {name: _find_part_type(name, table) for name, table in _list_part_tables(data)}
     frame = {key: data[key] for key in data if key not in types}
     scene = Scene(_validate_table(Frame, frame, ()), {}, home=source.folder)
     parts, analysis = _make_parts(data, types, source.folder)
@@ -172,7 +172,7 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
 def _make_parts(
     data: Mapping[str, Any], types: Mapping[str, PartType], home: Path
 ) -> tuple[dict[str, Part], Analysis | None]:
-    """Return all parts, and the analysis that they expand to."""
+    """Return all parts, and the analysis that they imply."""
     parts = {}
     for name, kind in types.items():
         short = () if "part" in data[name] else tuple(data)
@@ -189,7 +189,7 @@ def _make_parts(
             keys = dict(table)
             at = keys.pop("at", None)
             place = at if isinstance(at, tuple) else (name,)
-            parts[name] = _make_part(name, keys, _find_type(name, keys), home, place)
+            parts[name] = _make_part(name, keys, _find_part_type(name, keys), home, place)
     return parts, analysis
 
 
@@ -222,7 +222,7 @@ def _with_default_drive(scene: Scene) -> Scene:
     driven = ports[0][0]
     name = Names(parts).name(driven, f"{driven}_drive")
     table = {"part": "source", "ac": "1 V", "pins": {"out": ".".join(ports[0])}}
-    drive = _make_part(name, table, _find_type(name, table), scene.home)
+    drive = _make_part(name, table, _find_part_type(name, table), scene.home)
     return replace(scene, parts={**parts, name: drive})
 
 
@@ -236,7 +236,7 @@ def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[st
             expected = f"a table, [{name}]"
             raise UsageError("not a table", where=name, got=display_text(table), expected=expected)
         if not isinstance(table, Mapping):
-            raise _unknown_key_error(name, data)
+            raise _make_unknown_key_error(name, data)
         if not _NAME.fullmatch(name) or name.lower() == GROUND:
             raise UsageError(
                 "not a name for a part",
@@ -257,8 +257,8 @@ def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[st
         yield name, table
 
 
-def _unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
-    """Return the error of an unknown key at the top, which may be the key of a part."""
+def _make_unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
+    """Return the error of an unknown key at the top level, which may be the key of a part."""
     parts, part_keys = [], []
     for item, table in data.items():
         if isinstance(table, Mapping) and item not in Frame.model_fields:
@@ -276,14 +276,14 @@ def _unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
 
 
 def _list_part_keys(name: str, table: Mapping[str, Any]) -> list[str]:
-    """Return the dotted keys of the part ``name``; of an unknown type there are none."""
-    kind = part_type(str(table.get("part", DEFAULT_TYPES.get(name))))
+    """Return the dotted keys of the part ``name``; empty for an unknown type."""
+    kind = find_part_type(str(table.get("part", DEFAULT_TYPES.get(name))))
     keys = () if kind is None else list_keys(kind.schema)
     return [".".join((name, *path)) for path, _ in keys]
 
 
-def _find_type(name: str, table: Mapping[str, Any]) -> PartType:
-    """Return the part type that a table or its name states."""
+def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
+    """Return the part type from a table or its name."""
     selected = table.get("part", DEFAULT_TYPES.get(name))
     if selected is None:
         near = did_you_mean(name, [*Frame.model_fields, *DEFAULT_TYPES])
@@ -294,7 +294,7 @@ def _find_type(name: str, table: Mapping[str, Any]) -> PartType:
             hint=near
             or f'add  part = "TYPE"  to [{name}]; kc2spice scenes --parts lists the types',
         )
-    result = part_type(selected) if isinstance(selected, str) else None
+    result = find_part_type(selected) if isinstance(selected, str) else None
     if result is None:
         error = unknown("unknown part type", selected, type_names(), f"{name}.part", _PARTS_COMMAND)
         error.hint = error.hint or (

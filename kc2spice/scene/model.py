@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from kc2spice.scene.checks import Balance, Check, Gate
 
 GROUND = "gnd"
-# Part types of tables that need no key ``part``, by the names of the tables.
+# Part types of tables without the key ``part``, keyed by table name.
 DEFAULT_TYPES = {
     "kick": "piezo_stack",
     "contact": "contact",
@@ -71,13 +71,13 @@ T = TypeVar("T")
 S = TypeVar("S", bound=Section)
 KeysT = TypeVar("KeysT", bound=Section, default=Section, covariant=True)
 M = TypeVar("M")
-# Output of a controller from the time [s] and its inputs.
+# Output of a controller as a function of the time [s] and the inputs.
 ControllerFunction = Callable[[float, Mapping[str, float]], float]
 
 
 @dataclass(frozen=True)
 class Terminal:
-    """Pin of a part: the meaning of 1 V and 1 A on it (``flow="-"`` for a signal).
+    """Pin of a part, with the meaning of 1 V and 1 A (``flow="-"`` for a signal).
 
     ``default`` is the target of a pin that the scene does not join (``"gnd"`` or ``"part.pin"``).
     A ``required`` pin must be joined. ``signal_out`` marks the pin that sets a signal.
@@ -94,12 +94,12 @@ class Terminal:
 
     @classmethod
     def of(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
-        """Make a conservative pin of a domain."""
+        """Return a conservative pin of a domain."""
         return cls(name, *domain.units, default)
 
     @classmethod
     def speed(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
-        """Make a pin with the rate of the across quantity of a domain, such as a velocity."""
+        """Return a pin with the rate of the across quantity of a domain, such as a velocity."""
         assert domain.rate is not None, f"{domain.name} has no rate"
         return cls(name, domain.rate.pin_unit, domain.flow, default)
 
@@ -107,22 +107,22 @@ class Terminal:
     def signal(
         cls, name: str, quantity: Quantity, *, required: bool = False, signal_out: bool = False
     ) -> Terminal:
-        """Make a signal pin of a quantity."""
+        """Return a signal pin of a quantity."""
         return cls(name, quantity.pin_unit, SIGNAL, required=required, signal_out=signal_out)
 
     @property
     def kind(self) -> str:
-        """Unit pair in words; only pins with the same pair may be joined."""
+        """Units of the pin in words; only pins with the same units may be joined."""
         return f"{self.unit}/{self.flow}" if self.flow != SIGNAL else f"signal in {self.unit}"
 
     @property
     def moving(self) -> bool:
-        """Whether its quantity is a motion under a force."""
+        """Whether the quantity of the pin is a motion under a force."""
         return self.domain is not None and bool(self.domain.frame)
 
     @property
     def needs_path(self) -> bool:
-        """Whether its net needs a path to the reference for an operating point."""
+        """Whether the net of the pin needs a path to the reference for an operating point."""
         return self.domain is not None and bool(self.domain.path)
 
     @property
@@ -132,7 +132,7 @@ class Terminal:
 
     @property
     def across(self) -> Quantity | None:
-        """Quantity across the pin, None for a signal in a unit of no domain."""
+        """Quantity across the pin, None for a signal without a domain."""
         return across_of(self.unit)
 
 
@@ -141,7 +141,7 @@ class Part(Generic[KeysT]):
     """Part of a scene with its checked keys and its joined pins.
 
     ``keys`` is an instance of the type's schema. A part with its own table has an empty ``at``.
-    Another part may have expanded to this part: then ``at`` is the path of the keys in that part.
+    If another part has generated this part, ``at`` is the path of its keys in the other part.
     """
 
     name: str
@@ -151,11 +151,11 @@ class Part(Generic[KeysT]):
     at: tuple[str | int, ...] = ()
 
     def with_schema(self, schema: builtins.type[S]) -> Part[S]:
-        """Return the part after a check that its keys are of the class ``schema``.
+        """Return the part if its keys are an instance of ``schema``.
 
         Raises
         ------
-        TypeError : its keys are of another class.
+        TypeError : the keys are of another class.
         """
         if not isinstance(self.keys, schema):
             raise TypeError(f"the keys of {self.name} are no {schema.__name__}: {self.keys!r:.80}")
@@ -163,12 +163,12 @@ class Part(Generic[KeysT]):
 
     @property
     def key_prefix(self) -> str:
-        """Dotted key under which the scene contains the keys of the part."""
+        """Dotted name of the table with the keys of the part."""
         return ".".join(map(str, self.at or (self.name,)))
 
     @property
     def netlist(self) -> bool:
-        """Whether the part is a subcircuit from a file of the user."""
+        """Whether the part is a subcircuit from the user's file."""
         return hasattr(self.keys, "subckt")
 
     @property
@@ -178,13 +178,13 @@ class Part(Generic[KeysT]):
 
     @property
     def parameter_ranges(self) -> Mapping[str, tuple[float | str, float | str]]:
-        """Ranges of the keys of a body that are parameters of its netlist."""
+        """Ranges of the keys of a body that become parameters of its netlist."""
         rom: Rom | None = getattr(self.keys, "rom", None)
         return (rom.parameters if rom else None) or {}
 
     @property
     def declares(self) -> bool:
-        """Whether the part is a body from files, whose author declares its ports."""
+        """Whether the part is a body from files that declare the ports."""
         return self.reduced and self.type.ports_of_files
 
     def wrong(
@@ -195,7 +195,7 @@ class Part(Generic[KeysT]):
         expected: str | None = None,
         hint: str | None = None,
     ) -> UsageError:
-        """Return an error at one of its keys, or at the part if ``key`` is empty."""
+        """Return an error about a key of the part, or about the part if ``key`` is empty."""
         where = f"{self.name}.{key}" if key else self.name
         return UsageError(message, where=where, got=got, expected=expected, hint=hint)
 
@@ -206,7 +206,7 @@ class Part(Generic[KeysT]):
 
 @dataclass(frozen=True)
 class Record(Generic[T]):
-    """Answers of one part of a scene, before any model is built.
+    """Properties of a part that are known before any model is built.
 
     :mod:`kc2spice.scene.resolve` calls the method of :class:`PartType` for each of them once.
     ``rest`` is the result of :meth:`PartType.at_rest`, ``detail`` an object of a class of the
@@ -223,14 +223,14 @@ class Record(Generic[T]):
 
 
 class Names:
-    """Allocator of names that differ in more than case, for keys of any kind."""
+    """Allocator of names that differ in more than letter case."""
 
     def __init__(self, reserved: Iterable[str] = ()) -> None:
         self.reserved = set(map(str.lower, reserved))
         self.assigned: dict[Hashable, str] = {}
 
     def name(self, key: Hashable, preferred: str) -> str:
-        """Return the name of ``key``, by default the ``preferred`` or a similar one."""
+        """Return the name of ``key``: the ``preferred`` name or a similar one."""
         if key not in self.assigned:
             free, count = preferred, 1
             while free.lower() in self.reserved:
@@ -245,10 +245,10 @@ class SceneSource(Protocol):
     """Text of a scene's file together with its overrides."""
 
     def where(self, key: str) -> str:
-        """File, line and name of a key."""
+        """Return file, line and name of a key."""
 
     def overrides_key(self, key: str) -> bool:
-        """Whether an override sets the key."""
+        """Return whether an override sets the key."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,7 +307,7 @@ class DeclaredScene:
 
     @property
     def rom(self) -> Rom:
-        """Reduction of bodies that state none."""
+        """Default reduction of bodies."""
         return self.frame.rom
 
     @property
@@ -355,7 +355,7 @@ class DeclaredScene:
         return tuple(part.with_schema(schema) for part in self.of(kind))
 
     def only(self, *types: str) -> Part | None:
-        """Return the part of one of these types, or None if there is not exactly one."""
+        """Return the only part of these types, None if there is none or several."""
         result = self.of(*types)
         return result[0] if len(result) == 1 else None
 
@@ -371,7 +371,7 @@ class DeclaredScene:
         return self.parts[name]
 
     def partner(self, part: Part, kind: str, key: str = "") -> Part:
-        """Return the part of a type that ``part`` names under ``key``, or the only one.
+        """Return the part that ``part`` names under ``key``, or the only part of the type.
 
         Raises
         ------
@@ -401,7 +401,7 @@ class DeclaredScene:
         return part.type.is_subcircuit(part, self)
 
     def is_target(self, part: str, pin: str) -> bool:
-        """Return whether ``pins`` of a part name this pin: then no default applies."""
+        """Return whether ``pins`` of a part name this pin, so that no default applies."""
         targets = chain.from_iterable(other.pins.values() for other in self.parts.values())
         return f"{part}.{pin}" in targets
 
@@ -410,10 +410,11 @@ class DeclaredScene:
 class GovernedScene(DeclaredScene):
     """Scene with the governed parts and the details of its parts.
 
-    ``records`` contains the answers of each part by its name. Three fields follow from the governed
-    parts: ``movers`` names the part that prescribes all motion of another part. ``initial_states``
-    contains the stated states at t = 0. ``without_cards`` names the parts that others copy or move.
-    ``frames`` contains the shaken frame of each pin whose displacement is not absolute.
+    ``records`` contains the properties of each part, keyed by name. Three fields follow from the
+    governed parts: ``movers`` names the part that prescribes all motion of another part.
+    ``initial_states`` contains the stated states at t = 0. ``without_cards`` names the parts that
+    others copy or move. ``frames`` contains the shaken frame of each pin whose displacement is not
+    absolute.
     """
 
     records: Mapping[str, Record[object]] = field(default_factory=dict)
@@ -423,14 +424,14 @@ class GovernedScene(DeclaredScene):
     frames: Mapping[tuple[str, str], ShakenFrame] = field(default_factory=dict)
 
     def record(self, part: Part) -> Record[object] | None:
-        """Return the answers of a part, None if its keys in the scene differ."""
+        """Return the properties of a part, None if its keys in the scene differ."""
         result = self.records.get(part.name)
         return result if result is not None and result.part is part else None
 
 
 @dataclass(frozen=True, eq=False)
 class JoinedScene(GovernedScene):
-    """Scene with the targets of pins that follow from keys: ``joins``, by part."""
+    """Scene with the joins that follow from keys (``joins``, keyed by part)."""
 
     joins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
@@ -451,35 +452,35 @@ class WiredScene(JoinedScene):
         return tuple(pin for (name, _), pin in self.terminals.items() if name == part)
 
     def net(self, part: str, pin: str) -> str:
-        """Return the node of the netlist that a pin is joined to."""
+        """Return the netlist node of a pin."""
         return self.nets[part, pin]
 
     def nets_of(self, part: str, pins: Iterable[str]) -> list[str]:
-        """Return the nodes that pins of a part are joined to, in the order of the pins."""
+        """Return the netlist nodes of pins of a part, in the order of the pins."""
         return [self.nets[part, pin] for pin in pins]
 
     def joined(self, part: str, pin: str) -> tuple[tuple[str, str], ...]:
-        """Return the other pins on the net of a pin; none on ground."""
+        """Return the other pins on the net of a pin; empty on ground."""
         net = self.nets[part, pin]
         if net == "0":
             return ()
         return tuple(key for key, other in self.nets.items() if other == net and key != (part, pin))
 
     def joined_types(self, part: str, pin: str) -> set[str]:
-        """Types of the other parts on the net of this pin."""
+        """Return the types of the other parts on the net of this pin."""
         return {self.parts[name].type.name for name, _ in self.joined(part, pin)}
 
 
 @dataclass(frozen=True, eq=False)
 class Scene(WiredScene):
-    """Checked scene with the answers of all its parts.
+    """Checked scene with the properties of all its parts.
 
-    Part types receive one of its base classes at each stage of
+    Part types receive one of the base classes at each stage of
     :func:`kc2spice.scene.resolve.resolve`. ``numerics`` are the time scales of all parts.
     ``period`` [s] is the common period of all drives, None without one. ``meters`` contains the
     names of the ammeters at pins. ``names`` contains the names of all other nodes and cards by
-    ``(part, *words)`` (:meth:`Build.inner_name`). ``tables`` are those of the file with all
-    overrides, and ``source`` is its text, in which :meth:`where` searches for keys.
+    ``(part, *words)`` (:meth:`Build.inner_name`). ``tables`` are the tables of the file with all
+    overrides. ``source`` is the text of the file, in which :meth:`where` searches for keys.
     """
 
     numerics: tuple[Numerics, ...] = ()
@@ -494,14 +495,14 @@ class Scene(WiredScene):
         return key if self.source is None else self.source.where(key)
 
     def overridden(self, first: str, second: str) -> str:
-        """Return ``first`` if an override sets only this key of the two, otherwise ``second``."""
+        """Return ``first`` if overrides set it and not ``second``; otherwise ``second``."""
         if self.source is None or self.source.overrides_key(second):
             return second
         return first if self.source.overrides_key(first) else second
 
     @property
     def rests(self) -> dict[str, Rest]:
-        """Constraints and loads of each part at rest, before any model is built."""
+        """Constraints and loads of each part in equilibrium, before any model is built."""
         return {name: record.rest for name, record in self.records.items()}
 
     def __repr__(self) -> str:
@@ -512,9 +513,9 @@ class Scene(WiredScene):
 def scene_hash(scene: Scene) -> str:
     """Return 16 hex digits of the SHA-256 of all values that a netlist depends on.
 
-    Names, titles, gates and the actions on a failed run have no effect. Keys without a value have
-    none either, so that a new key leaves old hashes unchanged. Floats enter with all their digits:
-    equal hashes mean bit-equal netlists.
+    Names, titles, gates, the actions on a failed run and keys without a value have no effect, so
+    that a new key leaves old hashes unchanged. Floats have all their digits: equal hashes mean
+    bit-equal netlists.
     """
     without = {"name", "title", "checks", "gates", "bench"}
     content = scene.frame.model_dump(mode="json", exclude=without, exclude_none=True)
@@ -526,7 +527,7 @@ def scene_hash(scene: Scene) -> str:
         if part.declares:
             declaring.append(part.name)
     content["parts"] = parts
-    # A part alone has all of its ports in any case.
+    # A part without a scene always has all of its ports.
     if scene.ports == "declared" and len(parts) > 1 and declaring:
         content["every_port"] = declaring
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
@@ -535,9 +536,9 @@ def scene_hash(scene: Scene) -> str:
 
 @dataclass(frozen=True)
 class BuildRecord:
-    """Answers of one part about a build; a part without cards has no results.
+    """Properties of one part of a build; a part without cards has no results.
 
-    The answers are the results of :meth:`PartType.rest_with_model`, :meth:`PartType.vectors` and
+    The fields are the results of :meth:`PartType.rest_with_model`, :meth:`PartType.vectors` and
     :meth:`PartType.settable`.
     """
 
@@ -553,11 +554,11 @@ class Build:
     ``models`` contains the results of :meth:`PartType.build` by part, ``libraries`` the names of
     the subcircuits. ``unjudged`` are parts whose parameters differ in the deck from their keys:
     they have neither checks nor an energy balance. ``largest`` is the largest step of a transient.
-    ``records`` contains the answers of the parts by name
+    ``records`` contains the properties of the parts by name
     (:func:`kc2spice.scene.resolve.resolve_build`), ``results`` the quantities that netlist and
     probes read, and ``dc_sweep`` and ``noise_output`` the sweep or the output of the analysis.
     ``laws`` are the laws (:func:`kc2spice.equations.scene_laws.scene_laws`). ``linearised``
-    contains the motions about rest in a transient
+    contains the eigenmodes of a transient at rest
     (:func:`kc2spice.workflow.time_step.linearised_scene`). ``workspace`` contains large results of
     the latest run.
     """
@@ -579,11 +580,11 @@ class Build:
 
     @property
     def has_noise(self) -> bool:
-        """Whether the netlist has sources of noise."""
+        """Whether the netlist has noise sources."""
         return self.scene.analysis.type == "noise"
 
     def model(self, part: Part, kind: type[M]) -> M:
-        """Return the model of a part, which is of the class ``kind``.
+        """Return the model of a part, an instance of ``kind``.
 
         Raises
         ------
@@ -595,12 +596,12 @@ class Build:
         return result
 
     def models_of(self, kind: type[M]) -> dict[str, M]:
-        """Return the models of the class ``kind`` by the names of their parts."""
+        """Return the models of the class ``kind``, keyed by part name."""
         return {name: item for name, item in self.models.items() if isinstance(item, kind)}
 
     @property
     def sampled_sources(self) -> tuple[SampledSource, ...]:
-        """Sources that functions set while a transient runs."""
+        """Sources that Python functions set during a transient."""
         if self.scene.analysis.type != "transient":
             return ()
         rows = chain.from_iterable(record.settable.values() for record in self.records.values())
@@ -608,7 +609,7 @@ class Build:
 
     @property
     def vectors(self) -> dict[str, Vector]:
-        """Results of all parts by their names."""
+        """Results of all parts, keyed by name."""
         result: dict[str, Vector] = {}
         for record in self.records.values():
             result |= record.vectors
@@ -616,31 +617,31 @@ class Build:
 
     @property
     def rests(self) -> dict[str, Rest]:
-        """Constraints and loads of each part at rest, by its name."""
+        """Constraints and loads of each part in equilibrium, keyed by part name."""
         return self.scene.rests | {name: record.rest for name, record in self.records.items()}
 
     def facts(self, part: Part) -> Mapping[str, float]:
-        """Return characteristic numbers of a part's model, as in ``result.json``."""
+        """Return characteristic values of a part's model, as in ``result.json``."""
         result: Mapping[str, float] = getattr(self.models.get(part.name), "facts", {})
         return result
 
     def net(self, part: Part, pin: str) -> str:
-        """Return the node of the netlist that a pin is joined to."""
+        """Return the netlist node of a pin."""
         return self.scene.net(part.name, pin)
 
     def across(self, part: Part, pin: str) -> Vector:
-        """Return displacement, voltage or signal of a pin in SI units."""
+        """Return the displacement, voltage or signal of a pin in SI units."""
         terminal = self.scene.terminals[part.name, pin]
         quantity = terminal.across
         factor, si = (quantity.factor, quantity.unit) if quantity else (1.0, terminal.unit)
         return Vector(f"v({self.net(part, pin)})", factor, si)
 
-    def meter(self, part: Part, pin: str) -> str | None:
-        """Return the name of the ammeter at a pin and of its node; None without a meter."""
+    def meter_name(self, part: Part, pin: str) -> str | None:
+        """Return the name of the ammeter at a pin, None without a meter."""
         return self.scene.meters.get((part.name, pin))
 
     def inner_name(self, part: Part, *words: str) -> str:
-        """Return a name out of a part's :meth:`PartType.inner_names`.
+        """Return the netlist name of an inner node or card (:meth:`PartType.inner_names`).
 
         The name consists of the words joined by ``_``; if this name is taken, a similar name is
         used.
@@ -649,7 +650,7 @@ class Build:
 
 
 class PartType(Generic[KeysT]):
-    """Base of all part types, generic in the class of their keys, which is ``schema``.
+    """Base class of all part types, generic in the class ``schema`` of the keys.
 
     Scenes contain ``part = name``, and ``scenes --parts`` prints ``title``. A subclass overrides
     the methods that it needs.
@@ -658,22 +659,22 @@ class PartType(Generic[KeysT]):
     name: str
     title: str
     schema: type[KeysT]
-    #: tables of a small scene (TOML) with a part of this type, for ``scenes --parts`` and the docs
+    # tables of a small example scene (TOML), for ``scenes --parts`` and the docs
     example: str = ""
-    #: origin of its model, for ``explain``
+    # origin of the model, for ``explain``
     source: ClassVar[str] = "circuit"
-    #: whether the names of its results follow from its model
+    # whether the names of the results follow from the model
     results_of_model: ClassVar[bool] = False
-    #: whether it adds the force ``-m a`` of a shaken frame that its pins are in
+    # whether the part adds the force ``-m a`` of a shaken frame around its pins
     follows_frames: ClassVar[bool] = False
     #: whether files name the ports of its bodies
     ports_of_files: ClassVar[bool] = False
-    #: reason why parts of this type have no law, for ``verify``
+    # reason why parts of this type have no constitutive equations, for ``verify``
     without_law: ClassVar[str] = ""
-    #: dotted keys that divide it into finitely many pieces, or cut a series off: ``verify``
-    #: compares with twice as many
+    # dotted keys that set the number of pieces or of series terms; ``verify`` compares with twice
+    # as many
     discretisations: ClassVar[tuple[str, ...]] = ()
-    #: sources of noise: resistors of the device in its subcircuit, or a description
+    # noise sources: resistors of the device in the subcircuit, or a description
     noise: tuple[str, ...] | str = ()
 
     # --- scene: keys, pins, further parts ---------------------------------------------------------
@@ -681,7 +682,7 @@ class PartType(Generic[KeysT]):
     def expand(
         self, part: Part[KeysT], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return tables of further parts that this part expands to.
+        """Return tables of further parts that this part generates.
 
         ``data`` contains all tables of the scene.
         ``at`` in a table is the path of its keys in the file, such as ``("kick", "drive")``. A
@@ -690,11 +691,11 @@ class PartType(Generic[KeysT]):
         return {}
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return its pins in the order of its subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         return ()
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Return targets of pins that follow from its keys.
+        """Return targets of pins that follow from keys of the part.
 
         The key ``pins`` overrides these joins.
         """
@@ -706,7 +707,7 @@ class PartType(Generic[KeysT]):
         return () if file is None else (file,)
 
     def governs(self, part: Part[KeysT], scene: DeclaredScene) -> Mapping[str, State | Governed]:
-        """Return parts whose initial state or motion it prescribes, or that it copies.
+        """Return parts whose initial state or motion this part prescribes, or that it copies.
 
         See :class:`State` and :data:`Governed`.
         """
@@ -720,7 +721,7 @@ class PartType(Generic[KeysT]):
         return ()
 
     def detail(self, part: Part[KeysT], scene: GovernedScene) -> object:
-        """Return data for parts of the same package, in a class of that package.
+        """Return data for part types of the same package, in a class of that package.
 
         The detail follows from keys and from the governed parts. The :class:`Record` of the part
         contains the detail.
@@ -728,7 +729,7 @@ class PartType(Generic[KeysT]):
         return None
 
     def at_rest(self, part: Part[KeysT], scene: WiredScene) -> Rest:
-        """Return constraints and loads of the part at rest, before its model is built.
+        """Return constraints and loads of the part in equilibrium, before its model is built.
 
         The constraints and loads concern pins that need a path to their reference. By default the
         part clamps all of these pins.
@@ -738,15 +739,15 @@ class PartType(Generic[KeysT]):
     def directions(
         self, part: Part[KeysT], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Return the known unit vectors of translations and accelerations at its pins."""
+        """Return the known unit vectors of translations and accelerations at the pins."""
         return {}
 
     def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the pins that move against inertia of the part."""
+        """Return the pins at which the part has inertia."""
         return ()
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[UsageError]:
-        """Return the faults of the part in this scene; ``where`` is a dotted key.
+        """Yield the faults of the part in this scene; ``where`` is a dotted key.
 
         Implausible keys (:func:`kc2spice.scene.plausible.check_range`) are errors, warnings or
         nothing, according to ``checks.plausible``.
@@ -756,26 +757,26 @@ class PartType(Generic[KeysT]):
     # --- models and netlist -----------------------------------------------------------------------
 
     def reduction(self, part: Part[KeysT], scene: Scene) -> Rom | None:
-        """Return the settings of its reduction, None if its model is not reduced."""
+        """Return the settings of the reduction, None if the model is not reduced."""
         return None
 
     def build(self, part: Part[KeysT], scene: Scene, clock: Clock, full: bool = False) -> object:
-        """Return its model: fields, reduced matrices or tables.
+        """Return the model of the part: fields, reduced matrices or tables.
 
-        With ``full`` it is the more accurate model in the same form: the full
+        With ``full``, return a more accurate model of the same class: the full
         :class:`kc2spice.rom.linear_model.LinearModel`, or a table of more nodes. ``verify`` solves
         the scene with it; None if there is no such model.
         """
         return None
 
     def library(self, part: Part[KeysT], scene: Scene) -> str:
-        """Return the name of its subcircuit, which is that of the type if it is unique."""
+        """Return the name of the subcircuit, which is the name of the type if unique."""
         return self.name if len(scene.of(self.name)) == 1 else part.name
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return its subcircuit, after those that it needs; empty for plain cards."""
+        """Return the subcircuit and, before it, the subcircuits that it uses."""
         return ()
 
     def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
@@ -783,14 +784,14 @@ class PartType(Generic[KeysT]):
         return type(self).cards is PartType.cards
 
     def cards(self, part: Part[KeysT], build: Build) -> tuple[Item, ...]:
-        """Return its elements in the deck.
+        """Return the elements of the part in the deck.
 
         By default these are an instance of its subcircuit, and an ammeter for each flow that a
         probe reads.
         """
         nodes, ammeters = [], []
         for pin in build.scene.pins(part.name):
-            net, meter = build.net(part, pin.name), build.meter(part, pin.name)
+            net, meter = build.net(part, pin.name), build.meter_name(part, pin.name)
             nodes.append(meter or net)
             if meter:
                 ammeters.append(Element.of(meter, net, meter, "0"))
@@ -808,7 +809,7 @@ class PartType(Generic[KeysT]):
         return {}
 
     def drives(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
-        """Return whether it sets small signals of an ``ac`` analysis."""
+        """Return whether the part sets small signals of an ``ac`` analysis."""
         return False
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterable[Numerics]:
@@ -820,15 +821,15 @@ class PartType(Generic[KeysT]):
         return ()
 
     def rails(self, part: Part[KeysT]) -> tuple[float, float]:
-        """Return the supply voltages [V] of its output, infinite without supplies."""
+        """Return the supply voltages [V] of the output, infinite without supplies."""
         return -math.inf, math.inf
 
     def voltage(self, part: Part[KeysT], scene: DeclaredScene) -> Waveform | None:
-        """Return the voltage [V] that it prescribes from ``ret`` to ``out``, if any."""
+        """Return the voltage [V] that the part prescribes from ``ret`` to ``out``, if any."""
         return None
 
     def highest_frequency(self, part: Part[KeysT], scene: DeclaredScene) -> HighestFrequency | None:
-        """Return the frequency [Hz] below which its waves have nearly all energy.
+        """Return the frequency [Hz] below which the waves of the part have nearly all energy.
 
         The result is a function of the time constant [s] of the filter through which a voltage or
         force acts.
@@ -836,18 +837,18 @@ class PartType(Generic[KeysT]):
         return None
 
     def rest_with_model(self, part: Part[KeysT], build: Build) -> Rest:
-        """Return constraints and loads of the part on moving pins at rest, with its model."""
+        """Return constraints and loads of moving pins in equilibrium, for the built model."""
         return build.scene.records[part.name].rest
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
-        """Return its results by name."""
+        """Return the results of the part, keyed by name."""
         return {}
 
     def forces(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
-        """Return the forces [N] over time that it exerts at its mechanical pins, by pin.
+        """Return the force waveform [N] that the part exerts at each of its mechanical pins.
 
-        Each force is the sum of the results that leave the part at the pin. Pins without a result
-        are absent.
+        The forces are keyed by pin. Each is the sum of the results that leave the part at the pin.
+        Pins without a result are absent.
         """
         result = {}
         for pin in build.scene.pins(part.name):
@@ -860,7 +861,7 @@ class PartType(Generic[KeysT]):
     # --- results of a run -------------------------------------------------------------------------
 
     def metrics(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, object]:
-        """Return numbers that describe its behaviour, by name.
+        """Return numbers that describe the behaviour of the part, keyed by name.
 
         Each is a :class:`kc2spice.scene.checks.Metric` with its unit, or a mapping of metrics. A
         plain number has no unit.
@@ -870,7 +871,7 @@ class PartType(Generic[KeysT]):
     def main_metrics(
         self, part: Part[KeysT], build: Build
     ) -> Mapping[str, Probe | LargestRealPart]:
-        """Return the metrics that a simulator can compute, as probes of its results."""
+        """Return the metrics that a simulator can compute, as probes of results."""
         return {}
 
     def checks(
@@ -879,7 +880,7 @@ class PartType(Generic[KeysT]):
         """Return checks of a result.
 
         The checks are physical laws that the netlist does not contain. If a transient saved all
-        terms, they include the energy balance. For ``verify`` they include the results of interest
+        terms, they include the energy balance. For ``verify``, they include the results of interest
         with the largest difference between two solutions.
         """
         return ()
@@ -887,7 +888,7 @@ class PartType(Generic[KeysT]):
     def finer_mesh(
         self, part: Part[KeysT], build: Build, clock: Clock, most: float
     ) -> Iterable[Check | str]:
-        """Compare the model with that of a mesh half as wide, with a limited number of unknowns.
+        """Compare the model with a model of a mesh with half the element size.
 
         Plane meshes may have :data:`kc2spice.core.mesh_error.PLANE_UNKNOWN_RATIO` times as many.
         The results are checks of the differences, or the reason for their absence. Keys that a
@@ -898,21 +899,21 @@ class PartType(Generic[KeysT]):
     def check_operating_point(
         self, part: Part[KeysT], build: Build, point: Waveforms
     ) -> Iterable[Check]:
-        """Return checks that small signals about the operating ``point`` have a meaning."""
+        """Return checks that small signals about the operating ``point`` are meaningful."""
         return ()
 
     def law(self, part: Part[KeysT], build: Build) -> Equations | None:
-        """Return its equations for the independent integrator; None if it has none."""
+        """Return the equations of the part for the independent integrator; None without any."""
         return None
 
     def figures(
         self, part: Part[KeysT], build: Build, waves: Waveforms
     ) -> Iterable[Figure | FileWriter]:
-        """Return plots for the report, and further files of a run with arrays or fields."""
+        """Return plots for the report, and further output files with arrays or fields."""
         return ()
 
     def outline(self, part: Part[KeysT], scene: Scene) -> Iterable[Shape]:
-        """Return its side view: the upper face of a body is at y = 0, its axis at x = 0."""
+        """Return the side view of the part; a body has its upper face at y = 0 and axis at x = 0."""
         return ()
 
     # --- text for explain -------------------------------------------------------------------------
@@ -922,13 +923,13 @@ class PartType(Generic[KeysT]):
         yield self.title
 
     def discretisation(self, part: Part[KeysT], build: Build) -> str:
-        """Return the error estimate of its mesh in words; empty without a mesh."""
+        """Describe the error estimate of the mesh; empty without a mesh."""
         text = describe_mesh_errors(build.facts(part))
         return f"error estimate of its mesh: {text}" if text else ""
 
 
 def find_flows(vectors: Mapping[str, Vector], pin: str) -> dict[str, tuple[Vector, float]]:
-    """Return the currents or forces at a pin among the results of a part, by name.
+    """Return the currents or forces at a pin among the results of a part, keyed by name.
 
     The second value is 1 if the flow leaves the part at this pin, and -1 if the flow enters it.
     """

@@ -12,10 +12,13 @@ from kc2spice.core.quantities import clip_text
 from kc2spice.core.untrusted_files import LONGEST_KEY, MAX_NESTING, parse_toml
 from kc2spice.scene.scene_file import open_scene
 
-_WORD, _INDEX = r"[A-Za-z_][A-Za-z0-9_]*", r"\[-?[0-9]{1,6}\]"
-_KEY = re.compile(rf"{_WORD}({_INDEX})*(\.{_WORD}({_INDEX})*)*")
+_WORD_PATTERN, _INDEX_PATTERN = r"[A-Za-z_][A-Za-z0-9_]*", r"\[-?[0-9]{1,6}\]"
+_DOTTED_KEY = re.compile(
+    rf"{_WORD_PATTERN}({_INDEX_PATTERN})*(\.{_WORD_PATTERN}({_INDEX_PATTERN})*)*"
+)
 _SEPARATOR = re.compile(r"[.\[]")
-_ALTERNATIVES = {"rom.order": "tolerance", "rom.tolerance": "order"}  # keys that exclude each other
+# pairs of keys that exclude each other
+_EXCLUSIVE_KEYS = {"rom.order": "tolerance", "rom.tolerance": "order"}
 _EXAMPLES = "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"
 
 
@@ -26,7 +29,7 @@ def read_overrides(
 
     Raises
     ------
-    UsageError : a text is no override.
+    UsageError : a text is not an override.
     """
     if isinstance(overrides, Mapping):
         for name, value in overrides.items():
@@ -90,13 +93,13 @@ def _parse_override(text: str) -> tuple[str, Any]:
 
 
 def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[str, ...]:
-    """Set the key ``name`` and return its path with numbers of list entries.
+    """Set the key ``name`` and return its path with indices of list entries.
 
     Missing tables are added. Entries of lists must exist. ``where`` is the place that errors name.
     """
-    steps = re.findall(rf"{_WORD}|{_INDEX}", name)
+    steps = re.findall(rf"{_WORD_PATTERN}|{_INDEX_PATTERN}", name)
     long = len(steps) > MAX_NESTING or max(map(len, steps), default=0) > LONGEST_KEY
-    if long or not _KEY.fullmatch(name):
+    if long or not _DOTTED_KEY.fullmatch(name):
         raise UsageError(
             "not the name of a key", where=where, got=repr(clip_text(name)), expected=_EXAMPLES
         )
@@ -111,7 +114,7 @@ def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[st
         if len(path) < len(steps):
             holder = holder.setdefault(key, {}) if isinstance(holder, dict) else holder[key]
     if isinstance(holder, dict):
-        holder.pop(_ALTERNATIVES.get(name, ""), None)
+        holder.pop(_EXCLUSIVE_KEYS.get(name, ""), None)
     holder[key] = value
     return tuple(path)
 

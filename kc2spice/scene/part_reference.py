@@ -10,7 +10,7 @@ from kc2spice.core.untrusted_files import parse_toml
 from kc2spice.scene.keys import Key, list_schema_keys
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import DEFAULT_TABLES, Part, Scene, Terminal
-from kc2spice.scene.parttype import part_types
+from kc2spice.scene.parttype import load_part_types
 from kc2spice.scene.scene_file import list_gallery
 
 
@@ -31,7 +31,7 @@ class PartTypeReference:
 def describe_part_types() -> Iterator[PartTypeReference]:
     """Yield descriptions of all part types in the order of their names."""
     examples = _find_examples()
-    for name, kind in part_types().items():
+    for name, kind in load_part_types().items():
         scene_name: str | None = None
         pins: tuple[Terminal, ...] = ()
         example = kind.example

@@ -22,17 +22,17 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.model import Build, Part, PartType, find_flows
 from kc2spice.scene.rows import Vector
 
-PACKAGE = "kc2spice.parts"
-TABLE = "_types"  # ending of the name of a module with several part types
+PARTS_PACKAGE = "kc2spice.parts"
+SHARED_MODULE_SUFFIX = "_types"  # suffix of modules with several part types
 
 
 def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
-    """Return the current into a pin, if it is a result of the only other part at this pin.
+    """Return the current into a pin, if the only other part at the pin reports it.
 
     A source with further loads has the sum of their currents as its result.
     """
     others = build.scene.joined(part.name, pin)
-    # The current of a body follows from the parts that are joined to it.
+    # The current of a body follows from the parts joined to the pin.
     if len(others) != 1 or build.scene.parts[others[0][0]].reduced:
         return None
     ((name, end),) = others
@@ -44,14 +44,14 @@ def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
 
 
 def compute_pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str], np.ndarray]:
-    """Return the forces [N] over time that parts exert at their pins."""
+    """Return the force waveforms [N] that parts exert at their pins."""
 
     def compute() -> tuple[Build, Waveforms, dict[tuple[str, str], np.ndarray]]:
         result = {}
         for name, part in build.scene.parts.items():
             for pin, force in part.type.forces(part, build, waves).items():
                 result[name, pin] = force
-        # both objects stay in memory, so that no other object has their identity
+        # both objects are stored, so that no other object can have their identity
         return build, waves, result
 
     return build.workspace.get_or_compute("forces", (id(build), id(waves)), compute)[2]
@@ -112,20 +112,20 @@ def type_names() -> tuple[str, ...]:
     ``kc2spice.parts`` has a folder for each family. A module there is named after its type; one
     that ends in ``_types`` registers several types, and one that begins with ``_`` is shared.
     """
-    modules = _modules()
+    modules = _list_modules()
     for name, module in modules.items():
-        if name.endswith(TABLE):
+        if name.endswith(SHARED_MODULE_SUFFIX):
             import_module(module)
     foreign = (entry.name for entry in _external_entry_points())
-    built_in = (name for name in modules if not name.endswith(TABLE))
+    built_in = (name for name in modules if not name.endswith(SHARED_MODULE_SUFFIX))
     return tuple(sorted({*_types, *foreign, *built_in}))
 
 
 @cache
-def _modules() -> Mapping[str, str]:
+def _list_modules() -> Mapping[str, str]:
     """Return the full names of all modules of part types."""
     result: dict[str, str] = {}
-    for family in pkgutil.iter_modules(import_module(PACKAGE).__path__, f"{PACKAGE}."):
+    for family in pkgutil.iter_modules(import_module(PARTS_PACKAGE).__path__, f"{PARTS_PACKAGE}."):
         modules = pkgutil.iter_modules(import_module(family.name).__path__)
         public = (item.name for item in modules if not item.name.startswith("_"))
         result |= {name: f"{family.name}.{name}" for name in public}
@@ -135,16 +135,16 @@ def _modules() -> Mapping[str, str]:
 @cache
 def _external_entry_points() -> tuple[EntryPoint, ...]:
     """Return entry points of part types in other installed distributions."""
-    return tuple(entry_points(group=PACKAGE))
+    return tuple(entry_points(group=PARTS_PACKAGE))
 
 
-def part_type(name: str) -> PartType | None:
-    """Load and return the part type of this name, None without one.
+def find_part_type(name: str) -> PartType | None:
+    """Return the part type of this name; load its module first. None if there is none.
 
     Modules with several types, and other packages, are searched only if no module has this name.
     """
-    if name not in _types and name in _modules():
-        import_module(_modules()[name])
+    if name not in _types and name in _list_modules():
+        import_module(_list_modules()[name])
     if name not in _types and name in type_names():
         for entry in _external_entry_points():
             result = entry.load() if entry.name == name else None
@@ -153,6 +153,6 @@ def part_type(name: str) -> PartType | None:
     return _types.get(name)
 
 
-def part_types() -> Mapping[str, PartType]:
+def load_part_types() -> Mapping[str, PartType]:
     """Load all part types and return them by name."""
-    return {name: result for name in type_names() if (result := part_type(name)) is not None}
+    return {name: result for name in type_names() if (result := find_part_type(name)) is not None}

@@ -21,19 +21,20 @@ class ImplausibleError(UsageError):
     """Value that is possible but not plausible, often because of a wrong unit."""
 
 
-THICKEST_LAYER = 10.0  # largest ratio of the thickness of a layer to its width
-OVERHANG = 1.02  # largest ratio of diameters, ceramic to plate; wider ceramic breaks off
-BREAKDOWN = 10.0  # ratio to the rated voltage: an error above it, a warning from 1 up to it
-LOWEST_DRIVE = 1e-4  # ratio to the rated voltage; a lower drive is a warning
-_OTHER_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
+MAX_LAYER_ASPECT = 10.0  # largest ratio of the thickness of a layer to its width
+MAX_OVERHANG = 1.02  # largest ratio of diameters, ceramic to plate; wider ceramic breaks off
+# voltage relative to the rated voltage: above 1, a warning; above this ratio, an error
+BREAKDOWN_RATIO = 10.0
+LOWEST_DRIVE_RATIO = 1e-4  # ratio to the rated voltage; a lower drive is a warning
+_ALTERNATIVE_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
 
 
 def check_range(
     where: str, value: float, unit: str, low: float, high: float, why: str
 ) -> Iterator[UsageError]:
-    """Yield an error with its reason if a value is outside ``low`` to ``high``."""
+    """Yield an error with a reason if a value is outside of ``low`` to ``high``."""
     if not low <= value <= high:
-        units = _OTHER_UNITS.get(unit, {}).items()
+        units = _ALTERNATIVE_UNITS.get(unit, {}).items()
         fitting = next((name for name, size in units if low <= value * size <= high), None)
         yield ImplausibleError(
             f"this value is not plausible: {why}",
@@ -45,7 +46,7 @@ def check_range(
 
 
 def check_dimensions(where: str, keys: BaseModel) -> Iterator[UsageError]:
-    """Yield errors of all keys by their roles, including lists and inner tables."""
+    """Yield errors of all keys with plausible ranges, including lists and inner tables."""
     for name, field in type(keys).model_fields.items():
         yield from _check_value(f"{where}.{name}", plausible_range_of(field), getattr(keys, name))
 
@@ -70,14 +71,16 @@ def check_layers(
     """
     rows = list(entries)
     metal = max((width for width, _, ceramic in rows if not ceramic), default=0.0)
-    thick = f"no layer is more than {THICKEST_LAYER:g} times as thick as it is wide"
+    thick = f"no layer is more than {MAX_LAYER_ASPECT:g} times as thick as it is wide"
     wide = "ceramic that is wider than its plate breaks off"
     for k, (width, thickness, ceramic) in enumerate(rows):
         yield from check_range(
-            f"{where}.{k}.thickness", thickness, "m", 0.0, THICKEST_LAYER * width, thick
+            f"{where}.{k}.thickness", thickness, "m", 0.0, MAX_LAYER_ASPECT * width, thick
         )
         if plate and ceramic and metal:
-            yield from check_range(f"{where}.{k}.diameter", width, "m", 0.0, OVERHANG * metal, wide)
+            yield from check_range(
+                f"{where}.{k}.diameter", width, "m", 0.0, MAX_OVERHANG * metal, wide
+            )
 
 
 def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
@@ -89,12 +92,12 @@ def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
     for body, limit in rated.items():
         for name, peak in _peak_voltages(body, scene):
             state = f"{peak:.4g} V at {body}, whose ceramic stands {limit:.4g} V"
-            # The same number in kilovolts, volts or millivolts, where that would fit the rating.
+            # the same number in kilovolts, volts or millivolts, if it would fit the rating
             units = {f"{1e3 * peak:g} V": 1e3 * peak, f"{peak:g} mV": 1e-3 * peak}
-            fits = (text for text, v in units.items() if LOWEST_DRIVE * limit <= v <= limit)
+            fits = (text for text, v in units.items() if LOWEST_DRIVE_RATIO * limit <= v <= limit)
             fitting = next(fits, None)
             hint = fitting and f"did you mean {fitting}?"
-            if peak > BREAKDOWN * limit:
+            if peak > BREAKDOWN_RATIO * limit:
                 yield UsageError(
                     "the ceramic depolarises or breaks down",
                     where=name,
@@ -104,7 +107,7 @@ def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
                 )
             elif peak > limit:
                 warnings.warn(f"{name}: {state}: it may depolarise", stacklevel=2)
-            elif 0.0 < peak < LOWEST_DRIVE * limit:
+            elif 0.0 < peak < LOWEST_DRIVE_RATIO * limit:
                 warnings.warn(f"{name}: {state}: {hint or 'is the unit right?'}", stacklevel=2)
 
 
@@ -122,7 +125,7 @@ def _peak_voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
 
 
 def check_models(build: Build) -> Iterator[UsageError]:
-    """Yield errors of the facts of models, such as the mass of a mesh."""
+    """Yield errors of the characteristic values of models, such as the mass of a mesh."""
     for part in build.scene.parts.values():
         mass = build.facts(part).get("mass_kg")
         if mass is not None:
@@ -137,7 +140,7 @@ def check_models(build: Build) -> Iterator[UsageError]:
 
 
 def apply_action(errors: Iterable[UsageError], action: str) -> Iterator[UsageError]:
-    """Yield errors, warn or ignore them, according to ``checks.plausible``."""
+    """Yield errors, warn or do nothing, according to ``checks.plausible``."""
     if action == "off":
         return
     for item in errors:

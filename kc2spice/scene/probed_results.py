@@ -1,7 +1,7 @@
 """Check of the results that probes of a scene read.
 
-A build goes in, with or without the models of its parts. An error names a probe of an unknown
-result and suggests results that it may read.
+The input is a build with or without models. The error for an unknown result contains the probe and
+suggests existing results.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from kc2spice.scene.results import collect_results
 
 
 def require_probed_results(build: Build) -> None:
-    """Refuse probes of results that the scene does not have.
+    """Raise an error for probes of results that the scene does not have.
 
     A part whose results follow from its model is not checked before that model is built.
 
     Raises
     ------
-    UsageError : names the key of the probe, and the results that it may read.
+    UsageError : the error contains the key of the probe, and the existing results.
     """
     scene = build.scene
     if not scene.probes or build.has_noise:
@@ -39,13 +39,17 @@ def require_probed_results(build: Build) -> None:
     known = {*results.vectors, *results.powers}
     for name, probe in scene.probes.items():
         owner, dot, _ = probe.of.partition(".")
-        # without a dot: time, frequency
+        # a name without a dot is time or frequency
         if (dot or owner in scene.parts) and probe.of not in known and owner not in waiting:
-            raise _unknown_result(build, probe.of, scene.where(f"probes.{name}.of"), waiting)
+            raise _make_unknown_result_error(
+                build, probe.of, scene.where(f"probes.{name}.of"), waiting
+            )
 
 
-def _unknown_result(build: Build, name: str, where: str, waiting: Collection[str]) -> UsageError:
-    """Return the error of an unknown result; ``waiting`` are parts that wait for their models."""
+def _make_unknown_result_error(
+    build: Build, name: str, where: str, waiting: Collection[str]
+) -> UsageError:
+    """Return the error of an unknown result; ``waiting`` are parts whose models are missing."""
     owner, _, _ = name.partition(".")
     parts = build.scene.parts
     if owner in parts:

@@ -12,10 +12,11 @@ from kc2spice.core.quantities import find_unit, quantity
 from kc2spice.scene.model import Scene
 from kc2spice.scene.plausible import ImplausibleError, apply_action
 from kc2spice.scene.resolve import PERIOD_TOLERANCE
-from kc2spice.scene.settings import SCALE_OF, Analysis
+from kc2spice.scene.settings import ANALYSIS_UNITS, Analysis
 
-MAX_TIME_POINTS = 1e7  # time points of a transient at its largest step
-SMALLEST_STEP = 1e-12  # smallest step that a simulator resolves, relative to the last frequency
+MAX_TIME_POINTS = 1e7  # largest number of time points of a transient
+# smallest step that a simulator resolves, relative to the last frequency
+SMALLEST_STEP_RATIO = 1e-12
 
 
 def check_scene(scene: Scene) -> Iterator[UsageError]:
@@ -90,7 +91,7 @@ def _check_largest_step(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of sweeps, and of return sweeps, in analyses that have none."""
+    """Yield errors of sweeps in analyses that do not support them."""
     selected = scene.analysis
     if selected.type != "dc" and selected.sweep is not None:
         yield UsageError(
@@ -125,13 +126,13 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
             expected='the last frequency, such as stop = "100 kHz"',
             hint='add  stop = "100 kHz"  to [analysis]',
         )
-    elif not stop - start > SMALLEST_STEP * selected.points * stop:
+    elif not stop - start > SMALLEST_STEP_RATIO * selected.points * stop:
         yield UsageError(
             "empty frequency range",
             where=scene.overridden("analysis.start", "analysis.stop"),
             got=f"{start:g} … {stop:g} Hz",
             expected=f"a stop above the start, {start:g} Hz, and points that differ by "
-            f"more than {SMALLEST_STEP:g} of the stop",
+            f"more than {SMALLEST_STEP_RATIO:g} of the stop",
             hint="raise analysis.stop, or lower analysis.start",
         )
     if selected.scale != "log":
@@ -221,7 +222,7 @@ def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
 
 
 def check_periods(scene: Scene) -> Iterator[UsageError]:
-    """Yield errors of probes with ``periods``, if the run has no period or too few of them."""
+    """Yield errors of probes with ``periods`` if the run has too few periods."""
     for name, probe in scene.probes.items():
         if probe.periods is not None:
             yield from _check_window(f"probes.{name}.periods", probe.periods, scene)
@@ -276,7 +277,7 @@ def _scale_unit(scene: Scene) -> str | None:
     """Return the unit of the scale of the analysis, None if it is not known."""
     selected = scene.analysis
     if selected.type != "dc":
-        return SCALE_OF.get(selected.type)
+        return ANALYSIS_UNITS.get(selected.type)
     name, _, key = (selected.sweep or "").partition(".")
     part = scene.parts.get(name)
     if part is None:

@@ -1,6 +1,6 @@
 """Calls of the methods of part types, in the order of their dependence.
 
-A scene with checked keys goes in. The resolved scene contains one :class:`Record` for each part,
+The input is a scene with checked keys. The resolved scene contains a :class:`Record` of each part,
 nets and reference frames. Later stages read the records and do not call the methods again.
 """
 
@@ -21,7 +21,7 @@ from kc2spice.scene.rows import Governed, Numerics, State
 
 
 def resolve(scene: Scene) -> Scene:
-    """Return the scene with nets, reference frames and all answers of its parts.
+    """Return the scene with nets, reference frames and the properties of all parts.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def resolve(scene: Scene) -> Scene:
 
 
 def resolve_build(build: Build) -> Build:
-    """Return the build with its results and with quantities of its parts that can be set.
+    """Return the build with results and settable quantities of its parts.
 
     The quantities of a part that can be set depend on the parts at rest around it.
 
@@ -78,7 +78,7 @@ def _with_cards(build: Build) -> list[Part]:
 
 
 def with_governed(scene: Scene) -> Scene:
-    """Return the scene with answers that follow from keys: governed parts, details.
+    """Return the scene with properties that follow from keys: governed parts, details.
 
     Details may depend on each other; each is computed at its first use.
     """
@@ -134,7 +134,8 @@ def _find_without_cards(
     return frozenset(name for name, governed in rows if isinstance(governed, str))
 
 
-PERIOD_TOLERANCE = 1e-6  # relative deviation of a period that divides another one
+# relative deviation of a period from an integer fraction of the longest period
+PERIOD_TOLERANCE = 1e-6
 
 
 def find_period(rows: Iterable[Numerics]) -> float | None:

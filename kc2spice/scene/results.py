@@ -1,6 +1,6 @@
 """Results of a scene, and its dc sweep, from the records of its parts.
 
-A build with the records of its parts goes in. Vectors of the netlist come out: results of parts,
+The input is a build with the records of its parts. The output is netlist vectors: results of parts,
 and the flows and powers that probes read. A dc sweep moves one source; a noise analysis has one
 output. :func:`kc2spice.scene.resolve.resolve_build` adds these records to a build.
 """
@@ -22,7 +22,8 @@ from kc2spice.scene.model import Build, Part
 from kc2spice.scene.rows import DcSweep, Powers, SceneResults, SweptSource, Vector
 from kc2spice.scene.settings import Analysis
 
-NOISE_WAVE = "noise"  # spectral density of the output, and the metric of its rms value
+# name of the spectral density of the output, and of the metric of its rms value
+NOISE_WAVE = "noise"
 GROUND_VOLTAGE = "v(0)"
 
 
@@ -65,10 +66,10 @@ def collect_results(build: Build) -> SceneResults:
 
 
 def _collect_vectors(build: Build) -> dict[str, Vector]:
-    """Return the vectors of all results but those of noise.
+    """Return the vectors of all results except noise densities.
 
-    Parameters of devices such as ``@b1[i]`` are no results of an ac analysis: ngspice returns their
-    value at the operating point, not a response.
+    Parameters of devices such as ``@b1[i]`` are not results of an ac analysis: ngspice returns
+    their value at the operating point, not a response.
     """
     result = build.vectors
     for name, metered in _collect_metered(build, result).items():
@@ -89,7 +90,7 @@ def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vec
         part = build.scene.parts[name]
         domain = metered_pins(part, build.scene)[pin]
         through = domain.through_variable
-        read = Vector(f"i({build.meter(part, pin)})", through.factor, through.unit)
+        read = Vector(f"i({build.meter_name(part, pin)})", through.factor, through.unit)
         result[f"{name}.{pin}.{through.name}"] = read
         result[f"{name}.{pin}.{domain.across.symbol}"] = build.across(part, pin)
         if not domain.reference and pin == next(iter(powered_pins(part, build.scene))):
@@ -105,7 +106,7 @@ def _collect_metered(build: Build, known: Mapping[str, Vector]) -> dict[str, Vec
 
 
 def _collect_across(part: Part, build: Build) -> dict[str, Vector]:
-    """Return the quantity across a part of two pins that is no subcircuit."""
+    """Return the across quantity of a part with two pins that is not a subcircuit."""
     pins = [pin for pin in build.scene.pins(part.name) if pin.domain is not None]
     if build.scene.has_subcircuit(part) or len(pins) != 2 or pins[0].kind != pins[1].kind:
         return {}
@@ -208,9 +209,9 @@ def _unit_of_key(part: Part, key: str) -> str:
 
 
 def _sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
-    """Return first and last value of the sweep in SI units; refuse an empty range."""
+    """Return the first and last value of the sweep in SI units; reject an empty range."""
     first, last = quantity(selected.from_, unit), quantity(selected.to, unit)
-    if first == last:  # a simulator would never end this sweep
+    if first == last:  # otherwise a simulator would never end the sweep
         got, expected = f"{first:g} … {last:g} {unit}", "two values"
         raise UsageError("empty range", where="analysis.to", got=got, expected=expected)
     return first, last

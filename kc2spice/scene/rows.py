@@ -1,4 +1,4 @@
-"""Records that part types return: states, results, numerical needs, frames."""
+"""Records that part types return: states, results, numerical requirements, frames."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from kc2spice.netlist.expression import parse_vector, split_terms
 
 Pin = tuple[str, str]
 Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part or pin
-DENSITY_UNIT = "/sqrt(Hz)"  # behind the unit of a spectral density
-SQUARE = 1e-9  # cosine of two directions at a right angle, but for rounding
+DENSITY_UNIT = "/sqrt(Hz)"  # suffix of the unit of a spectral density
+PERPENDICULAR_COSINE = 1e-9  # largest cosine of two perpendicular directions (rounding error)
 
 
 @dataclass(frozen=True)
 class Neglected:
-    """Effect without a model, the reason, and the largest error without it."""
+    """Neglected effect, the reason, and the largest error that it causes."""
 
     effect: str
     why: str
@@ -36,24 +36,24 @@ class State:
     height: float
 
 
-#: All motion of a part, which has none of its own, or a part without cards and results of its own,
-#: as cards of another one have copies of it.
+# Governed motion: all motion of another part, or a part whose cards this part copies.
 Governed = Literal["moved", "copied"]
 
 
-#: : Highest frequency [Hz] at which a part excites others, as a function of the time constant [s]
+# Highest frequency [Hz] at which a part excites other parts, as a function of the time constant [s]
 # between them.
 HighestFrequency = Callable[[float], float]
 
 
 @dataclass(frozen=True)
 class Rest:
-    """Constraints and loads of a part at rest.
+    """Constraints and loads of a part in equilibrium.
 
-    ``paths`` are pairs of pins, or a pin and ``gnd``, between which the part holds a distance or
-    conducts heat. ``ideal`` are pairs of pins whose difference the part prescribes, like an ideal
-    source. ``pushed`` are pins with a constant force or flow at t = 0. ``kinked`` is the key of a
-    prescribed motion with jumps of velocity. ``inert`` are pins whose velocity cannot jump.
+    ``paths`` are pairs of pins, or a pin and ``gnd``, whose distance the part fixes, or between
+    which it conducts heat. ``ideal`` are pairs of pins whose difference the part prescribes, like
+    an ideal source. ``pushed`` are pins with a constant force or flow at t = 0. ``kinked`` is the
+    key of a prescribed motion with jumps of velocity. ``inert`` are pins whose velocity cannot
+    jump.
     """
 
     paths: tuple[tuple[str, str], ...] = ()
@@ -132,7 +132,7 @@ class LargestRealPart:
 
 @dataclass(frozen=True)
 class SweptSource:
-    """Source that a dc sweep of a key moves, with its volts or amperes per SI unit.
+    """Source that a dc sweep of a key varies, with its volts or amperes per SI unit.
 
     ``range`` contains the first and the last value in SI, if they differ from those of the scene.
     """
@@ -144,7 +144,7 @@ class SweptSource:
 
 @dataclass(frozen=True, eq=False)
 class DcSweep(EqualByContent):
-    """The dc sweep of a scene: the key that it moves, and the source that moves it.
+    """Sweep of a dc analysis: the key and the source that it varies.
 
     Attributes
     ----------
@@ -197,7 +197,7 @@ class SampledSource:
 
 @dataclass(frozen=True)
 class StepLimit:
-    """Largest time step [s] and its reason."""
+    """Upper limit [s] of the time step, and its reason."""
 
     step: float
     why: str
@@ -238,7 +238,7 @@ class FrameShake:
 
 @dataclass(frozen=True)
 class ShakenFrame:
-    """Accelerations of the frame of a net; empty if all are at a right angle."""
+    """Accelerations of the frame of a net; empty if all are perpendicular to the motion."""
 
     body: str
     shakes: tuple[FrameShake, ...]
@@ -256,7 +256,7 @@ class ShakenFrame:
             pin = ".".join(shake.pin)
             if shake.along is None:
                 shares.append(f"an unknown share of {pin}")
-            elif abs(shake.along - 1.0) <= SQUARE:
+            elif abs(shake.along - 1.0) <= PERPENDICULAR_COSINE:
                 shares.append(pin)
             else:
                 shares.append(f"{shake.along:.4g} of {pin}")

@@ -20,7 +20,7 @@ from kc2spice.scene.catalogue import find_part, read_catalogue
 
 
 def list_gallery() -> dict[str, Traversable]:
-    """Return the files of the built-in scenes by the names of the scenes."""
+    """Return the files of the built-in scenes, keyed by scene name."""
     files = (resources.files("kc2spice") / "scenes").iterdir()
     result = {file.name[:-5]: file for file in files if file.name.endswith(".toml")}
     return dict(sorted(result.items()))
@@ -28,7 +28,7 @@ def list_gallery() -> dict[str, Traversable]:
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Text of a scene with its overrides, by which errors state lines of keys."""
+    """Text of a scene and its overrides, in which errors find the lines of keys."""
 
     label: str
     stem: str

@@ -1,7 +1,7 @@
 """Settings of a scene outside of its parts.
 
-The tables are analysis, probes, reduction, solver, checks and gates. Each class is a table of the
-scene's file, with the default and the description of every key.
+Each class is a table of the scene file: analysis, probes, reduction, solver, checks or gates. It
+contains the default and the description of every key.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ from kc2spice.core.quantities import (
 )
 
 Action = Literal["fail", "warn", "off"]
-_ONE_LINE = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"  # the netlist contains texts of this type
+# pattern of texts that are written into the netlist
+_ONE_LINE_PATTERN = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"
 PartNumber = Annotated[str, Field(min_length=1, max_length=40)]
-FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE}+$", max_length=255)]
+FileName = Annotated[str, Field(pattern=rf"^{_ONE_LINE_PATTERN}+$", max_length=255)]
 
 
 class Rom(Section):
@@ -297,8 +298,9 @@ class ErrorLimits(Section):
     )
 
 
-SCALE_OF = {"transient": "s", "ac": "Hz", "noise": "Hz"}  # units by type of analysis
-SMALL_SIGNALS = ("ac", "noise")  # types of analysis that are linear about an operating point
+# units of the scale of each type of analysis
+ANALYSIS_UNITS = {"transient": "s", "ac": "Hz", "noise": "Hz"}
+SMALL_SIGNALS = ("ac", "noise")  # types of analysis of linear signals about an operating point
 
 
 def _default_scale(keys: dict[str, Any]) -> Literal["log", "linear"]:
@@ -341,7 +343,7 @@ class Analysis(Section):
     @classmethod
     def _read_stop(cls, stop: Any, info: ValidationInfo) -> Any:
         """Read the end of a transient as a time, that of ac and noise as a frequency."""
-        unit = SCALE_OF.get(info.data.get("type", ""))
+        unit = ANALYSIS_UNITS.get(info.data.get("type", ""))
         if stop is None or unit is None:
             return stop
         try:
@@ -455,7 +457,10 @@ class Frame(Section):
         description="Name of the scene; by default that of its file",
     )
     title: str = Field(
-        "", max_length=200, pattern=rf"^{_ONE_LINE}*$", description="Title of the scene, one line"
+        "",
+        max_length=200,
+        pattern=rf"^{_ONE_LINE_PATTERN}*$",
+        description="Title of the scene, one line",
     )
     gravity: Acceleration = Field(9.81, description="Gravity, positive downwards")
     error_budget: Ratio | None = Field(

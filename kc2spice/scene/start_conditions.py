@@ -17,7 +17,7 @@ Pairs = tuple[tuple[str, str], ...]  # pairs of pins of one part
 
 @dataclass(frozen=True)
 class FloatingNets:
-    """Nets without a path to their reference, which move together without any force.
+    """Nets that can drift together, because no path connects them to their reference.
 
     ``nets`` are the nets of displacements; a sphere has none, because its pins are a velocity and
     signals. ``parts`` have a pin on the nets. ``bodies`` are those among the nets that move by
@@ -40,7 +40,7 @@ def find_floating_nets(scene: Scene, rests: Mapping[str, Rest]) -> tuple[Floatin
 
 
 def find_rigid_groups(scene: Scene, without: str = "") -> list[frozenset[str]]:
-    """Return groups of nets whose displacements ideal sources tie together.
+    """Return groups of nets whose displacements ideal sources connect rigidly.
 
     The source named ``without`` ties nothing. A net that no ideal source ties to another net forms
     its own group.
@@ -63,7 +63,7 @@ def find_start_errors(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[Usage
         find = _position_errors if floating.domain.position else _storage_errors
         yield from find(floating, group, scene, rests)
     if scene.analysis.type == "transient":
-        yield from _jump_errors(scene, rests)
+        yield from _list_velocity_jump_errors(scene, rests)
 
 
 def _floating_groups(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[frozenset[str]]:
@@ -143,8 +143,8 @@ def _storage_errors(
     )
 
 
-def _jump_errors(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
-    """Yield errors of displacements that make the velocity of an inertia jump."""
+def _list_velocity_jump_errors(scene: Scene, rests: Mapping[str, Rest]) -> Iterator[UsageError]:
+    """Yield an error for each initial displacement that would need a velocity step of a mass."""
     inert: dict[str, str] = {}
     for name, rest in rests.items():
         inert |= dict.fromkeys(scene.nets_of(name, rest.inert), name)
@@ -194,7 +194,7 @@ def _group_nets(scene: Scene, pairs_of_parts: Iterable[tuple[str, Pairs]]) -> li
 
 def _describe_group(group: frozenset[str], scene: Scene) -> FloatingNets:
     """Return a group of nets with the parts on it and its domain."""
-    domains: dict[str, Domain] = {}  # of the first pin of each part
+    domains: dict[str, Domain] = {}  # domain of the first pin of each part
     for key, terminal in scene.terminals.items():
         if terminal.domain is not None and terminal.needs_path and scene.nets[key] in group:
             domains.setdefault(key[0], terminal.domain)

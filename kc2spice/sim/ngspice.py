@@ -28,30 +28,31 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import split_terms
 from kc2spice.netlist.spelling import format_number
-from kc2spice.scene.checks import Check, Verdict, require
+from kc2spice.scene.checks import Check, Verdict, require_passed
 from kc2spice.sim.output import (
     FailedRunError,
     Failure,
     Kind,
-    altered_run,
-    failed_run,
+    find_altered_run,
+    find_run_failure,
     last_scale_value,
     read_partial,
     read_raw,
     read_statistics,
 )
 
-ANSWERS = 20.0  # s that ngspice may take to tell its version
-STALLED = 60.0  # s without processor time after which a run hangs
-LARGEST_RAW = 8_000_000_000  # bytes of one raw file
-SPARE = 1_000_000  # bytes; a disk with less is full
-POLL = 0.05  # s between two checks of the growing raw file
-Share = Callable[[float], None] | None  # receives the completed fraction of a transient
+VERSION_TIMEOUT = 20.0  # s, time limit of ``ngspice --version``
+STALL_TIME = 60.0  # s without processor time after which a run hangs
+MAX_RAW_BYTES = 8_000_000_000  # bytes of one raw file
+MIN_FREE_BYTES = 1_000_000  # free bytes below which a disk counts as full
+POLL_INTERVAL = 0.05  # s between two checks of the growing raw file
+# callback that receives the completed fraction of a transient
+Share = Callable[[float], None] | None
 
 
 @dataclass(frozen=True)
 class Simulator:
-    """The program that runs the decks."""
+    """Simulator program and its version."""
 
     name: str
     version: str
@@ -64,7 +65,7 @@ def find_ngspice() -> Simulator:
 
     Raises
     ------
-    MissingToolError : there is none, or it does not tell its version.
+    MissingToolError : ngspice is missing, or does not print its version.
     """
     path = shutil.which("ngspice")
     if path is None:
@@ -74,7 +75,7 @@ def find_ngspice() -> Simulator:
             expected="the program ngspice, version 39 or later",
             hint=f"{install_command('ngspice')}; see also https://ngspice.sourceforge.io",
         )
-    options: Any = {"capture_output": True, "timeout": ANSWERS, "stdin": subprocess.DEVNULL}
+    options: Any = {"capture_output": True, "timeout": VERSION_TIMEOUT, "stdin": subprocess.DEVNULL}
     try:
         answer = subprocess.run([path, "--version"], check=False, **options).stdout
     except (OSError, subprocess.TimeoutExpired) as error:
@@ -82,7 +83,7 @@ def find_ngspice() -> Simulator:
         raise MissingToolError(
             "this ngspice does not run",
             where=path,
-            got=f"no answer within {ANSWERS:g} s" if hangs else str(error),
+            got=f"no answer within {VERSION_TIMEOUT:g} s" if hangs else str(error),
             hint="install it again; kc2spice doctor checks it",
         ) from None
     text = answer.decode(errors="replace")
@@ -95,7 +96,7 @@ def find_ngspice() -> Simulator:
 
 @cache
 def _end_with_parent() -> tuple[str, ...]:
-    """Return the words before a command that ends when this process is killed."""
+    """Return a command prefix that ends the command when this process is killed."""
     words = ("setpriv", "--pdeathsig", "KILL", "--")
     tried: Any = {"capture_output": True, "check": False}
     works = shutil.which(words[0]) and not subprocess.run([*words, "true"], **tried).returncode
@@ -135,7 +136,7 @@ def run_deck(
     FailedRunError : ngspice failed, stopped early, or ignored or replaced something in a deck that
         is not trusted. The message states cause, node, time and part, and the directory with
         ``NAME.log``. The error contains the waveforms up to the failure.
-    UsageError : a run with its largest step would write more than ``LARGEST_RAW`` bytes.
+    UsageError : a run with its largest step would write more than ``MAX_RAW_BYTES`` bytes.
     SimulationError : no time left, or the raw file is not complete or too large. No failed run
         leaves a raw file.
     """
@@ -150,14 +151,14 @@ def run_deck(
     try:
         code = _run_ngspice(deck, main, unfinished, log, progress, timeout)
         text = log.read_text(encoding="utf-8", errors="replace")
-        failed = failed_run(deck, str(main), text, code)
+        failed = find_run_failure(deck, str(main), text, code)
         if failed is None:
             vectors = read_raw(unfinished)
             facts = {**read_statistics(text), "reltol": deck.reltol}
             waves = Waveforms(waves_by_name(deck, vectors), facts)
             last = float(vectors["time"][-1]) if "time" in vectors else math.nan
-            failed = failed_run(deck, str(main), text, last=last)
-            failed = failed or altered_run(deck, str(main), text)
+            failed = find_run_failure(deck, str(main), text, last=last)
+            failed = failed or find_altered_run(deck, str(main), text)
         if failed is not None:
             place = f"the whole log is {log.name} in the same directory"
             failed.hint = "; ".join(filter(None, (failed.hint, place)))
@@ -167,7 +168,7 @@ def run_deck(
         unfinished.rename(raw)
     except SimulationError as error:
         free = shutil.disk_usage(directory).free
-        if free < SPARE:
+        if free < MIN_FREE_BYTES:
             raise SimulationError(
                 "the disk is full",
                 where=str(directory),
@@ -181,18 +182,18 @@ def run_deck(
 
 
 def _require_size(deck: Deck) -> None:
-    """Refuse a deck that would write too much even with its largest step."""
+    """Reject a deck that would write too much data even with its largest step."""
     step = deck.max_step
     if not step or deck.stop is None:
         return
     size = 8.0 * (1 + len(deck.saved_vectors)) * deck.stop / step
-    if size > LARGEST_RAW:
+    if size > MAX_RAW_BYTES:
         raise UsageError(
             "the run would write more than its limit",
             where=deck.main,
             got=f"about {size:.2g} bytes: {1 + len(deck.saved_vectors)} vectors at "
             f"{deck.stop / step:.2g} points",
-            expected=f"at most {LARGEST_RAW:.2g}",
+            expected=f"at most {MAX_RAW_BYTES:.2g}",
             hint="raise solver.max_step, end earlier, or save fewer vectors",
         )
 
@@ -213,13 +214,14 @@ def _run_ngspice(
     spent = None
     with log.open("wb") as sink:
         streams: Any = {"stdin": subprocess.DEVNULL, "stdout": sink, "stderr": subprocess.STDOUT}
-        # No context manager: at its exit it would wait for a simulator that is still running.
+        # No context manager, because its exit would wait for a simulator that is still running.
         process = subprocess.Popen(command, cwd=main.parent, env=environment, **streams)
         try:
-            # A thread waits: Popen.wait with a time limit would notice the end up to 50 ms late.
+            # A thread waits, because Popen.wait with a time limit would detect the end up to 50 ms
+            # late.
             waiting = threading.Thread(target=process.wait, daemon=True)
             waiting.start()
-            waiting.join(POLL)
+            waiting.join(POLL_INTERVAL)
             while waiting.is_alive():
                 now, ticks = time.monotonic(), _processor_time(process.pid)
                 if ticks is None or ticks != spent:
@@ -229,18 +231,18 @@ def _run_ngspice(
                 if timeout is not None and now - begin > timeout:
                     what = f"ngspice did not finish within {timeout} s"
                     hint = "give it more time, a looser solver.reltol or a shorter stop"
-                elif now - worked > STALLED:
-                    what = f"ngspice hangs: no processor time for {STALLED:g} s"
+                elif now - worked > STALL_TIME:
+                    what = f"ngspice hangs: no processor time for {STALL_TIME:g} s"
                     hint = "kc2spice doctor checks whether ngspice runs"
-                elif size > LARGEST_RAW:
-                    what = f"the raw file grows beyond its limit of {LARGEST_RAW:.3g} bytes"
+                elif size > MAX_RAW_BYTES:
+                    what = f"the raw file grows beyond its limit of {MAX_RAW_BYTES:.3g} bytes"
                     hint = "raise solver.max_step or reltol, end earlier, save fewer vectors"
                 if what:
                     got = f"{size} bytes at time point {at} s of {deck.stop} s"
                     raise SimulationError(what, where=str(main.parent), got=got, hint=hint)
                 if progress is not None and deck.stop:
                     progress(min(1.0, (at or 0.0) / deck.stop))
-                waiting.join(POLL)
+                waiting.join(POLL_INTERVAL)
         finally:
             process.kill()  # has no effect on a process that has ended
             process.wait()
@@ -282,7 +284,7 @@ def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np
     for key, (expression, factor) in deck.vectors.items():
         parts = []
         for sign, name in split_terms(expression):
-            # in raw files "i(…)" stands around currents of devices
+            # raw files enclose the names of devices in "i(…)"
             result = vectors.get(name, vectors.get(f"i({name})"))
             if result is None:
                 raise SimulationError("ngspice did not save a vector", where=deck.main, got=name)
@@ -305,20 +307,20 @@ class RetrySetting:
     factor: float = 1.0
 
     def combine(self, other: RetrySetting) -> RetrySetting:
-        """Return these settings with further ones of ``other``."""
+        """Return these settings combined with further settings."""
         options, factor = {**other.options, **self.options}, self.factor * other.factor
         return replace(self, options=options, factor=factor)
 
     @property
     def changes(self) -> str:
-        """The changes in words."""
+        """Changes of the settings in words."""
         words = [f"{key}={value}" for key, value in self.options.items()]
         if self.factor != 1.0:
             words.append(f"reltol, chgtol and largest step times {self.factor:g}")
         return ", ".join(words) or "unchanged"
 
     def apply(self, deck: Deck) -> Deck:
-        """Return ``deck`` with these settings instead of its own options."""
+        """Return ``deck`` with these settings."""
         options = dict(self.options)
         if self.factor != 1.0:
             options["reltol"] = format_number(self.factor * deck.reltol)
@@ -329,12 +331,13 @@ class RetrySetting:
         return changed.with_steps(self.factor)
 
 
-FIRST = RetrySetting("the scene's own settings", (), "")
-# Measured on the kick at a penalty of 1e11 and 1e12 N/m, where the scene's own settings end in
-# "timestep too small": firmer pivots finish at 1.2 to 2 times the cost a point; gear alone, tighter
-# tolerances alone and more iterations never do. Gear on firmer pivots ends ringing at the last
-# bit that makes the trapezoidal rule crawl, at about twice the error a step.
-RETRIES = (
+FIRST_SETTING = RetrySetting("the scene's own settings", (), "")
+# Measured on the kick scene with a contact penalty of 1e11 and 1e12 N/m, which fails with "timestep
+# too small". Larger pivot thresholds succeed at 1.2 to 2 times the cost per point; Gear
+# integration, tighter tolerances or more iterations alone do not. With larger pivot thresholds,
+# Gear integration also damps the rounding noise that slows the trapezoidal rule, at about twice the
+# error per step.
+RETRY_SETTINGS = (
     RetrySetting(
         "firmer pivots",
         ("timestep", "singular"),
@@ -364,7 +367,7 @@ RETRIES = (
 
 @dataclass(frozen=True)
 class Attempt:
-    """One attempt as in ``result.json``; its ``cause`` is None if it succeeded."""
+    """Attempt of the simulator as in ``result.json``; ``cause`` is None if it succeeded."""
 
     setting: str
     settings: str
@@ -378,7 +381,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of the first attempt that succeeded, its deck, and all attempts."""
+    """Result of the first successful attempt, its deck, and all attempts."""
 
     deck: Deck
     waves: Waveforms
@@ -387,10 +390,10 @@ class Outcome:
 
 
 class RetriesFailedError(SimulationError):
-    """No attempt of ``attempts`` succeeded; ``failure`` is the one that got farthest.
+    """Error after the last attempt failed.
 
-    ``violated`` are the checks that the last attempt violated. ``suggested`` are keys of the scene,
-    and values, that would cure all of these, but for those that smaller steps cure.
+    ``violated`` are the checks that the last attempt violated. ``suggested`` contains scene keys
+    with values that would correct these checks, except checks that smaller steps correct.
     """
 
     attempts: tuple[Attempt, ...]
@@ -422,7 +425,7 @@ def run_with_retries(
     retries: int,
     judge: Callable[[Waveforms], Verdict],
 ) -> Outcome:
-    """Run a deck, and again with other settings if these may cure a failure.
+    """Run a deck, and repeat it with other settings if these may prevent the failure.
 
     The cause of a failure selects the next setting, in addition to the earlier ones. A warning
     announces each retry. ``engine`` writes its logs into ``directory``. ``judge`` checks a finished
@@ -434,7 +437,7 @@ def run_with_retries(
         and possible remedies.
     SimulationError, MissingToolError : as :func:`run_deck`, for failures that no setting prevents.
     """
-    setting, left = FIRST, list(RETRIES)
+    setting, left = FIRST_SETTING, list(RETRY_SETTINGS)
     attempts: list[Attempt] = []
     farthest: Failure | None = None
     while True:
@@ -447,7 +450,7 @@ def run_with_retries(
             verdict = judge(waves)
             points = waves["time"].size if "time" in waves else None
             violated = [check for check in verdict.checks if check.fatal]
-            require(verdict.checks, deck.name)
+            require_passed(verdict.checks, deck.name)
         except SimulationError as raised:
             error: SimulationError = raised
             if isinstance(raised, FailedRunError):

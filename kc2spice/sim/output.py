@@ -23,11 +23,11 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.importer import DISPLAYED_PARAMETERS
 from kc2spice.netlist.nodes import describe_node
 
-# "coarse": ngspice finished, but the energy balances of the result do not close.
+# "coarse": ngspice finished, but the energy balance of the result is violated.
 Kind = Literal["timestep", "singular", "operating point", "coarse"]
 
 # Messages of ngspice in a failed run with any exit code.
-_FATAL = re.compile(
+_FATAL_MESSAGE = re.compile(
     r"timestep too small|iteration limit reached|run simulation\(s\) aborted|"
     r"simulation interrupted|there aren't any circuits|no such vector|fatal|"
     r"unknown subckt|can't find model|unknown parameter|undefined (?:parameter|number)|"
@@ -36,47 +36,51 @@ _FATAL = re.compile(
     re.IGNORECASE,
 )
 # ngspice did not find the operating point directly; exported decks must not need these steps.
-_STRUGGLE = re.compile(
+_STRUGGLE_MESSAGE = re.compile(
     r"singular matrix|gmin step|gmin increment|trying gmin|source stepping|supplies reduced|"
     r"transient op|nodeset",
     re.IGNORECASE,
 )
-# A node, or an instance as in 'trouble with b-instance b.x1.b2'.
-_NODE = re.compile(
+# Node, or device instance as in 'trouble with b-instance b.x1.b2'.
+_NODE_MESSAGE = re.compile(
     r'trouble with (?:node |\S+-instance )?"?([^\s"]+?)"?(?:[:\s]|$)|check node (\S+)', re.I
 )
-# A parameter, value or card that ngspice interprets differently from the netlist.
-_ALTERED = re.compile(
+# Parameter, value or card that ngspice interprets differently from the netlist.
+_ALTERED_MESSAGE = re.compile(
     r"\bignor(?:ed|ing)\b|\b(?:re)?set to\b|\bassumed?\b|\blimited to\b|\breplaced\b|"
     r"\bdefault(?:ed|ing|s)?\b|\bnot (?:yet )?(?:supported|implemented)\b|\bunsupported\b|"
     r"\bsetting\b.*\bto\b|\bis used\b|\bdisabled\b|\bskipped\b|\btreated as\b|\bobsolete\b",
     re.IGNORECASE,
 )
-# The same words if they do not affect the result: printed vectors, and a source without a
-# value, whose 0 V or 0 A the manual defines.
-_UNALTERED = re.compile(
+# The same words without effect on the result: printed vectors, and a source without a value, for
+# which the manual defines 0 V or 0 A.
+_HARMLESS_MESSAGE = re.compile(
     r"^\s*circuit:|line ignored since rawfile|has no value, DC 0 assumed|"
     r"dc value used for op instead of transient|no DC value, transient time 0 value used|"
     r"^\s*seed value for",
     re.IGNORECASE,
 )
-_MODEL = re.compile(r"model issue on line \d+", re.IGNORECASE)
-_DISPLAYED = re.compile(
+_MODEL_LINE = re.compile(r"model issue on line \d+", re.IGNORECASE)
+_DISPLAYED_PARAMETER = re.compile(
     rf"unrecognized parameter \((?:{'|'.join(sorted(DISPLAYED_PARAMETERS))})\)", re.IGNORECASE
 )
-MOST_ALTERATIONS = 5  # alterations that an error quotes
-_NO_START = re.compile(r"DC solution failed|transient op failed|initial timepoint", re.IGNORECASE)
-# A card that ngspice cannot read, and the reason in the next line.
-_CARD = re.compile(r"^Error on line:?[ \t]*\n[ \t]+(.+?)[ \t]*\n[ \t]+(.+?)[ \t]*$", re.M | re.I)
-_TIME = re.compile(r"time = ([-+0-9.eE]+)", re.IGNORECASE)
-_STATS = {
+MAX_ALTERATIONS = 5  # alterations that an error quotes
+_START_FAILURE = re.compile(
+    r"DC solution failed|transient op failed|initial timepoint", re.IGNORECASE
+)
+# card that ngspice cannot read, and the reason in the next line
+_CARD_ERROR = re.compile(
+    r"^Error on line:?[ \t]*\n[ \t]+(.+?)[ \t]*\n[ \t]+(.+?)[ \t]*$", re.M | re.I
+)
+_TIME_PATTERN = re.compile(r"time = ([-+0-9.eE]+)", re.IGNORECASE)
+_STATISTICS_PATTERNS = {
     "accepted": r"Accepted timepoints = (\d+)",
     "rejected": r"Rejected timepoints = (\d+)",
     "iterations": r"Total iterations = (\d+)",
     "cpu_s": r"Total analysis time \(seconds\) = ([0-9.eE+-]+)",
 }
 
-_ADVICE: Mapping[Kind | None, str] = {
+_ADVICE_BY_CAUSE: Mapping[Kind | None, str] = {
     "timestep": "steps shrink where something jumps or is very stiff: try more damping or a softer "
     "stop there, hysteresis or a finite edge of a switch, or a smaller solver.max_step",
     "singular": "look for loops of voltage sources, nodes between capacitors and parts of value 0",
@@ -86,12 +90,12 @@ _ADVICE: Mapping[Kind | None, str] = {
 
 @dataclass(frozen=True)
 class Failure:
-    """A failure as described in a log.
+    """Failure of a simulator run, as described in a log.
 
-    ``cause`` is the line that names the failure, ``node``, ``time`` [s] and ``part`` what it
-    blames, ``kind`` what other settings might cure; None if the log does not contain them.
-    ``struggles`` are lines of an operating point that was hard to find. ``partial`` contains the
-    waveforms up to the failure, if any.
+    ``cause`` is the line that names the failure, ``node``, ``time`` [s] and ``part`` are the
+    location of the failure, ``kind`` is the class of failures that a retry may prevent; None if
+    unknown. ``struggles`` are log lines of difficulties at the operating point. ``partial``
+    contains the waveforms up to the failure, if any.
     """
 
     cause: str | None
@@ -104,24 +108,24 @@ class Failure:
 
 
 def classify_log(text: str) -> Failure:
-    """Describe the failure in ``text``, the standard output and error of one run."""
-    lines = re.split(r"[\r\n]+", _CARD.sub(r"error in the card \1: \2", text))
+    """Find the failure in ``text``, the standard output and error of one run."""
+    lines = re.split(r"[\r\n]+", _CARD_ERROR.sub(r"error in the card \1: \2", text))
     errors, struggles = [], []
     for line in lines:
-        if _FATAL.search(line):
+        if _FATAL_MESSAGE.search(line):
             errors.append(line.strip())
-        elif _STRUGGLE.search(line):
+        elif _STRUGGLE_MESSAGE.search(line):
             struggles.append(line.strip())
-    cause = next(filter(_NODE.search, errors), errors[0] if errors else None)
+    cause = next(filter(_NODE_MESSAGE.search, errors), errors[0] if errors else None)
     suspects = [cause, *errors, *struggles] if cause else []
     kind: Kind | None = None
-    if any("timestep too small" in line.lower() and _TIME.search(line) for line in errors):
+    if any("timestep too small" in line.lower() and _TIME_PATTERN.search(line) for line in errors):
         kind = "timestep"
-    elif errors and _NO_START.search(text):  # before any step
+    elif errors and _START_FAILURE.search(text):  # fails before the first time step
         singular = "singular matrix" in "\n".join(struggles).lower()
         kind = "singular" if singular else "operating point"
-    node = next(filter(None, map(_NODE.search, suspects)), None)
-    time = next(filter(None, map(_TIME.search, suspects)), None)
+    node = next(filter(None, map(_NODE_MESSAGE.search, suspects)), None)
+    time = next(filter(None, map(_TIME_PATTERN.search, suspects)), None)
     return Failure(
         cause,
         (node[1] or node[2]) if node else None,
@@ -132,7 +136,7 @@ def classify_log(text: str) -> Failure:
 
 
 def list_alterations(text: str) -> tuple[str, ...]:
-    """List the lines of the log ``text`` about cards that ngspice changed or ignored.
+    """List the lines of the log about cards that ngspice changed or ignored.
 
     Each row appears once, and begins with the ``.model`` card if the log contains it.
     """
@@ -141,9 +145,9 @@ def list_alterations(text: str) -> tuple[str, ...]:
     for line in filter(None, map(str.strip, re.split(r"[\r\n]+", text))):
         if expected:
             model, expected = line.removesuffix("...").strip(), False
-        elif _MODEL.search(line):
+        elif _MODEL_LINE.search(line):
             expected = True
-        elif not _ALTERED.search(line) or _UNALTERED.search(line):
+        elif not _ALTERED_MESSAGE.search(line) or _HARMLESS_MESSAGE.search(line):
             model = ""
         else:
             result[f"{model}: {line}" if model else line] = None
@@ -153,7 +157,7 @@ def list_alterations(text: str) -> tuple[str, ...]:
 def read_statistics(text: str) -> dict[str, float]:
     """Read the points, iterations and CPU seconds that ``.options acct`` prints."""
     result = {}
-    for key, pattern in _STATS.items():
+    for key, pattern in _STATISTICS_PATTERNS.items():
         match = re.search(pattern, text)
         if match:
             result[key] = float(match[1])
@@ -164,15 +168,15 @@ def read_statistics(text: str) -> dict[str, float]:
 
 
 class FailedRunError(SimulationError):
-    """ngspice ended without a result; ``failure`` states the reason."""
+    """Error of a run in which ngspice ended without a result."""
 
     failure: Failure
 
 
-def failed_run(
+def find_run_failure(
     deck: Deck, where: str, text: str, code: int = 0, last: float | None = None
 ) -> FailedRunError | None:
-    """Return the error of a failed run with the log ``text``, None if it succeeded.
+    """Return the error of a failed run from the log ``text``; None if the run succeeded.
 
     ``last`` is its last time point [s], where the run has ended; ngspice can stop a transient early
     and say nothing.
@@ -194,24 +198,27 @@ def failed_run(
         cause = "ngspice stopped before the end of the transient"
         got = ", ".join(filter(None, (f"last time point {last:g} s", blamed)))
         error = FailedRunError(cause, where=where, got=got, expected=f"{stop:g} s")
-    error.failure, error.hint = replace(report, cause=cause, part=part), _ADVICE.get(report.kind)
+    error.failure, error.hint = (
+        replace(report, cause=cause, part=part),
+        _ADVICE_BY_CAUSE.get(report.kind),
+    )
     return error
 
 
-def altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None:
+def find_altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None:
     """Return the error of a run that simulated another circuit than ``deck``.
 
     ``text`` is the log. The result is None, with a warning of each alteration, if the deck is
     trusted or if only displayed values of models were ignored.
     """
     altered = list_alterations(text)
-    fatal = [] if deck.trusted else [row for row in altered if not _DISPLAYED.search(row)]
+    fatal = [] if deck.trusted else [row for row in altered if not _DISPLAYED_PARAMETER.search(row)]
     if not fatal:
         for row in altered:
             warnings.warn(f"ngspice: {row}", stacklevel=3)
         return None
     message = "ngspice ignored or replaced a part of this netlist"
-    error = FailedRunError(message, where=where, got="; ".join(fatal[:MOST_ALTERATIONS]))
+    error = FailedRunError(message, where=where, got="; ".join(fatal[:MAX_ALTERATIONS]))
     error.expected = "a netlist that ngspice simulates as it is written"
     error.hint = (
         "write it with parameters that ngspice has, or delete them; a netlist part for LTspice "
@@ -221,16 +228,16 @@ def altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None:
     return error
 
 
-# Relative distance of two values of the scale that are one: ngspice adds steps up, which rounds
-# 1e-16 a step and up to 1e-13 in all.
-SAME_POINT = 1e-11
-_BINARY = b"Binary:\n"
-_NEXT = b"Title:"
-_HEAD = 1 << 20  # bytes in which the header must end
+# Relative distance of equal values of the scale: ngspice sums steps, with a rounding error of 1e-16
+# per step and up to 1e-13 in total.
+SAME_POINT_TOLERANCE = 1e-11
+_BINARY_MARK = b"Binary:\n"
+_PLOT_MARK = b"Title:"
+_MAX_HEADER_BYTES = 1 << 20  # largest size of the header
 
 
 class _Plot(NamedTuple):
-    """One plot of a raw file.
+    """Plot of a raw file.
 
     ``promised`` is the number of points in its header. ``table`` maps the complete points of the
     file, one in each row. ``left`` bytes follow the complete points. The next plot begins at the
@@ -245,7 +252,7 @@ class _Plot(NamedTuple):
 
     @property
     def finite(self) -> np.ndarray:
-        """Mask of the rows with finite numbers only.
+        """Mask of the rows that contain only finite numbers.
 
         In the first column, the scale, only the real part is used, because ngspice does not
         initialise the imaginary part of a frequency."""
@@ -275,7 +282,7 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
     plots = [first, *(plot for plot in plots[1:] if plot.names == first.names)]
     for plot in plots:
         if not plot.finite.all():
-            raise _corrupt_file_error(path, "it holds values that are not finite")
+            raise _make_corrupt_file_error(path, "it holds values that are not finite")
     if len(plots) == 1:
         return first.columns(len(first.table))
     return join_analyses([plot.columns(len(plot.table)) for plot in plots])
@@ -290,7 +297,7 @@ def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.
     for name in analyses[0]:
         result[name] = np.concatenate(list(map(itemgetter(name), analyses)))
     scale, order = np.unique(next(iter(result.values())), return_index=True)
-    apart = np.diff(scale, prepend=-np.inf) > SAME_POINT * np.abs(scale)
+    apart = np.diff(scale, prepend=-np.inf) > SAME_POINT_TOLERANCE * np.abs(scale)
     return {name: values[order[apart]] for name, values in result.items()}
 
 
@@ -300,11 +307,11 @@ def _read_plots(path: Path) -> Iterator[_Plot]:
     while begin is not None:
         plot = _read_plot(path, begin)
         if plot is None:
-            raise _corrupt_file_error(path, "its header is cut off")
+            raise _make_corrupt_file_error(path, "its header is cut off")
         points = len(plot.table)
         if points < 1 or (points, plot.left) != (plot.promised, 0):
             what = f"it promises {plot.promised} points and holds {points} and {plot.left} bytes"
-            raise _corrupt_file_error(path, what)
+            raise _make_corrupt_file_error(path, what)
         yield plot
         begin = plot.end
 
@@ -337,8 +344,8 @@ def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
     """
     with path.open("rb") as stream:
         stream.seek(begin)
-        head = stream.read(_HEAD)
-    end = head.find(_BINARY)
+        head = stream.read(_MAX_HEADER_BYTES)
+    end = head.find(_BINARY_MARK)
     if end < 0:
         return None
     lines = head[:end].decode("utf-8", "replace").splitlines()
@@ -348,13 +355,15 @@ def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
         _, *vectors = dropwhile(lambda line: not line.startswith("Variables:"), lines)
         names = tuple(line.split()[1].lower() for line in vectors[:count])
     except (KeyError, ValueError, IndexError):
-        raise _corrupt_file_error(path, "its header is not that of a binary raw file") from None
+        raise _make_corrupt_file_error(
+            path, "its header is not that of a binary raw file"
+        ) from None
     if len(names) != count or count < 1:
-        raise _corrupt_file_error(
+        raise _make_corrupt_file_error(
             path, f"its header promises {count} vectors and names {len(names)}"
         )
     kind = np.dtype(np.complex128 if "complex" in fields.get("Flags", "") else np.float64)
-    offset = begin + end + len(_BINARY)
+    offset = begin + end + len(_BINARY_MARK)
     complete, left = divmod(path.stat().st_size - offset, kind.itemsize * count)
     following = offset + promised * kind.itemsize * count
     follows = complete >= promised > 0 and _has_next_plot(path, following)
@@ -367,11 +376,12 @@ def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
 
 
 def _has_next_plot(path: Path, offset: int) -> bool:
-    """Whether a plot begins at byte ``offset``, as totals follow a noise spectrum."""
+    """Return whether a plot begins at byte ``offset``, as totals follow a noise spectrum."""
     with path.open("rb") as stream:
         stream.seek(offset)
-        return stream.read(len(_NEXT)) == _NEXT
+        return stream.read(len(_PLOT_MARK)) == _PLOT_MARK
 
 
-def _corrupt_file_error(path: Path, what: str) -> SimulationError:
+def _make_corrupt_file_error(path: Path, what: str) -> SimulationError:
+    """Return the error of a damaged raw file."""
     return SimulationError(f"the raw file is not complete: {what}", where=str(path))

@@ -1,4 +1,4 @@
-"""Decks in libngspice inside this process, with Python functions in the loop.
+"""Simulation of decks in libngspice inside this process, with Python functions.
 
 The calls are those of the ngspice manual's chapter "Ngspice as shared library".
 
@@ -33,7 +33,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
 from kc2spice.scene.rows import SampledSource
 from kc2spice.sim.ngspice import partial_waves, waves_by_name
-from kc2spice.sim.output import altered_run, failed_run, read_raw, read_statistics
+from kc2spice.sim.output import find_altered_run, find_run_failure, read_raw, read_statistics
 
 
 def _make_structure(**fields: Any) -> Any:
@@ -41,7 +41,7 @@ def _make_structure(**fields: Any) -> Any:
     return type("Structure", (ctypes.Structure,), {"_fields_": tuple(fields.items())})
 
 
-# vecvalues and vecvaluesall of sharedspice.h
+# structures vecvalues and vecvaluesall of sharedspice.h
 _Value = _make_structure(
     name=c_char_p, real=c_double, imag=c_double, is_scale=c_bool, is_complex=c_bool
 )
@@ -60,7 +60,7 @@ _library: Library | None = None
 
 @dataclass
 class _Sampler:
-    """Functions of a deck, which are called at their instants, with their answers."""
+    """Caller of the functions of a deck at their instants; it stores their results."""
 
     sampled: Sequence[SampledSource]
     stop: float
@@ -124,7 +124,7 @@ def run_shared(
     if deck.stop is None:
         raise UsageError("no transient", where=deck.name, expected="a deck with its last time")
     global _library
-    if _library is None or _library.dead:  # ngspice has unloaded the library
+    if _library is None or _library.dead:  # ngspice has unloaded the library after a fatal error
         _library = Library()
     library = _library
     loop = _Sampler(sampled, deck.stop, progress) if sampled or progress else None
@@ -139,8 +139,8 @@ def run_shared(
     finally:
         library.clear()
     time = vectors.get("time", np.zeros(1))
-    failed = failed_run(deck, deck.name, log, int(not ran), float(time[-1]))
-    failed = failed or altered_run(deck, deck.name, log)
+    failed = find_run_failure(deck, deck.name, log, int(not ran), float(time[-1]))
+    failed = failed or find_altered_run(deck, deck.name, log)
     if failed is not None:
         failed.failure = replace(failed.failure, partial=partial_waves(deck, vectors, log))
         raise failed
@@ -184,12 +184,12 @@ class Library:
         self.broken: Exception | None = None
         self._loop: _Sampler | None = None
         self._library = _load_private_copy()
-        # ngspice keeps these pointers: they live as long as this object does.
+        # ngspice stores these pointers, so they must live as long as this object
         self._callbacks = (
             _SEND_CHAR(self._on_text),
             _EXIT(self._on_exit),
             _SEND_DATA(self._guard_callback("record_point")),
-            _SEND_INIT(lambda *_: 0),  # without this callback no point is sent
+            _SEND_INIT(lambda *_: 0),  # without this callback ngspice sends no points
             _SOURCE(self._guard_callback("set_source")),
             _SYNC(self._guard_callback("limit_step")),
         )
@@ -199,18 +199,18 @@ class Library:
         self._library.ngSpice_Init_Sync(source, None, step, byref(c_int(0)), None)
 
     def load(self, circuit: Sequence[str]) -> bool:
-        """Read the lines of a deck without includes; False if ngspice refuses it."""
+        """Load the lines of a deck without includes; return False if ngspice rejects it."""
         self.log, self.broken = "", None
         lines = [*map(str.encode, circuit), None]
         return self._library.ngSpice_Circ((c_char_p * len(lines))(*lines)) == 0
 
     def run(self, loop: _Sampler | None) -> bool:
-        """Run the circuit's analyses with ``loop``; False if ngspice reports a failure."""
+        """Run the circuit's analyses with ``loop``; return False if ngspice reports a failure."""
         self._loop = loop
         return self._command("run")
 
     def vectors(self) -> dict[str, np.ndarray]:
-        """Return the results of the last analysis by the names of the batch engine."""
+        """Return the results of the last analysis under the names of the batch engine."""
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
             raw = Path(folder) / "out.raw"
             self._command("set filetype=binary")
@@ -229,7 +229,7 @@ class Library:
     # -- callbacks of ngspice ------------------------------------------------------------------
 
     def _guard_callback(self, name: str) -> Callable[..., int]:
-        """Return a callback to the loop, without effect after a callback has failed."""
+        """Return a callback that calls the loop unless an earlier callback has failed."""
 
         def guarded(*arguments: Any) -> int:
             try:
@@ -252,7 +252,7 @@ class Library:
 
 
 def _load_private_copy() -> ctypes.CDLL:
-    """Load libngspice from a private copy of its file, with its own globals."""
+    """Load libngspice from a private copy of its file, with separate global variables."""
     result = ctypes.util.find_library("ngspice")
     if result is None:
         raise MissingToolError(
@@ -267,12 +267,13 @@ def _load_private_copy() -> ctypes.CDLL:
         maps = Path("/proc/self/maps")
         loaded = maps.read_text("utf-8").split() if maps.is_file() else [result]
         path = next((word for word in loaded if result in word and Path(word).is_file()), None)
-        if path is None:  # the single copy of the system is used
+        # without a path, the shared library of the system is loaded, without a private copy
+        if path is None:
             return plain
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
             copy = Path(shutil.copy(path, folder))
             mode = os.RTLD_LOCAL | os.RTLD_NOW | getattr(os, "RTLD_DEEPBIND", 0)
-            # the library is mapped, so the file can be deleted
+            # the library is mapped into memory, so the file can be deleted
             return ctypes.CDLL(str(copy), mode=mode)
     except OSError as error:
         raise MissingToolError(
@@ -285,7 +286,7 @@ def _load_private_copy() -> ctypes.CDLL:
 
 @contextmanager
 def _hide_start_up_files() -> Iterator[None]:
-    """Let ngspice find empty start-up files first, so that it reads no others."""
+    """Place empty start-up files where ngspice finds them first, so that it reads no others."""
     variables = ("HOME", "SPICE_SCRIPTS", "SPICE_USERINIT_DIR")
     previous = {name: os.environ[name] for name in variables if name in os.environ}
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder, chdir(folder):

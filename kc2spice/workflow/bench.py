@@ -37,7 +37,7 @@ from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.core.waveforms import write_record
 from kc2spice.report.bench_page import write_bench
-from kc2spice.scene.axes import Axis, find_axes, find_finest_axes, move_axes
+from kc2spice.scene.axes import Axis, apply_notches, find_axes, find_finest_axes
 from kc2spice.scene.model import Scene
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow import refine
@@ -125,7 +125,7 @@ class _Plane:
 
     def run_setting(self, place: Place) -> None:
         """Run a setting, unless it has run before."""
-        settings = move_axes(self.axes, self.notches(place))
+        settings = apply_notches(self.axes, self.notches(place))
         label = _describe_settings(settings)
         if label in self.points or label in self.failed:
             return
@@ -273,7 +273,7 @@ def bench(
         plane.search(error, progress)
         plane.measure_times(repeats, progress)
         progress("estimate", None, "all settings and meshes a notch finer")
-        finest = move_axes(plane.axes, plane.notches((REFERENCE,) * len(plane.axes)))
+        finest = apply_notches(plane.axes, plane.notches((REFERENCE,) * len(plane.axes)))
         best = plane.find_cheapest(error)
         points = sorted(plane.points.values(), key=attrgetter("time"))
         record = {

@@ -25,8 +25,8 @@ from kc2spice.netlist.read import split_statements
 from kc2spice.netlist.scope import INCLUDES
 from kc2spice.netlist.spelling import format_comment, format_number
 from kc2spice.netlist.transforms import add_noise_sources, remove_arithmetic_noise
-from kc2spice.scene.axes import MAX_STEP, describe_plan
-from kc2spice.scene.frames import MOTIONS
+from kc2spice.scene.axes import MAX_STEP_KEY, describe_plan
+from kc2spice.scene.frames import MOTION_UNITS
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.plausible import apply_action, check_models
 from kc2spice.scene.probed_results import require_probed_results
@@ -82,7 +82,7 @@ def make_deck(build: Build) -> Deck:
     require_probed_results(build)
     results, plan = build.results, describe_plan(build)
     header = Header(scene.name, scene_hash(scene))
-    ours = () if scene.solver.max_step else (MAX_STEP,)  # a separate line gives the reason
+    ours = () if scene.solver.max_step else (MAX_STEP_KEY,)  # a separate line gives the reason
     notes = (*header.origin(), *model_comments(plan, ours))
     analysis = make_analysis_cards(build)
     parts = tuple(_libraries(build, header))
@@ -119,7 +119,7 @@ def _is_controller(part: Part, scene: Scene) -> bool:
     for pin in scene.pins(part.name):
         if pin.moving:
             return False
-        measures_motion |= pin.flow == SIGNAL and pin.unit in MOTIONS and not pin.signal_out
+        measures_motion |= pin.flow == SIGNAL and pin.unit in MOTION_UNITS and not pin.signal_out
         sets_output |= pin.domain is ELECTRICAL and pin.default is None
     return measures_motion and sets_output
 

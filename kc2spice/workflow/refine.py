@@ -25,7 +25,7 @@ from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.progress import ERROR_BUDGET, Clock
 from kc2spice.core.waveforms import interpolate
 from kc2spice.parts.bodies._meshed import MeshedBody
-from kc2spice.scene.axes import Axis, find_axes, find_finest_axes, move_axes
+from kc2spice.scene.axes import Axis, apply_notches, find_axes, find_finest_axes
 from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
@@ -88,7 +88,7 @@ class Runs:
 
         Raises as :func:`kc2spice.workflow.simulate.simulate_deck` does.
         """
-        build, settings = self.start.build, move_axes(self.all_axes, notches)
+        build, settings = self.start.build, apply_notches(self.all_axes, notches)
         if repr(settings) not in self.known:
             self.require_size(notches)
             self.known[repr(settings)] = evaluate(
@@ -368,7 +368,7 @@ def estimate(runs: Runs, notches: Notches) -> Estimate | None:
         finer = _try_run(runs, _move_axes(notches, [a for a in runs.axes if a not in fixed_axes]))
         unmoved = (*map(attrgetter("name"), fixed_axes), *finest)
         if finer is not None:
-            settings = move_axes(runs.axes, notches)
+            settings = apply_notches(runs.axes, notches)
             errors = _differences(now, finer)
             # errors that refined runs do not show
             left = estimate_by_coarser_runs(runs, notches, unmoved, errors)

@@ -18,7 +18,7 @@ from kc2spice.netlist.printers.plot_script import write_plot_script
 from kc2spice.report.figures import draw_pngs
 from kc2spice.report.run_page import plot_probes, write_run
 from kc2spice.scene.axes import describe_plan
-from kc2spice.scene.checks import require
+from kc2spice.scene.checks import require_passed
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.results import NOISE_WAVE
@@ -216,7 +216,7 @@ def _check_error_estimate(converged: ConvergedRun) -> Run:
             "models contain these settings",
             stacklevel=2,
         )
-    require((check,), final.run.build.scene.name)
+    require_passed((check,), final.run.build.scene.name)
     verdict = final.run.verdict
     return replace(final.run, verdict=replace(verdict, checks=(*verdict.checks, check)))
 

@@ -73,7 +73,7 @@ def test_more_than_ten_million_points_are_told_before_the_run(keys):
 
 def test_a_raw_file_that_grows_beyond_its_limit_ends_the_run(monkeypatch, tmp_path):
     """Steps shorter than the largest one make the file larger than expected."""
-    monkeypatch.setattr(ngspice, "LARGEST_RAW", 400_000.0)
+    monkeypatch.setattr(ngspice, "MAX_RAW_BYTES", 400_000.0)
     drive = {"part": "source", "pulse": {"high": 1.0, "width": 5e-7, "edge": 1e-8, "period": 1e-6}}
     with pytest.raises(SimulationError, match="grows beyond its limit"):
         kc.run(changed(drive=drive, analysis={"stop": 20e-3}, solver={"max_step": 2e-5}))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import kc2spice as kc
-from kc2spice.scene.parttype import part_types
+from kc2spice.scene.parttype import load_part_types
 from kc2spice.scene.scene_file import list_gallery
 
 ROOT = Path(__file__).parents[2]
@@ -41,7 +41,7 @@ def test_every_public_name_is_on_the_api_page(site):
 @pytest.mark.slow
 def test_every_part_scene_and_example_is_shown(site):
     parts, scenes, examples = (page(site, name) for name in ("parts", "scenes", "examples"))
-    assert all(f'id="{name}"' in parts for name, kind in part_types().items()
+    assert all(f'id="{name}"' in parts for name, kind in load_part_types().items()
                if kind.__module__.startswith("kc2spice."))  # fmt: skip
     assert all(f"<code>{name}</code>" in scenes for name in list_gallery())
     for path in (ROOT / "docs" / "examples").glob("*.py"):

@@ -26,13 +26,13 @@ BETA = 2 * 0.005 / (2 * np.pi * 200e3)  # s; a damping ratio of 0.5 % at 200 kHz
 @pytest.fixture
 def real_factors(monkeypatch):
     """Any factor of a complex matrix is an error."""
-    original = pencils.two_sided
+    original = pencils.factorise_two_sided
 
     def two_sided(matrix, *, symmetric):
         assert not np.iscomplexobj(matrix)
         return original(matrix, symmetric=symmetric)
 
-    monkeypatch.setattr(pencils, "two_sided", two_sided)
+    monkeypatch.setattr(pencils, "factorise_two_sided", two_sided)
 
 
 CELLS, LENGTH = (7, 7, 6), 10e-3
@@ -136,15 +136,15 @@ def test_a_free_ceramic_block_needs_real_factors_only(ceramic, real_factors, nam
 @pytest.mark.parametrize("clamped", [False, True])
 def test_large_ceramic_bodies_need_no_pivots(ceramic, monkeypatch, clamped):
     """A clamped one is proven definite by the pivots of its factor, without another factor."""
-    monkeypatch.setattr(pencils, "QUASI_DEFINITE", 0)
-    monkeypatch.setattr(factors, "LARGE", 100)
+    monkeypatch.setattr(pencils, "QUASI_DEFINITE_UNKNOWNS", 0)
+    monkeypatch.setattr(factors, "DISSECTION_UNKNOWNS", 100)
     blocks, frequency, exact = ceramic
 
     def refuse(*_, **__):
         pytest.fail("a matrix was factorised")
 
     for module in (factors, pencils):
-        monkeypatch.setattr(module, "two_sided", refuse)
+        monkeypatch.setattr(module, "factorise_two_sided", refuse)
     if clamped:
         mobile = np.flatnonzero(np.repeat(ceramic_mesh(CELLS, LENGTH).p[0] > 0, 3))
         rows = {"M", "K_uu", "K_up", "k_uV", "B"}

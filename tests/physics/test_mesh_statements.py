@@ -26,7 +26,7 @@ from kc2spice.physics.contact import SPACED
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import part_types
+from kc2spice.scene.parttype import load_part_types
 from kc2spice.workflow.models import build_models, model_facts
 from kc2spice.workflow.reduce_files import export_rom
 
@@ -162,7 +162,7 @@ def test_a_conductor_states_its_rings():
 
 
 def test_a_magnet_states_that_it_has_no_mesh():
-    tables = {"name": "s", **tomllib.loads(part_types()["moving_magnet"].example)}
+    tables = {"name": "s", **tomllib.loads(load_part_types()["moving_magnet"].example)}
     tables["analysis"] = {"type": "op"}
     detail, facts, header = stated(tables, "moving_magnet")
     assert "no mesh: closed form of coaxial circles" in detail

@@ -39,9 +39,9 @@ def test_a_band_ends_a_tenth_above_the_fifth_frequency(n, order):
 @pytest.mark.parametrize("free", [False, True])
 def test_frequencies_of_large_models_need_no_pivots(monkeypatch, free):
     """The shifted stiffness of a supported and of a free grid of masses is definite."""
-    monkeypatch.setattr(factors, "LARGE", 100)
-    monkeypatch.setattr(pencils, "QUASI_DEFINITE", 0)
-    monkeypatch.setattr(factors, "two_sided", pytest.fail)
+    monkeypatch.setattr(factors, "DISSECTION_UNKNOWNS", 100)
+    monkeypatch.setattr(pencils, "QUASI_DEFINITE_UNKNOWNS", 0)
+    monkeypatch.setattr(factors, "factorise_two_sided", pytest.fail)
     line, cross = links(20).tolil(), links(15).tolil()
     for matrix in (line, cross) if free else ():
         matrix[0, 0] = matrix[-1, -1] = STIFFNESS

@@ -7,7 +7,7 @@ import pytest
 from device import built
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.scene.checks import require
+from kc2spice.scene.checks import require_passed
 from kc2spice.workflow.metrics import verdict
 
 BALANCES = {"sphere", "contact", "kick"}
@@ -52,7 +52,7 @@ def test_results_have_the_names_and_signs_of_the_contract(loop, waves):
 
 def test_good_run_passes(waves, scene, table, model):
     found = judged(waves, scene, table, model)
-    require(found.checks, "here")
+    require_passed(found.checks, "here")
     value = {c.name: c.value for c in found.checks}
     assert set(value) == ALL
     assert all(c.passed for c in found.checks)
@@ -95,7 +95,7 @@ def test_ringing_that_the_forces_do_not_explain_is_told(waves, scene, table, mod
 def test_contact_beyond_the_last_ring_is_seen(waves, scene, table, model):
     wide = changed(waves, **{"contact.force.ring5": np.full_like(waves["time"], 0.1)})
     with pytest.raises(SimulationError, match="outer ring"):
-        require(judged(wide, scene, table, model).checks, "here")
+        require_passed(judged(wide, scene, table, model).checks, "here")
 
 
 def test_a_controller_at_its_limit_is_seen(waves, varied, table, model):
@@ -124,4 +124,4 @@ def test_a_ring_that_was_left_out_and_would_have_closed_is_seen(kept, waves, var
     assert check.passed is not closed[kept]
     if closed[kept]:
         with pytest.raises(SimulationError, match=rf"more than {kept}, or to 'all'"):
-            require((check,), "here")
+            require_passed((check,), "here")

@@ -24,10 +24,10 @@ from kc2spice.physics.contact import Normal
 from kc2spice.physics.part import declared_subcircuit
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
-from kc2spice.scene.parttype import part_types
+from kc2spice.scene.parttype import load_part_types
 from kc2spice.scene.scene_file import list_gallery
 
-DECLARED = {n: kind for n, kind in part_types().items() if hasattr(kind, "declaration")}
+DECLARED = {n: kind for n, kind in load_part_types().items() if hasattr(kind, "declaration")}
 DIALECTS = dialect_names()
 PLAIN = {row.name for row in TABLE}  # cards of a deck, of which there is no module
 PRINTED = [(n, d) for n in sorted(DECLARED) for d in DIALECTS if d != "verilog-a" or n not in PLAIN]
@@ -97,7 +97,7 @@ class Stated:
 
 
 def example(name):
-    if given := part_types()[name].example:
+    if given := load_part_types()[name].example:
         scene = load_scene({"name": "example", **parse_toml(given)})
     else:
         scene = next(each for each in map(load_scene, list_gallery()) if each.of(name))

@@ -36,7 +36,7 @@ from scipy.integrate import solve_ivp
 
 from kc2spice.core.errors import Kc2spiceError
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.parttype import part_types
+from kc2spice.scene.parttype import load_part_types
 from kc2spice.workflow.run import run_scene
 
 PATIENCE = 120  # s
@@ -647,9 +647,9 @@ def test_all_types_of_parts_are_drawn(tmp_path):
             with suppress(Kc2spiceError):  # a draw that is refused shows no type
                 parts = load_scene(tmp_path / "drawn.toml").parts.values()
                 found |= {part.type.name for part in parts}
-        if found == set(part_types()):
+        if found == set(load_part_types()):
             return
-    raise AssertionError(set(part_types()) - found)
+    raise AssertionError(set(load_part_types()) - found)
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from kc2spice.core.quantities import Notch, submodel
 from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
-from kc2spice.scene.parttype import part_type, type_names
+from kc2spice.scene.parttype import find_part_type, type_names
 from kc2spice.scene.settings import Rom
 from kc2spice.workflow.models import build_models
 
@@ -82,7 +82,7 @@ def discretisations(schema, prefix=""):
 
 @pytest.mark.parametrize("name", type_names())
 def test_verify_knows_each_key_that_makes_a_model_finer(name):
-    kind = part_type(name)
+    kind = find_part_type(name)
     assert set(discretisations(kind.schema)) <= set(kind.discretisations)
 
 

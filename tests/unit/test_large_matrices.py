@@ -63,15 +63,15 @@ def test_a_singular_matrix_needs_its_factor():
 
 
 def test_kernels_follow_the_processor_and_the_user(monkeypatch):
-    monkeypatch.delenv(processor.VARIABLE, raising=False)
+    monkeypatch.delenv(processor.CORE_TYPE_VARIABLE, raising=False)
     skylake = processor.KERNELS["SkylakeX"] | {"sse2"}
     assert processor.select_kernels(skylake) == "SkylakeX"
     assert processor.select_kernels(skylake - {"avx512vl"}) == "Haswell"
     assert processor.select_kernels({"sse2"}) is None
     monkeypatch.setattr(processor, "processor_flags", lambda: skylake)
-    with processor.fast_kernels():
-        assert os.environ[processor.VARIABLE] == "SkylakeX"
-    assert processor.VARIABLE not in os.environ
-    monkeypatch.setenv(processor.VARIABLE, "Zen")
-    with processor.fast_kernels():
-        assert os.environ[processor.VARIABLE] == "Zen"
+    with processor.use_fast_kernels():
+        assert os.environ[processor.CORE_TYPE_VARIABLE] == "SkylakeX"
+    assert processor.CORE_TYPE_VARIABLE not in os.environ
+    monkeypatch.setenv(processor.CORE_TYPE_VARIABLE, "Zen")
+    with processor.use_fast_kernels():
+        assert os.environ[processor.CORE_TYPE_VARIABLE] == "Zen"

@@ -115,7 +115,7 @@ def test_only_parts_name_part_types():
 
     Names that are words of other subjects as well (``mass``) are not looked for.
     """
-    from kc2spice.scene.parttype import part_types
+    from kc2spice.scene.parttype import load_part_types
 
     asking = {"scene", "synthesis", "sim", "report", "workflow", "cli", "api"}
     words = {"mass", "spring", "damper", "body", "netlist", "source", "sensor", "matrices",
@@ -125,6 +125,6 @@ def test_only_parts_name_part_types():
         for name, path in MODULES.items()
         if asking & set(name.split(".")[1:2]) and name != "kc2spice.scene.model"
         for node in walked(path)[1]
-        if isinstance(node, ast.Constant) and node.value in set(part_types()) - words
+        if isinstance(node, ast.Constant) and node.value in set(load_part_types()) - words
     }
     assert not named

@@ -16,7 +16,7 @@ STIFFNESS = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(N, 
 @pytest.fixture
 def library():
     try:
-        pardiso._library()
+        pardiso._load_library()
     except MissingToolError:
         pytest.skip("the package mkl is not installed")
 
@@ -70,11 +70,11 @@ def test_a_missing_library_is_an_error_with_the_command(monkeypatch):
 
     monkeypatch.setattr(pardiso.importlib.metadata, "files", missing)
     monkeypatch.setattr(pardiso.ctypes.util, "find_library", lambda name: None)
-    pardiso._library.cache_clear()
+    pardiso._load_library.cache_clear()
     model = kc.LinearModel(
         M=sparse.eye_array(N), K=STIFFNESS, E=STIFFNESS @ STIFFNESS, B=np.eye(N)[:, :1]
     )
     with pytest.raises(MissingToolError) as caught:
         kc.reduce(model, tolerance=1e-3, band=(0, 0.002), solver="pardiso")
     assert caught.value.hint == "pip install 'kc2spice[fast]'"
-    pardiso._library.cache_clear()
+    pardiso._load_library.cache_clear()

@@ -8,7 +8,7 @@ from kc2spice.core.untrusted_files import parse_toml
 from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.part_reference import describe_part_types
-from kc2spice.scene.parttype import part_types
+from kc2spice.scene.parttype import load_part_types
 
 BY_FILE = {"body", "matrices"}  # their pins stand in files of the user
 NO_PINS = {"port_loads", "throw"}
@@ -20,7 +20,7 @@ def docs():
 
 
 def test_every_type_is_there_with_pins_and_keys(docs):
-    assert set(docs) >= set(part_types())
+    assert set(docs) >= set(load_part_types())
     for name, doc in docs.items():
         assert doc.title, name
         assert doc.doc, name
@@ -31,7 +31,7 @@ def test_every_type_is_there_with_pins_and_keys(docs):
 
 
 def test_examples_are_scenes_that_load():
-    for name, kind in part_types().items():
+    for name, kind in load_part_types().items():
         if kind.example:
             scene = load_scene({"name": "example", **parse_toml(kind.example)})
             assert scene.of(name), name
@@ -45,10 +45,12 @@ def test_command_line_lists_them(docs, cli):
 
 
 @pytest.mark.parametrize(
-    "name", [n for n, kind in part_types().items() if "rom" in kind.schema.model_fields]
+    "name", [n for n, kind in load_part_types().items() if "rom" in kind.schema.model_fields]
 )
 def test_every_key_of_every_body_is_described(name):
-    assert [k.name for k in list_schema_keys(part_types()[name].schema) if len(k.doc) < 5] == []
+    assert [
+        k.name for k in list_schema_keys(load_part_types()[name].schema) if len(k.doc) < 5
+    ] == []
 
 
 def test_every_key_has_a_description_that_stands_alone():

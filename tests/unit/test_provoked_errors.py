@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import kc2spice as kc
-from kc2spice.scene.checks import Check, require
+from kc2spice.scene.checks import Check, require_passed
 
 BUZZER = """[disc]
 part = "disc"
@@ -275,7 +275,7 @@ def test_an_unknown_method_has_five_candidates():
 def test_a_failed_check_names_value_and_limit_with_prefixes():
     check = Check("table_left", 0.0316734, 0.0, "m", "widen the table", "fail")
     with pytest.raises(kc.errors.SimulationError) as caught:
-        require((check,), "kick_and_catch")
+        require_passed((check,), "kick_and_catch")
     assert "a check of the result failed: table left" in str(caught.value)
     assert "got:      31.7 mm" in str(caught.value)
 

@@ -88,7 +88,7 @@ def test_a_block_of_the_wrong_sign_is_refused():
 
 
 def test_large_matrices_know_their_inertia(monkeypatch):
-    monkeypatch.setattr(factors, "LARGE", 100)
+    monkeypatch.setattr(factors, "DISSECTION_UNKNOWNS", 100)
     matrix = piezo((9, 8))
     factor = factorise_quasi_definite(matrix)
     assert factor.negative == (np.linalg.eigvalsh(matrix.toarray()) < 0).sum() == 72
@@ -97,7 +97,7 @@ def test_large_matrices_know_their_inertia(monkeypatch):
 
 
 def test_other_symmetric_matrices_are_factorised_with_pivots(monkeypatch):
-    monkeypatch.setattr(factors, "LARGE", 100)
+    monkeypatch.setattr(factors, "DISSECTION_UNKNOWNS", 100)
     matrix = sparse.csc_array(grid((12, 12)) - 0.7 * sparse.eye_array(144))
     factor = factorise_quasi_definite(matrix)
     assert factor.negative is None

@@ -23,7 +23,7 @@ from kc2spice.scene.model import (
     PartType,
     WiredScene,
 )
-from kc2spice.scene.parttype import part_types
+from kc2spice.scene.parttype import load_part_types
 from kc2spice.workflow.decks import prepare_deck
 
 MOST = 2
@@ -49,7 +49,7 @@ def count_calls(monkeypatch):
 
         return wrapper
 
-    classes = {PartType}.union(*(type(kind).__mro__ for kind in part_types().values()))
+    classes = {PartType}.union(*(type(kind).__mro__ for kind in load_part_types().values()))
     methods = [n for n, f in vars(PartType).items() if inspect.isfunction(f) and n[0] != "_"]
     for cls in classes - {object}:
         for name in methods:
@@ -104,7 +104,9 @@ def narrowed(function, stage):
 def test_part_types_read_nothing_beyond_their_stage(name, monkeypatch):
     expected = kc.load_scene(name)
     narrow = 0
-    for cls in {PartType}.union(*(type(kind).__mro__ for kind in part_types().values())) - {object}:
+    for cls in {PartType}.union(*(type(kind).__mro__ for kind in load_part_types().values())) - {
+        object
+    }:
         for method, function in list(vars(cls).items()):
             stage = STAGES.get(getattr(function, "__annotations__", {}).get("scene"))
             if inspect.isfunction(function) and stage is not None:

@@ -270,7 +270,7 @@ def test_a_large_definite_model_has_one_order_and_one_expansion_point(monkeypatc
 
     monkeypatch.setattr(factor, "_nested_dissection", counted)
     model = cube(18)
-    assert model.order > factor.LARGE
+    assert model.order > factor.DISSECTION_UNKNOWNS
     reduction = kc.Reduction(model, band=(0, 0.08), tolerance=1e-3, norm="pointwise")
     rom = reduction.reduce(tolerance=1e-3)
     assert rom.certificate.stable

@@ -59,7 +59,7 @@ def fake(tmp_path, monkeypatch):
 )  # fmt: skip
 def test_a_program_that_is_no_ngspice_is_refused(text, words, got, fake, monkeypatch):
     fake(text)
-    monkeypatch.setattr(ngspice, "ANSWERS", 0.2)
+    monkeypatch.setattr(ngspice, "VERSION_TIMEOUT", 0.2)
     with pytest.raises(MissingToolError, match=words) as caught:
         ngspice.find_ngspice()
     assert got in caught.value.got
@@ -67,6 +67,6 @@ def test_a_program_that_is_no_ngspice_is_refused(text, words, got, fake, monkeyp
 
 def test_a_simulator_that_does_nothing_is_ended(fake, tmp_path, monkeypatch):
     fake('case "$*" in *--version*) echo "** ngspice-99.5";; *) exec sleep 30;; esac')
-    monkeypatch.setattr(ngspice, "STALLED", 0.2)
+    monkeypatch.setattr(ngspice, "STALL_TIME", 0.2)
     with pytest.raises(SimulationError, match="hangs"):
         ngspice.run_deck(Deck(name="d", text="* d\n.end\n"), tmp_path / "out")

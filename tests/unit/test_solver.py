@@ -161,7 +161,7 @@ def _call(folder, *words):
 def test_the_command_line_uses_the_named_solver(matrices, monkeypatch):
     recorder = Recorder()
     monkeypatch.setattr(pardiso, "Pardiso", recorder)
-    monkeypatch.setattr(pardiso, "_library", lambda: None)
+    monkeypatch.setattr(pardiso, "_load_library", lambda: None)
     result = _call(matrices, "--solver", "pardiso")
     assert result.exit_code == 0, result.output
     assert recorder.matrices
@@ -170,7 +170,7 @@ def test_the_command_line_uses_the_named_solver(matrices, monkeypatch):
 def test_a_missing_solver_names_the_line_that_installs_it(matrices, monkeypatch):
     monkeypatch.setattr(pardiso.importlib.metadata, "files", lambda name: [])
     monkeypatch.setattr(pardiso.ctypes.util, "find_library", lambda name: None)
-    pardiso._library.cache_clear()
+    pardiso._load_library.cache_clear()
     result = _call(matrices, "--solver", "pardiso")
     assert result.exit_code == MissingToolError.exit_code
     assert "pip install 'kc2spice[fast]'" in result.output

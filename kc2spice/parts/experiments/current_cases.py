@@ -19,7 +19,7 @@ from kc2spice.netlist.spelling import format_number
 from kc2spice.parts.magnetics.ring_magnet_coils import Coils
 from kc2spice.parts.mechanics.sphere import sphere_of
 from kc2spice.physics import coils
-from kc2spice.scene.checks import PAIRS, Check, Gate, Metric
+from kc2spice.scene.checks import SOLUTION_PAIRS, Check, Gate, Metric
 from kc2spice.scene.model import (
     GROUND,
     Build,
@@ -152,7 +152,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         name, unit = "jump of the lookup's slope", "of the largest slope"
         yield Check(name, jump, limit, unit, advice, "warn")
         gates = build.scene.gates
-        limits = dict.fromkeys(PAIRS, gates.field) | {"ngspice_vs_rom": gates.lookup}
+        limits = dict.fromkeys(SOLUTION_PAIRS, gates.field) | {"ngspice_vs_rom": gates.lookup}
         of = f"{_coils(part, build.scene).name}.force.*"
         yield Gate("force, of the largest", of, limits, "largest", leads=True)
 

@@ -26,7 +26,7 @@ from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.elements import Line, attach_comments
 from kc2spice.parts.bodies.piezo_stack import Stack
 from kc2spice.parts.electronics.two_terminal_types import element
-from kc2spice.scene.checks import PAIRS, Gate, Metric
+from kc2spice.scene.checks import SOLUTION_PAIRS, Gate, Metric
 from kc2spice.scene.model import (
     Build,
     DeclaredScene,
@@ -154,7 +154,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         """Gates of the harmonic loads; the tolerance of the reduction limits them."""
         gates, target = build.scene.gates, body_of(part, build.scene).keys.rom or build.scene.rom
         rom = min(gates.harmonic_rom, target.tolerance or gates.harmonic_rom)
-        limits = dict.fromkeys(PAIRS, rom) | {"ngspice_vs_rom": gates.harmonic_ngspice}
+        limits = dict.fromkeys(SOLUTION_PAIRS, rom) | {"ngspice_vs_rom": gates.harmonic_ngspice}
         yield Gate("response, whole band", "*>*", limits, "spectral", leads=True)
         low = {"rom_vs_fom": gates.harmonic_low}
         yield Gate("response, lowest fifth of the band", "*>*", low, "spectral", share=0.2)

@@ -16,7 +16,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Item
 from kc2spice.parts.mechanics import _touching
 from kc2spice.parts.mechanics.sphere import sphere_of
-from kc2spice.scene.checks import PAIRS, Gate, Metric
+from kc2spice.scene.checks import SOLUTION_PAIRS, Gate, Metric
 from kc2spice.scene.model import (
     Build,
     DeclaredScene,
@@ -95,11 +95,13 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         gates, ball = build.scene.gates, sphere_of(part, build.scene).name
         pair = _touching.single_pair(build.scene)
         law = pair.basis_error() if pair else 0.0
-        place = dict.fromkeys(PAIRS, max(gates.position, law)) | {"ngspice_vs_rom": gates.position}
+        place = dict.fromkeys(SOLUTION_PAIRS, max(gates.position, law)) | {
+            "ngspice_vs_rom": gates.position
+        }
         yield Gate("position over travel", f"{ball}.y", place, "travel", leads=True)
-        speed = dict.fromkeys(PAIRS, gates.rebound_velocity)
+        speed = dict.fromkeys(SOLUTION_PAIRS, gates.rebound_velocity)
         yield Gate("rebound velocity", "rebound_velocity_m_s", speed)
-        time = dict.fromkeys(PAIRS, gates.separation_time)
+        time = dict.fromkeys(SOLUTION_PAIRS, gates.separation_time)
         yield Gate("separation time", "separation_time_s", time, "absolute", "s")
 
     def law(self, part: Part[ThrowKeys], build: Build) -> laws.Equations:

@@ -28,7 +28,7 @@ from kc2spice.physics.cards import force_node
 from kc2spice.physics.contact import SPACED, Normal, declare_contact
 from kc2spice.physics.part import make_pins
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.scene.checks import PAIRS, Balance, Check, Gate, Metric, motion_gate
+from kc2spice.scene.checks import SOLUTION_PAIRS, Balance, Check, Gate, Metric, motion_error_limit
 from kc2spice.scene.model import (
     GROUND,
     Build,
@@ -168,12 +168,12 @@ class Contact(DeclaredPart[ContactKeys]):
     ) -> Iterator[Check | Balance | Gate]:
         pair, gates = make_pair(part, build.scene), build.scene.gates
         if "time" in waves and not pair.starts_moving:
-            steps = motion_gate(build.scene.solver)
+            steps = motion_error_limit(build.scene.solver)
             certificate = getattr(build.models.get(pair.a.part), "certificate", None)
             reduced = BEYOND
             if certificate:
                 reduced = min(REDUCED * certificate.error_estimate, WORST_LAUNCH)
-            limits = dict.fromkeys(PAIRS, gates.launch_full_model or steps + reduced)
+            limits = dict.fromkeys(SOLUTION_PAIRS, gates.launch_full_model or steps + reduced)
             limits["ngspice_vs_rom"] = gates.launch_velocity or steps
             yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
         place = pair.lowest_point(waves)

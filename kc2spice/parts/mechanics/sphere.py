@@ -24,7 +24,7 @@ from kc2spice.parts.mechanics._touching import Surface, TouchablePart, make_pair
 from kc2spice.parts.mechanics.mass import point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import make_pins
-from kc2spice.scene.checks import Balance, Gate, Metric, motion_gate
+from kc2spice.scene.checks import Balance, Gate, Metric, motion_error_limit
 from kc2spice.scene.model import (
     GROUND,
     Build,
@@ -255,7 +255,10 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
             return
         scene, words, of = build.scene, f"height of {part.name}", f"{part.name}.y"
         if part.name not in scene.initial_states:
-            limit, default = scene.gates.trajectory, {"ngspice_vs_rom": motion_gate(scene.solver)}
+            limit, default = (
+                scene.gates.trajectory,
+                {"ngspice_vs_rom": motion_error_limit(scene.solver)},
+            )
             if limit is None:
                 yield Gate(f"{words} over its way", of, default, "travel")
             else:

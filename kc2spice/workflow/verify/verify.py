@@ -31,7 +31,7 @@ from kc2spice.netlist.include_scan import Flat, read_checked_circuit
 from kc2spice.netlist.library import Subcircuit, parse_subcircuits
 from kc2spice.report.verify_page import Findings, plot_comparison, write_verify
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.scene.checks import PAIRS, Check, Gate, Verdict
+from kc2spice.scene.checks import SOLUTION_PAIRS, Check, Gate, Verdict
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
 from kc2spice.scene.results import collect_powers
@@ -539,7 +539,7 @@ class _Verification:
         """Compare each solution with the last one: gates, errors of all waves, and figures."""
         last = list(solutions)[-1]
         outputs: list[OutputError] = []
-        for pair in fnmatch.filter(PAIRS, f"*_vs_{last}"):
+        for pair in fnmatch.filter(SOLUTION_PAIRS, f"*_vs_{last}"):
             ours, exact = solutions[pair.partition("_")[0]], solutions[last]
             limits, leading = gate_limits(self._gates_of_models(), pair, ours, exact)
             self.outcome.checks += limits

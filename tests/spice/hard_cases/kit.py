@@ -11,7 +11,7 @@ from device import built, chip, magnets
 
 from kc2spice.netlist.library import Header
 from kc2spice.parts.mechanics._touching import find_separation
-from kc2spice.scene.checks import require
+from kc2spice.scene.checks import require_passed
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
@@ -48,7 +48,7 @@ class Bench:
         """Run a scene as ``kc2spice run``: the deck, ngspice, then the physics checks."""
         build = built(scene, model or chip(), table or magnets())
         waves = self.run(make_deck(build))
-        require(verdict(waves, build).checks, build.scene.name)
+        require_passed(verdict(waves, build).checks, build.scene.name)
         return waves
 
 
