@@ -12,7 +12,7 @@ from bench.variants import SHORT, fixed_steps, launches, variants
 from kc2spice.core.errors import MissingToolError, SimulationError
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.verify.law_solution import solve
+from kc2spice.workflow.verify.law_solution import solve_laws
 
 # As fine as the steps of ngspice's own tolerances, so that both are tuned alike.
 RTOL = (1e-3, 1e-4, 5e-4, 3e-4, 2e-4, 5e-5, 3e-5, 2e-5, 1e-5, 1e-6)
@@ -106,7 +106,7 @@ class Transient:
         """
         if self.massless is None:
             fine = run_deck(make_deck(build), self.setup.work / "reference")
-            self.massless = solve(build, fine).results
+            self.massless = solve_laws(build, fine).results
         return self._deck(variant, self.massless)
 
     def _deck(self, variant, against=None):

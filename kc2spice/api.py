@@ -33,8 +33,8 @@ from kc2spice.scene.model import Scene
 from kc2spice.scene.parttype import register as register_part
 from kc2spice.scene.settings import Probe
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_files
-from kc2spice.workflow.decks import prepare_deck, spare_other_decks
-from kc2spice.workflow.run import CompletedRun, complete, write_run_files
+from kc2spice.workflow.decks import prepare_deck, protect_other_decks
+from kc2spice.workflow.run import CompletedRun, complete_run, write_run_files
 
 __all__ = [
     "Result",
@@ -213,7 +213,9 @@ def run(
     )
     with place as name:
         work = Path(name)
-        done = complete(loaded, work, out=directory, trust=trust, deck=edited, functions=functions)
+        done = complete_run(
+            loaded, work, out=directory, trust=trust, deck=edited, functions=functions
+        )
         if directory is not None:
             write_run_files(done, work)
     answer = done.run
@@ -493,7 +495,7 @@ class Result:
             the same name.
         """
         with stage_directory(out) as work:
-            spare_other_decks(Path(out), self.deck.files)
+            protect_other_decks(Path(out), self.deck.files)
             if self._done is not None:
                 write_run_files(self._done, work, png=png)
             else:
@@ -685,15 +687,15 @@ def sweep(
               3 Ohm          4      ok
               6 Ohm          2      ok
     """
-    from kc2spice.workflow.sweep.engine import available_cores, columns, outcomes, sweep_of_plan
+    from kc2spice.workflow.sweep.engine import available_cores, columns, run_points, sweep_of_plan
     from kc2spice.workflow.sweep.grid import make_plan
-    from kc2spice.workflow.sweep.point import Job, scene_text
+    from kc2spice.workflow.sweep.point import Job, read_scene_text
 
     _require_lists(values)
     if executor is None:
         find_ngspice()
     by_name = isinstance(scene, (str, Path))
-    source = scene_text(str(scene)) if by_name else load_scene(scene)
+    source = read_scene_text(str(scene)) if by_name else load_scene(scene)
     plan = make_plan({key: tuple(item) for key, item in values.items()})
     definition = sweep_of_plan(Job(source), plan, dict.fromkeys(plan.keys, ""))
     result: dict[int, Any] = {}
@@ -701,7 +703,7 @@ def sweep(
         warnings.simplefilter("ignore")
         count = workers or available_cores()
         pool = executor or opened.enter_context(ThreadPoolExecutor(count))
-        for index, outcome in outcomes(
+        for index, outcome in run_points(
             definition, range(plan.size), lambda: nullcontext((pool, count))
         ):
             result[index] = outcome

@@ -693,7 +693,7 @@ def _compare_methods(
     caller: Caller, model: str, options: dict[str, Any], no_effect: Mapping[str, object]
 ) -> None:
     """Print states, error estimate and CPU time of every method of reduction."""
-    from kc2spice.workflow.methods import compare
+    from kc2spice.workflow.methods import compare_methods
     from kc2spice.workflow.reduce_files import require_stable
 
     for option, value in no_effect.items():
@@ -701,7 +701,7 @@ def _compare_methods(
             expected = "nothing: --method compare prints a table and writes no files"
             raise UsageError("is not for a comparison", where=option, got=value, expected=expected)
     with _translate_argument_names(options), caller.progress() as progress:
-        result = compare(model, **options, progress=progress)
+        result = compare_methods(model, **options, progress=progress)
     if caller.expects_text(result):
         title = f"{result['unknowns']} equations, error {result['norm']}"
         print_table(title, list(map(_format_method_row, result["methods"])), METHOD_COLUMNS)
@@ -818,7 +818,7 @@ def _sweep(
 
     table = engine.table_file_name(table_format)
     options: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
-    answer = engine.named_sweep(
+    answer = engine.load_named_sweep(
         scene, expand_overrides(set_ or ()), metrics=metric or (), **options
     )
     out = out or Path(f"{answer.scene.name}_sweep")

@@ -348,7 +348,7 @@ def declared_subcircuit(
     >>> declared_subcircuit(Header("demo", "0"), "leaf", spring, {"stiffness": 100.0})
     <Subcircuit leaf: pins a[um/N] b[um/N]; stiffness=100>
     """
-    from kc2spice.synthesis.header import defaults, part_header  # loads scipy
+    from kc2spice.synthesis.header import parameter_defaults_of, part_header  # loads scipy
 
     d, pins = declaration, tuple(pins) or make_pins(declaration)
     ends = tuple(names_of(pins))
@@ -365,7 +365,7 @@ def declared_subcircuit(
     words |= {"heat": HEAT_PINS} if d.heated else {}
     head = part_header(header, f"{name}: {d.title}", pins, params, sign=d.sign, **words)
     items = (*subcircuit_items(d, noise, tables), *more)
-    circuit = Circuit(name, ends, defaults(params), items, notes=head)
+    circuit = Circuit(name, ends, parameter_defaults_of(params), items, notes=head)
     title = format_comment(f"{name}: {d.title}")
     tree = Circuit(items=(circuit,))
     facts: dict[str, Any] = {"no_module": d.no_module, "head_lines": len(head)}

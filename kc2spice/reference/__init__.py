@@ -1,1 +1,1 @@
-"""Independent integration of any composition of laws."""
+"""Independent integration of equations of any set of parts (reference solver)."""

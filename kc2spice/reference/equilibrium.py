@@ -1,4 +1,4 @@
-"""Equations of a system between two events, its operating point and dc sweep."""
+"""Equations of a system between two events, its operating point and its dc sweep."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ class Interval:
             self.F = self.F + device.into @ slope @ device.inputs
             self.const = self.const + device.into @ out
         self.linear = not self.curved
-        self.rows = np.abs(system.G[:, : system.size]).max(axis=1) > 0.0  # equations with a rate
+        # equations with a time derivative
+        self.rows = np.abs(system.G[:, : system.size]).max(axis=1) > 0.0
         for device in system.devices:
             if device.stores is not None:
                 self.rows = self.rows | device.stores.any(axis=1)
@@ -62,7 +63,7 @@ class Interval:
         return float(X @ self.system.stored @ X + self.system.lifted @ X + devices)
 
     def stored(self, X: np.ndarray) -> np.ndarray:
-        """``g`` (n, nt)."""
+        """Return the stored quantities ``g`` (n, nt)."""
         g: np.ndarray = self.system.G @ X
         for device, mode in self.curved:
             if device.stores is not None:
@@ -70,7 +71,7 @@ class Interval:
         return g
 
     def flow(self, X: np.ndarray) -> np.ndarray:
-        """``f`` (n, nt)."""
+        """Return the right-hand sides ``f`` (n, nt)."""
         f: np.ndarray = self.F @ X + self.const[:, None]
         for device, mode in self.curved:
             f += device.into @ _evaluate(device.law.evaluate_outputs, device.inputs @ X, mode)
@@ -89,7 +90,7 @@ class Interval:
         return f, g
 
     def slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``dg/dz`` and ``df/dz`` (n, n)."""
+        """Return the derivatives ``dg/dz`` and ``df/dz`` (n, n)."""
         n, X = self.system.size, self.with_sources(t, z)
         M, J = self.system.G[:, :n], self.F[:, :n]
         for device, mode in self.curved:
@@ -100,7 +101,7 @@ class Interval:
         return M, J
 
     def at(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``g`` and ``f`` (n,) at one time."""
+        """Return ``g`` and ``f`` (n,) at one time."""
         X = self.with_sources(t, z)[:, None]
         return self.stored(X)[:, 0], self.flow(X)[:, 0]
 
@@ -130,7 +131,7 @@ class Interval:
 def _evaluate(
     function: Callable[[np.ndarray, Any], np.ndarray], inputs: np.ndarray, mode: Any
 ) -> np.ndarray:
-    """Values (k, nt) of a function of a law at ``inputs`` (m, nt)."""
+    """Return values (k, nt) of a function of a law at ``inputs`` (m, nt)."""
     return np.array([function(e, mode) for e in inputs.T]).T
 
 
@@ -139,7 +140,7 @@ def _add_terms(
     points: Iterable[tuple[np.ndarray, np.ndarray]],
     mode: Any,
 ) -> np.ndarray:
-    """Sizes (k, nt) of the terms of a function of a law by its slopes and sizes of its inputs."""
+    """Add the sizes (k, nt) of the terms of a law, from its slopes and the sizes of inputs."""
     result = []
     for e, sizes in points:
         out, slope = function(e, mode)
@@ -153,8 +154,8 @@ def join_waves(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return dict(zip(parts[0], map(np.concatenate, columns), strict=True))
 
 
-_ITERATIONS = 400
-_DIRECT = 12  # Newton steps from a guess
+_MAX_ITERATIONS = 400
+_MAX_NEWTON_STEPS = 12  # Newton steps from the initial guess
 
 
 def solve_operating_point(system: System) -> dict[str, float]:
@@ -234,14 +235,15 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
     if rest.h.size and guess is None:
         z = z + np.linalg.lstsq(rest.H, rest.h - rest.H @ z, rcond=None)[0]
     friction, forces, places = np.zeros((n, n)), system.velocity, system.moved
-    # nothing has a mass, so the row of a net balances its forces
+    # without mass, the row of a net is its balance of forces
     if guess is not None and not places.size:
         forces = places = _find_net_displacements(system)
     friction[forces, places] = 1.0
-    # The guess is usually close: Newton's method is tried first, and slow motion if it fails.
-    pace, direct = (1e-6, 0) if guess is None else (1e13, _DIRECT)
+    # The guess is usually close, so Newton's method is tried first, and overdamped motion if it
+    # fails.
+    pace, direct = (1e-6, 0) if guess is None else (1e13, _MAX_NEWTON_STEPS)
     start = z
-    for count in range(_ITERATIONS):
+    for count in range(_MAX_ITERATIONS):
         if direct and count == direct:
             z, pace = start, 1e-6
         interval = rest.interval(z)
@@ -249,7 +251,7 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
         step = _newton_step(rest, interval, z, f, J - friction / pace if pace < 1e13 else J)
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
         if guess is not None and not small and count >= direct and f[forces] @ step[places] < 0.0:
-            pace *= 0.01  # beyond a fold, a long step would lead back against the forces
+            pace *= 0.01  # beyond a fold, a long step would move against the forces
             continue
         z = z + step
         if pace >= 1e13 and small and not np.any(interval.guards(0.0, z) < -1e-18):

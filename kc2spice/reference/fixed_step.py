@@ -1,4 +1,4 @@
-"""Transient in equal steps of laws and of bodies as their ports (`PortBody`).
+"""Transient with equal steps of laws, and of bodies represented by their ports (`PortBody`).
 
 A body of n unknowns is joined to other parts at p ports. Within a stage of an implicit method with
 the rate ``s`` its unknowns are ``x = P(s)^-1 (r + B a)``, where ``r`` is the effect of its past.
@@ -30,11 +30,12 @@ from kc2spice.reference.equilibrium import Interval, equilibrium, join_waves
 from kc2spice.reference.system import System
 
 GAMMA = 1.0 - np.sqrt(0.5)
-ITERATIONS = 60  # iterations of a stage, including changes of device modes
-ONE_BY_ONE = 30  # iterations after which devices change their modes one at a time
-ROUNDING = 1e-15  # largest negative value of a guard by rounding
-NOTHING = 1e-100  # zero load; a solver cannot solve for its rounding errors
-SLOW = 3e-8  # rate of a free body that only drifts, relative to its fastest rate
+MAX_ITERATIONS = 60  # iterations of a stage, including changes of device modes
+SINGLE_SWITCH_ITERATION = 30  # iterations after which devices change their modes one at a time
+GUARD_ROUNDING = 1e-15  # largest negative value of a guard by rounding
+ZERO_LOAD = 1e-100  # zero load; a solver cannot solve for its rounding errors
+# rate at which an unsupported body only drifts, relative to its fastest rate
+DRIFT_RATE_RATIO = 3e-8
 
 
 class _BodyIntegrator:
@@ -56,7 +57,7 @@ class _BodyIntegrator:
         self.H = 0.5 * (H + H.T) if self.pencil.symmetric and self.pencil.collocated else H
         self.x, self.v, self._v, self._a = np.zeros((4, self.pencil.size))
         a = law.loads(e)
-        if np.abs(a).max(initial=0.0) > NOTHING:
+        if np.abs(a).max(initial=0.0) > ZERO_LOAD:
             self.x = make_static_solver(self.pencil)(self.pencil.B @ a)
 
     def begin_stage(self, second: bool) -> Relation:
@@ -99,7 +100,7 @@ def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the product with ``P(0)^-1``, of a free body with ``P(s)^-1``.
+    """Return the product with ``P(0)^-1``, or with ``P(s)^-1`` for an unsupported body.
 
     The rate s is slow.
 
@@ -111,12 +112,12 @@ def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
         return _make_solver(pencil, 0.0)
     except SimulationError:
         ratio = float(abs(pencil.coefficients[0]).max()) / float(abs(pencil.coefficients[-1]).max())
-        return _make_solver(pencil, SLOW * ratio ** (1 / pencil.degree))
+        return _make_solver(pencil, DRIFT_RATE_RATIO * ratio ** (1 / pencil.degree))
 
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Waves (nt,) by their names over ``time`` (nt,), and modes of devices.
+    """Waves (nt,) over ``time`` (nt,), keyed by name, and modes of devices.
 
     Currents of charges that devices store have no wave. Bodies have no modes.
     """
@@ -200,21 +201,23 @@ class _StepIntegrator:
         """Compute the unknowns a step after ``t``, and set the modes to those at its end."""
         stored = self.interval(t).at(t, z)[0]
         within = t + GAMMA * self.h
-        first = self._stage(within, z, stored, False)
+        first = self._solve_stage(within, z, stored, False)
         inner = self.interval(within).at(within, first)[0]
-        last = self._stage(t + self.h, first, stored + (1 - GAMMA) / GAMMA * (inner - stored), True)
+        last = self._solve_stage(
+            t + self.h, first, stored + (1 - GAMMA) / GAMMA * (inner - stored), True
+        )
         es = self.interval(t + self.h).inputs(t + self.h, last)
         for k, law in self.others:
             law.check(t + self.h, es[k])
         return last
 
-    def _stage(self, t: float, z: np.ndarray, stored: np.ndarray, second: bool) -> np.ndarray:
+    def _solve_stage(self, t: float, z: np.ndarray, stored: np.ndarray, second: bool) -> np.ndarray:
         """Solve ``g(z) - stored = f(z) / rate`` at ``t`` for unknowns and modes."""
         for k, body in self.bodies.items():
             self.modes[k] = body.begin_stage(second)
         es = self.interval(t).inputs(t, z)
-        self._switch(es, 0)
-        for count in range(ITERATIONS):
+        self._switch_devices(es, 0)
+        for count in range(MAX_ITERATIONS):
             interval = self.interval(t)
             g, f = interval.at(t, z)
             M, J = interval.slopes(t, z)
@@ -225,7 +228,7 @@ class _StepIntegrator:
             z = z + change
             es = interval.inputs(t, z)
             small = np.abs(change).max() <= 1e-10 * (1e-3 + np.abs(z).max())
-            if not self._switch(es, count) and (self.affine or small):
+            if not self._switch_devices(es, count) and (self.affine or small):
                 for k, body in self.bodies.items():
                     body.finish_stage(es[k], second)
                 return z
@@ -233,14 +236,14 @@ class _StepIntegrator:
             "the iteration of a time step does not converge", where=f"t = {t:.6e} s"
         )
 
-    def _switch(self, es: list[np.ndarray], count: int) -> bool:
+    def _switch_devices(self, es: list[np.ndarray], count: int) -> bool:
         """Change the modes of devices with a negative guard; return whether there was any."""
         changed = False
         for k, law in self.others:
             guards = law.guards(es[k], self.modes[k])
-            if guards.size and guards.min() < -ROUNDING:
+            if guards.size and guards.min() < -GUARD_ROUNDING:
                 changed = True
-                if count >= ONE_BY_ONE:
+                if count >= SINGLE_SWITCH_ITERATION:
                     self.modes[k] = law.switch(self.modes[k], int(guards.argmin()))
                     break
                 self.modes[k] = law.mode(es[k])

@@ -1,4 +1,4 @@
-"""Transient of a `System`: smooth intervals between corners and events.
+"""Transient of a `System` by an implicit method, between corners and events.
 
 Steps are those of Radau IIA of order five for ``d/dt g(t, z) = f(t, z)`` (Hairer and Wanner 1996,
 IV.8). ``scipy.integrate.Radau`` accepts no mass matrix, so algebraic unknowns would have to be
@@ -26,24 +26,27 @@ from kc2spice.reference.equilibrium import Interval, equilibrium, join_waves
 from kc2spice.reference.system import System
 
 _S6 = np.sqrt(6.0)
-NODES = np.array([(4 - _S6) / 10, (4 + _S6) / 10, 1.0])
+RADAU_NODES = np.array([(4 - _S6) / 10, (4 + _S6) / 10, 1.0])
 _POWERS = np.arange(1, 4)
-_A = (NODES[:, None] ** _POWERS / _POWERS) @ np.linalg.inv(NODES[:, None] ** (_POWERS - 1))
-WEIGHTS = _A[2]
-_INVERSE = np.linalg.inv(_A)
-_values, _vectors = np.linalg.eig(_INVERSE)
-_BACK = np.linalg.inv(_vectors)
-_REAL, _PAIR = int(np.argmin(np.abs(_values.imag))), int(np.argmax(_values.imag))
-_ERROR = np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1.0]) / 3.0
-_MAX_NEWTON = 8
-# rounding error relative to the tolerance; the derivative of a controller amplifies rounding to 100
-# nV
-_ROUNDING = 0.1
-_EPS = float(np.finfo(float).eps)
-_SPREAD = 3.0  # factor on the estimate of rounding errors, which uses one set of random signs
+_RADAU_MATRIX = (RADAU_NODES[:, None] ** _POWERS / _POWERS) @ np.linalg.inv(
+    RADAU_NODES[:, None] ** (_POWERS - 1)
+)
+RADAU_WEIGHTS = _RADAU_MATRIX[2]
+_RADAU_INVERSE = np.linalg.inv(_RADAU_MATRIX)
+_values, _vectors = np.linalg.eig(_RADAU_INVERSE)
+_EIGENVECTORS_INVERSE = np.linalg.inv(_vectors)
+_REAL_INDEX, _PAIR_INDEX = int(np.argmin(np.abs(_values.imag))), int(np.argmax(_values.imag))
+_ERROR_COEFFICIENTS = np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1.0]) / 3.0
+_MAX_NEWTON_STEPS = 8
+# largest rounding error relative to the tolerance; the derivative of a controller amplifies
+# rounding to 100 nV
+_MAX_ROUNDING = 0.1
+_MACHINE_EPSILON = float(np.finfo(float).eps)
+# factor on the estimate of rounding errors, which uses one set of random signs
+_ROUNDING_FACTOR = 3.0
 # Polynomials through the start and the stages, and through the stages alone.
-_CUBIC = np.linalg.inv(NODES[:, None] ** _POWERS)
-_SQUARE = np.linalg.inv(NODES[:, None] ** (_POWERS - 1))
+_CUBIC_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** _POWERS)
+_SQUARE_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** (_POWERS - 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +72,7 @@ class Step:
     @property
     def stage_times(self) -> np.ndarray:
         """Times (3,) of the stages."""
-        return self.start + self.length * NODES
+        return self.start + self.length * RADAU_NODES
 
     def at(self, t: np.ndarray | float) -> np.ndarray:
         """States (n, nt) on the collocation polynomial."""
@@ -84,8 +87,8 @@ class Step:
         return self._polynomials(np.array([x**0, 2 * x, 3 * x**2]), square) / self.length
 
     def _polynomials(self, cubic: np.ndarray, square: np.ndarray) -> np.ndarray:
-        through_start = self.increments @ _CUBIC.T @ cubic
-        alone = self.increments @ _SQUARE.T @ square
+        through_start = self.increments @ _CUBIC_MATRIX.T @ cubic
+        alone = self.increments @ _SQUARE_MATRIX.T @ square
         return np.where(self.differential[:, None], through_start, alone)
 
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -103,7 +106,7 @@ class Radau:
         self.rtol = rtol
         self.newton_tol = max(10 * np.finfo(float).eps / rtol, min(0.03, rtol**0.5))
         self.interval, self.rows = interval, interval.rows
-        self.active = interval.system.differential  # unknowns whose error is controlled
+        self.active = interval.system.differential  # mask of the unknowns whose error is controlled
         self.before: Step | None = None
         self._start(t, z)
         self._linearise()
@@ -135,8 +138,13 @@ class Radau:
 
     def _newton_change(self, r: np.ndarray) -> np.ndarray:
         """Compute the change (n, 3) of the stages for a residual ``r``."""
-        real = np.outer(self._solve(r @ _BACK[_REAL].real, 0), _vectors[:, _REAL].real)
-        pair = np.outer(self._solve(r @ _BACK[_PAIR], 1), _vectors[:, _PAIR])
+        real = np.outer(
+            self._solve(r @ _EIGENVECTORS_INVERSE[_REAL_INDEX].real, 0),
+            _vectors[:, _REAL_INDEX].real,
+        )
+        pair = np.outer(
+            self._solve(r @ _EIGENVECTORS_INVERSE[_PAIR_INDEX], 1), _vectors[:, _PAIR_INDEX]
+        )
         return np.asarray(real + 2.0 * pair.real)
 
     def _estimate_rounding(self, X: np.ndarray, h: float) -> np.ndarray:
@@ -145,16 +153,16 @@ class Radau:
         Each equation has a rounding error of its own, of the size of its largest terms.
         """
         flow, stored = self.interval.term_sizes(X)
-        sizes = flow + (stored + np.abs(self.g)[:, None]) @ np.abs(_INVERSE.T) / h
+        sizes = flow + (stored + np.abs(self.g)[:, None]) @ np.abs(_RADAU_INVERSE.T) / h
         signs = np.random.default_rng(0).choice((-1.0, 1.0), sizes.shape)
-        return self._newton_change(_EPS * sizes * signs)
+        return self._newton_change(_MACHINE_EPSILON * sizes * signs)
 
     def _factor(self, h: float) -> None:
         if h == self.h_lu:
             return
         self.lu = (
-            lapack.dgetrf(_values[_REAL].real / h * self.M - self.J),
-            lapack.zgetrf(_values[_PAIR] / h * self.M - self.J),
+            lapack.dgetrf(_values[_REAL_INDEX].real / h * self.M - self.J),
+            lapack.zgetrf(_values[_PAIR_INDEX] / h * self.M - self.J),
         )
         self.h_lu = h
         if any(map(itemgetter(2), self.lu)):
@@ -169,7 +177,7 @@ class Radau:
     def take(self, h: float) -> Step | None:
         """Solve one step of length ``h``; None if Newton's method diverges or overflows."""
         self._factor(h)
-        p, t = self.interval, self.t + h * NODES
+        p, t = self.interval, self.t + h * RADAU_NODES
         sources = p.system.source_values(t, p.within)
         Z = np.zeros((self.z.size, 3))
         if self.before is not None:
@@ -177,17 +185,18 @@ class Radau:
         scale = self.rtol * (1.0 + np.abs(self.z))
         scale = np.where(self.active, scale, 1e3 * scale)  # inactive states do not propagate errors
         last = 0.0
-        for k in range(_MAX_NEWTON):
+        for k in range(_MAX_NEWTON_STEPS):
             X = np.concatenate((self.z[:, None] + Z, sources))
-            r = p.flow(X) - (p.stored(X) - self.g[:, None]) @ _INVERSE.T / h
+            r = p.flow(X) - (p.stored(X) - self.g[:, None]) @ _RADAU_INVERSE.T / h
             change = self._newton_change(r)
             size = _norm(change / scale[:, None])
             rate = size / last if last > 0.0 else 0.0
             if not np.isfinite(size):
                 return None
-            if rate >= 1.0 and size > max(_ROUNDING, self.rounding):
+            if rate >= 1.0 and size > max(_MAX_ROUNDING, self.rounding):
                 estimate = _norm(self._estimate_rounding(X, h) / scale[:, None])
-                self.rounding = min(1.0, _SPREAD * estimate)  # never beyond the tolerance
+                # not larger than the tolerance
+                self.rounding = min(1.0, _ROUNDING_FACTOR * estimate)
                 if size > self.rounding:
                     return None
             Z += change
@@ -224,20 +233,20 @@ class Radau:
             if step is None:
                 h, rejected = 0.5 * h, True
                 continue
-            size = self._error(step)
-            safety = 0.9 * (2 * _MAX_NEWTON + 1) / (2 * _MAX_NEWTON + self.iterations)
+            size = self._estimate_error(step)
+            safety = 0.9 * (2 * _MAX_NEWTON_STEPS + 1) / (2 * _MAX_NEWTON_STEPS + self.iterations)
             factor = min(10.0, safety * max(size, 1e-4) ** -0.25)
             if size <= 1.0:
                 return step, h if 1.0 <= factor < 1.2 else h * factor
             h, rejected = h * max(0.2, factor), True
 
-    def _error(self, step: Step) -> float:
+    def _estimate_error(self, step: Step) -> float:
         """Estimate the error in units of the tolerance."""
         p, t, h = self.interval, step.stage_times, step.length
         sources = p.system.source_values(t, p.within)
         # of the stored value; ``M`` times the unknowns belongs to an earlier state
         late = p.stored(np.concatenate((step.first[:, None] + step.increments, sources)))
-        moved = np.where(self.rows, (late - self.g[:, None]) @ _ERROR / h, 0.0)
+        moved = np.where(self.rows, (late - self.g[:, None]) @ _ERROR_COEFFICIENTS / h, 0.0)
         scale = self.rtol * (1.0 + np.maximum(np.abs(self.z), np.abs(step.last)))
         error = self._solve(self.f + moved, 0)
         return _norm((error / scale)[self.active])
@@ -247,7 +256,8 @@ def _norm(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(x * x))) if x.size else 0.0
 
 
-_MAX_SEGMENTS = 20_000  # a chattering contact beyond this is a modelling error, not a waveform
+# a larger number of segments is a modelling error, such as a chattering contact
+_MAX_SEGMENTS = 20_000
 
 
 @dataclass(frozen=True)
@@ -260,7 +270,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class EnergyBalance:
-    """Error of a run's energy: energy [J] that came in, but was not stored or lost.
+    """Error of a run's energy: the supplied energy [J] that is neither stored nor lost.
 
     Its scale is the ``turnover``: the sum of the supplied energy, the lost energy and the energy at
     the start.
@@ -308,7 +318,8 @@ class Trajectory:
     @cached_property
     def energy(self) -> EnergyBalance:
         """Energy balance by the energies at both ends and the quadrature of powers."""
-        came, went = np.zeros(2), np.zeros(2)  # sums of energies, and sums of their magnitudes
+        # sums of supplied and lost energies, and of their magnitudes
+        came, went = np.zeros(2), np.zeros(2)
         for segment in self.segments:
             for sums, energies in zip(
                 (came, went), _sum_energies(self.system, segment), strict=True
@@ -335,14 +346,14 @@ def solve_transient(
 
     Raises
     ------
-    SimulationError : no equilibrium, singular equations, or events without end.
+    SimulationError : there is no equilibrium, the equations are singular, or events never end.
     """
     z, modes = equilibrium(system)
     driven = [p.wave.corners(stop) for p in system.sources]
     corners = np.unique(np.concatenate([[0.0, stop], *driven]))
     segments: list[Segment] = []
     events: list[float] = []
-    left = np.empty(0)  # guards where the interval before ended
+    left = np.empty(0)  # guards at the end of the previous interval
     for begin, end in pairwise(corners):
         t, within = begin, 0.5 * (begin + end)
         while t < end:
@@ -374,7 +385,7 @@ def solve_transient(
 
 
 def _find_jump(interval: Interval, t: float, z: np.ndarray, left: np.ndarray) -> int | None:
-    """Return the number of a guard that a jump of algebraic unknowns makes negative.
+    """Return the index of a guard that a jump of algebraic unknowns makes negative.
 
     ``left`` are the guards before the jump, nan for those that have switched.
     """
@@ -437,34 +448,36 @@ def _locate_zero(
 ) -> tuple[Step, int]:
     """Shorten a step to the first zero of a guard, and solve it again."""
 
-    def value(t: float, k: int) -> float:
+    def guard_value(t: float, k: int) -> float:
+        """Return the value of a guard at ``t``."""
         return float(interval.guards(t, step.at(t)[:, 0])[k])
 
     t0, t1 = step.start, step.end
     low = t0 + 1e-12 * step.length
 
-    def root(k: int) -> float:
-        if value(low, k) <= 0.0:
+    def find_root(k: int) -> float:
+        """Return the first zero of a guard."""
+        if guard_value(low, k) <= 0.0:
             return low
-        crosses = value(t1, k) < 0.0
-        return brentq(value, low, t1, args=(k,), xtol=1e-18, rtol=1e-15) if crosses else t1
+        crosses = guard_value(t1, k) < 0.0
+        return brentq(guard_value, low, t1, args=(k,), xtol=1e-18, rtol=1e-15) if crosses else t1
 
-    def shorten(h: float) -> Step:
+    def shorten_step(h: float) -> Step:
         """Solve a shorter step; interpolate if Newton's method fails."""
-        stages = step.at(t0 + h * NODES) - step.first[:, None]
+        stages = step.at(t0 + h * RADAU_NODES) - step.first[:, None]
         rough = Step(t0, h, step.first, stages, step.differential)
         return solver.take(h) or rough
 
-    at, guard = min((root(int(k)), int(k)) for k in fell)
-    h = max(at - t0, 1e-12 * step.length)  # late in a run, t0 + 1e-12 length may be t0
-    result = shorten(h)
-    for _ in range(2):  # the polynomial is of lower order than the step
+    at, guard = min((find_root(int(k)), int(k)) for k in fell)
+    h = max(at - t0, 1e-12 * step.length)  # late in a run, t0 + 1e-12 length may equal t0
+    result = shorten_step(h)
+    for _ in range(2):  # the polynomial has a lower order than the step
         miss = float(interval.guards(t0 + h, result.last)[guard])
-        rate = (value(t0 + h, guard) - value(t0 + 0.999 * h, guard)) / (0.001 * h)
+        rate = (guard_value(t0 + h, guard) - guard_value(t0 + 0.999 * h, guard)) / (0.001 * h)
         if rate >= 0.0 or not 1e-17 <= abs(miss / rate) <= 0.01 * h:
             break
         h -= miss / rate
-        result = shorten(h)
+        result = shorten_step(h)
     return result, guard
 
 
@@ -472,7 +485,7 @@ def _sum_energies(system: System, segment: Segment) -> tuple[list[float], list[f
     """Compute energies [J] that sources and devices bring in, and the losses."""
     interval, steps = segment.interval, segment.steps
     t = np.concatenate([*map(attrgetter("stage_times"), steps)])
-    w = np.outer([*map(attrgetter("length"), steps)], WEIGHTS).ravel()
+    w = np.outer([*map(attrgetter("length"), steps)], RADAU_WEIGHTS).ravel()
     z, r = map(np.hstack, zip(*map(Step.nodes, steps), strict=True))
     X = interval.with_sources(t, z)
     came, went = [], []

@@ -1,4 +1,4 @@
-"""The linear circuit about an operating point: response, modes and noise.
+"""Linearisation of a circuit at its operating point: response, modes and noise.
 
 The exact motion is that under waveforms of straight lines and sines.
 
@@ -26,11 +26,12 @@ from kc2spice.core.waveforms import Function, Waveform
 from kc2spice.reference.equilibrium import Interval, equilibrium
 from kc2spice.reference.system import System, assemble_system
 
-_WORST_BASIS = 1e9  # condition of the eigenvectors beyond which modes have no meaning
-# a rate below this fraction of the largest rate belongs to a body that is free to move
-_STILL = 1e-7
-ROUNDED = 1e-9  # remainder of cancelling terms of a wave, relative to the terms
-_FREE = 1e-7  # largest effect of the drives on a free body, relative to their total effect
+_MAX_BASIS_CONDITION = 1e9  # condition of the eigenvectors beyond which modes have no meaning
+# rates below this fraction of the largest rate are rigid-body modes
+_RIGID_RATE_RATIO = 1e-7
+CANCELLATION_ROUNDING = 1e-9  # remainder of cancelling terms of a wave, relative to the terms
+# largest effect of the sources on rigid-body modes, relative to their total effect
+_MAX_RIGID_EFFECT = 1e-7
 
 Warp = Callable[[np.ndarray], np.ndarray]
 
@@ -82,30 +83,30 @@ class LinearisedSystem:
 
     def respond(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
         """Compute the outputs (ny,) for sources ``amplitudes e^(w t)``."""
-        X = self._unknowns(w, amplitudes)
+        X = self._solve_unknowns(w, amplitudes)
         return np.asarray(self.C0 @ X + w * (self.C1 @ X))
 
     def terms(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
         """Sum the absolute values (ny,) of all terms of each output of :meth:`respond`."""
-        X = self._unknowns(w, amplitudes)
-        return self._terms(slice(None), X[:, None], np.array([w]))[:, 0]
+        X = self._solve_unknowns(w, amplitudes)
+        return self._term_sizes(slice(None), X[:, None], np.array([w]))[:, 0]
 
-    def _unknowns(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """``X`` (N,) for sources ``amplitudes e^(w t)``."""
+    def _solve_unknowns(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
+        """Return ``X`` (N,) for sources ``amplitudes e^(w t)``."""
         n, sources = self.system.size, np.concatenate((amplitudes, w * amplitudes))
         P = w * self.G - self.F
         size = np.abs(P[:, :n]).max(axis=1)  # rows are scaled without frequency-dependent devices
         z = np.linalg.solve(P[:, :n] / size[:, None], -P[:, n:] @ sources / size)
         return np.concatenate((z, sources))
 
-    def _terms(self, columns: slice, X: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """``|C0| |X| + |C1| |X rates|`` (ny, m) of unknowns in these columns of both."""
+    def _term_sizes(self, columns: slice, X: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """Return ``|C0| |X| + |C1| |X rates|`` (ny, m) for these columns of unknowns."""
         now, rated = self._sizes
         return np.asarray(now[:, columns] @ np.abs(X) + rated[:, columns] @ np.abs(X * rates))
 
     @cached_property
     def _free_motion(self) -> _FreeMotion | None:
-        """Equations of the states alone; None if the states do not determine the other unknowns."""
+        """Equations of the states only; None if the states do not determine the other unknowns."""
         n, rows, cols = self.system.size, self.rows, self.system.differential
         if rows.sum() != cols.sum() or not cols.any():
             return None
@@ -155,7 +156,7 @@ class LinearisedSystem:
         rated = np.vstack(
             [self.G @ substitution, np.eye(n + 2)[n], np.atleast_2d(C1) @ substitution]
         )
-        for axis in (1, 0):  # units of all sizes
+        for axis in (1, 0):  # the units have very different sizes
             size = np.maximum(np.abs(now), np.abs(rated)).max(axis=axis, keepdims=True)
             now, rated = now / np.where(size, size, 1.0), rated / np.where(size, size, 1.0)
         w = sla.eigvals(now, rated)
@@ -163,7 +164,7 @@ class LinearisedSystem:
 
     @cached_property
     def modes(self) -> Modes | None:
-        """Natural modes; None if eigenvectors are no basis, or a body is free."""
+        """Eigenmodes; None if the eigenvectors are not a basis, or a body is unsupported."""
         n, k = self.system.size, len(self.system.sources)
         rows, cols = self.rows, self.system.differential
         motion = self._free_motion
@@ -180,7 +181,7 @@ class LinearisedSystem:
         unknowns = np.zeros((n, rates.size), dtype=complex)
         unknowns[cols], unknowns[algebraic] = shapes, follow @ shapes
         out = self.C0[:, :n] @ unknowns + (self.C1[:, :n] @ unknowns) * rates
-        terms = self._terms(slice(n), unknowns, rates)
+        terms = self._term_sizes(slice(n), unknowns, rates)
         # matrix driven by sources e^(w t): Bs + w (Bd - Gs) - w^2 Gd
         Gs, Gd = self.G[:, n : n + k], self.G[:, n + k :]
         Bs, Bd = self.F[:, n : n + k], self.F[:, n + k :]
@@ -192,8 +193,10 @@ class LinearisedSystem:
         if drifting.size:
             free = drifting @ inverse @ ((Bs - Gs)[rows] - cut @ Bs[~rows])
             scale = np.linalg.norm(inverse @ (Bs - Gs)[rows]) + 1e-300
-            moving = np.linalg.norm(drifting @ off) > _FREE * (np.linalg.norm(self.z0) + 1e-300)
-            if np.abs(free).max(initial=0.0) > _FREE * scale or moving:
+            moving = np.linalg.norm(drifting @ off) > _MAX_RIGID_EFFECT * (
+                np.linalg.norm(self.z0) + 1e-300
+            )
+            if np.abs(free).max(initial=0.0) > _MAX_RIGID_EFFECT * scale or moving:
                 return None
         level = self.C0[:, : n + k] @ np.concatenate([rest, s0]) + self.system.constant
         return Modes(rates, out, terms, np.asarray(drive), reading @ off, level)
@@ -248,10 +251,12 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
     None if the shapes are no basis.
     """
     size = float(np.abs(np.linalg.eigvals(F)).max(initial=0.0))
-    T, Q, k = sla.schur(F.astype(complex), "complex", sort=lambda x: abs(x) > _STILL * size)
+    T, Q, k = sla.schur(
+        F.astype(complex), "complex", sort=lambda x: abs(x) > _RIGID_RATE_RATIO * size
+    )
     X = sla.solve_sylvester(T[:k, :k], -T[k:, k:], -T[:k, k:]) if k < len(F) else T[:k, k:]
     rates, S = np.linalg.eig(T[:k, :k])
-    if not k or np.linalg.cond(S) > _WORST_BASIS:
+    if not k or np.linalg.cond(S) > _MAX_BASIS_CONDITION:
         return None, Q, Q, Q
     left = Q.conj().T
     reading = np.linalg.solve(S, left[:k] - X @ left[k:])
@@ -273,7 +278,7 @@ def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, f
 
 @dataclass(frozen=True, eq=False)
 class _FreeMotion:
-    """Free motion ``x' = rates x`` of states; algebraic unknowns are ``follow x``.
+    """Homogeneous equations ``x' = rates x`` of states; algebraic unknowns are ``follow x``.
 
     ``inverse`` is the inverse of the part of ``G`` that belongs to the states. ``cut`` maps right
     sides of the algebraic equations to right sides of the states' equations.
@@ -287,7 +292,7 @@ class _FreeMotion:
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Modes ``a_i' = rates_i a_i + (drive_i of the sources)`` and their waves.
+    """Eigenmodes ``a_i' = rates_i a_i + (drive_i of the sources)`` and their waves.
 
     The waves are ``y = level + sum_i out_i a_i``.
 
@@ -306,7 +311,7 @@ class Modes:
 
     @property
     def quality(self) -> np.ndarray:
-        """Quality factors (m,); below one half nothing oscillates."""
+        """Q factors (m,); modes with a Q factor below 0.5 do not oscillate."""
         return np.abs(self.rates) / np.maximum(-2 * self.rates.real, 1e-30)
 
 
@@ -331,7 +336,7 @@ class ExponentialSolution:
 
     @property
     def moves(self) -> bool:
-        """Whether anything happens after the start."""
+        """Whether the solution changes after the start."""
         return bool(self.kinks or self.sines or self.modes.start.any())
 
     def at(
@@ -393,15 +398,15 @@ class ExponentialSolution:
         """Rounding error (ny,) of each wave, whose terms may cancel.
 
         The forces on a joint without mass, and the currents into a node, add up to zero. The sum
-        is rounding noise below :data:`ROUNDED` of the absolute values of the terms of all modes
-        and sines, and no time step can resolve it.
+        is rounding noise below :data:`CANCELLATION_ROUNDING` of the absolute values of the terms of
+        all modes and sines, and no time step can resolve it.
         """
         result = self.modes.terms @ self._amplitudes
         unit = np.eye(len(self.waves))
         for k, wave in self.sines:
             w = 2j * np.pi * wave.frequency
             result = result + self.linear.terms(w, wave.amplitude * unit[k])
-        return np.asarray(ROUNDED * result)
+        return np.asarray(CANCELLATION_ROUNDING * result)
 
     @cached_property
     def _amplitudes(self) -> np.ndarray:

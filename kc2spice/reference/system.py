@@ -1,4 +1,4 @@
-"""Equations of any composition of laws, reduced to a DAE of index 1.
+"""Equations of any set of laws, reduced to differential-algebraic equations of index 1.
 
 Raw unknowns are displacements q, velocities v, node voltages, signals and own states. Rigid joints
 and ideal voltage or displacement sources are linear constraints on them. A basis of their null
@@ -23,12 +23,12 @@ from kc2spice.core import laws as L
 from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.errors import UsageError
 
-MICRO = 1e-6  # m, reference displacement for errors
+MICRO = 1e-6  # m, reference displacement of error scales
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedDevice:
-    """Device with inputs ``inputs @ X``; ``into`` adds its outputs to ``f``."""
+    """Device with inputs ``inputs @ X``; ``into`` maps its outputs to rows of ``f``."""
 
     law: L.Device
     inputs: np.ndarray  # (m, N)
@@ -72,8 +72,8 @@ class System:
     F: np.ndarray  # (n, N)
     const: np.ndarray
     differential: np.ndarray  # (n,) bool
-    velocity: np.ndarray  # (m,) places of velocities among the unknowns
-    moved: np.ndarray  # (m,) positions of the displacements to which the velocities belong
+    velocity: np.ndarray  # (m,) indices of velocities among the unknowns
+    moved: np.ndarray  # (m,) indices of the corresponding displacements
     sources: tuple[L.IdealSource, ...]
     devices: tuple[PlacedDevice, ...]
     # devices whose outputs and stores are in ``G``, ``F`` and ``const``
@@ -121,7 +121,7 @@ def assemble_system(laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]]) -
 
 
 class _Assembly:
-    """Raw equations of laws.
+    """Raw equations of laws before the elimination of constraints.
 
     The row of a displacement is a balance of forces, the row of a node voltage one of currents.
     """
@@ -140,11 +140,12 @@ class _Assembly:
         self._number_unknowns()
         n = self.size
         self.M, self.A, self.const = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-        self.moving = np.zeros((self.nq, self.nq))  # which displacements need velocities
+        self.moving = np.zeros((self.nq, self.nq))  # mask of displacements that need velocities
         self.charged = np.zeros((n, n))  # voltages on which the charges of devices depend
         self.sources = tuple(p for p in laws if isinstance(p, L.IdealSource))
         self.S = np.zeros((n, len(self.sources)))
-        self.constraints: list[tuple[np.ndarray, np.ndarray]] = []  # forms with their sources
+        # linear forms with the numbers of their sources
+        self.constraints: list[tuple[np.ndarray, np.ndarray]] = []
         self.forms = {"stored": np.zeros((n, n)), "dissipated": np.zeros((n, n))}
         self.lifted = np.zeros(n)
         self.flows: dict[str, tuple[np.ndarray, np.ndarray, float]] = {}
@@ -152,7 +153,7 @@ class _Assembly:
         self.linear: list[tuple[L.Device, np.ndarray, np.ndarray]] = []
         self.initial_values: list[tuple[np.ndarray, float, np.ndarray, float]] = []
         for form in self.rigid:
-            self.constrain(form, -1)
+            self.add_constraint(form, -1)
         for at in self.signal.values():
             self.A[at, at] = -1.0
         for law in laws:
@@ -226,11 +227,10 @@ class _Assembly:
             self.sizes[self.body[b.name]] = MICRO / reach
         self.extra_sizes = np.array(extra)
 
-    # --- forms for the stamps
-    # --------------------------------------------------------------------------
+    # --- linear forms of the unknowns for the stamps ---
 
     def form(self, law: L.Law, pin: str) -> np.ndarray:
-        """Compute the displacement, voltage or signal of a pin as a form of the unknowns."""
+        """Return the displacement, voltage or signal of a pin as a linear form of the unknowns."""
         net, row = self.nets[f"{law.name}.{pin}"], np.zeros(self.size)
         if net == L.GROUND:
             return row
@@ -241,11 +241,11 @@ class _Assembly:
         return row
 
     def gap(self, law: L.Law, a: str, *others: str) -> np.ndarray:
-        """Subtract the forms of ``others`` from the form of a pin; empty names have none."""
+        """Subtract the linear forms of ``others`` from that of a pin; empty names are ignored."""
         return np.asarray(self.form(law, a) - sum(self.form(law, b) for b in others if b))
 
     def rate(self, form: np.ndarray, needed: bool = True) -> np.ndarray:
-        """Convert a form of displacements to velocities.
+        """Convert a linear form of displacements to velocities.
 
         Velocities that are not ``needed`` may be missing.
         """
@@ -256,20 +256,22 @@ class _Assembly:
         return row
 
     def add_energy(self, kind: str, rows: np.ndarray, weight: Any) -> None:
-        """Add ``y' weight y`` to the energy that is stored or lost, ``y = rows @ raw``."""
+        """Add ``y' weight y`` to the stored or lost energy, with ``y = rows @ raw``."""
         rows = np.atleast_2d(rows)
         self.forms[kind] += rows.T @ np.atleast_2d(weight) @ rows
 
-    def constrain(self, form: np.ndarray, source: int) -> None:
+    def add_constraint(self, form: np.ndarray, source: int) -> None:
         """Add the constraint ``form @ raw = s[source]``, zero for the source -1."""
         self.constraints.append((form, np.arange(len(self.sources)) == source))
 
     def states(self, law: L.Device) -> np.ndarray:
-        """Places of a device's states among the unknowns."""
+        """Return the indices of a device's states among the unknowns."""
         return np.array([self.state_index[f"{law.name}.{s}"] for s in law.states], dtype=int)
 
     def stores(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
-        """Balances (size, stored) with the rates of quantities that a device stores."""
+        """Return the balances (size, stored) that contain the rates of a device's stored
+        quantities.
+        """
         return np.hstack([np.eye(self.size)[:, self.states(law)], -outputs[:, list(law.charged)]])
 
     # --- reduction --------------------------------------------------------------------------------
@@ -315,7 +317,7 @@ class _Assembly:
         Nv, _ = _separate_columns(Nv, follows + self.charged[vol, vol])
         p, d, w = Nq.shape[1], int(moving.sum()), Nv.shape[1]
         others = n - 2 * nq - len(self.node)
-        # Sources and resistors alone have no state: one that stays zero spares solvers that case.
+        # Sources and resistors have no state; one constant state spares solvers this special case.
         size = max(p + d + w + others, 1)
         T, W = np.zeros((n, size)), np.zeros((n, size))
         inertia = np.einsum("ij,ik,kj->j", Nq, mass, Nq)
@@ -381,10 +383,10 @@ class _Assembly:
             ),
             lifted=self.lifted @ expansion,
             **{kind: expansion.T @ form @ expansion for kind, form in self.forms.items()},
-            **self._waves(expansion, devices, first),
+            **self._compute_waves(expansion, devices, first),
         )
 
-    def _waves(
+    def _compute_waves(
         self, expansion: np.ndarray, devices: list[PlacedDevice], outputs: int
     ) -> dict[str, Any]:
         """Compute across quantities ``NAME.pin``, flows ``.through`` pins, and states.
@@ -436,12 +438,12 @@ class _Assembly:
 
 
 def _stack_rows(rows: Iterable[Any], width: int) -> np.ndarray:
-    """Stack rows (width,) and numbers, which stand for rows of equal entries."""
+    """Stack rows (width,) and numbers; a number represents a row of equal entries."""
     return np.array([row + np.zeros(width) for row in rows])
 
 
 def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate a basis so that ``pattern`` acts on some of its columns alone.
+    """Rotate a basis so that ``pattern`` acts on some of its columns only.
 
     The pattern is not negative.
     """
@@ -460,6 +462,7 @@ def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarra
 
 
 def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
+    """Stamp the matrices of a body."""
     x, nq, n = into.body[law.name], into.nq, into.size
     v = slice(nq + x.start, nq + x.stop)
     (K, E, *inertia), B, C, D = law.model.pencil.coefficients, law.model.B, law.model.C, law.model.D
@@ -477,7 +480,8 @@ def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
         elif port.kind == ACCELERATION.name:
             shaken[k] = into.form(law, port.name)
 
-    def direct_term(k: int, forms: Mapping[int, np.ndarray]) -> np.ndarray:
+    def direct_form(k: int, forms: Mapping[int, np.ndarray]) -> np.ndarray:
+        """Return the contribution of D to an output."""
         return sum((D[k, j] * form for j, form in forms.items()), np.zeros(n))
 
     for k, port in enumerate(law.ports):
@@ -486,7 +490,7 @@ def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
             into.flows[f"{law.name}.{port.name}"] = (C[k] @ motion, np.zeros(n), 0.0)
         elif port.kind in L.CHARGE_OUTPUTS:
             into.A[x] += np.outer(B[:, k], volts[k])
-            charge = C[k] @ motion + direct_term(k, volts) + direct_term(k, shaken)
+            charge = C[k] @ motion + direct_form(k, volts) + direct_form(k, shaken)
             into.M += np.outer(volts[k], charge)
             into.flows[f"{law.name}.{port.name}"] = (np.zeros(n), charge, 0.0)
         elif port.name in law.states:  # u = C x + D F with the force F on the part as an unknown
@@ -508,7 +512,7 @@ def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
     moving = np.zeros((C.shape[1], n))
     moving[:, v] = np.eye(C.shape[1])
     for k, port in enumerate(law.ports):
-        if port.kind == ACCELERATION.name:  # brings in v' B a from outside
+        if port.kind == ACCELERATION.name:  # adds v' B a, because the acceleration supplies power
             work = np.zeros((C.shape[1] + 1,) * 2)
             work[-1, :-1] = work[:-1, -1] = -0.5 * B[:, k]
             into.add_energy("dissipated", np.vstack([moving, into.form(law, port.name)]), work)
@@ -525,6 +529,7 @@ def _stamp_body(law: L.SecondOrderBody, into: _Assembly) -> None:
 
 
 def _stamp_source(law: L.IdealSource, into: _Assembly) -> None:
+    """Stamp a source as a constraint."""
     k = into.sources.index(law)
     if law.signal:
         into.S[:, k] += into.form(law, "out")
@@ -532,12 +537,13 @@ def _stamp_source(law: L.IdealSource, into: _Assembly) -> None:
     form = into.gap(law, "out", "ret")
     if law.flows:
         into.S[:, k] += form
-        into.rate(form)  # for its power
+        into.rate(form)  # needed for the power of the source
     else:
-        into.constrain(form, k)
+        into.add_constraint(form, k)
 
 
 def _stamp_device(law: L.Device, into: _Assembly) -> None:
+    """Stamp a device."""
     taps = []
     for tap in law.taps:
         form = into.gap(law, tap.pin, tap.minus, tap.less)
@@ -560,7 +566,7 @@ def _stamp_device(law: L.Device, into: _Assembly) -> None:
 
 
 def _stamp_linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndarray) -> None:
-    """Stamp the constant matrices of a linear device, of its energy and its loss."""
+    """Stamp the constant matrices of a linear device, its energy and its loss."""
     still = np.zeros(len(inputs))
     mode = law.mode(still)
     (out, slope), (_, stored_slope) = law.evaluate(still, mode), law.store(still, mode)

@@ -913,7 +913,7 @@ class PartType(Generic[KeysT]):
         return ()
 
     def outline(self, part: Part[KeysT], scene: Scene) -> Iterable[Shape]:
-        """Return the side view of the part; a body has its upper face at y = 0 and axis at x = 0."""
+        """Return the side view; a body has its upper face at y = 0 and its axis at x = 0."""
         return ()
 
     # --- text for explain -------------------------------------------------------------------------

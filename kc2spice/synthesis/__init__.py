@@ -1,1 +1,1 @@
-"""Linear models as subcircuits, and the head that every library has."""
+"""Subcircuits of linear models, and the header of all libraries."""

@@ -1,4 +1,4 @@
-"""Cards of a one-port of parallel branches of R, L and C."""
+"""Netlist cards of a one-port of parallel branches of R, L and C."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
 # Current through the leak at the lowest frequency of the band, relative to the current of the part.
 LEAK_SHARE = 1e-9
-ABOUT = (
+NETWORK_COMMENT = (
     "* Passive one-port: every branch between the two pins is R, L and C in series.",
     "* Pins float: no other node is a reference. Every resistor has thermal noise.",
 )
-_LEAD = "* R0 and L0: leads, which carry the current of all branches."
-_LEAK = "* Rleak gives a floating pin its operating point; no other direct current flows."
+_LEAD_COMMENT = "* R0 and L0: leads, which carry the current of all branches."
+_LEAK_COMMENT = "* Rleak gives a floating pin its operating point; no other direct current flows."
 
 
 def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
@@ -28,7 +28,7 @@ def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
     first = plus
     if network.lead != IDEAL_LEAD:
         first = "inner0"
-        result += [_LEAD, *_series_elements(network.lead, 0, plus, first)]
+        result += [_LEAD_COMMENT, *_series_elements(network.lead, 0, plus, first)]
     if network.capacitance > 0:
         result.append(Element.of("C0", first, minus, network.capacitance))
     for index, branch in enumerate(network.branches, 1):
@@ -37,7 +37,7 @@ def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
     if network.conductance == 0:
         band = model.certificate.band_hz if model.certificate else (1.0, 1.0)
         leak = LEAK_SHARE * float(np.abs(network.admittance(np.array(band[:1])))[0])
-        result += [f"\n{_LEAK}", Element.of("Rleak", plus, minus, 1 / leak)]
+        result += [f"\n{_LEAK_COMMENT}", Element.of("Rleak", plus, minus, 1 / leak)]
     return result
 
 

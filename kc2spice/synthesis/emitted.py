@@ -1,4 +1,4 @@
-"""Error of an emitted subcircuit, by the response of the subcircuit and its model.
+"""Error of an emitted subcircuit, from its response and the response of its model.
 
 The circuit is the tree of the library's own text, solved by nodal analysis
 (:mod:`kc2spice.netlist.nodal`) over the model's whole band: the lowest frequency, a grid, every
@@ -24,16 +24,20 @@ from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import DirectResponse, Response, drop_points_near_poles, sample_band
 from kc2spice.synthesis.heat import is_heat
 
-MICRO = TRANSLATION.across.factor  # m on 1 V of a displacement pin; a charge node has as many C
-LOWEST = 1e-6  # lowest frequency of a band that begins at zero, relative to its end
-GRID = 40  # points of each of two grids, linear and logarithmic
-DECADE = 3  # points of each decade below these grids
-FLANKS = (0.0, 1.0)  # half widths beside a resonance
-WORST, ZOOM = 4, 9  # neighbourhoods of the largest errors, and frequencies in each
-WORK = 4e8  # unknowns squared times frequencies: large circuits are solved at fewer frequencies
-FEWEST = 24  # frequencies of the largest circuits
-NEGLIGIBLE = 0.01  # negligible error, relative to a tolerance: estimates have two digits
-PERTURBED, SPREAD = 4, 10.0  # random roundings of the matrices; ratio of their effects' extremes
+# m per volt of a displacement pin; a charge node has the same value in C
+MICRO = TRANSLATION.across.factor
+LOWEST_FREQUENCY_RATIO = 1e-6  # lowest frequency of a band that begins at zero, relative to its end
+GRID_POINTS = 40  # points of each of two grids, linear and logarithmic
+POINTS_PER_DECADE = 3  # points of each decade below these grids
+FLANK_HALF_WIDTHS = (0.0, 1.0)  # distance of frequencies from a resonance, in half-widths
+# number of refined neighbourhoods of the largest errors, and frequencies in each
+REFINED_PEAKS, PEAK_FREQUENCIES = 4, 9
+MAX_WORK = 4e8  # unknowns squared times frequencies: large circuits are solved at fewer frequencies
+MIN_FREQUENCIES = 24  # frequencies of the largest circuits
+# share of a tolerance that is negligible, because estimates have two digits
+NEGLIGIBLE_SHARE = 0.01
+# number of random roundings of the matrices; ratio between the extremes of their effects
+PERTURBATION_COUNT, PERTURBATION_SPREAD = 4, 10.0
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class CircuitError:
     frequency: float = 0.0
 
 
-def circuit_error(
+def estimate_circuit_error(
     circuit: Circuit,
     pins: Sequence[Pin],
     model: LinearModel,
@@ -70,10 +74,10 @@ def circuit_error(
     frequency = _select_frequencies(exact, band, emitted.unknowns)
     relative = _RelativeError(emitted, exact, norm)
     error = relative(frequency)
-    if emitted.unknowns**2 * len(frequency) < WORK:
-        top = np.argsort(error)[-WORST:]
+    if emitted.unknowns**2 * len(frequency) < MAX_WORK:
+        top = np.argsort(error)[-REFINED_PEAKS:]
         low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(frequency) - 1)
-        near = np.unique(np.linspace(frequency[low], frequency[high], ZOOM))
+        near = np.unique(np.linspace(frequency[low], frequency[high], PEAK_FREQUENCIES))
         near = drop_points_near_poles(near, *exact.resonances)
         frequency, error = np.r_[frequency, near], np.r_[error, relative(near)]
     worst = int(np.nan_to_num(error, nan=np.inf).argmax())
@@ -81,7 +85,7 @@ def circuit_error(
 
 
 class EmittedResponse:
-    """The response of a subcircuit under unit loads, in SI, by nodal analysis."""
+    """Response of a subcircuit under unit loads, in SI units, by nodal analysis."""
 
     def __init__(
         self,
@@ -100,7 +104,7 @@ class EmittedResponse:
         self.equations = circuit.equations(values, grounded, clamps)
         self.loads = [_unit_load(port) for port in model.ports if port.kind != "output"]
         self.rows = [port for port in model.ports if port.kind != "input"]
-        self.masses = [_mass(model, port) for port in self.rows]
+        self.masses = [_model_mass(model, port) for port in self.rows]
 
     @property
     def unknowns(self) -> int:
@@ -154,7 +158,7 @@ def _response_node(port: Port) -> str:
     return f"i(held_{node})" if port.conservative and not port.loaded else node
 
 
-def _mass(model: LinearModel, port: Port) -> float:
+def _model_mass(model: LinearModel, port: Port) -> float:
     return reaction_mass(model, port) if accelerates_frame(port) else 0.0
 
 
@@ -204,19 +208,21 @@ class _RelativeError:
 
 def _select_frequencies(exact: Response, band: tuple[float, float], unknowns: int) -> np.ndarray:
     """Return frequencies [Hz] over the whole band, its ends included."""
-    low, high = band[0] or LOWEST * band[1], band[1]
+    low, high = band[0] or LOWEST_FREQUENCY_RATIO * band[1], band[1]
     start = max(low, 1e-4 * high)
-    below = np.geomspace(low, start, max(2, round(DECADE * np.log10(start / low)) + 1))
-    result = np.r_[below, sample_band(exact, (start, high), GRID, False, FLANKS), high]
+    below = np.geomspace(low, start, max(2, round(POINTS_PER_DECADE * np.log10(start / low)) + 1))
+    result = np.r_[
+        below, sample_band(exact, (start, high), GRID_POINTS, False, FLANK_HALF_WIDTHS), high
+    ]
     result = np.unique(drop_points_near_poles(result, *exact.resonances))
-    most = max(FEWEST, int(WORK / unknowns**2))
+    most = max(MIN_FREQUENCIES, int(MAX_WORK / unknowns**2))
     if len(result) > most:
         result = result[np.unique(np.linspace(0, len(result) - 1, most).astype(int))]
     return result
 
 
 def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> None:
-    """Check that the emitted circuit meets its model's tolerance.
+    """Raise an error if the emitted circuit misses the tolerance of its model.
 
     If rounding of the matrices changes the response by as much as the circuit does, no circuit is
     better, and the function only warns.
@@ -229,11 +235,11 @@ def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> N
     if reduction is None or reduction.error_estimate <= tolerance:
         return
     share, frequency = reduction.circuit_error, reduction.worst_hz
-    if share <= NEGLIGIBLE * tolerance:
+    if share <= NEGLIGIBLE_SHARE * tolerance:
         return
     total = f"{reduction.error_estimate:.2g}"
     got = f"{total}, of which {share:.2g} at {frequency:.6g} Hz by its elements"
-    if share <= SPREAD * rounding(model, frequency):
+    if share <= PERTURBATION_SPREAD * rounding_effect(model, frequency):
         message = (
             f"{part.name}: error estimate {got}: rounding of the given matrices changes as much"
         )
@@ -248,23 +254,24 @@ def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> N
     )
 
 
-def rounding(model: LinearModel, frequency: float) -> float:
-    """Return the relative change of a response by rounded matrices.
+def rounding_effect(model: LinearModel, frequency: float) -> float:
+    """Return the relative change of a response due to rounded matrices.
 
-    The result is the largest change of any entry in :data:`PERTURBED` random roundings of the
-    matrices.
+    The result is the largest change of any entry in :data:`PERTURBATION_COUNT` random roundings of
+    the matrices.
     """
     random = np.random.default_rng(0)
     unit = np.finfo(float).eps
 
-    def rounded(matrix: np.ndarray) -> np.ndarray:
+    def round_matrix(matrix: np.ndarray) -> np.ndarray:
+        """Return a matrix with randomly rounded entries."""
         change = random.choice([-unit, unit], size=matrix.shape)
         return np.asarray(matrix * (1 + (change + change.T) / 2))  # preserves symmetry
 
     pencil = model.pencil.dense()
     others = []
-    for _ in range(PERTURBED):
-        coefficients = tuple(map(rounded, pencil.coefficients))
+    for _ in range(PERTURBATION_COUNT):
+        coefficients = tuple(map(round_matrix, pencil.coefficients))
         others.append(replace(pencil, coefficients=coefficients, rayleigh=None))
     s = np.array([2j * np.pi * frequency])
     try:

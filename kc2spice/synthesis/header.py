@@ -32,23 +32,23 @@ from kc2spice.netlist.spelling import (
 from kc2spice.rom.linear_model import Certificate, Port
 from kc2spice.scene.model import Terminal
 
-SIGN = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
-FLOW = "1 V counts from the reference, 1 A into the pin"
-ROOM = "constant temperature; nothing here heats up, ages or breaks"
-OUTWARDS = (
+SIGN_TEXT = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
+FLOW_TEXT = "1 V counts from the reference, 1 A into the pin"
+ROOM_TEXT = "constant temperature; nothing here heats up, ages or breaks"
+OUTWARDS_TEXT = (
     "um and N count along each port's direction, out of the body; 1 A into a pin pushes the body "
     "that way with 1 N"
 )
 
 
-def paragraph(text: str) -> list[str]:
-    """Wrap a text to comment lines, all but the first indented."""
+def wrap_comment(text: str) -> list[str]:
+    """Wrap a text into comment lines; all lines after the first are indented."""
     words: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
     lines = textwrap.wrap(format_comment(text), 96, subsequent_indent="  ", **words)
     return list(map("* {}".format, lines))
 
 
-def rom_lines(reduction: ReductionSummary, certificate: Certificate) -> tuple[str, ...]:
+def rom_comments(reduction: ReductionSummary, certificate: Certificate) -> tuple[str, ...]:
     """Return comment lines about a reduced model and its error estimate.
 
     The lines also give the error of the emitted circuit and the errors above the band. The lines
@@ -61,12 +61,12 @@ def rom_lines(reduction: ReductionSummary, certificate: Certificate) -> tuple[st
     facts = certificate.method, proofs, f"emitted circuit to model: {share}"
     method = "; ".join(filter(None, facts))
     text = f"({method}); no error estimate above the band{compliance}"
-    first, *more = paragraph(f"rom: {text}: a contact or a steep edge excites it")
+    first, *more = wrap_comment(f"rom: {text}: a contact or a steep edge excites it")
     return f"* rom: {reduction.summary}", first.replace("* rom:", "*  ", 1), *more
 
 
-def mesh_entry(facts: Mapping[str, float]) -> str:
-    """Return the error estimate of the mesh, or the reason why there is none."""
+def mesh_comment(facts: Mapping[str, float]) -> str:
+    """Return the error estimate of the mesh, or the reason why it is missing."""
     text = describe_mesh_errors(facts)
     return f"error estimate of the full model: {text}" if text else NOT_ESTIMATED
 
@@ -78,8 +78,8 @@ def part_header(
     params: tuple[Param, ...] = (),
     *,
     rating: str,
-    validity: str = ROOM,
-    sign: str = SIGN,
+    validity: str = ROOM_TEXT,
+    sign: str = SIGN_TEXT,
     rom: tuple[str, ...] = (),
     mesh: str = "",
     heat: str = "",
@@ -92,17 +92,17 @@ def part_header(
     ``mesh`` is the error estimate of the mesh in words. ``sign`` is for parts with mechanical pins.
     ``heat`` describes the pins of heat.
     """
-    sign = sign if TRANSLATION.flow in map(attrgetter("flow"), pins) else FLOW
+    sign = sign if TRANSLATION.flow in map(attrgetter("flow"), pins) else FLOW_TEXT
     ends = map(attrgetter("name"), pins)
     lines = [
         f"* {format_comment(title)}",
-        instance_comment(title.partition(":")[0], ends, defaults(params)),
+        instance_comment(title.partition(":")[0], ends, parameter_defaults_of(params)),
     ]
     lines += [*header.origin(), *rom]
     facts = {"mesh": mesh, "sign": sign, "heat": heat, "validity": validity, "rating": rating}
     for key, text in facts.items():
         if text:
-            lines += paragraph(f"{key}: {text}")
+            lines += wrap_comment(f"{key}: {text}")
     for i, p in enumerate(pins, 1):
         name, unit, flow = require_name(p.name), require_word(p.unit), require_word(p.flow)
         lines.append(f"* @pin {i} {name} unit={unit} flow={flow}")
@@ -111,17 +111,17 @@ def part_header(
 
 
 def netlist_pins(port: Port) -> tuple[Pin, ...]:
-    """Return the pins of a port; nothing flows through the pin of a signal."""
+    """Return the pins of a port; a signal pin carries no current."""
     flow = port.flow if port.conservative else "-"
     return tuple(Pin(pin, port.across, flow) for pin in port.terminals)
 
 
-def defaults(params: Iterable[Param]) -> dict[str, str]:
+def parameter_defaults_of(params: Iterable[Param]) -> dict[str, str]:
     """Return the defaults of parameters by name, as on a ``.subckt`` card."""
     return {require_name(p.name): format_number(p.default) for p in params}
 
 
-def library(
+def render_library(
     template: str,
     header: Header,
     name: str,
@@ -130,17 +130,17 @@ def library(
     params: tuple[Param, ...] = (),
     *,
     rating: str,
-    validity: str = ROOM,
+    validity: str = ROOM_TEXT,
     mesh: str = "",
     **values: object,
 ) -> Subcircuit:
-    """Return ``templates/TEMPLATE.j2`` under its head, see :func:`part_header`.
+    """Return the library of ``templates/TEMPLATE.j2`` with its header (:func:`part_header`).
 
     Besides ``values`` the template has the ``card`` behind ``.subckt``: name, pins and parameters
     with their defaults.
     """
     pins = tuple(Pin(item.name, item.unit, item.flow) for item in terminals)
-    settings = map("=".join, defaults(params).items())
+    settings = map("=".join, parameter_defaults_of(params).items())
     card = " ".join((name, *map(attrgetter("name"), pins), *settings))
     words: dict[str, Any] = {"rating": rating, "validity": validity, "mesh": mesh}
     head = part_header(header, f"{name}: {title}", pins, params, **words)

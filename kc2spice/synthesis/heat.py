@@ -30,10 +30,10 @@ from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.rom.heat_network import HeatLadder, heat_ladder
 from kc2spice.rom.linear_model import LinearModel, Port
 
-# Eigenvalue, relative to the largest one, that is rounding: a heat that nothing leads away.
-STILL = 1e-13
-UNHEATED = 1e-9  # share of a mode in every port, relative to the largest, that is zero
-_ABOUT = """\
+# relative eigenvalue that counts as zero: heat that no path conducts away
+ZERO_EIGENVALUE = 1e-13
+ZERO_SHARE = 1e-9  # share of a mode at every port, relative to the largest, that counts as zero
+_NETWORK_COMMENT = """\
 * Heat network: 1 V is 1 K of temperature rise over the pin {base}, 1 A is 1 W into the pin.
 * Connect {base} to node 0, or to a source whose voltage is the temperature there.
 * Resistances [K/W] and heat capacities [J/K] are positive: the network is passive."""
@@ -65,12 +65,12 @@ class HeatModes:
     ports: tuple[Port, ...]
 
 
-def is_heat(model: LinearModel) -> bool:
+def is_heat_model(model: LinearModel) -> bool:
     """Whether the ports of a model exchange heat."""
     return THERMAL in map(attrgetter("domain"), model.ports)
 
 
-def heat_modes(model: LinearModel) -> HeatModes:
+def compute_heat_modes(model: LinearModel) -> HeatModes:
     """Return the modes of a heat model that a port excites, slowest first.
 
     The modes are those of ``E x = t K x`` with the time constants t. Their static contributions
@@ -107,15 +107,15 @@ def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
     """
     K, E = model.pencil.dense().coefficients
     if not model.symmetric or np.linalg.eigvalsh(model.D).min(initial=0.0) < 0:
-        raise _not_passive_error(model, "matrices that are not symmetric, or a negative D")
+        raise _make_not_passive_error(model, "matrices that are not symmetric, or a negative D")
     K, E = 0.5 * (K + K.T), 0.5 * (E + E.T)
     for size in map(np.linalg.eigvalsh, (K, E)):
-        if size[0] < -STILL * np.abs(size).max():
-            raise _not_passive_error(model, "a matrix E or K with a negative eigenvalue")
+        if size[0] < -ZERO_EIGENVALUE * np.abs(size).max():
+            raise _make_not_passive_error(model, "a matrix E or K with a negative eigenvalue")
     stored, lost = _separate_stored_heat(E, K)
     capacity = np.linalg.eigvalsh(stored.T @ E @ stored)
-    if capacity.size and capacity[0] <= STILL * np.abs(E).max():
-        raise _not_passive_error(model, "a matrix E and a matrix K that are both singular")
+    if capacity.size and capacity[0] <= ZERO_EIGENVALUE * np.abs(E).max():
+        raise _make_not_passive_error(model, "a matrix E and a matrix K that are both singular")
     times, shapes = scipy.linalg.eigh(lost.T @ E @ lost, lost.T @ K @ lost)
     shapes = lost @ shapes
     if stored.size:
@@ -126,12 +126,12 @@ def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
     return np.maximum(times[::-1], 0.0), shapes[:, ::-1]
 
 
-def modal_heat_model(model: LinearModel) -> LinearModel:
-    """Return a heat model in the coordinates of its modes, as its netlist has them.
+def diagonalise_heat_model(model: LinearModel) -> LinearModel:
+    """Return a heat model in modal coordinates, as in its netlist.
 
     Rates that differ by many orders of magnitude do not round each other in diagonal matrices.
     """
-    modes = heat_modes(model)
+    modes = compute_heat_modes(model)
     return replace(
         LinearModel(
             E=np.diag(modes.capacity),
@@ -148,16 +148,16 @@ def modal_heat_model(model: LinearModel) -> LinearModel:
 
 
 def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return bases of temperatures whose heat nothing leads away, and of all others.
+    """Separate temperatures whose heat no path conducts away from all others.
 
-    The first are the null space N of K. The second are orthogonal to it in the product of E, so
-    that both kinds of modes are independent of each other.
+    The results are two bases: the null space N of K, and its complement that is orthogonal with
+    respect to E, so that the modes of both are independent.
     """
     scale = np.sqrt(np.maximum(np.diag(K), 0.0))
     scale = 1 / np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(scale[:, None] * K * scale)
     vectors = scale[:, None] * vectors
-    null = values <= STILL * max(values[-1], 0.0)
+    null = values <= ZERO_EIGENVALUE * max(values[-1], 0.0)
     stored, lost = vectors[:, null], vectors[:, ~null]
     if stored.size:
         heat = stored.T @ E
@@ -165,7 +165,7 @@ def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.
     return stored, lost
 
 
-def _not_passive_error(model: LinearModel, got: str) -> UsageError:
+def _make_not_passive_error(model: LinearModel, got: str) -> UsageError:
     return UsageError(
         "is no passive heat model",
         where=model.name,
@@ -212,8 +212,8 @@ def describe_heat_mode(modes: HeatModes, j: int) -> str:
     """Return the comment above the elements of a mode."""
     R, C = modes.resistance[j], modes.capacity[j]
     text = f"time constant {R * C:.4g} s, {R:.4g} K/W, {C:.4g} J/K"
-    if R * C * LEAK_RATE >= 1 - STILL:
-        text = f"{C:.4g} J/K: {_STORED}"
+    if R * C * LEAK_RATE >= 1 - ZERO_EIGENVALUE:
+        text = f"{C:.4g} J/K: {_STORED_COMMENT}"
     return f"\n* Mode {j + 1}: {text}"
 
 

@@ -35,8 +35,8 @@ from kc2spice.synthesis.parameter_ranges import (
 )
 from kc2spice.synthesis.parametric_heat import heat_subcircuit_over_ranges
 from kc2spice.synthesis.realize import (
-    DAMPING,
-    RINGING,
+    DAMPING_PARAMETER,
+    RINGING_WEIGHTS,
     UNRATED,
     PortTerminal,
     StepWeights,
@@ -52,7 +52,8 @@ from kc2spice.synthesis.realize import (
     subcircuit_pins,
 )
 
-Polynomial = Callable[[np.ndarray], str]  # writes the polynomial with these coefficients
+# function that formats a polynomial with these coefficients
+Polynomial = Callable[[np.ndarray], str]
 
 # Names that the subcircuit uses for its own parameters.
 _RESERVED = r"[xlkgcfbt]_?\d+(_\d+)*|alpha|beta|damping|inside\d+"
@@ -76,7 +77,7 @@ def parametric_subcircuit(
     *,
     title: str = "reduced linear model of the whole device",
     rating: str = UNRATED,
-    weights: StepWeights = RINGING,
+    weights: StepWeights = RINGING_WEIGHTS,
 ) -> Subcircuit:
     """Return one ``.subckt`` with the pins of every port and with parameters.
 
@@ -139,12 +140,12 @@ def parametric_subcircuit(
         *range_stops(parameters, base),
         *_PortsAndModes(model, rom, terminals, base, weights).lines(),
     ]
-    params = (*parameters, *([DAMPING] if any(model.damped) else []))
+    params = (*parameters, *([DAMPING_PARAMETER] if any(model.damped) else []))
     words = {"title": title, "rating": rating, "within": ", parameters within their ranges,"}
     words["mesh"] = mesh_entry(rom.facts)
     head, others = header or Header(model.name, "-"), list(sample_range(model, parameters))
     return make_subcircuit(
-        rom, name, pins, base, params, head, ([_ABOUT], body), others=others, **words
+        rom, name, pins, base, params, head, ([_RESONATOR_COMMENT], body), others=others, **words
     )
 
 
@@ -165,7 +166,7 @@ def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], na
         )
     for parameter in parameters:
         checked_name(parameter, where=f"{name}: parameters")
-    require_distinct(parameters, _RESERVED, where=name)
+    require_distinct(parameters, _RESERVED_NAME, where=name)
 
 
 def _parameter_lines(model: Varying, parameters: Sequence[Param]) -> Iterator[Line]:
@@ -234,7 +235,7 @@ def _damping_cards(
 
 def _block_cards(model: Varying, modes: range, polynomial: Polynomial) -> Iterator[Parameters]:
     """Yield the Cholesky factor l, the stiffness k and the gains g of a block."""
-    lower, stiff = _nonzero(model)
+    lower, stiff = _nonzero_entries(model)
     for i in modes:
         yield parameter_card(f"l{i + 1}_{i + 1}", f"exp({polynomial(model.diagonal[:, i])})")
         for j in np.flatnonzero(lower[i, :i]):
@@ -275,7 +276,7 @@ def _nonzero(model: Varying) -> tuple[np.ndarray, np.ndarray]:
 
 
 class _PortsAndModes:
-    """Elements of the ports and of the states of a model with parameters.
+    """Elements of the ports and states of a model with parameters.
 
     ``rom`` is the model at the defaults, by which states are scaled as in
     :func:`kc2spice.synthesis.realize.subcircuit`::
@@ -299,7 +300,7 @@ class _PortsAndModes:
 
     def lines(self) -> Iterator[Line]:
         """Yield the elements of the ports, then the elements of the states."""
-        ports = [self._connect(k, t) for k, t in enumerate(self.terminals)]
+        ports = [self._connect_port(k, t) for k, t in enumerate(self.terminals)]
         yield from port_lines(ports, self.base, self.weights.share)
         at = 0
         for size in self.model.blocks:
@@ -308,7 +309,7 @@ class _PortsAndModes:
                 yield from self._mode_cards(i)
             at += size
 
-    def _connect(self, k: int, t: PortTerminal) -> PortTerminal:
+    def _connect_port(self, k: int, t: PortTerminal) -> PortTerminal:
         """Return the port k with the sources of its output."""
         if not t.port.charged:
             sums = list[Transconductance]()
@@ -347,7 +348,7 @@ class _PortsAndModes:
         yield Element.of(f"Cq{i}", f"q{i}", base, c)
         yield Element.of(f"Cp{i}", f"p{i}", base, c)
         yield Element.of(f"Gq{i}", base, f"q{i}", f"p{i}", base, c * w)
-        stiff = _nonzero(self.model)[1]
+        stiff = _nonzero_entries(self.model)[1]
         for j in (np.flatnonzero(stiff[i - 1]) + 1).tolist():
             k, push = f"k{max(i, j)}_{min(i, j)}", c / w * s / self.scale[j - 1]
             stiffness = f"{{{number(push)}*{k}}}"

@@ -24,40 +24,39 @@ from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
 from kc2spice.rom.network import ParallelBranches, parallel_branches
-from kc2spice.synthesis.branches import ABOUT, branch_cards
-from kc2spice.synthesis.emitted import LOWEST, MICRO, accelerates_frame, circuit_error
-from kc2spice.synthesis.header import (
-    OUTWARDS,
-    defaults,
-    mesh_entry,
-    netlist_pins,
-    part_header,
-    rom_lines,
+from kc2spice.synthesis.branches import NETWORK_COMMENT, branch_cards
+from kc2spice.synthesis.emitted import (
+    LOWEST_FREQUENCY_RATIO,
+    MICRO,
+    accelerates_frame,
+    estimate_circuit_error,
 )
 from kc2spice.synthesis.heat import heat_cards, is_heat
 
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel
 
-STATE_CAPACITANCE = 1e-6  # F, of a fast state: one chgtol is then one tolerance of displacement
-STATE_CONDUCTANCE = 1.0  # S, of a state without inertia; its capacitance is its relaxation time
+# F, of a state of a fast mode; one chgtol then corresponds to one tolerance of displacement
+STATE_CAPACITANCE = 1e-6
+STATE_CONDUCTANCE = 1.0  # S, of a massless mode; its capacitance is its relaxation time
 EQUAL_GAIN = 1e-6  # relative difference of the gains of ports that count as equal
-# Damping over frequency of a mode, 1 / Q, below which ngspice (pivrel 1e-3) takes no pivot from the
-# diagonal of an operating point in q and q'/w. It then keeps 80 times as many fill-ins for 178
+# Damping over frequency of a mode, 1 / Q, below which ngspice (pivrel 1e-3) does not choose
+# diagonal pivots at an operating point in q and q'/w. It then has 80 times as many fill-ins for 178
 # modes and is 100 times slower (tests/spice/test_realize.py counts them).
 LIGHT_DAMPING = 1e-3
-NEGLIGIBLE_GAIN = 1e-9  # share of a mode in every port, relative to the largest
-INPUT_LEAK = 1e-18  # S, of a signal input, so that it is zero if nothing drives it
+NEGLIGIBLE_GAIN = 1e-9  # share of a mode at every port, relative to the largest, that is negligible
+INPUT_LEAK = 1e-18  # S, of a signal input, which is zero if nothing drives it
 FREE_LEAK = 1e-12  # S, of a free integrator
-LEAK_POINTS = 60  # frequencies at which the least charge of an electrode is searched
-# A block whose smallest singular value is this far below the band integrates constant inputs.
-INTEGRATING = 1e-11
-# Cross terms of D this far below the diagonal are rounding errors.
+LEAK_POINTS = 60  # frequencies at which the smallest charge of an electrode is searched
+# Smallest singular value of a block, relative to the band, below which it integrates constant
+# inputs.
+INTEGRATOR_RATIO = 1e-11
+# Cross terms of D below this share of the diagonal are rounding errors.
 CROSS_ROUNDING = 1e-13
-# least value of C B, relative to its summands, at which a rate jumps with an input
+# smallest value of C B, relative to its terms, at which a rate jumps with an input
 NEGLIGIBLE_JUMP = 1e-9
-INNER_NODES = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"
-HEAT_NODES = r"h\d+"
+INNER_NODE_PATTERN = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"
+HEAT_NODE_PATTERN = r"h\d+"
 
 
 @dataclass(frozen=True)
@@ -79,14 +78,17 @@ class StepWeights:
         return STATE_CAPACITANCE * np.minimum(1.0, (omega / (self.full * slowest)) ** self.power)
 
 
-RINGING = StepWeights(3.0, 2, 0.01)  # weights if the ringing of the body itself is a result
-THROWING = StepWeights(3.0, 6, 0.01)  # weights until the strike: fewer points, an equal launch
-COARSE = StepWeights(8.0, 6, 1e-6)  # only the motion of thrown parts matters: half the time points
-_OUTWARDS = (
+# for scenes in which the ringing of the body is a result
+RINGING_WEIGHTS = StepWeights(3.0, 2, 0.01)
+# for scenes with a throw: fewer time points with the same launch velocity
+THROWING_WEIGHTS = StepWeights(3.0, 6, 0.01)
+# for scenes in which only the motion of thrown parts matters: half the time points
+COARSE_WEIGHTS = StepWeights(8.0, 6, 1e-6)
+_OUTWARDS_COMMENT = (
     "* Positive um are along a port's outward direction. A current into its pin is a force on the",
     "* body along that direction (rotations: right-hand rule of the port's axis).",
 )
-_RESONATORS = """\
+_RESONATORS_COMMENT = """\
 * Each mode of the reduced model is two integrators, q (displacement) and p (q'/omega). Both are
 * scaled so that 1 V is the mode's largest {answer}:
 *
@@ -99,9 +101,9 @@ _RESONATORS = """\
 * Modes above {full} times the lowest frequency have capacitors of 1 uF. Slower modes have smaller
 * ones, by the power {power} of their frequency: the simulator's time steps follow them less.
 * {reference}: connect it to node 0. Electrical pins float."""
-_LIGHT = """\
+_LIGHT_DAMPING_COMMENT = """\
 * Modes with a Q above {quality:g} have p = q + q'/omega, which gives pivots on the diagonal."""
-_STATES = """\
+_STATES_COMMENT = """\
 * Linear state-space model: signal inputs draw no current, signal outputs are ideal sources, 1 V is
 * one unit of the pin. Coupled states z are the voltages of capacitors of {farad} F:
 *
@@ -109,48 +111,48 @@ _STATES = """\
 *
 * They are scaled so that a constant input of 1 V sets states of about 1 V. {base} is the reference
 * of all pins that are not electrical: connect it to node 0."""
-_LOOPED = "no states, but signals that close loops: the currents into each node are zero"
-_FREE_STATE = "* The leak gives a free integrator an operating point."
-_CLAMPED = """
+_LOOP_NOTE = "no states, but signals that close loops: the currents into each node are zero"
+_INTEGRATOR_COMMENT = "* The leak gives a free integrator an operating point."
+_CLAMPED_COMMENT = """
 * Electrical port{name}: the clamped capacitance of {farad:.6g} F in series with the voltage
 * -charge/capacitance of the charge that the modes move (1 V on charge = 1 uC).
 * Cclamped has {share} of the capacitance, Gmore adds the rest of its current: time steps then
 * follow the motion of the body, not its current. The voltage of node current is that current.
 * Gleak gives a floating electrode an operating point: its charge decays within {seconds:g} s."""
-_FILLED = """
+_FILLED_COMMENT = """
 * Port {pin}: 1 V is 1 {across} over {base}, 1 A is 1 {flow} into the body. What it takes up at once
 * is the charge of {farad:.6g} F, in series with the voltage -charge/capacitance of the charge that
 * the modes take up (1 V on charge = 1 uC, thus 1e-6 {flow} s).
 * Cclamped has {share} of the capacitance, Gmore adds the rest of its current, which is the
 * voltage of node current. Gleak gives the pin an operating point: the charge decays
 * within {seconds:g} s."""
-_UNFILLED = """
+_UNFILLED_COMMENT = """
 * Port {pin}: 1 V is 1 {across} over {base}, 1 A is 1 {flow} into the body. Its current is the rate
 * of what the states take up. Gleak gives the pin an operating point."""
-_UNCLAMPED = """
+_UNCLAMPED_COMMENT = """
 * Electrical port {name} has no capacitance of its own: its current is the rate of the charge
 * that the states move.
 * Gleak gives a floating electrode an operating point."""
-_MOTION = """
+_MOTION_COMMENT = """
 * Port {pin}: its displacement u is the sum of the modes (1 V = 1 um). The voltage of node f is the
 * force that holds the pin at u (1 V = 1 N)."""
-_ROTATION = """
+_ROTATION_COMMENT = """
 * Rotation {pin}: as a displacement port, 1 V = 1 rad and 1 A = 1 N m."""
-_SHAKEN = """
+_SHAKEN_COMMENT = """
 * Acceleration {pin} of the frame that the body is fixed to (1 V = 1 m/s2); the force that it
 * takes to move the body flows into the pin (1 A = 1 N)."""
-_NOISE = """\
+_NOISE_COMMENT = """\
 * Every loss has the force noise of its temperature, 4 k T times the damping: the voltage noise of a
 * resistor of as many ohms. No other resistor here has noise."""
-DAMPING = Param("damping", 1.0, "-", "scale of the damping of all modes")
-_NOISE_INPUT = re.compile(r"noise\d+")
-NEGLIGIBLE_ERROR = 1e-3  # relative to an error estimate: below its three digits
+DAMPING_PARAMETER = Param("damping", 1.0, "-", "scale of the damping of all modes")
+_NOISE_INPUT_NAME = re.compile(r"noise\d+")
+NEGLIGIBLE_ERROR = 1e-3  # negligible relative to an error estimate with three digits
 NEGLIGIBLE_LOSS = 1e-14  # rounding error, relative to the largest loss of a model
 RATED_BY_HEAT = "not known; keep temperatures within the limits of its materials"
 UNRATED = "not known; keep field and stress within the limits of its materials"
 
 
-Value: TypeAlias = float | str  # a number, or an expression of the subcircuit's parameters
+Value: TypeAlias = float | str  # number, or expression of the subcircuit's parameters
 
 
 def write_value(value: Value) -> str:
@@ -165,7 +167,7 @@ def scale_value(factor: float, value: Value) -> Value:
 
 @dataclass(frozen=True)
 class Transconductance:
-    """A controlled source of ``value`` amperes per volt from ``plus`` to ``minus``."""
+    """Controlled source of ``value`` amperes per volt of the voltage from ``plus`` to ``minus``."""
 
     label: str
     plus: str
@@ -188,7 +190,7 @@ def connect_sources(
 
 @dataclass(frozen=True)
 class PortTerminal:
-    """A port with its pins, its ``column`` of B and its ``row`` of C.
+    """Port with its pins, its ``column`` of B and its ``row`` of C.
 
     ``clamped`` is its clamped capacitance [F], ``capacitance`` an expression that replaces it.
     The sources ``sums`` add the states to the output of the port, the sources ``through`` add
@@ -224,11 +226,11 @@ class PortTerminal:
     @property
     def is_noise(self) -> bool:
         """Whether the input is the force of thermal noise."""
-        return _NOISE_INPUT.fullmatch(self.label) is not None
+        return _NOISE_INPUT_NAME.fullmatch(self.label) is not None
 
     @property
-    def drive_letter(self) -> str:
-        """Letter of the cards by which the port drives states."""
+    def source_letter(self) -> str:
+        """SPICE letter (G or F) of the controlled sources that couple the port to the states."""
         if self.port.loaded:
             return "f"
         return "s" if self.is_frame else "v"
@@ -250,7 +252,7 @@ class PortTerminal:
         return 1.0 if domain is None else domain.quantity(domain.driven).factor
 
     def driven_pins(self, base: str) -> tuple[str, str]:
-        """Return the pins between which the port is driven."""
+        """Return the pins between which an input drives the port."""
         return (self.pins[0], self.pins[1]) if self.port.paired else (self.pins[0], base)
 
     def input_nodes(self, base: str) -> tuple[str, str]:
@@ -269,7 +271,7 @@ class PortTerminal:
 
 @dataclass(frozen=True, eq=False)
 class _States:
-    """States ``z' = A z + B u``, ``y = C z + D u``, each the voltage of a node.
+    """States ``z' = A z + B u`` with outputs ``y = C z + D u``, each the voltage of a node.
 
     y is in volts on the nodes that sum the outputs of the ports.
     """
@@ -312,7 +314,7 @@ def subcircuit(
     rating: str = UNRATED,
     ports: Sequence[str] | None = None,
     dense: bool = False,
-    weights: StepWeights = RINGING,
+    weights: StepWeights = RINGING_WEIGHTS,
     noise: bool = False,
 ) -> Subcircuit:
     """Write one ``.subckt`` with the pins of every port of a linear model.
@@ -389,7 +391,7 @@ def subcircuit(
     network = None if dense else parallel_branches(rom)
     if network is not None:
         return _network_subcircuit(network, rom, name, header, rating)
-    if is_heat(rom):
+    if is_heat_model(rom):
         return _heat_subcircuit(rom, name, header, rating)
     form = _decouple_states(rom, dense)
     if noise and not isinstance(form, Resonators):
@@ -399,16 +401,16 @@ def subcircuit(
     pins, base = subcircuit_pins([t for t in terminals if not t.is_noise], name)
     params: tuple[Param, ...] = ()
     if isinstance(form, Resonators):
-        params = (DAMPING,) if np.any(form.damp > 0) else ()
+        params = (DAMPING_PARAMETER,) if np.any(form.damp > 0) else ()
         about, body = _resonator_cards(form, rom, terminals, base, weights, noise)
     else:
         about, body = _block_cards(form, rom, terminals, base)
         if base == "ref":
             title = f"reduced linear model, {len(rom.inputs)} inputs, {len(rom.outputs)} outputs"
     if noise:
-        about = [*about, *_NOISE.split("\n")]
+        about = [*about, *_NOISE_COMMENT.split("\n")]
     cards = about, body
-    mesh = mesh_entry(rom.facts)
+    mesh = mesh_comment(rom.facts)
     return make_subcircuit(
         rom, name, pins, base, params, header, cards, mesh=mesh, title=title, rating=rating
     )
@@ -418,8 +420,8 @@ def _network_subcircuit(
     network: ParallelBranches, rom: LinearModel, name: str, header: Header, rating: str
 ) -> Subcircuit:
     """Return the subcircuit of a network, whose matrices are in ``rom``."""
-    pins, cards = netlist_pins(rom.ports[0]), (ABOUT, branch_cards(network, rom))
-    _require_distinct(pins, (INNER_NODES,), name)
+    pins, cards = netlist_pins(rom.ports[0]), (NETWORK_COMMENT, branch_cards(network, rom))
+    _require_distinct_pins(pins, (INNER_NODE_PATTERN,), name)
     title = "passive network of a measured one-port"
     return make_subcircuit(rom, name, pins, "", (), header, cards, title=title, rating=rating)
 
@@ -468,7 +470,7 @@ def make_subcircuit(
     others: Sequence[tuple[LinearModel, Mapping[str, float]]] = (),
     **words: str,
 ) -> Subcircuit:
-    """Return the subcircuit of a reduced model, under a head with its facts.
+    """Return the subcircuit of a reduced model with its header.
 
     ``cards`` are the comments about it and its elements. Passive elements have no ``base`` and no
     pivots. ``words`` are the title, the rating and the validity of the head.
@@ -480,19 +482,19 @@ def make_subcircuit(
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
     first = ("", *pivot_cards(base)) if base else ()
     names, items = tuple(map(attrgetter("name"), pins)), attach_comments([*first, *body])
-    circuit = Circuit(name, names, defaults(params), items)
+    circuit = Circuit(name, names, parameter_defaults_of(params), items)
     reduction = None
     if certificate is not None:
         compared = ((rom, dict[str, float]()), *others)
-        reduction = _reduction(circuit, pins, rom.order, certificate, compared)
+        reduction = _summarise_reduction(circuit, pins, rom.order, certificate, compared)
     head = part_header(
         header,
         f"{name}: {words['title']}",
         pins,
         params,
-        rom=rom_lines(reduction, certificate) if reduction and certificate else (),
+        rom=rom_comments(reduction, certificate) if reduction and certificate else (),
         mesh=mesh,
-        sign=OUTWARDS,
+        sign=OUTWARDS_TEXT,
         rating=words["rating"],
         validity=words.get("valid")
         or f"small signals{band}{within} at the temperature of its "
@@ -506,19 +508,21 @@ def make_subcircuit(
     )
 
 
-def _reduction(
+def _summarise_reduction(
     circuit: Circuit,
     pins: Sequence[Pin],
     order: int,
     certificate: Certificate,
     compared: Iterable[tuple[LinearModel, Mapping[str, float]]],
 ) -> ReductionSummary:
-    """Return the facts of a reduced model with the error of its emitted circuit.
+    """Return order, band and error estimate of a reduced model with its emitted circuit.
 
     The circuit is compared with models at values of its parameters.
     """
     band = certificate.band_hz
-    errors = (circuit_error(circuit, pins, m, band, certificate.norm, at) for m, at in compared)
+    errors = (
+        estimate_circuit_error(circuit, pins, m, band, certificate.norm, at) for m, at in compared
+    )
     worst = max(errors, key=attrgetter("error"))
     total = certificate.error_estimate
     total += worst.error if worst.error > NEGLIGIBLE_ERROR * total else 0.0
@@ -547,7 +551,7 @@ def _decouple_modes(rom: LinearModel) -> Resonators | None:
     if result is None or not _is_conservative(rom):
         return None
     frames = list(map(accelerates_frame, rom.ports))
-    unclamped = np.logical_and(_charged(rom), np.diag(rom.D) <= 0)
+    unclamped = np.logical_and(_charge_ports(rom), np.diag(rom.D) <= 0)
     relaxing = np.abs(result.gain[result.inertia == 0.0][:, np.logical_or(frames, unclamped)])
     return (
         None if (relaxing > CROSS_ROUNDING * np.abs(result.gain).max(initial=0.0)).any() else result
@@ -559,8 +563,8 @@ def _is_conservative(rom: LinearModel) -> bool:
     return all(map(attrgetter("conservative"), rom.ports))
 
 
-def _charged(rom: LinearModel) -> list[bool]:
-    """Return for each port whether it answers with a charge."""
+def _charge_ports(rom: LinearModel) -> list[bool]:
+    """Return for each port whether its output is a charge."""
     return list(map(attrgetter("charged"), rom.ports))
 
 
@@ -574,7 +578,7 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
     ------
     UsageError : a wrong number of pins, or a negative capacitance.
     """
-    several = sum(_charged(rom)) > 1
+    several = sum(_charge_ports(rom)) > 1
     result, column, row = [], 0, 0
     for port in rom.ports:
         pins = tuple(map(checked_name, port.terminals))
@@ -589,7 +593,7 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
         out = None if port.kind == "input" else row
         column += into is not None
         row += out is not None
-        clamped = _capacitance(port.domain, D[out, into]) if port.charged else 0.0
+        clamped = _pin_capacitance(port.domain, D[out, into]) if port.charged else 0.0
         if clamped < 0:
             raise UsageError(
                 "the clamped capacitance of a port is negative",
@@ -603,7 +607,7 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
     return result
 
 
-def _capacitance(domain: Domain | None, stored: Any) -> float:
+def _pin_capacitance(domain: Domain | None, stored: Any) -> float:
     """Return the capacitance [F] of pins that store SI units per unit across them."""
     assert domain is not None
     return float(stored) * domain.admittance
@@ -615,12 +619,12 @@ def _leak_conductance(rom: LinearModel, port: Port) -> float:
     The conductance is ``LEAK_RATE`` times the least charge per volt of the electrode in the band.
     """
     low, high = model_band(rom)
-    frequency = np.geomspace(max(low, LOWEST * high), high, LEAK_POINTS)
+    frequency = np.geomspace(max(low, LOWEST_FREQUENCY_RATIO * high), high, LEAK_POINTS)
     try:
         charge = np.abs(rom.select([port.name]).transfer(frequency))
     except SimulationError:  # a frequency is a pole
         return INPUT_LEAK
-    return LEAK_RATE * _capacitance(port.domain, charge.min()) or INPUT_LEAK
+    return LEAK_RATE * _pin_capacitance(port.domain, charge.min()) or INPUT_LEAK
 
 
 def model_band(rom: LinearModel) -> tuple[float, float]:
@@ -636,7 +640,7 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
     UsageError : a name that the subcircuit ``name`` has for itself.
     """
     paired, moving, signals = list[Pin](), list[Pin](), list[Pin]()
-    inner = [INNER_NODES]
+    inner = [INNER_NODE_PATTERN]
     for t in terminals:
         pins = netlist_pins(t.port)
         if t.port.loaded:
@@ -648,7 +652,7 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
     common = reference_pin(list(map(attrgetter("port"), terminals)))
     # electrical ports against one cathode share its pin
     result = (*dict.fromkeys(paired), *moving, *signals, common)
-    _require_distinct(result, inner, name)
+    _require_distinct_pins(result, inner, name)
     return result, common.name
 
 
@@ -657,13 +661,13 @@ def _loaded_nodes(pin: Pin) -> str:
     return f"[uf]{pin.name.lower()}"
 
 
-def _require_distinct(pins: Iterable[Pin], inner: Iterable[str], name: str) -> None:
-    """Check that names of pins are distinct and match no internal node."""
+def _require_distinct_pins(pins: Iterable[Pin], inner: Iterable[str], name: str) -> None:
+    """Raise an error if pin names are equal or match an internal node."""
     require_distinct(list(map(attrgetter("name"), pins)), "|".join(inner), where=checked_name(name))
 
 
 def reference_pin(ports: Sequence[Port]) -> Pin:
-    """Return the last pin, the reference of all pins that are no pairs.
+    """Return the last pin, which is the reference of all single pins.
 
     Displacements and all other quantities of a model with mechanical ports are relative to the
     base. The base is called ``ground`` if a port is called ``base``.
@@ -685,7 +689,7 @@ def _port_domains(ports: Iterable[Port]) -> list[Domain]:
 
 @dataclass(frozen=True, eq=False)
 class _OutputLaws:
-    """Sources by which states and inputs determine outputs ``y = C z + D u``.
+    """Sources by which states and inputs determine the outputs ``y = C z + D u``.
 
     An electrical port without a clamped capacitance needs the current ``y' = C A z + C B u``. An
     acceleration port needs the force ``m a - y''`` with ``y'' = C A^2 z + C A B u``. There C B is
@@ -698,7 +702,7 @@ class _OutputLaws:
     rom: LinearModel
     base: str
 
-    def connect(self, t: PortTerminal) -> PortTerminal:
+    def connect_output(self, t: PortTerminal) -> PortTerminal:
         """Return the terminal with the sources of its output.
 
         Raises
@@ -716,7 +720,7 @@ class _OutputLaws:
             direct[t.column] = 0.0
             if not t.clamped:
                 return self._connect_unclamped(t, direct)
-        return replace(t, sums=self._weigh_states(row), through=self._weigh(direct))
+        return replace(t, sums=self._weigh_states(row), through=self._weigh_inputs_only(direct))
 
     def _connect_frame(self, t: PortTerminal) -> PortTerminal:
         """Return an acceleration port with the sources of its force."""
@@ -737,7 +741,7 @@ class _OutputLaws:
         mass = self.rom.facts.get("mass_kg")
         force[t.column] = 0.0 if mass is None else mass + force[t.column]
         sums = self._weigh_states(-(rate @ states.A))
-        return replace(t, sums=sums, through=self._weigh(force))
+        return replace(t, sums=sums, through=self._weigh_inputs_only(force))
 
     def _connect_unclamped(self, t: PortTerminal, direct: np.ndarray) -> PortTerminal:
         """Return an unclamped electrode with the sources of its current."""
@@ -748,13 +752,13 @@ class _OutputLaws:
                 expected="a positive semi-definite D",
             )
         row = self.states.C[t.row]
-        jumps = self._weigh(MICRO * row @ self.states.B, mark="tu")
+        jumps = self._weigh_inputs_only(MICRO * row @ self.states.B, mark="tu")
         return replace(t, sums=self._weigh_states(MICRO * row @ self.states.A) + jumps)
 
     def _weigh_states(self, row: np.ndarray) -> tuple[Transconductance, ...]:
         return self.states.weigh(row, self.base)
 
-    def _weigh(self, row: np.ndarray, mark: str = "u") -> tuple[Transconductance, ...]:
+    def _weigh_inputs_only(self, row: np.ndarray, mark: str = "u") -> tuple[Transconductance, ...]:
         """Return the sources by inputs, without weights that are rounding errors."""
         size = np.abs(row).max(initial=0.0)
         row = np.where(np.abs(row) > CROSS_ROUNDING * size, row, 0.0)
@@ -769,12 +773,15 @@ def port_lines(terminals: Sequence[PortTerminal], base: str, share: float) -> It
 
 
 def _lines_of_port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
+    """Yield the cards of one port."""
     pin, tag = t.pins[0], t.tag
     if t.is_frame:
-        yield _SHAKEN.format(pin=pin)
+        yield _SHAKEN_COMMENT.format(pin=pin)
         yield from connect_sources(t.sums + t.through, pin, base, f"Ga{pin}_")
     elif t.port.loaded:
-        yield (_MOTION if t.port.domain is TRANSLATION else _ROTATION).format(pin=pin)
+        yield (_MOTION_COMMENT if t.port.domain is TRANSLATION else _ROTATION_COMMENT).format(
+            pin=pin
+        )
         yield Element.of(f"Ru{pin}", f"u{pin}", base, "1")
         yield Element.of(f"Gf{pin}", base, f"f{pin}", pin, f"u{pin}", "1")
         yield Element.of(f"Gp{pin}", pin, base, f"f{pin}", base, "1")
@@ -784,8 +791,8 @@ def _lines_of_port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
         yield from _clamped_lines(t, base, share)
     else:
         a, b = t.driven_pins(base)
-        yield (_UNCLAMPED if t.port.paired else _UNFILLED).format(
-            name=t.label, **_pin_words(t, base)
+        yield (_UNCLAMPED_COMMENT if t.port.paired else _UNFILLED_COMMENT).format(
+            name=t.label, **_pin_comment(t, base)
         )
         yield Element.of(f"Gleak{tag}", a, b, a, b, t.leak)
         for source in t.sums:
@@ -797,7 +804,9 @@ def _clamped_lines(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
     tag = t.tag
     words = {"name": f" {t.label}" if tag else "", "farad": t.clamped, "share": share}
     words["seconds"] = 1 / LEAK_RATE
-    yield (_CLAMPED if t.port.paired else _FILLED).format(**words, **_pin_words(t, base))
+    yield (_CLAMPED_COMMENT if t.port.paired else _FILLED_COMMENT).format(
+        **words, **_pin_comment(t, base)
+    )
     (a, b), c = t.driven_pins(base), t.capacitance or t.clamped
     inverse = f"{format_number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
     leak = write_value(scale_value(LEAK_RATE, c))
@@ -812,8 +821,8 @@ def _clamped_lines(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
     yield from connect_sources(t.sums + t.through, base, f"charge{tag}", f"Gc{tag}_")
 
 
-def _pin_words(t: PortTerminal, base: str) -> dict[str, str]:
-    """Return the words about a port's pin that a comment needs."""
+def _pin_comment(t: PortTerminal, base: str) -> dict[str, str]:
+    """Return the description of a port's pin for a comment."""
     return {"pin": t.pins[0], "base": base, "across": t.port.across, "flow": t.port.flow}
 
 
@@ -848,7 +857,7 @@ def _resonator_cards(
     heavy = model.inertia[order] > 0
     scale = scale_modes(gain, terminals)[:, None]
     numbers = range(1, len(order) + 1)
-    turn = omega * heavy  # the other states have no velocity, and no node for a velocity
+    turn = omega * heavy  # modes with inertia; the other states need no velocity node
     light, losses = (damp < LIGHT_DAMPING * omega) * heavy, damp * heavy
     rates = (-turn * light, turn, -turn - (turn - losses) * light, turn * light - losses)
     qq, qp, pq, pp = map(np.diag, rates)
@@ -867,12 +876,12 @@ def _resonator_cards(
     drive = force[:, None] * gain
     about = _describe_resonators(terminals, base, weights)
     if light.any():
-        about += _LIGHT.format(quality=1 / LIGHT_DAMPING).split("\n")
+        about += _LIGHT_DAMPING_COMMENT.format(quality=1 / LIGHT_DAMPING).split("\n")
     laws = _OutputLaws(terminals, states, rom.D, rom, base)
     body: list[Line] = []
     stored = []
-    for t in map(laws.connect, terminals):
-        stored.append(replace(t, sums=()) if t.clamped else t)  # modes add their charge below
+    for t in map(laws.connect_output, terminals):
+        stored.append(replace(t, sums=()) if t.clamped else t)  # the modes add their charge below
     body += port_lines(stored, base, weights.share)
     for j in range(len(order)):
         node = f"p{j + 1}" if heavy[j] else f"q{j + 1}"
@@ -881,7 +890,7 @@ def _resonator_cards(
             body.append(f"\n* Mode {j + 1}: {describe_mode(omega[j], damp[j])}{branch}")
             body += _mode_cards(j + 1, omega[j], damp[j], farad[j], base)
         else:
-            body += _relaxation_lines(j + 1, omega[j], damp[j], base)
+            body += _massless_mode_lines(j + 1, omega[j], damp[j], base)
         body += connect_sources(drive_mode(j + 1, drive[j], terminals, base), base, node)
         if noise and damp[j] > 0:
             loss = f"{{damping*{format_number(damp[j])}}}"
@@ -898,7 +907,7 @@ def _resonator_cards(
 def _describe_resonators(
     terminals: Sequence[PortTerminal], base: str, weights: StepWeights
 ) -> list[str]:
-    """Return comments about the form of the circuit and its reference pin."""
+    """Return comments about the circuit equations and the reference pin."""
     words: dict[str, Any] = {
         "full": weights.full,
         "power": weights.power,
@@ -906,17 +915,17 @@ def _describe_resonators(
     }
     words["answer"] = "displacement of a port in um"
     words["reference"] = "The base is the mechanical and signal reference"
-    lines = list(_OUTWARDS)
+    lines = list(_OUTWARDS_COMMENT)
     domains = _port_domains(map(attrgetter("port"), terminals))
-    if _count_from_other_pin(domains):
+    if _has_other_reference(domains):
         units = dict.fromkeys(map(attrgetter("answer_unit"), domains))
         words["answer"] = f"answer of a port in 1e-6 {' or '.join(units)}"
         words["reference"], lines = f"Values of pins count from {base}", []
-    return [*lines, *_RESONATORS.format(**words).split("\n")]
+    return [*lines, *_RESONATORS_COMMENT.format(**words).split("\n")]
 
 
-def _count_from_other_pin(domains: Iterable[Domain]) -> bool:
-    """Whether values at pins count from another reference than displacements."""
+def _has_other_reference(domains: Iterable[Domain]) -> bool:
+    """Return whether values at pins have another reference than displacements."""
     references = set(map(attrgetter("reference"), domains)) - {""}
     return bool(references) and BASE not in references
 
@@ -941,7 +950,7 @@ def _mode_cards(j: int, omega: float, damp: float, farad: float, base: str) -> I
 
 
 def describe_mode(omega: float, damp: float) -> str:
-    """Return the frequency and the Q factor of a mode as words of a comment.
+    """Describe the frequency and the Q factor of a mode for a comment.
 
     ``omega`` is its angular frequency [rad/s], ``damp`` its damping [1/s].
 
@@ -963,7 +972,7 @@ def describe_branch(
     gains: np.ndarray,
     terminals: Sequence[PortTerminal],
 ) -> str:
-    """Return the elements that equal a mode at a port, as words of a comment, or "".
+    """Describe the circuit elements equal to a mode at a port; empty if there are none.
 
     The mode is ``z'' + damp z' + omega^2 z = g v`` with the charge ``g z``. At an electrical port
     it is L = 1/g^2, R = damp/g^2 and C = g^2/omega^2 in series. At a mechanical port it is the mass
@@ -986,8 +995,8 @@ def describe_branch(
     return ""
 
 
-def _relaxation_lines(j: int, omega: float, damp: float, base: str) -> Iterator[Line]:
-    """Yield the cards of one state without inertia."""
+def _massless_mode_lines(j: int, omega: float, damp: float, base: str) -> Iterator[Line]:
+    """Yield the cards of a massless mode."""
     hertz, time = omega / (2 * np.pi), damp / omega**2
     yield f"\n* Without inertia, from {hertz:.6g} Hz on: relaxes within {time:.6g} s"
     if time > 0:
@@ -1013,9 +1022,9 @@ def drive_mode(
 ) -> list[Transconductance]:
     """Return the sources by which ports drive a mode: forces, voltages, accelerations."""
     result = []
-    for t in sorted(terminals, key=lambda t: "fvs".index(t.drive_letter)):
+    for t in sorted(terminals, key=lambda t: "fvs".index(t.source_letter)):
         suffix = f"{index}{t.tag}" if t.port.paired else f"{t.pins[0]}_{index}"
-        result.append(t.weigh_input(f"G{t.drive_letter}{suffix}", row, base))
+        result.append(t.weigh_input(f"G{t.source_letter}{suffix}", row, base))
     return result
 
 
@@ -1070,9 +1079,9 @@ def _block_cards(
         np.hstack([C, R]) / np.array(units)[:, None],
     )
     laws = _OutputLaws(terminals, states, model.D, rom, base)
-    wired = list(map(laws.connect, terminals))
+    wired = list(map(laws.connect_output, terminals))
     body = list(_input_lines(terminals, base))
-    body += port_lines(wired, base, RINGING.share)
+    body += port_lines(wired, base, RINGING_WEIGHTS.share)
     outputs = (t for t in wired if t.kind == "output")
     for index, t in enumerate(outputs, 1):
         body += _output_lines(t, index, base)
@@ -1080,22 +1089,25 @@ def _block_cards(
     signals: list[tuple[np.ndarray, bool | None]] = [(S, None)] if len(S) else []
     for block, drifts in [*zip(scaled_blocks, integrating, strict=True), *signals]:
         first, at = at, at + len(block)
-        accuracy = _LOOPED if drifts is None else format_comment(_describe_poles(block))
+        accuracy = _LOOP_NOTE if drifts is None else format_comment(_describe_poles(block))
         body.append(f"\n* States {first + 1} to {at}: {accuracy}")
         for k in range(first, at):
             index, node = k + 1, f"z{k + 1}"
             if drifts is not None:
                 body.append(Element.of(f"C{node}", node, base, farad))
             if drifts:
-                body += [_FREE_STATE, Element.of(f"G{node}", node, base, node, base, FREE_LEAK)]
+                body += [
+                    _INTEGRATOR_COMMENT,
+                    Element.of(f"G{node}", node, base, node, base, FREE_LEAK),
+                ]
             sums = states.weigh(farad * states.A[k], base)
             inputs = _weigh_inputs(terminals, farad * states.B[k], base)
             body += connect_sources(sums, base, node, f"Ga{index}_")
             body += connect_sources(inputs, base, node, f"Gb{index}_")
-    about = _STATES.format(farad=format_number(farad), base=base).split("\n")
+    about = _STATES_COMMENT.format(farad=format_number(farad), base=base).split("\n")
     domains = _port_domains(rom.ports)
-    placed = domains and not _count_from_other_pin(domains)
-    return [*_OUTWARDS, *about] if placed else about, body
+    placed = domains and not _has_other_reference(domains)
+    return [*_OUTWARDS_COMMENT, *about] if placed else about, body
 
 
 def _input_lines(terminals: Iterable[PortTerminal], base: str) -> Iterator[Line]:
@@ -1159,13 +1171,13 @@ def _balance_block(
     if len(block) == 2 and block[0, 1] * block[1, 0] < 0:
         scale[1] = np.sqrt(-block[1, 0] / block[0, 1])
     block, drive = block * scale / scale[:, None], drive / scale[:, None]
-    free = bool(np.linalg.svd(block, compute_uv=False)[-1] < INTEGRATING * omega)
+    free = bool(np.linalg.svd(block, compute_uv=False)[-1] < INTEGRATOR_RATIO * omega)
     answer = drive / omega if free else np.linalg.solve(block, drive)
     return block, free, scale * (np.abs(answer).max(initial=0.0) or 1.0)
 
 
 def _describe_poles(block: np.ndarray) -> str:
-    """Return the first poles of a block as words of a comment."""
+    """Describe the first poles of a block for a comment."""
     poles = np.linalg.eigvals(block)
     texts = list(map(_describe_pole, poles[poles.imag >= 0]))
     more = f"; and {len(texts) - 3} more" if len(texts) > 3 else ""

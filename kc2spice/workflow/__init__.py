@@ -1,1 +1,1 @@
-"""Scene to result: the one place that strings the stages together."""
+"""Workflows from a scene to a result, which call all stages in order."""

@@ -46,7 +46,7 @@ def make_analysis_cards(build: Build) -> AnalysisCards:
 
 
 def _make_noise_cards(build: Build, voltage: str) -> AnalysisCards:
-    """Return the command of a noise analysis and its input source, which drives nothing."""
+    """Return the command of a noise analysis and its input source."""
     selected = build.scene.analysis
     node = Names((*build.scene.parts, *build.scene.nets.values())).name(NOISE_WAVE, "noise_input")
     drive = Element.of(f"V{node}", node, "0", "DC", "0", "AC", "1")

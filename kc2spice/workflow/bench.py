@@ -1,6 +1,6 @@
-"""Error and CPU time of a scene over its numerical settings, and the recommended setting.
+"""Error and CPU time of a scene for various numerical settings, and a recommendation.
 
-The scene runs unchanged, with one axis (:mod:`kc2spice.scene.axes`) moved at a time, and with all
+The scene runs unchanged, with one axis (:mod:`kc2spice.scene.axes`) changed at a time, and with all
 axes finer. The search then follows the axes to the cheapest settings within the error limit, and
 within the error of the scene itself.
 
@@ -44,21 +44,24 @@ from kc2spice.workflow import refine
 from kc2spice.workflow.refine import Runs, metric_changes
 from kc2spice.workflow.simulate import Run
 
-ERROR = 1e-4
-NOTCHES = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)  # refinement steps of each axis, coarse to fine
-CHECK, REFERENCE = 1.5, 2.0  # notches of the run that checks the reference, and of the reference
-MOST_POINTS = 80
-LARGEST_CHANGE = 1e-2  # largest relative change of a converged metric at the finest settings
-SLOW = 5.0  # multiple of the CPU time of the scene's settings; a slower setting is timed once
-EQUAL_TIMES = 1.05  # ratio of times that count as equal in the choice between two errors
+DEFAULT_ERROR_LIMIT = 1e-4
+# refinement steps of each axis, coarse to fine
+REFINEMENT_NOTCHES = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)
+# notches of the run that checks the reference, and of the reference
+CHECK_NOTCHES, REFERENCE_NOTCHES = 1.5, 2.0
+MAX_POINTS = 80
+MAX_METRIC_CHANGE = 1e-2  # largest relative change of a converged metric at the finest settings
+# CPU time relative to the scene's settings; slower settings are timed only once
+SLOW_TIME_RATIO = 5.0
+EQUAL_TIME_RATIO = 1.05  # ratio of CPU times that count as equal in the choice between two errors
 
-Place = tuple[float, ...]  # one setting, as the notches of each axis
+Place = tuple[float, ...]  # setting, as the notches of each axis
 Errors = dict[str, float]  # error of each metric
 
 
 @dataclass
 class _Point:
-    """A setting with its run, the errors of the metrics, and the CPU time [s] of each run."""
+    """Setting with its run, the errors of the metrics, and the CPU time [s] of each run."""
 
     place: Place
     settings: dict[str, Any]
@@ -68,29 +71,29 @@ class _Point:
 
     @property
     def error(self) -> float:
+        """Largest error of the metrics."""
         return max(self.errors.values())
 
     @property
     def time(self) -> float:
+        """Median of the CPU times [s]."""
         return statistics.median(self.times)
 
     def dominates(self, other: _Point) -> bool:
-        """Return whether this point is better in error or time than the other point, and not worse
-        in the other quantity.
-        """
+        """Return whether this point is better in error or time and not worse in either."""
         ours, theirs = (self.error, self.time), (other.error, other.time)
         return ours != theirs and ours[0] <= theirs[0] and ours[1] <= theirs[1]
 
 
 class _Plane:
-    """All runs of a scene, by the labels of their settings.
+    """All runs of a scene, keyed by the labels of their settings.
 
     ``names`` are the metrics whose error counts.
     """
 
     def __init__(self, run: Run) -> None:
         finer, finest = find_axes(run.build), find_finest_axes(run.build)
-        # a finer mesh needs no time in the simulator
+        # a finer mesh takes no time in the simulator
         self.axes = list(filterfalse(attrgetter("model"), (*finer, *finest)))
         self.finest = [axis.name for axis in finest if not axis.model]
         self.runs = Runs(run, finer, Clock(), finest=finest, retries=0, most=np.inf)
@@ -103,7 +106,7 @@ class _Plane:
             raise UsageError("has no setting that trades time for error", where=where)
 
     def notches(self, place: Place) -> dict[str, float]:
-        """Return the notches of each axis by its name."""
+        """Notches of each axis, keyed by its name."""
         return dict(zip(map(attrgetter("name"), self.axes), place, strict=True))
 
     def run_all_at(self, notch: float) -> Run:
@@ -112,12 +115,12 @@ class _Plane:
 
     @cached_property
     def unrefined_errors(self) -> Errors:
-        """Error of each metric by settings whose value is the finest in all runs."""
+        """Error of each metric due to settings that have their finest value in all runs."""
         return refine.estimate_by_coarser_runs(self.runs, {}, self.finest, self.names)
 
     def estimate(self) -> dict[str, Any] | None:
         """Return the error estimate of the unchanged scene, with its meshes and tables."""
-        result = refine.estimate(self.runs, {})
+        result = refine.estimate_errors(self.runs, {})
         if result is None:
             return None
         errors = {name: error for name, error in result.errors.items() if name in self.names}
@@ -131,7 +134,7 @@ class _Plane:
             return
         try:
             run = self.runs.run_at(self.notches(place))
-            errors = run_errors(run, self.run_all_at(REFERENCE), self.names)
+            errors = run_errors(run, self.run_all_at(REFERENCE_NOTCHES), self.names)
             errors = {name: error + self.unrefined_errors[name] for name, error in errors.items()}
         except (SimulationError, UsageError) as error:
             why = " ".join(f"{error.message} {error.got or ''}".split())
@@ -145,11 +148,11 @@ class _Plane:
         A value has at least the errors of every finer value.
         """
         if (axis.name, notch) not in self.known:
-            finer = NOTCHES[bisect_right(NOTCHES, notch) :]
+            finer = REFINEMENT_NOTCHES[bisect_right(REFINEMENT_NOTCHES, notch) :]
             result = self.axis_errors(axis, finer[0]) if finer else dict.fromkeys(self.names, 0.0)
             change = dict.fromkeys(self.names, np.inf)
             if (point := self.points.get(_describe_settings(axis.at(notch)))) is not None:
-                reference = self.runs.run_at({axis.name: REFERENCE})
+                reference = self.runs.run_at({axis.name: REFERENCE_NOTCHES})
                 change = run_errors(point.run, reference, self.names)
             self.known[axis.name, notch] = {n: max(result[n], change[n]) for n in self.names}
         return self.known[axis.name, notch]
@@ -167,19 +170,19 @@ class _Plane:
         """Return the fastest setting within ``limit``; of equally fast ones the most accurate."""
         accurate = [point for point in self.points.values() if self.safe_error(point) <= limit]
         least = min(map(attrgetter("time"), accurate), default=0.0)
-        fastest = [point for point in accurate if point.time <= EQUAL_TIMES * least]
+        fastest = [point for point in accurate if point.time <= EQUAL_TIME_RATIO * least]
         return min(fastest, key=self.safe_error, default=None)
 
     def search(self, limit: float, progress: Progress) -> None:
-        """Run settings with one axis moved, then search those within two error limits.
+        """Run settings with one changed axis, then search the cheapest settings within two limits.
 
         The limits are ``limit`` and the error of the unchanged scene.
         """
         origin = (0.0,) * len(self.axes)
         star = [origin]
         for axis in range(len(origin)):
-            star += map(partial(_with_notch, origin, axis), NOTCHES)
-        star += [(n,) * len(origin) for n in NOTCHES if n > 0]
+            star += map(partial(_with_notch, origin, axis), REFINEMENT_NOTCHES)
+        star += [(n,) * len(origin) for n in REFINEMENT_NOTCHES if n > 0]
         for done, place in enumerate(star):
             progress("settings", done / len(star), f"{done} of {len(star)}")
             self.run_setting(place)
@@ -198,20 +201,20 @@ class _Plane:
         If no setting is within ``limit``, run the finer neighbours of the most accurate one.
         """
         known = 0
-        while known < (count := len(self.points) + len(self.failed)) < MOST_POINTS:
+        while known < (count := len(self.points) + len(self.failed)) < MAX_POINTS:
             known = count
             start = self.find_cheapest(limit)
             step = 1 if start is None else -1
             start = start or min(self.points.values(), key=self.safe_error)
             progress("search", None, f"{known} settings, now {_describe_settings(start.settings)}")
             for k, notch in enumerate(start.place):
-                neighbour = NOTCHES.index(notch) + step
-                if 0 <= neighbour < len(NOTCHES):
-                    self.run_setting(_with_notch(start.place, k, NOTCHES[neighbour]))
+                neighbour = REFINEMENT_NOTCHES.index(notch) + step
+                if 0 <= neighbour < len(REFINEMENT_NOTCHES):
+                    self.run_setting(_with_notch(start.place, k, REFINEMENT_NOTCHES[neighbour]))
 
     def measure_times(self, repeats: int, progress: Progress) -> None:
-        """Repeat the runs of all settings but the slow ones, in rounds."""
-        longest = SLOW * self.points[_describe_settings({})].time
+        """Repeat the runs of all settings except slow ones, in rounds."""
+        longest = SLOW_TIME_RATIO * self.points[_describe_settings({})].time
         repeated = [point for point in self.points.values() if point.time <= longest]
         for turn in range(1, repeats):
             progress("times", turn / repeats, f"round {turn} of {repeats - 1}")
@@ -244,7 +247,7 @@ def bench(
     scene: Scene,
     out: Path,
     *,
-    error: float = ERROR,
+    error: float = DEFAULT_ERROR_LIMIT,
     metric: Sequence[str] = (),
     repeats: int = 5,
     trust: bool = False,
@@ -265,7 +268,7 @@ def bench(
     simulator = find_ngspice()
     with stage_directory(out) as work:
         progress("models", None, "the scene as it is")
-        run = refine.evaluate(scene, Clock(), trust=trust, retries=0)
+        run = refine.evaluate_scene(scene, Clock(), trust=trust, retries=0)
         plane, requested = _Plane(run), metric or scene.bench.metric
         selected = _select_metrics(run, requested)
         progress("reference", None, "all settings at their finest")
@@ -273,7 +276,7 @@ def bench(
         plane.search(error, progress)
         plane.measure_times(repeats, progress)
         progress("estimate", None, "all settings and meshes a notch finer")
-        finest = apply_notches(plane.axes, plane.notches((REFERENCE,) * len(plane.axes)))
+        finest = apply_notches(plane.axes, plane.notches((REFERENCE_NOTCHES,) * len(plane.axes)))
         best = plane.find_cheapest(error)
         points = sorted(plane.points.values(), key=attrgetter("time"))
         record = {
@@ -289,7 +292,7 @@ def bench(
             "reference": {
                 "label": _describe_settings(finest),
                 "settings": finest,
-                "time_s": plane.run_all_at(REFERENCE).cpu_s,
+                "time_s": plane.run_all_at(REFERENCE_NOTCHES).cpu_s,
                 "error": max(check[name] + plane.unrefined_errors[name] for name in plane.names),
             },
             "estimate": plane.estimate(),
@@ -327,7 +330,7 @@ def _require_convergence(plane: _Plane, selected: Sequence[str], *, keep_all: bo
     ------
     SimulationError : none converges.
     """
-    start, finer, exact = map(plane.run_all_at, (0.0, CHECK, REFERENCE))
+    start, finer, exact = map(plane.run_all_at, (0.0, CHECK_NOTCHES, REFERENCE_NOTCHES))
     moved, changed = metric_changes(finer, exact), metric_changes(start, exact)
     present = []
     for name in selected:
@@ -335,13 +338,13 @@ def _require_convergence(plane: _Plane, selected: Sequence[str], *, keep_all: bo
         if comparable and exact.values[name].any():
             present.append(name)
     check = run_errors(finer, exact, present)
-    plane.names = tuple(name for name in check if keep_all or check[name] <= LARGEST_CHANGE)
+    plane.names = tuple(name for name in check if keep_all or check[name] <= MAX_METRIC_CHANGE)
     if not plane.names:
         raise SimulationError(
             "no metric converges",
             where=f"bench {start.build.scene.name}",
             got=", ".join(f"{n} changes by {v:.1e}" for n, v in check.items()) or None,
-            expected=f"at most {LARGEST_CHANGE:g} between the two finest settings",
+            expected=f"at most {MAX_METRIC_CHANGE:g} between the two finest settings",
             hint="name a steadier one with --metric",
         )
     return check

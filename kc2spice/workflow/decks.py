@@ -34,10 +34,11 @@ from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
 from kc2spice.workflow.analysis_cards import make_analysis_cards
 from kc2spice.workflow.edited_parts import with_edited_parameters
-from kc2spice.workflow.measures import measures
+from kc2spice.workflow.measures import list_measures
 from kc2spice.workflow.models import build_models
 
-HOLD = 1e30  # H: a constraint at rest, and above 1 uHz less than a millionth of 1 fg
+# H; a constraint at rest, which above 1 uHz adds less than a millionth of 1 fg
+HOLD_INDUCTANCE = 1e30
 
 
 def prepare_deck(
@@ -70,9 +71,8 @@ def make_deck(build: Build) -> Deck:
 
     Raises
     ------
-    UsageError : a probe of a vector that no part has, an included file that is missing or could act
-        on the machine, two libraries with one name, a dc sweep of a key that no source has, no
-        operating point to begin at.
+    UsageError : a probe reads an unknown vector; an included file is missing or unsafe; two
+    libraries have one name; no source has the swept key; or there is no operating point.
     """
     scene = build.scene
     implausible = apply_action(check_models(build), scene.checks.plausible)
@@ -82,30 +82,31 @@ def make_deck(build: Build) -> Deck:
     require_probed_results(build)
     results, plan = build.results, describe_plan(build)
     header = Header(scene.name, scene_hash(scene))
-    ours = () if scene.solver.max_step else (MAX_STEP_KEY,)  # a separate line gives the reason
+    # a separate line of the deck contains the reason
+    ours = () if scene.solver.max_step else (MAX_STEP_KEY,)
     notes = (*header.origin(), *model_comments(plan, ours))
     analysis = make_analysis_cards(build)
-    parts = tuple(_libraries(build, header))
+    parts = tuple(_list_libraries(build, header))
     reductions = [f"* {p.name}, rom: {p.reduction.summary}" for p in parts if p.reduction]
     sweep_scale = 1.0 if build.dc_sweep is None else build.dc_sweep.scale
     deck = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
-        notes=(*notes, *reductions, *_step_lines(build)),
+        notes=(*notes, *reductions, *_step_comment_lines(build)),
         parts=parts,
-        options=tuple(_options(build)),
+        options=tuple(_list_options(build)),
         command=analysis.command,
         vectors={name: (v.expression, v.factor) for name, v in results.vectors.items()},
         units=results.units,
         powers=results.powers,
-        measures=measures(build, sweep_scale),
+        measures=list_measures(build, sweep_scale),
         stop=scene.stop if scene.analysis.type == "transient" else None,
         max_step=build.largest.step if build.largest else None,
         initial=_initial_values(build, loose),
         controlled=any(_is_controller(part, scene) for part in scene.parts.values()),
         trusted=build.trust,
         sweep_scale=sweep_scale,
-        items=tuple(_items(build, loose, analysis.items)),
+        items=tuple(_list_items(build, loose, analysis.items)),
     )
     return add_noise_sources(deck, NOISE_WAVE, scene.parts) if build.has_noise else deck
 
@@ -124,7 +125,7 @@ def _is_controller(part: Part, scene: Scene) -> bool:
     return measures_motion and sets_output
 
 
-def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
+def _list_libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
     """Yield the different subcircuits of all parts.
 
     Raises
@@ -152,10 +153,10 @@ def _libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
                 )
 
 
-def _items(
+def _list_items(
     build: Build, loose: Sequence[FloatingNets], noise_items: Iterable[Item]
 ) -> Iterator[Item]:
-    """Yield the cards of the parts, of noise sources, and of supports of ``loose`` nets."""
+    """Yield the cards of the parts, of noise sources, and of supports of floating nets."""
     scene = build.scene
     for part in scene.parts.values():
         cards = () if part.name in scene.without_cards else part.type.cards(part, build)
@@ -169,7 +170,7 @@ def _items(
         if group.nets:
             net = group.nets[0]
             name = f"L{names.name(net, f'{net}_held')}"
-            inductors.append(Element.of(name, net, "0", format_number(HOLD)))
+            inductors.append(Element.of(name, net, "0", format_number(HOLD_INDUCTANCE)))
     if inductors:
         yield from add_title("held at the operating point alone: nothing else does", inductors)
 
@@ -202,7 +203,7 @@ def _options(build: Build) -> Iterable[Option]:
     ]
 
 
-def _step_lines(build: Build) -> Iterator[str]:
+def _step_comment_lines(build: Build) -> Iterator[str]:
     """Yield a comment on the largest time step, unless the scene sets it."""
     limit = build.largest
     if limit is not None and not build.scene.solver.max_step:
@@ -234,8 +235,8 @@ def _card_texts(text: str, name: str) -> list[str]:
     return list(filter(None, map(attrgetter("written"), split_statements(text, name))))
 
 
-def spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
-    """Refuse to change a library that another deck in ``out`` includes.
+def protect_other_decks(out: Path, files: Mapping[str, str]) -> None:
+    """Raise an error if a new library would change another deck in ``out``.
 
     A deck in ``out`` that is not among the ``files`` is not replaced, and would then simulate
     another part.
@@ -246,6 +247,7 @@ def spare_other_decks(out: Path, files: Mapping[str, str]) -> None:
     """
 
     def text(path: Path) -> str:
+        """Return the text of a library file."""
         return path.read_text(encoding="utf-8", errors="replace")
 
     others = {path.name: path for path in out.glob("*.cir") if path.is_file()}

@@ -1,6 +1,6 @@
 """Parts of a scene with the values that an edited netlist has.
 
-A part whose cards differ cannot be described by its keys. This part has no checks.
+The keys of a part with different cards no longer describe it, so the part has no checks.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from kc2spice.workflow.models import replace_parts
 def with_edited_parameters(build: Build, edits: DeckEdits, path: Path) -> Build:
     """Return ``build`` with the parameter values of an edited deck.
 
-    A part is not checked if its keys cannot express its cards in that deck. Prints a warning that
-    lists these parts, and a warning of accuracy options that differ from those of the scene.
+    A part is not checked if its keys cannot express its cards in that deck. A warning lists these
+    parts, and a warning of accuracy options that differ from those of the scene.
     """
-    _warn_of_options(edits, path)
+    _warn_about_options(edits, path)
     parts = dict(build.scene.parts)
     reasons = {name: why for name, why in edits.cards.items() if name in parts}
     for name, part in build.scene.parts.items():
@@ -31,7 +31,7 @@ def with_edited_parameters(build: Build, edits: DeckEdits, path: Path) -> Build:
         if instance.has_other_cards:
             reasons[name] = f"its subcircuit {instance.subcircuit} has other cards"
         for key, old, new in instance.parameters:
-            other = with_value(parts[name], key, old, new)
+            other = replace_key_value(parts[name], key, old, new)
             if other is None:
                 reasons[name] = f"none of its keys is the parameter {key} of {instance.subcircuit}"
             parts[name] = other or part
@@ -41,8 +41,8 @@ def with_edited_parameters(build: Build, edits: DeckEdits, path: Path) -> Build:
     return replace_parts(build, parts, {*edits.cards, *reasons})
 
 
-def _warn_of_options(edits: DeckEdits, path: Path) -> None:
-    """Warn of accuracy options that differ from those of the exported deck."""
+def _warn_about_options(edits: DeckEdits, path: Path) -> None:
+    """Warn about accuracy options that differ from those of the exported deck."""
     different = []
     for key, (old, new) in edits.options.items():
         different.append(f"{key} = {new or 'default'} ({old or 'default'})")
@@ -52,8 +52,8 @@ def _warn_of_options(edits: DeckEdits, path: Path) -> None:
         warnings.warn(f"{path}: {problem}: {options}", stacklevel=2)
 
 
-def with_value(part: Part, name: str, old: float, new: float) -> Part | None:
-    """Return the part with the ``new`` value of the key ``name``, in any case of letters.
+def replace_key_value(part: Part, name: str, old: float, new: float) -> Part | None:
+    """Return the part with the ``new`` value of the key ``name``, ignoring letter case.
 
     The result is None if no key of the part has the ``old`` value.
     """

@@ -21,7 +21,7 @@ from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import write_files
 from kc2spice.synthesis.emitted import require_circuit
-from kc2spice.workflow.decks import prepare_deck, spare_other_decks
+from kc2spice.workflow.decks import prepare_deck, protect_other_decks
 
 
 def export_scene(
@@ -36,15 +36,15 @@ def export_scene(
 ) -> list[Path]:
     """Write netlists and symbols of ``scene`` into ``out`` without simulating.
 
-    Bodies of the scene's author have all ports that they declare, those too that nothing joins.
-    Returns the paths of the files. ``trust`` lets included netlists act on the machine. With
-    ``count`` the deck has so many copies of the scene, and there are no symbols. ``solver`` names
-    the direct solver of reductions.
+    Bodies from files have all ports that they declare, even if nothing is joined to them.
+    Returns the paths of the files. With ``trust``, included netlists may execute programs and open
+    files. With ``count`` the deck has so many copies of the scene, and there are no symbols.
+    ``solver`` names the direct solver of reductions.
 
     Raises
     ------
     UsageError : an unknown dialect or solver, or a dialect that cannot represent the scene; see
-        :func:`kc2spice.workflow.decks.spare_other_decks`.
+        :func:`kc2spice.workflow.decks.protect_other_decks`.
     GateMissedError : the circuit of a body misses the tolerance of its reduction.
     """
     known = dialect_names() if count is None else deck_dialects()
@@ -61,13 +61,13 @@ def export_scene(
             files = write_dialect_files(deck, dialect)
             files |= write_plot_script(deck) if dialect == "ngspice" else {}
             files |= write_symbol_files(deck, dialect) if count is None else {}
-            spare_other_decks(Path(out), files)
+            protect_other_decks(Path(out), files)
             write_files(files, work)
     return [Path(out) / name for name in sorted(files)]
 
 
 def _require_circuits(build: Build, deck: Deck) -> None:
-    """Check that the circuits of all bodies reduced to a tolerance meet it.
+    """Raise an error if the circuit of a body exceeds the tolerance of its reduction.
 
     Raises
     ------

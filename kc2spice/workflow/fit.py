@@ -44,38 +44,47 @@ from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import Response
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
-from kc2spice.workflow.misfit import WARNED, covariance, likely_cause, misfit_to_noise
+from kc2spice.workflow.misfit import (
+    WARNING_MISFIT,
+    estimate_covariance,
+    find_likely_cause,
+    rms_misfit,
+)
 from kc2spice.workflow.sweep.grid import parse_value
 
-SPREAD, LOSSES = 1.3, 10.0  # range of a key over its value: ceramics vary by 30 %, losses by tens
-_LOSSY = re.compile(r"damping|quality|ratio|loss")
-# least relative noise: the error of the mesh, which may exceed the noise of the data
-LEAST_NOISE = 1e-3
-# random points of the ranges that are evaluated; number of descents, the first from the values of
-# the scene
-DRAWS, STARTS = 64, 4
-NARROWER, NARROW = 0.25, 0.01  # ratio of successive widths of a range; least width, in logarithms
-DEGREE = 3  # degree of polynomials in a narrow range
-ROUNDS, CORRECTIONS = 8, 4  # successive ranges; mesh corrections in each range
-SETTLED = 0.1  # largest remaining change of the values by the mesh, in standard errors
-STEP = 1e-5  # step of finite differences, in logarithms of values
-FAR = 0.5  # rms misfit relative to |Y|; above: another resonance matched, or another part
-APART = 2.0  # ratio to the least cost above which another minimum counts as worse
-PROMINENT, ABOVE_NOISE = 0.005, 8.0  # least peak, over the largest conductance; over the noise
-AT_REST = 1e-3  # static frequency, relative to the lowest frequency of the data
-TANGENT = "damping.loss_tangent"  # no finite-element model contains this key
-MECHANICAL = {f"damping.{key}" for key in ("quality", "ratio", "ratio[0]", "loss_factor")}
+# half range of a key as a ratio: ceramics vary by 30 %, losses by a factor of ten
+VALUE_RANGE, LOSS_RANGE = 1.3, 10.0
+_LOSS_KEY = re.compile(r"damping|quality|ratio|loss")
+# smallest relative noise: the error of the mesh, which may exceed the noise of the data
+MIN_NOISE = 1e-3
+# number of random samples of the ranges; number of descents, the first from the values of the scene
+RANDOM_SAMPLES, DESCENT_COUNT = 64, 4
+# ratio of successive widths of a range; smallest logarithmic width
+RANGE_RATIO, MIN_LOG_WIDTH = 0.25, 0.01
+POLYNOMIAL_DEGREE = 3  # degree of polynomials in a narrow parameter range
+RANGE_COUNT, MESH_CORRECTIONS = 8, 4  # successive ranges; mesh corrections in each range
+CONVERGED_CHANGE = 0.1  # largest remaining change of the values due to the mesh, in standard errors
+DIFFERENCE_STEP = 1e-5  # step of finite differences, in logarithms of values
+# rms misfit relative to |Y|; a larger one indicates another resonance or another part
+MAX_MISFIT = 0.5
+WORSE_COST_RATIO = 2.0  # ratio to the least cost above which another minimum counts as worse
+# smallest height of a peak, relative to the largest conductance; relative to the noise
+MIN_PROMINENCE, MIN_NOISE_RATIO = 0.005, 8.0
+STATIC_FREQUENCY_RATIO = 1e-3  # static frequency, relative to the lowest frequency of the data
+LOSS_TANGENT_KEY = "damping.loss_tangent"  # no finite-element model contains this key
+DAMPING_KEYS = {f"damping.{key}" for key in ("quality", "ratio", "ratio[0]", "loss_factor")}
 LOSS_FACTORS: dict[str, Callable[[float], float]] = {
     "damping.quality": lambda value: 1 / value,
     "damping.ratio": lambda value: 2 * value,
     "damping.loss_factor": lambda value: value,
 }
-EXCITED = 1e-3  # least share in the capacitance of an excited mode, relative to the largest
-CONSTANT_Q = 'losses by complex constants of IEEE 176: set damping.model = "ieee176"'
-VISCOUS = 'losses by viscous damping: set damping.model = "rayleigh"'
-UNEXPLAINED = "the geometry, the mounting, or a loss model that the part does not follow"
-VALUES, BOX, PAGE = "fit.toml", "box.toml", "report.html"
-LIKELY, NARROWEST = 2.0, 1.1e-3  # standard errors of a key's range in a netlist, its relative half
+MIN_MODE_SHARE = 1e-3  # smallest capacitance of an excited mode, relative to the largest
+CONSTANT_Q_CAUSE = 'losses by complex constants of IEEE 176: set damping.model = "ieee176"'
+VISCOUS_CAUSE = 'losses by viscous damping: set damping.model = "rayleigh"'
+UNKNOWN_CAUSE = "the geometry, the mounting, or a loss model that the part does not follow"
+VALUES_FILE, RANGES_FILE, PAGE_FILE = "fit.toml", "box.toml", "report.html"
+# standard errors within the parameter range of the netlist; its smallest relative half-width
+RANGE_ERRORS, MIN_HALF_WIDTH = 2.0, 1.1e-3
 Box = dict[str, ParameterAxis]
 
 
@@ -186,19 +195,21 @@ def fit(
         if out is None:
             return record
         lines = [f'"{key}" = {value!r}' for key, value in record["values"].items()]
-        (work / VALUES).write_text("\n".join(lines) + "\n", encoding="utf-8")
-        (work / BOX).write_text(_calibrated_ranges(part, record["parameters"]), encoding="utf-8")
-        write_fit(work / PAGE, record, measured.f, body.Y, start, end.exact)
+        (work / VALUES_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        (work / RANGES_FILE).write_text(
+            _calibrated_ranges(part, record["parameters"]), encoding="utf-8"
+        )
+        write_fit(work / PAGE_FILE, record, measured.f, body.Y, start, end.exact)
     return {
         **record,
-        "overrides": str(Path(out) / VALUES),
-        "box": str(Path(out) / BOX),
-        "page": str(Path(out) / PAGE),
+        "overrides": str(Path(out) / VALUES_FILE),
+        "box": str(Path(out) / RANGES_FILE),
+        "page": str(Path(out) / PAGE_FILE),
     }
 
 
 def _require_linear(part: Part) -> None:
-    """Refuse a part that has no linear model.
+    """Raise an error for a part without a linear model.
 
     Raises
     ------
@@ -217,6 +228,7 @@ def _require_linear(part: Part) -> None:
 def _varied_keys(
     scene: Scene, part: str, vary: Sequence[str] | Mapping[str, tuple[float, float] | None]
 ) -> list[VariedKey]:
+    """Return the keys to vary with their ranges."""
     ends = dict(vary) if isinstance(vary, Mapping) else dict.fromkeys(vary)
     for key, span in ends.items():
         if span is not None and not (isinstance(span, (tuple, list)) and len(span) == 2):
@@ -227,8 +239,8 @@ def _varied_keys(
     for text, span in ends.items():
         key, _, limits = text.partition("=")
         value, unit = number_of(scene.part(part, where=part), key, key)
-        factor = LOSSES if _LOSSY.search(key) else SPREAD
-        span = (_range(key, limits) if limits else span) or (value / factor, value * factor)
+        factor = LOSS_RANGE if _LOSS_KEY.search(key) else VALUE_RANGE
+        span = (_parse_range(key, limits) if limits else span) or (value / factor, value * factor)
         result.append(make_varied(key, unit, value, span))
     for name, count in Counter(map(attrgetter("key"), result)).items():
         if count > 1:
@@ -242,7 +254,8 @@ def _varied_keys(
     return result
 
 
-def _range(key: str, text: str) -> tuple[float, float]:
+def _parse_range(key: str, text: str) -> tuple[float, float]:
+    """Return the range of a key from its text."""
     ends = text.split(":")
     if len(ends) != 2:
         raise UsageError(
@@ -258,7 +271,7 @@ def _range(key: str, text: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """The body, its keys, the measurement, and the scene whose mesh all models have, moved.
+    """Body with its keys, the measurement, and the scene that defines the mesh.
 
     ``like`` is that scene. ``counted`` is the number of finite element models.
     """
@@ -280,7 +293,7 @@ class _Body:
     @property
     def noise(self) -> float:
         """Standard deviation of the real and of the imaginary part of log Y."""
-        return max(self.data.noise, LEAST_NOISE)
+        return max(self.data.noise, MIN_NOISE)
 
     @property
     def band(self) -> tuple[float, float]:
@@ -288,7 +301,7 @@ class _Body:
         return float(self.data.f[0]), float(self.data.f[-1])
 
     def full(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
-        """Return the full model at values of the keys, with its first electrical port.
+        """Return the full model at values of the keys, and its first electrical port.
 
         The model has a new mesh, or with ``moved`` the mesh of ``like`` with displaced nodes.
 
@@ -297,7 +310,7 @@ class _Body:
         UsageError : the part has no electrical port.
         """
         try:
-            loaded = load_scene(self.scene, self.scene_keys(values))
+            loaded = load_scene(self.scene, self.name_scene_keys(values))
         except UsageError as error:
             raise UsageError(
                 "the ranges contain values that the part cannot have",
@@ -331,7 +344,7 @@ class _Body:
         self.last[key] = model
         return model
 
-    def scene_keys(self, values: Mapping[str, float]) -> dict[str, float]:
+    def name_scene_keys(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return values of the keys by the dotted names that they have in the scene."""
         return {f"{self.part}.{key}": value for key, value in values.items()}
 
@@ -358,7 +371,7 @@ class _Body:
         omega, gain, lowest = self.modes(pencil)
         at = self.damping.frequency(lowest)
         assert at is not None
-        tangent = values.get(TANGENT, loss_tangent(self.scene.part(self.part)))
+        tangent = values.get(LOSS_TANGENT_KEY, loss_tangent(self.scene.part(self.part)))
         losses = ComplexConstants(self.loss_factor(values), tangent, at)
         f, electrical = self.data.f, np.array([True])
         H = losses.transfer(omega, gain, pencil.D, electrical, f)[:, 0, 0]
@@ -375,7 +388,7 @@ class _Body:
         omega = np.where(rigid, 0.0, np.sqrt(np.maximum(squares, 0.0)))
         gain = shapes.T @ pencil.B
         share = np.divide(gain[:, 0], omega, out=np.zeros_like(omega), where=~rigid) ** 2
-        return omega, gain, float(omega[share > EXCITED * share.max()].min() / (2 * np.pi))
+        return omega, gain, float(omega[share > MIN_MODE_SHARE * share.max()].min() / (2 * np.pi))
 
     def viscous_response(
         self, model: LinearModel, pencil: Pencil, values: Mapping[str, float]
@@ -401,7 +414,7 @@ class _Body:
     @property
     def frequencies(self) -> np.ndarray:
         """Frequencies (n + 1,) [Hz]: one near zero, then those of the data."""
-        return np.r_[AT_REST * self.data.f[0], self.data.f]
+        return np.r_[STATIC_FREQUENCY_RATIO * self.data.f[0], self.data.f]
 
     def lossy(self, charge: np.ndarray, clamped: float, values: Mapping[str, float]) -> np.ndarray:
         """Return the admittance (n,) [S] with the loss of the dielectric.
@@ -409,7 +422,7 @@ class _Body:
         ``charge`` (n + 1,) is the charge per volt [C/V] at :attr:`frequencies`.
         """
         f, charge, free = self.data.f, charge[1:], float(charge[0].real)
-        tangent = values.get(TANGENT, loss_tangent(self.scene.part(self.part)))
+        tangent = values.get(LOSS_TANGENT_KEY, loss_tangent(self.scene.part(self.part)))
         if tangent:
             loss = permittivity(f, clamped_tangent(tangent, free / clamped - 1)) - 1
             charge = charge + clamped * loss
@@ -427,11 +440,11 @@ class _Body:
         clamped = w * float(model.D[0, 0])
         names = set(map(attrgetter("key"), self.keys))
         result: dict[str, np.ndarray] = {}
-        if TANGENT not in names:
-            result[f"loss of the dielectric: vary {TANGENT}"] = clamped / Y
-        if model.rayleigh is not None and not names & MECHANICAL:
+        if LOSS_TANGENT_KEY not in names:
+            result[f"loss of the dielectric: vary {LOSS_TANGENT_KEY}"] = clamped / Y
+        if model.rayleigh is not None and not names & DAMPING_KEYS:
             alpha, beta = model.rayleigh
-            for factor, what in ((1 + STEP, "more"), (1 - STEP, "less")):
+            for factor, what in ((1 + DIFFERENCE_STEP, "more"), (1 - DIFFERENCE_STEP, "less")):
                 scaled = replace(model, rayleigh=(factor * alpha, factor * beta))
                 charge = modal_transfer(scaled, self.frequencies)[:, 0, 0]
                 other = self.lossy(charge, float(model.D[0, 0]), values)
@@ -439,9 +452,11 @@ class _Body:
         if not self.damping.per_material:
             pencil = modal_projection(model, float(self.data.f[-1]))
             if self.damping.model == "rayleigh":
-                result[CONSTANT_Q] = np.log(self.complex_constants_response(pencil, values) / Y)
+                result[CONSTANT_Q_CAUSE] = np.log(
+                    self.complex_constants_response(pencil, values) / Y
+                )
             else:
-                result[VISCOUS] = np.log(self.viscous_response(model, pencil, values) / Y)
+                result[VISCOUS_CAUSE] = np.log(self.viscous_response(model, pencil, values) / Y)
         result |= {
             "resistance in series, of leads or electrodes: compensate the fixture": -Y,
             "inductance of leads: compensate the fixture": -1j * w * Y,
@@ -461,7 +476,11 @@ class _Body:
 
     def descent(self, box: Box, degree: int | None = None) -> _Descent:
         """Return the least squares problem of the reduced model of a parameter range."""
-        constant = {TANGENT, *LOSS_FACTORS} if self.damping.model == "ieee176" else {TANGENT}
+        constant = (
+            {LOSS_TANGENT_KEY, *LOSS_FACTORS}
+            if self.damping.model == "ieee176"
+            else {LOSS_TANGENT_KEY}
+        )
         axes = [axis for name, axis in box.items() if name not in constant]
         reduced = reduce_over_parameters(self.full, axes, self.band, degree=degree)
         return _Descent(self, reduced, box)
@@ -520,7 +539,9 @@ class _Descent:
         columns = []
         for k in range(len(x)):
             ends = np.tile(x, (2, 1))
-            ends[:, k] = np.clip(x[k] + np.array([-STEP, STEP]), low[k], high[k])
+            ends[:, k] = np.clip(
+                x[k] + np.array([-DIFFERENCE_STEP, DIFFERENCE_STEP]), low[k], high[k]
+            )
             change = self.deviation(ends[1]) - self.deviation(ends[0])
             columns.append(change / (ends[1, k] - ends[0, k]))
         return np.column_stack(columns)
@@ -541,9 +562,9 @@ class _Descent:
 def _descents(descent: _Descent) -> list[_DescentResult]:
     """Return the results of all descents in the full ranges, the best first."""
     low, high = descent.bounds
-    draws = qmc.scale(qmc.Sobol(len(low), seed=1).random(DRAWS), low, high)
+    draws = qmc.scale(qmc.Sobol(len(low), seed=1).random(RANDOM_SAMPLES), low, high)
     costs = [float(np.sum(descent.deviation(x) ** 2)) for x in draws]
-    best = map(descent.values, draws[np.argsort(costs)[: STARTS - 1]])
+    best = map(descent.values, draws[np.argsort(costs)[: DESCENT_COUNT - 1]])
     starts = [values_of_part(descent.body.keys), *best]
     return sorted(map(descent.solve, starts), key=attrgetter("cost"))
 
@@ -552,12 +573,12 @@ def _correct_end(descent: _Descent, end: _DescentResult) -> _DescentResult | Non
     """Correct the result of a descent by the residual of the full model.
 
     Each step uses the derivatives of the reduced model. The steps end when the residual moves no
-    combination of the keys by more than :data:`SETTLED` of its standard error. Returns None if that
-    does not happen within the range.
+    combination of the keys by more than :data:`CONVERGED_CHANGE` of its standard error. Returns
+    None if that does not happen within the range.
     """
     body, (low, high) = descent.body, descent.bounds
     x = descent.start(end.values)
-    for _ in range(CORRECTIONS):
+    for _ in range(MESH_CORRECTIONS):
         values = descent.values(x)
         exact = body.exact(values)
         left, J = descent.log_ratio(exact), descent.jacobian(x)
@@ -566,7 +587,7 @@ def _correct_end(descent: _Descent, end: _DescentResult) -> _DescentResult | Non
         U, s, Vt = np.linalg.svd(J[:, free], full_matrices=False)
         excess = _noise_ratio(result)
         pull = np.where(s * max(_log_widths(body.keys)) > 4 * excess, U.T @ left, 0.0)
-        if np.abs(pull).max(initial=0.0) < SETTLED * excess:
+        if np.abs(pull).max(initial=0.0) < CONVERGED_CHANGE * excess:
             return _DescentResult(values, result, end.box, exact)
         x[free] -= Vt.T @ (pull / np.maximum(s, 1e-12))
         if (x < low).any() or (x > high).any():
@@ -575,7 +596,7 @@ def _correct_end(descent: _Descent, end: _DescentResult) -> _DescentResult | Non
 
 
 def _refine_end(descent: _Descent, end: _DescentResult) -> _DescentResult:
-    """Return the values that fit the full model.
+    """Refine the result of a descent until the full model fits.
 
     If the derivatives of the reduced model do not lead to the solution, models of narrower ranges
     follow.
@@ -585,27 +606,27 @@ def _refine_end(descent: _Descent, end: _DescentResult) -> _DescentResult:
     UsageError : the values do not converge.
     """
     body = descent.body
-    widths = 0.5 * np.array(_log_widths(body.keys)) * NARROWER
-    for _ in range(ROUNDS):
+    widths = 0.5 * np.array(_log_widths(body.keys)) * RANGE_RATIO
+    for _ in range(RANGE_COUNT):
         result = _correct_end(descent, end)
         if result is not None:
             return result
         # the scene at these values has a mesh without displaced nodes
-        body = replace(body, like=load_scene(body.scene, body.scene_keys(end.values)))
+        body = replace(body, like=load_scene(body.scene, body.name_scene_keys(end.values)))
         box = {}
         for item, half in zip(body.keys, widths.tolist(), strict=True):
             box[item.key] = _narrow_range(item, end.values[item.key], half)
-        descent = body.descent(box, DEGREE)
+        descent = body.descent(box, POLYNOMIAL_DEGREE)
         end = descent.solve(end.values)
         if not any(
             _is_at_inner_end(item, box[item.key], end.values[item.key]) for item in body.keys
         ):
-            widths = np.maximum(NARROWER * widths, NARROW)
+            widths = np.maximum(RANGE_RATIO * widths, MIN_LOG_WIDTH)
     raise UsageError(
         "the fit does not converge",
         where=body.data.where,
-        got=f"no end in {ROUNDS} rounds at which mesh and reduced model agree",
-        expected=f"within {SETTLED:g} standard errors",
+        got=f"no end in {RANGE_COUNT} rounds at which mesh and reduced model agree",
+        expected=f"within {CONVERGED_CHANGE:g} standard errors",
         hint="vary fewer keys, or give narrower ranges",
     )
 
@@ -644,17 +665,17 @@ def _record(
     relative = np.abs(end.exact / body.Y - 1)
     size = np.abs(np.abs(body.Y / end.exact) - 1)  # relative error of |Z|
     rms = float(np.sqrt(np.mean(relative**2)))
-    if rms > FAR:
+    if rms > MAX_MISFIT:
         raise UsageError(
             "no values in the ranges give the measured impedance",
             where=body.data.where,
             got=f"{rms:.2g} of |Y| left over, rms, from {len(ends)} starts",
-            expected=f"less than {FAR:g}",
+            expected=f"less than {MAX_MISFIT:g}",
             hint="is it the same part, the unit of the frequency right, the range wide enough? "
             "vary one key alone first, such as a thickness",
         )
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
-    scatter = covariance(J, solved.fun, widths)
+    scatter = estimate_covariance(J, solved.fun, widths)
     sigma = np.sqrt(np.diag(scatter))
     weak = 4 * _noise_ratio(solved) > s * widths.max()
     parameters = {}
@@ -676,17 +697,17 @@ def _record(
         "part": body.part,
         "data": body.data.where,
         "parameters": parameters,
-        "values": body.scene_keys(end.values),
+        "values": body.name_scene_keys(end.values),
         "error": {"rms": float(np.sqrt(np.mean(size**2))), "largest": float(size.max())},
         "identifiable": not weak.any(),
         "undetermined": [dict(zip(names, row, strict=True)) for row in Vt[weak].tolist()],
         "correlation": (scatter / np.outer(sigma, sigma)).tolist(),
         "noise": body.data.noise,
-        "misfit": misfit_to_noise(solved.fun, len(keys)),
+        "misfit": rms_misfit(solved.fun, len(keys)),
         "caution": caution,
         "resonances": resonances,
         "starts": [{**item.values, "cost": item.cost} for item in ends],
-        "other_minima": sum(item.cost > APART * best.cost for item in ends),
+        "other_minima": sum(item.cost > WORSE_COST_RATIO * best.cost for item in ends),
         "models": body.counted[0],
         "notes": list(body.data.notes),
     }
@@ -695,22 +716,22 @@ def _record(
 def _explain_misfit(
     body: _Body, end: _DescentResult, resonances: Sequence[Mapping[str, float | None]]
 ) -> str | None:
-    """Return the likely cause of a misfit in words; None if noise explains the misfit."""
-    ratio = misfit_to_noise(end.solved.fun, len(body.keys))
-    if ratio <= WARNED:
+    """Describe the likely cause of a misfit; None if noise explains the misfit."""
+    ratio = rms_misfit(end.solved.fun, len(body.keys))
+    if ratio <= WARNING_MISFIT:
         return None
     text = f"the model does not describe the data: a misfit of {ratio:.1f} times the noise"
-    cause = likely_cause(
+    cause = find_likely_cause(
         end.solved.jac, end.solved.fun, body.log_admittance_changes(end.values, end.exact)
     )
     if cause is None and any(None in (row["measured_hz"], row["fitted_hz"]) for row in resonances):
         cause = "resonances of one that the other lacks: vary sizes, or check mounting and mesh"
-    return f"{text}; likely cause: {cause or UNEXPLAINED}"
+    return f"{text}; likely cause: {cause or UNKNOWN_CAUSE}"
 
 
 def _noise_ratio(solved: OptimizeResult) -> float:
     """Return the ratio of the residual to the noise, at least 1."""
-    return max(1.0, misfit_to_noise(solved.fun, solved.jac.shape[1]))
+    return max(1.0, rms_misfit(solved.fun, solved.jac.shape[1]))
 
 
 def _log_widths(keys: Sequence[VariedKey]) -> list[float]:
@@ -719,13 +740,13 @@ def _log_widths(keys: Sequence[VariedKey]) -> list[float]:
 
 
 def _calibrated_ranges(part: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return ``rom.parameters`` of the part, so that random samples are calibrated parts.
+    """Return ``rom.parameters`` of the part with ranges that contain calibrated parts.
 
-    Every key is within :data:`LIKELY` standard errors of its value, and within its range.
+    Every key is within :data:`RANGE_ERRORS` standard errors of its value, and within its range.
     """
     result = []
     for key, item in parameters.items():
-        half = max(LIKELY * item["sigma"], NARROWEST * abs(item["value"]))
+        half = max(RANGE_ERRORS * item["sigma"], MIN_HALF_WIDTH * abs(item["value"]))
         low, high = sorted((item["low"], item["high"]))
         ends = max(low, item["value"] - half), min(high, item["value"] + half)
         result.append(f'"{key}" = [{ends[0]!r}, {ends[1]!r}]')
@@ -752,7 +773,7 @@ def _match_resonances(
 
 def _find_resonances(f: np.ndarray, Y: np.ndarray, noise: float) -> list[float]:
     """Return the frequencies [Hz] of prominent peaks of the conductance above the noise."""
-    least = np.maximum(PROMINENT * float(Y.real.max()), ABOVE_NOISE * noise * np.abs(Y))
+    least = np.maximum(MIN_PROMINENCE * float(Y.real.max()), MIN_NOISE_RATIO * noise * np.abs(Y))
     result, _ = find_peaks(Y.real, prominence=least)
     frequencies: list[float] = f[result].tolist()
     return frequencies

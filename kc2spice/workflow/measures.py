@@ -1,4 +1,4 @@
-"""``.meas`` cards of a deck: the probes and main metrics of a scene, taken by the simulator itself.
+"""Cards ``.meas`` of a deck, with which the simulator computes probes and main metrics.
 
 A card exists for each quantity of one vector that ngspice computes in the same way as the program:
 extremes and their places, their difference, means, values at a place, crossings of a level and the
@@ -23,16 +23,16 @@ from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.rows import LargestRealPart, Vector
 from kc2spice.scene.settings import Probe
 
-_TAKEN = {"max": "MAX", "min": "MIN", "peak_to_peak": "PP", "mean": "AVG", "rms": "RMS"}
-_OPPOSITE = {"MAX": "MIN", "MIN": "MAX", "MAX_AT": "MIN_AT"}
-# Probe functions of a magnitude that a card computes as the program does, without interpolation.
-_OF_MAGNITUDES = ("max", "argmax", "crossing")
-_NAME = re.compile(r"[A-Za-z]\w*")
-KINDS = {"transient": "tran", "dc": "dc", "ac": "ac", "op": "op"}
+_FUNCTIONS = {"max": "MAX", "min": "MIN", "peak_to_peak": "PP", "mean": "AVG", "rms": "RMS"}
+_OPPOSITE_EXTREMES = {"MAX": "MIN", "MIN": "MAX", "MAX_AT": "MIN_AT"}
+# Probe functions of a magnitude that a card computes like kc2spice, without interpolation.
+_MAGNITUDE_FUNCTIONS = ("max", "argmax", "crossing")
+_VALID_NAME = re.compile(r"[A-Za-z]\w*")
+ANALYSIS_KINDS = {"transient": "tran", "dc": "dc", "ac": "ac", "op": "op"}
 
 
 class _Wave(NamedTuple):
-    """Vector of the simulator in a ``kind`` of analysis.
+    """Vector of the simulator in an analysis of some ``kind``.
 
     ``factor`` is the SI value of its unit, ``per_unit`` the volts or amperes of a dc sweep for one
     SI unit of the scale. ``last`` is the last place on the scale.
@@ -45,7 +45,7 @@ class _Wave(NamedTuple):
     last: float
 
 
-def measures(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
+def list_measures(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
     """Return the measures of a scene, probes first.
 
     ``sweep_scale`` is the volts or amperes of a dc sweep for one SI unit of the swept key.
@@ -57,31 +57,31 @@ def measures(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
             count.update(metrics.keys())
             probes |= metrics
     for name in count:
-        if count[name] > 1:  # a name that belongs to two parts gets no card
+        if count[name] > 1:  # a name that several parts have gets no card
             del probes[name]
-    return tuple(_measures(build, {**probes, **build.scene.probes}, sweep_scale))
+    return tuple(_list_measures(build, {**probes, **build.scene.probes}, sweep_scale))
 
 
-def _measures(
+def _list_measures(
     build: Build, probes: Mapping[str, Probe | LargestRealPart], sweep_scale: float
 ) -> Iterator[Measure]:
     """Yield the measures of probes that a card computes."""
     for name, probe in probes.items():
-        wave = _wave(build.scene, build.results.vectors.get(probe.of), sweep_scale)
-        if wave is None or not _NAME.fullmatch(name):
+        wave = _find_wave(build.scene, build.results.vectors.get(probe.of), sweep_scale)
+        if wave is None or not _VALID_NAME.fullmatch(name):
             continue
         if isinstance(probe, LargestRealPart):
             yield Measure(name, wave.kind, (_signed_extreme("MAX_AT", wave.factor), wave.text))
         elif not {"from_", "to", "periods"} & probe.model_fields_set:
-            yield from _measure(name, probe, wave)
+            yield from _list_probe_measures(name, probe, wave)
 
 
-def _wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _Wave | None:
+def _find_wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _Wave | None:
     """Return a result that is one vector of the simulator.
 
     The result is None for a sum, and for a sweep that returns.
     """
-    kind = KINDS.get(scene.analysis.type)
+    kind = ANALYSIS_KINDS.get(scene.analysis.type)
     if kind is None or result is None or len(result.terms) != 1:
         return None
     if kind == "dc" and scene.analysis.back:
@@ -90,7 +90,7 @@ def _wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _Wave | No
     return _Wave(kind, text, sign * result.factor, sweep_scale, scene.stop)
 
 
-def _measure(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
+def _list_probe_measures(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
     """Yield the measure of a probe; none if no card computes it.
 
     In ``ac`` it is the magnitude of a voltage.
@@ -101,7 +101,7 @@ def _measure(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
         return
     if kind == "ac":
         vector = parsed(text)
-        if vector is None or vector.quantity != "v" or take not in _OF_MAGNITUDES:
+        if vector is None or vector.quantity != "v" or take not in _MAGNITUDE_FUNCTIONS:
             return
         text, factor = f"vm({text[2:]}", abs(factor)
     if take == "argmax":
@@ -115,11 +115,11 @@ def _measure(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
         )
     elif take == "final" and kind == "tran":
         yield Measure(name, kind, ("FIND", text, f"AT={format_number(wave.last)}"), factor)
-    elif word := _TAKEN.get(take):
+    elif word := _FUNCTIONS.get(take):
         size = abs(factor) if word in ("PP", "RMS") else factor
         yield Measure(name, kind, (_signed_extreme(word, factor), text), size)
 
 
 def _signed_extreme(word: str, factor: float) -> str:
     """Return the measure of an extreme; a negative unit exchanges minimum and maximum."""
-    return _OPPOSITE.get(word, word) if factor < 0 else word
+    return _OPPOSITE_EXTREMES.get(word, word) if factor < 0 else word

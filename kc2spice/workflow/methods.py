@@ -1,4 +1,4 @@
-"""``reduce --method compare``: all methods of reduction on one model, in one table."""
+"""Comparison of all reduction methods on one model (``reduce --method compare``)."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from kc2spice.rom.error_estimate import default_norm
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduction import SMALLEST_TOLERANCE, Reduction
 from kc2spice.rom.reductors.registry import reductor_names
-from kc2spice.workflow.reduce_files import TOLERANCE, load_full_model
+from kc2spice.workflow.reduce_files import DEFAULT_TOLERANCE, load_full_model
 
 
-def compare(
+def compare_methods(
     path: Path | str | LinearModel,
     *,
     band: tuple[float, float] | None = None,
@@ -57,13 +57,13 @@ def compare(
     >>> import numpy as np
     >>> K = 2 * np.eye(20) - np.eye(20, k=1) - np.eye(20, k=-1)
     >>> np.savez("chain.npz", M=np.eye(20), E=0.05 * K, K=K, B=np.eye(20)[:, :1])
-    >>> rows = compare("chain.npz", band=(0.0, 0.05), tolerance=1e-2)["methods"]
+    >>> rows = compare_methods("chain.npz", band=(0.0, 0.05), tolerance=1e-2)["methods"]
     >>> next(row["states"] for row in rows if row["method"] == "response POD")
     6
     """
-    model = path if isinstance(path, LinearModel) else _model_of(path)
+    model = path if isinstance(path, LinearModel) else _load_model(path)
     if tolerance is None and order is None:
-        tolerance = TOLERANCE
+        tolerance = DEFAULT_TOLERANCE
     progress("reduce", None, f"{model.order} equations")
     begin = time.process_time()
     reduction = Reduction(
@@ -76,10 +76,11 @@ def compare(
     shared = time.process_time() - begin
     rows = []
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a table of trials: each model has its error estimate
+        # each model has an error estimate, so the warnings of trials are not shown
+        warnings.simplefilter("ignore")
         for method in reductor_names():
             progress("reduce", None, method)
-            rows.append(_method_result(reduction, method, tolerance, order))
+            rows.append(_run_method(reduction, method, tolerance, order))
     rows.sort(key=lambda row: (row["states"] is None, row["states"] or 0))
     return {
         "model": model.name,
@@ -92,24 +93,24 @@ def compare(
     }
 
 
-def _model_of(path: Path | str) -> LinearModel:
-    """The full model of a file or of a scene's body."""
+def _load_model(path: Path | str) -> LinearModel:
+    """Return the full model of a file or of a scene's body."""
     if is_measured(Path(path)):
         expected = "matrices; a measured response is fitted by one method"
         raise UsageError("is a measurement", where="--method", got=path, expected=expected)
     return load_full_model(path)
 
 
-def _method_result(
+def _run_method(
     reduction: Reduction, method: str, tolerance: float | None, order: int | None
 ) -> dict[str, Any]:
-    """States, error estimate and CPU time [s] of one method, or the reason why it has no model."""
+    """Return states, error estimate and CPU time [s] of a method, or its failure reason."""
     begin, rom, reason = time.process_time(), None, None
     try:
         rom = reduction.reduce(tolerance=tolerance, order=order, method=method)
     except Kc2spiceError as error:
         reason = error.message.removeprefix("this method does not apply to the model: ")
-    except Exception as error:  # a method of the user must not end the comparison
+    except Exception as error:  # an error in a user's method must not end the comparison
         reason = f"{type(error).__name__}: {error}"
     row: dict[str, Any] = {"method": method, "order": None, "states": None, "error_estimate": None}
     if rom is not None:

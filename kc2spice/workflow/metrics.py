@@ -20,18 +20,19 @@ from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.settings import Probe
 from kc2spice.workflow import noise_analysis
-from kc2spice.workflow.time_step import step_checks
+from kc2spice.workflow.time_step import list_step_checks
 
-# largest correction of a peak between points; 3 % at a distance of half a half-width
-BETWEEN_POINTS = 0.05
-ROUNDED = 1e-9  # rounding error of the ends of the scale in the simulator, relative
-# ratio of the relative change of the height of a flight to that of its velocity
+# largest relative correction of a maximum between points: 3 % at a distance of half a half-width
+MAX_CORRECTION = 0.05
+SCALE_ROUNDING = 1e-9  # relative rounding error of the ends of the scale in the simulator
+# relative change of the height of a flight for a relative change of the velocity
 HEIGHT_PER_VELOCITY = 2.0
-BUDGET_SHARE = 0.03  # fraction of a larger error_budget, a tenth of the fraction for time steps
+# share of error_budget that an energy balance may miss, a tenth of the share of time steps
+BALANCE_SHARE = 0.03
 
 
-def verdict(waves: Waveforms, build: Build) -> Verdict:
-    """Return the checks that apply to the parts of a scene, without those that it turns off.
+def list_checks(waves: Waveforms, build: Build) -> Verdict:
+    """Return the checks of the parts of a scene, except checks that the scene turns off.
 
     A larger error_budget raises the limits of all energy balances by the same factor.
     """
@@ -50,11 +51,11 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
     checks += (
         noise_analysis.noise_checks(waves)
         if build.has_noise
-        else step_checks(build, waves, balances)
+        else list_step_checks(build, waves, balances)
     )
     if scene.checks.energy == "off":
         balances = {}
-    slack = max(1.0, BUDGET_SHARE * (scene.error_budget or 0.0) / 1e-4)
+    slack = max(1.0, BALANCE_SHARE * (scene.error_budget or 0.0) / 1e-4)
     checks += [
         Check(
             f"energy of {name}",
@@ -72,10 +73,11 @@ def verdict(waves: Waveforms, build: Build) -> Verdict:
 
 
 def with_undecided(checks: Sequence[Check]) -> Iterator[Check]:
-    """Yield all checks, and a warning for each that errors of reduced bodies may decide.
+    """Yield all checks, and a warning for each check that errors of reduced bodies may decide.
 
     A relative error e of the velocity that a body gives changes the height of a flight, v^2 / 2 g,
-    by 2 e of it. An outcome is undecided if the motion is nearer to its limit than that.
+    by the relative amount 2 e. An outcome is undecided if the motion is nearer to its limit than
+    that.
     """
     error = max((check.value for check in checks if check.loaded), default=0.0)
     for check in checks:
@@ -97,14 +99,14 @@ def with_undecided(checks: Sequence[Check]) -> Iterator[Check]:
 
 
 class Metrics(NamedTuple):
-    """Metrics by name, and the SI units of those that have one by dotted name."""
+    """Metrics, and SI units of the metrics with a unit, keyed by dotted name."""
 
     values: dict[str, Any]
     units: dict[str, str]
 
 
-def metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> Metrics:
-    """Return the metrics of probes, then of all parts; of ``partial`` waves what they reach.
+def compute_metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> Metrics:
+    """Return the metrics of probes and parts; for ``partial`` waves, those that exist.
 
     A name that several parts have gets the part's name in front: ``left.kick_stroke_m``.
     """
@@ -144,7 +146,7 @@ def _metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]
 
 
 def _covers_probe(probe: Probe, waves: Waveforms, window: tuple[float, float] | None) -> bool:
-    """Whether the waves of a run that ended early have all that a probe reads."""
+    """Return whether the waves of an early end contain everything that a probe reads."""
     low, high = waves.scale.real.min(), waves.scale.real.max()
     places = [*probe.places.values(), *(filter(math.isfinite, window or ()))]
     return probe.of in waves and all(low <= place <= high for place in places)
@@ -185,7 +187,7 @@ def _clip_to_window(
     scale, values = scale[::direction], values[::direction]
     for key, end in zip(("from", "to"), window, strict=True):
         if math.isfinite(end) and not _is_on_scale(scale, end):
-            raise _is_outside(name, key, end, scale)
+            raise _make_outside_error(name, key, end, scale)
     low, high = max(window[0], scale[0]), min(window[1], scale[-1])
     inside = (scale > low) & (scale < high)
     at = np.concatenate([[low], scale[inside], [high]])
@@ -223,7 +225,7 @@ def _evaluate_wave(
         if window is not None:
             scale, values = _clip_to_window(scale, values, window, name)
         return _evaluate_range(probe, scale, values)
-    return _value(scale, values, probe.at, name)
+    return _interpolate_value(scale, values, probe.at, name)
 
 
 def _evaluate_range(probe: Probe, scale: np.ndarray, values: np.ndarray) -> float | None:
@@ -234,7 +236,7 @@ def _evaluate_range(probe: Probe, scale: np.ndarray, values: np.ndarray) -> floa
     if np.iscomplexobj(values) and probe.take == "min":
         return response_minimum(scale.real, np.abs(values))
     sizes = np.abs(values) if np.iscomplexobj(values) else values
-    result = _TAKEN[probe.take](scale, sizes, float(probe.level or 0.0))
+    result = _PROBE_FUNCTIONS[probe.take](scale, sizes, float(probe.level or 0.0))
     return None if result is None else float(result)
 
 
@@ -247,7 +249,7 @@ def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, fl
         1 / |y|^2 = ((w - w0)^2 + a^2) / |R|^2
 
     The largest point itself is returned at the ends of the range, and where the parabola exceeds it
-    by more than :data:`BETWEEN_POINTS`: the points are then too far apart to tell.
+    by more than :data:`MAX_CORRECTION`: the points are then too far apart to tell.
 
     >>> w = np.array([9.0, 10.1, 11.2])
     >>> place, value = response_maximum(w, np.abs(1 / (1j * (w - 10) + 1)))
@@ -264,20 +266,20 @@ def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, fl
     square = (slopes[1] - slopes[0]) / (x[1] - x[0])
     linear = slopes[1] - square * x[1]
     least = 1 - linear**2 / (4 * square) if square > 0 else 0.0
-    if least < 1 / (1 + BETWEEN_POINTS) ** 2:
+    if least < 1 / (1 + MAX_CORRECTION) ** 2:
         return place, largest
     return float(place - linear / (2 * square)), float(largest / math.sqrt(least))
 
 
 def response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
-    """Return the least magnitude of a frequency response, between its points too.
+    """Return the smallest magnitude of a frequency response, also between its points.
 
     Near a zero the reciprocal of a response has a pole.
     """
     return 1 / response_maximum(frequency, 1 / size)[1] if size.all() else 0.0
 
 
-def frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
+def mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
     """Return the mean rate at which ``values`` rise through their mean in the last half.
 
     None with fewer than two crossings.
@@ -292,7 +294,7 @@ def frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
     return float((k.size - 1) / abs(places[-1] - places[0]))
 
 
-def crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
+def first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
     """Return the first place on the scale where the values cross ``level``, interpolated."""
     above = values >= level
     changes = np.flatnonzero(above[1:] != above[:-1])
@@ -310,8 +312,8 @@ def _time_average(scale: np.ndarray, values: np.ndarray) -> float:
     )  # the mean of a single point is its value
 
 
-# Values of probes by name, as functions of the scale (n,), the values (n,) and a level.
-_TAKEN: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
+# Functions of probes of the scale (n,), the values (n,) and a level, keyed by name.
+_PROBE_FUNCTIONS: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
     "argmax": lambda scale, values, _: scale[values.argmax()],
     "max": lambda scale, values, _: values.max(),
     "min": lambda scale, values, _: values.min(),
@@ -319,26 +321,27 @@ _TAKEN: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
     "peak_to_peak": lambda scale, values, _: np.ptp(values),
     "mean": lambda scale, values, _: _time_average(scale, values),
     "rms": lambda scale, values, _: math.sqrt(_time_average(scale, values**2)),
-    "frequency": lambda scale, values, _: frequency(scale, values),
-    "crossing": crossing,
+    "frequency": lambda scale, values, _: mean_frequency(scale, values),
+    "crossing": first_crossing,
 }
 
 
 def _is_on_scale(scale: np.ndarray, place: float) -> bool:
-    """Whether a place is on the scale, but for rounding."""
-    slack = ROUNDED * float(np.ptp(scale))
+    """Return whether a position is on the scale, within rounding."""
+    slack = SCALE_ROUNDING * float(np.ptp(scale))
     return bool(scale.min() - slack <= place <= scale.max() + slack)
 
 
-def _is_outside(name: str, key: str, place: float, scale: np.ndarray) -> UsageError:
+def _make_outside_error(name: str, key: str, place: float, scale: np.ndarray) -> UsageError:
+    """Return the error of a position outside of the scale."""
     expected = f"{scale.min():g} … {scale.max():g}"
     return UsageError("outside the analysis", where=f"probes.{name}.{key}", got=f"{place:g}",
                       expected=expected)  # fmt: skip
 
 
-def _value(scale: np.ndarray, values: np.ndarray, place: float, name: str) -> float:
-    """Interpolated value at ``place``; of complex values the magnitude."""
+def _interpolate_value(scale: np.ndarray, values: np.ndarray, place: float, name: str) -> float:
+    """Return the interpolated value at ``place``; the magnitude of a complex value."""
     if not _is_on_scale(scale, place):
-        raise _is_outside(name, "at", place, scale)
+        raise _make_outside_error(name, "at", place, scale)
     result = interpolate(place, scale, values)
     return float(np.abs(result)) if np.iscomplexobj(result) else float(result)

@@ -6,8 +6,8 @@ and their Jacobian J. With n values, k keys and the misfit ``m = sqrt(r'r / (n -
 - Residuals that are noise alone have m near 1. The covariance is ``max(1, m)^2 (J'J)^-1``.
 - Residuals of a model that does not describe its data are correlated over neighbouring
   frequencies and largest where the keys act most, which that formula excludes. From
-  :data:`MODEL_ERROR` on, the scatter of the values is added when each of :data:`BANDS` contiguous
-  bands of frequency is left out in turn: the jackknife of blocks, whose covariance is
+  :data:`MODEL_ERROR_MISFIT` on, the scatter of the values is added when each of :data:`BAND_COUNT`
+  contiguous bands of frequency is left out in turn: the jackknife of blocks, whose covariance is
   ``(g - 1) / g sum (x_b - mean x)(x_b - mean x)'`` for g bands (H. R. Kuensch, Annals of Statistics
   17 (1989) 1217).
 """
@@ -18,15 +18,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-MODEL_ERROR = 1.5  # misfit that noise alone does not reach; with 50 points it scatters by 10 %
-BANDS = 8
-WARNED = 3.0  # misfit from which a fit warns
-# ratio of the remaining squares to the least ones, below which a cause is equally likely
-AS_LIKELY = 1.1
-EXPLAINED = 0.5  # least fraction of squared residuals that a likely cause removes
+# misfit that noise alone does not reach; with 50 points it scatters by 10 %
+MODEL_ERROR_MISFIT = 1.5
+BAND_COUNT = 8
+WARNING_MISFIT = 3.0  # misfit from which a fit warns
+# ratio of the remaining sum of squares to the smallest one, below which causes are equally likely
+EQUAL_LIKELIHOOD_RATIO = 1.1
+EXPLAINED_SHARE = 0.5  # smallest share of the sum of squares that a likely cause removes
 
 
-def misfit_to_noise(residuals: np.ndarray, keys: int) -> float:
+def rms_misfit(residuals: np.ndarray, keys: int) -> float:
     """Return the rms residual in units of the noise.
 
     Parameters
@@ -38,13 +39,13 @@ def misfit_to_noise(residuals: np.ndarray, keys: int) -> float:
 
     Examples
     --------
-    >>> misfit_to_noise(np.array([3.0, -3.0, 3.0, -3.0]), 2)
+    >>> rms_misfit(np.array([3.0, -3.0, 3.0, -3.0]), 2)
     4.242640687119285
     """
     return float(np.sqrt(residuals @ residuals / max(len(residuals) - keys, 1)))
 
 
-def covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray) -> np.ndarray:
+def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray) -> np.ndarray:
     """Return the covariance (k, k) of the fitted values, or of their logarithms as in J.
 
     Parameters
@@ -57,14 +58,14 @@ def covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray) -> np.n
         Ranges of the values; no standard error of the jackknife is larger.
     """
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
-    more = misfit_to_noise(residuals, J.shape[1])
+    more = rms_misfit(residuals, J.shape[1])
     noise = max(1.0, more) ** 2 * (Vt.T / np.maximum(s, 1e-12) ** 2) @ Vt
-    if more < MODEL_ERROR:
+    if more < MODEL_ERROR_MISFIT:
         return np.asarray(noise)
-    bands = np.array_split(np.arange(len(residuals) // 2), BANDS)
+    bands = np.array_split(np.arange(len(residuals) // 2), BAND_COUNT)
     moves = np.array([_change_without_band(J, residuals, band) for band in bands])
     moves -= moves.mean(axis=0)
-    scatter = (BANDS - 1) / BANDS * moves.T @ moves
+    scatter = (BAND_COUNT - 1) / BAND_COUNT * moves.T @ moves
     size = np.sqrt(np.diag(scatter))
     limit = np.minimum(1.0, np.divide(widest, size, out=np.ones_like(size), where=size > 0))
     return np.asarray(noise + scatter * np.outer(limit, limit))
@@ -77,7 +78,7 @@ def _change_without_band(J: np.ndarray, residuals: np.ndarray, band: np.ndarray)
     return np.asarray(-np.linalg.lstsq(J[used], residuals[used], rcond=None)[0])
 
 
-def likely_cause(
+def find_likely_cause(
     J: np.ndarray, residuals: np.ndarray, causes: Mapping[str, np.ndarray]
 ) -> str | None:
     """Return the first cause that explains nearly as much of the residuals as any other.
@@ -102,9 +103,9 @@ def likely_cause(
     total = float(residuals @ residuals)
     left = {name: _residual_with_cause(J, residuals, column) for name, column in causes.items()}
     least = min(left.values(), default=total)
-    if least >= (1 - EXPLAINED) * total:
+    if least >= (1 - EXPLAINED_SHARE) * total:
         return None
-    return next(name for name, squares in left.items() if squares <= AS_LIKELY * least)
+    return next(name for name, squares in left.items() if squares <= EQUAL_LIKELIHOOD_RATIO * least)
 
 
 def _residual_with_cause(J: np.ndarray, residuals: np.ndarray, cause: np.ndarray) -> float:

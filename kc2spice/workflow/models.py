@@ -17,7 +17,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import mode_table
 from kc2spice.scene.model import Build, Names, Part, Scene, scene_hash
 from kc2spice.scene.resolve import resolve_again, resolve_build
-from kc2spice.workflow.time_step import largest_step, with_linearised_scene
+from kc2spice.workflow.time_step import choose_largest_step, with_linearised_scene
 
 
 def build_models(
@@ -29,15 +29,15 @@ def build_models(
 ) -> Build:
     """Build the models of a scene's parts, or read them from the cache.
 
-    ``trust`` lets included netlists act on the machine. ``functions`` are those of controllers, by
-    part.
+    With ``trust``, included netlists may execute programs and open files. ``functions`` are the
+    functions of controllers, keyed by part.
     """
     models = {name: part.type.build(part, scene, clock) for name, part in scene.parts.items()}
     build = Build(scene, models, name_subcircuits(scene), trust=trust, functions=functions or {})
-    build = _resolve_equations(share_subcircuits(build))
+    build = _resolve_equations(merge_equal_subcircuits(build))
     if scene.analysis.type != "transient":
         return build
-    return replace(build, largest=largest_step(build))
+    return replace(build, largest=choose_largest_step(build))
 
 
 def _resolve_equations(build: Build) -> Build:
@@ -46,16 +46,16 @@ def _resolve_equations(build: Build) -> Build:
 
 
 def replace_parts(build: Build, parts: Mapping[str, Part], unjudged: Iterable[str]) -> Build:
-    """Return the build with other keys of its parts, and with the same models.
+    """Return the build with changed keys of parts, and with unchanged models.
 
     The parts ``unjudged`` have neither checks nor an energy balance.
     """
     judged = replace(build, unjudged=build.unjudged.union(unjudged))
-    return replace_scene(judged, replace(build.scene, parts=parts))
+    return rebuild_with_scene(judged, replace(build.scene, parts=parts))
 
 
-def replace_scene(build: Build, scene: Scene) -> Build:
-    """Return the build of a scene with other keys but with the same pins, nets and models."""
+def rebuild_with_scene(build: Build, scene: Scene) -> Build:
+    """Return a build for changed keys that reuses pins, nets and models."""
     return _resolve_equations(replace(build, scene=resolve_again(scene)))
 
 
@@ -78,8 +78,8 @@ def name_subcircuits(scene: Scene) -> dict[str, str]:
     return names
 
 
-def share_subcircuits(build: Build) -> Build:
-    """Return ``build`` with one subcircuit for all parts of a type whose subcircuits are equal.
+def merge_equal_subcircuits(build: Build) -> Build:
+    """Return ``build`` with one subcircuit for parts of a type with equal subcircuits.
 
     The subcircuit has the name of the part type if the subcircuits of all parts of the type are
     equal. Otherwise each group of equal subcircuits has the name of its first part's subcircuit.
@@ -104,7 +104,7 @@ def share_subcircuits(build: Build) -> Build:
 
 
 def _netlist_texts(part: Part, build: Build, header: Header) -> tuple[str, ...]:
-    """Return the netlists of a part's subcircuits."""
+    """Return the texts of a part's subcircuits."""
     return tuple(map(attrgetter("text"), part.type.subcircuits(part, build, header)))
 
 
@@ -130,8 +130,8 @@ def _number_subcircuits(build: Build) -> dict[str, str]:
     return names
 
 
-def model_facts(build: Build) -> dict[str, dict[str, float]]:
-    """Return ``model`` of ``result.json``: the main numbers of each part's model."""
+def model_values(build: Build) -> dict[str, dict[str, float]]:
+    """Return ``model`` of ``result.json``: characteristic values of each part's model."""
     result = {}
     for part in build.scene.parts.values():
         if facts := build.facts(part):
@@ -139,8 +139,8 @@ def model_facts(build: Build) -> dict[str, dict[str, float]]:
     return result
 
 
-# SI units of the numbers in ``model`` of result.json; other numbers have no unit.
-FACT_UNITS = {
+# SI units of the values in ``model`` of result.json; other values have no unit.
+VALUE_UNITS = {
     "mass_kg": "kg", "resonance*_hz": "Hz", "*capacitance_*f": "F", "depoling_voltage_v": "V",
     "free_stroke_*_m_per_v": "m/V", "free_stroke_*_m_per_100v": "m per 100 V", "extent_*_mm": "mm",
     "force_max_n": "N", "coil_resistance_ohm": "Ohm", "coil_inductance_h": "H",
@@ -148,18 +148,18 @@ FACT_UNITS = {
 }  # fmt: skip
 
 
-def fact_units(facts: Mapping[str, float]) -> dict[str, str]:
-    """Return the SI unit of each of a model's ``facts`` that has one."""
+def value_units(facts: Mapping[str, float]) -> dict[str, str]:
+    """Return the SI units of a model's values that have one."""
     result = {}
     for name in facts:
-        pattern = next(filter(partial(fnmatchcase, name), FACT_UNITS), None)
+        pattern = next(filter(partial(fnmatchcase, name), VALUE_UNITS), None)
         if pattern is not None:
-            result[name] = FACT_UNITS[pattern]
+            result[name] = VALUE_UNITS[pattern]
     return result
 
 
 def mode_tables(build: Build) -> dict[str, dict[str, Any]]:
-    """Return ``modes`` of ``result.json``: the modes of each body that has some within its band."""
+    """Return ``modes`` of ``result.json``: the modes of each body within its band."""
     result = {}
     for name, model in build.models_of(LinearModel).items():
         if table := mode_table(model):
@@ -167,8 +167,8 @@ def mode_tables(build: Build) -> dict[str, dict[str, Any]]:
     return result
 
 
-def rom_facts(build: Build) -> dict[str, Any]:
-    """Return ``rom`` of ``result.json``, the first reduced model, and ``roms``, all if several."""
+def rom_values(build: Build) -> dict[str, Any]:
+    """Return ``rom`` of ``result.json``, and ``roms`` if there are several reduced models."""
     models = build.models_of(LinearModel)
     if not models:
         return {}

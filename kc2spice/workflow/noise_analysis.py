@@ -14,11 +14,12 @@ from kc2spice.scene.model import Build
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.rows import DENSITY_UNIT
 
-RESOLVED = 0.02  # largest relative change of the rms value with every second frequency
+# largest relative change of the rms value if every second frequency is omitted
+MAX_RMS_CHANGE = 0.02
 
 
 def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
-    """Return the noise density (nf,) of each part, as far as the run contains it."""
+    """Return the noise density (nf,) of each part that the run contains."""
     power: dict[str, np.ndarray] = {}
     for name, density in waves.data.items():
         word, _, rest = name.partition(".")
@@ -51,7 +52,12 @@ def noise_checks(waves: Waveforms) -> Iterator[Check]:
             "a resonance lies between the frequencies: raise analysis.points, or narrow the band"
         )
         yield Check(
-            "noise against every second frequency", off, RESOLVED, "of its rms", advice, "warn"
+            "noise against every second frequency",
+            off,
+            MAX_RMS_CHANGE,
+            "of its rms",
+            advice,
+            "warn",
         )
 
 

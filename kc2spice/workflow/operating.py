@@ -20,19 +20,19 @@ from kc2spice.scene.model import Build
 from kc2spice.scene.settings import Analysis
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.models import replace_scene
+from kc2spice.workflow.models import rebuild_with_scene
 
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """Results of all parts at an operating point, and the checks of them."""
+    """Results of all parts at an operating point, with checks."""
 
     values: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     checks: tuple[Check, ...] = ()
 
 
-def operating_point(build: Build, deck: Deck) -> OperatingPoint:
+def find_operating_point(build: Build, deck: Deck) -> OperatingPoint:
     """Find the operating point of small signals in a separate run.
 
     The result is None for other analyses, for edited decks, and for scenes that contain linear
@@ -44,13 +44,14 @@ def operating_point(build: Build, deck: Deck) -> OperatingPoint:
         return OperatingPoint()
     if is_linear(build):
         return OperatingPoint()
-    # The probes remain, because they determine the pins of a body. Noise is no result of this run.
+    # The probes remain, because they determine the pins of a body; this run has no noise result.
     probes = {} if build.has_noise else scene.probes
     frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": probes})
-    # Pins and models stay: films and eddy currents are resolved up to the same frequency.
+    # Pins and models are unchanged, so that films and eddy currents are resolved to the same
+    # frequency.
     resolved = replace(scene, frame=frame, resolved_frequency=highest_frequency(scene))
     try:
-        deck_at_rest = make_deck(replace_scene(build, resolved))
+        deck_at_rest = make_deck(rebuild_with_scene(build, resolved))
         with TemporaryDirectory() as folder:
             point: Waveforms = run_deck(deck_at_rest, Path(folder))
     except (SimulationError, UsageError) as error:

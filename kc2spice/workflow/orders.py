@@ -1,10 +1,10 @@
-"""Larger orders of reduced bodies whose error is too large in a transient.
+"""Larger orders for reduced bodies whose error in a transient is too large.
 
 A run compares each reduced body with a model of more states under the loads that it recorded (see
 :mod:`kc2spice.rom.enriched`). The same loads give the error of larger orders, each from a reduction
 without a further run. The scene runs again with the least order whose error is within the limit, or
 with the one that has the smallest error. The new loads judge the new run, until its error is within
-the limit, or until more states are too many, do not help, or have been tried :data:`MOST_RISES`
+the limit, or until more states are too many, do not help, or have been tried :data:`MAX_RERUNS`
 times.
 """
 
@@ -35,19 +35,20 @@ from kc2spice.workflow.ringing import time_per_point
 from kc2spice.workflow.simulate import Run, simulate_deck
 
 # Factors of the order and of the highest frequency of the band, tried until the error is within its
-# limit. The states without inertia begin above the band (docs/explanation/contact.md): at a damping
-# of 0.01 % they leave an error of 1.8 % whatever the order, and of 0.7 % over twice the band.
-RISES = ((2, 1.0), (4, 1.0), (4, 2.0), (8, 2.0))
-MOST_VECTORS = 400  # order of a larger model; each vector takes a solution of the full model
-MOST_STATES = 200  # states of a larger model; every state adds time to each simulator step
-MOST_RISES = 3  # further runs; each has at least twice the order of the run before
-MOST_SECONDS = 300.0  # expected CPU time of the simulator for a further run
-SMALLER = 0.7  # largest ratio of errors, new to present, that is worth another run
+# limit. Massless modes begin above the band (docs/explanation/contact.md): at a damping of 0.01 %,
+# they cause an error of 1.8 % for any order, and of 0.7 % with twice the band.
+ORDER_FACTORS = ((2, 1.0), (4, 1.0), (4, 2.0), (8, 2.0))
+MAX_VECTORS = 400  # largest order of a model; each vector takes a solution of the full model
+# largest number of states of a model; every state adds time to each simulator step
+MAX_STATES = 200
+MAX_RERUNS = 3  # largest number of further runs; each has at least twice the previous order
+MAX_SECONDS = 300.0  # largest expected CPU time [s] of the simulator for a further run
+IMPROVEMENT_RATIO = 0.7  # largest ratio of new to present error that justifies a further run
 
 
 @dataclass(frozen=True)
 class LargerOrder:
-    """A larger order of a body, which ``keys`` of the scene set.
+    """Larger order of a body, set by ``keys`` of the scene.
 
     ``states`` and ``error``, under the loads of the run, are pairs for the present and the larger
     model. ``seconds`` is the expected CPU time of the simulator for a run with the larger model.
@@ -71,15 +72,14 @@ class LargerOrder:
 
 
 def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
-    """Run the scene of ``run`` again with larger orders until the error under the recorded loads is
-    small.
+    """Repeat a run with larger orders until the error under the recorded loads is small.
 
     Returns the run whose reduced bodies have the smallest error. The files of that run are in the
     directory ``work``. Prints the orders and their errors as warnings, and the reason for the end
     of the search if the error remains too large.
     """
-    for _ in range(MOST_RISES):
-        searches = list(_larger_orders(run, clock))
+    for _ in range(MAX_RERUNS):
+        searches = list(_search_larger_orders(run, clock))
         chosen = [search.best for search in searches if search.best is not None]
         if not chosen:
             for search in searches:
@@ -90,12 +90,12 @@ def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
             return run
         run = better
     for name in (check.name for check in _violated_checks(run).values()):
-        warnings.warn(f"{name}: {MOST_RISES} further runs do not suffice", stacklevel=3)
+        warnings.warn(f"{name}: {MAX_RERUNS} further runs do not suffice", stacklevel=3)
     return run
 
 
 def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return keys of the scene with which a failed run may succeed; empty if there are none.
+    """Return keys of the scene with which a failed run may succeed; empty without any.
 
     The keys are those that the checks of the run suggest. If a body is still too coarse although
     its order is among the ``automatic`` keys, the order is doubled once more.
@@ -106,7 +106,7 @@ def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> M
     names = [f"{check.name.removeprefix('reduction of ')}.rom.order" for check in checks]
     raised = all(check.loaded for check in checks) and all(name in automatic for name in names)
     orders = {name: TWICE * automatic[name] for name in names} if raised else {}
-    return orders if max(orders.values(), default=0) <= MOST_VECTORS else {}
+    return orders if max(orders.values(), default=0) <= MAX_VECTORS else {}
 
 
 def _run_again(run: Run, chosen: Sequence[LargerOrder], work: Path, clock: Clock) -> Run | None:
@@ -140,33 +140,34 @@ def _run_again(run: Run, chosen: Sequence[LargerOrder], work: Path, clock: Clock
 
 @dataclass(frozen=True)
 class _Search:
-    """The best larger order of a body, None if none is worth a run, and the reason for the end of
-    the search."""
+    """Search result: the best larger order of a body, None without any, and the reason."""
 
     best: LargerOrder | None
     end: str
 
 
 def _violated_checks(run: Run) -> dict[str, Check]:
-    """Return violated checks of errors under the recorded loads, by the body."""
+    """Return violated checks of errors under the recorded loads, keyed by body."""
     checks = {check.name: check for check in run.verdict.checks if check.loaded}
-    bodies = {part.name: checks.get(f"reduction of {part.name}") for part in _orders_of(run)}
+    bodies = {
+        part.name: checks.get(f"reduction of {part.name}") for part in _bodies_with_order(run)
+    }
     return {name: check for name, check in bodies.items() if check and not check.passed}
 
 
-def _orders_of(run: Run) -> Iterator[Part]:
-    """Yield the parts that have an order; a part with ranges of parameters has none."""
+def _bodies_with_order(run: Run) -> Iterator[Part]:
+    """Yield the bodies that have an order; a body with parameter ranges has none."""
     return (part for part in run.build.scene.parts.values() if not part.parameter_ranges)
 
 
-def _larger_orders(run: Run, clock: Clock) -> Iterator[_Search]:
+def _search_larger_orders(run: Run, clock: Clock) -> Iterator[_Search]:
     """Search an order for each body whose error under the recorded loads is too large."""
     for name, check in _violated_checks(run).items():
-        yield _larger_order(run, run.build.scene.parts[name], check, clock)
+        yield _search_larger_order(run, run.build.scene.parts[name], check, clock)
 
 
-def _larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _Search:
-    """Search the smallest multiple of its order that is within the limit of ``check``.
+def _search_larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _Search:
+    """Search the smallest multiple of the order whose error is within the limit of ``check``.
 
     Without one, the result is the multiple with the least error.
     """
@@ -177,12 +178,12 @@ def _larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _Search:
     order, key = target.order or model.order, f"{part.name}.rom"
     low, high = model.certificate.band_hz
     norm = {} if target.norm is None else {f"{key}.norm": target.norm}
-    least, result = SMALLER * check.value, None
-    end = f"more states reduce its error by less than {1 - SMALLER:.0%}"
-    for multiple, wider in RISES:
+    least, result = IMPROVEMENT_RATIO * check.value, None
+    end = f"more states reduce its error by less than {1 - IMPROVEMENT_RATIO:.0%}"
+    for multiple, wider in ORDER_FACTORS:
         keys = {f"{key}.order": multiple * order, f"{key}.band": [low, wider * high], **norm}
-        if multiple * order > MOST_VECTORS:
-            end = f"an order above {MOST_VECTORS} is not tried"
+        if multiple * order > MAX_VECTORS:
+            end = f"an order above {MAX_VECTORS} is not tried"
             break
         try:
             scene = load_scene(build.scene, keys)
@@ -193,13 +194,13 @@ def _larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _Search:
         if larger is None or larger.order <= model.order:
             end = "the body has no more states"
             break
-        if larger.order > MOST_STATES:
-            end = f"a model of {larger.order} states, more than {MOST_STATES}, is not tried"
+        if larger.order > MAX_STATES:
+            end = f"a model of {larger.order} states, more than {MAX_STATES}, is not tried"
             break
-        seconds = _expected_time(run.cpu_s, model, larger)
-        if seconds > MOST_SECONDS:
+        seconds = _estimate_run_time(run.cpu_s, model, larger)
+        if seconds > MAX_SECONDS:
             end = f"a run with {larger.order} states takes about {seconds:.2g} s of CPU, more than "
-            end += f"{MOST_SECONDS:g} s, and is not tried"
+            end += f"{MAX_SECONDS:g} s, and is not tried"
             break
         estimate = kind.error_under_load(part, build, run.waves, larger)
         if estimate is None:
@@ -214,8 +215,8 @@ def _larger_order(run: Run, part: Part, check: Check, clock: Clock) -> _Search:
     return _Search(result, f"{check.name}: {end}")
 
 
-def _expected_time(seconds: float, model: LinearModel, larger: LinearModel) -> float:
-    """Expected CPU time [s] of a run with a ``larger`` model, from the ``seconds`` of the present.
+def _estimate_run_time(seconds: float, model: LinearModel, larger: LinearModel) -> float:
+    """Estimate the CPU time [s] of a run with a ``larger`` model.
 
     The time is proportional to the time of a point and to the highest frequency of a mode with
     inertia, because the time steps resolve its periods.

@@ -1,4 +1,4 @@
-"""``reduce`` and ``export --rom``: matrices of any tool to a certified model to a netlist."""
+"""Reduction of matrix files and measured responses, and netlists of reduced models."""
 
 from __future__ import annotations
 
@@ -70,10 +70,10 @@ from kc2spice.workflow.thermal_transients import (
     step_power,
 )
 
-TOLERANCE = 1e-4
-LARGEST_MISFIT = 0.1  # error of a measured part above which no model is written
-WARNED_MISFIT = 0.01  # error of a measured part above which the command warns
-ABOVE_NOISE = 3.0  # multiple of the noise (rms) up to which an error is accepted
+DEFAULT_TOLERANCE = 1e-4
+MAX_MISFIT = 0.1  # error of a measured part above which no model is written
+WARNING_MISFIT = 0.01  # error of a measured part above which the command warns
+MAX_NOISE_RATIO = 3.0  # multiple of the noise (rms) up to which an error is accepted
 
 
 def reduce_file(
@@ -144,8 +144,8 @@ def reduce_file(
 
     Raises
     ------
-    GateMissedError : the error of a measured part exceeds :data:`LARGEST_MISFIT` and
-        :data:`ABOVE_NOISE` times the noise of the data; nothing was written.
+    GateMissedError : the error of a measured part exceeds :data:`MAX_MISFIT` and
+        :data:`MAX_NOISE_RATIO` times the noise of the data; nothing was written.
     UsageError : see :func:`kc2spice.bodies.readers.read_model`; ``out`` cannot be written, which
         is noticed before the reduction; nothing was written.
     SimulationError : the tolerance cannot be met; nothing was written.
@@ -226,7 +226,7 @@ def _reduce_matrices(
         settings = {"band": band, "tolerance": tolerance or TOLERANCE, "norm": norm}
         return _reduce_affine(model, out, options, settings, progress)
     if tolerance is None and order is None:
-        tolerance = TOLERANCE
+        tolerance = DEFAULT_TOLERANCE
     _require_names(model, make_identifier(f"{model.name}_rom", "rom"))
     if form is not None:
         require_one_heat_port(model)
@@ -289,21 +289,21 @@ def _reduce_affine(
     parameters = {item.name: asdict(item) for item in model.parameters}
     facts = _describe_reduced(model.name, model.model.order, at_defaults, part)
     return facts | {
-        "full_form": form_of(model.model),
+        "full_form": describe_order(model.model),
         "parameters": parameters,
         "rom": str(directory / files[0]),
         "files": files,
     }
 
 
-def form_of(model: LinearModel) -> str:
+def describe_order(model: LinearModel) -> str:
     """Return whether the equations of a model are of first or second order."""
     return "first order" if model.first_order else "second order"
 
 
 def load_full_model(path: Path | str) -> LinearModel:
     """Return the model of matrices in files, or of a scene's body ``SCENE:PART``."""
-    return _scene_body(str(path)) or read_model(path)
+    return _load_scene_body(str(path)) or read_model(path)
 
 
 def _require_names(model: LinearModel, name: str) -> None:
@@ -326,9 +326,7 @@ def _require_names(model: LinearModel, name: str) -> None:
 
 
 def _require_stable_full(model: LinearModel, band: tuple[float, float] | None) -> None:
-    """Nothing, unless the poles of a model of moderate size, or few factorisations of a large one,
-    show that it is unstable. The reduction of a large unstable model would waste minutes; a small
-    model is checked after its reduction.
+    """Raise an error if the full model is known to be unstable.
 
     Raises
     ------
@@ -380,13 +378,13 @@ def _reduce_measured(
 
     def fitted() -> LinearModel:
         model = _fit_passive_model(data, conductance, notes)
-        _require_near(model, data)
+        _require_small_misfit(model, data)
         return model
 
     result = _write_reduced_model(data.name, len(data.f), fitted, out)
     error, warnings = result["error_estimate"], []
-    if error > WARNED_MISFIT:
-        text = f"the error of {error:.2g} exceeds {WARNED_MISFIT:g}: the circuit is not the part "
+    if error > WARNING_MISFIT:
+        text = f"the error of {error:.2g} exceeds {WARNING_MISFIT:g}: the circuit is not the part "
         warnings.append(text + "at every frequency; compare both before you use it")
     record = {"notes": notes, "warnings": warnings, "noise": data.measured_noise}
     return result | record | {"quantity": data.quantity, "data": data.description}
@@ -422,7 +420,7 @@ def _reduce_transient(
 def _fit_passive_model(
     data: MeasuredAdmittance, conductance: float | None, notes: list[str]
 ) -> LinearModel:
-    """The passive model of the samples.
+    """Return the passive model of measured samples.
 
     ``notes`` receives a note on the form of the model if it does not consist of parallel branches.
     """
@@ -543,7 +541,7 @@ def _write_reduced_model(
         reduced = make()
         part = subcircuit(
             reduced, make_identifier(name, "rom")
-        )  # without a circuit, no error estimate
+        )  # a model without a circuit has no error estimate of a circuit
         if tolerance is not None:
             require_circuit(part, reduced, tolerance)
         files = write_rom(reduced, work, name)
@@ -554,13 +552,13 @@ def _write_reduced_model(
 def _describe_reduced(
     model_name: str, unknowns: int, reduced: LinearModel, part: Subcircuit
 ) -> dict[str, Any]:
-    """Facts of a reduced model, with the error estimate of its circuit."""
+    """Describe a reduced model with the error estimate of its circuit."""
     assert reduced.certificate is not None
     assert part.reduction is not None
     return {
         "model": model_name,
         "unknowns": unknowns,
-        "form": form_of(reduced),
+        "form": describe_order(reduced),
         "order": reduced.order,
         **reduced.certificate.record(),
         "error_estimate": part.reduction.error_estimate,
@@ -591,11 +589,11 @@ def _scene_body(text: str, progress: Progress = ignore_progress) -> LinearModel 
 
 
 def require_stable(record: dict[str, Any]) -> None:
-    """Check that the model of :func:`reduce_file`, or of a comparison, is not known to be unstable.
+    """Raise an error if a reduced model is known to be unstable.
 
     Raises
     ------
-    GateMissedError : it is not.
+    GateMissedError : the model is unstable.
     """
     if record["stable"] is False:
         written = f"; {record['rom']} was written as it is" if "rom" in record else ""
@@ -611,13 +609,12 @@ def require_stable(record: dict[str, Any]) -> None:
 def export_rom(
     path: Path | str, out: Path | None = None, *, dialect: str = "ngspice", dense: bool = False
 ) -> list[Path]:
-    """Write the reduced model at ``path`` into ``out``: its subcircuit ``NAME.lib`` (``NAME.va``
-    for Verilog-A), symbols, and a first deck that measures its response.
+    """Write the subcircuit, symbols and a first deck of the reduced model at ``path``.
 
     Raises
     ------
     UsageError : not a reduced model, or one that has no such subcircuit, or a dialect that cannot
-        be written, or see :func:`kc2spice.workflow.decks.spare_other_decks`; nothing was written.
+        be written, or see :func:`kc2spice.workflow.decks.protect_other_decks`; nothing was written.
     """
     if dialect not in dialect_names():
         raise unknown("unknown dialect", dialect, dialect_names(), "--dialect")
@@ -628,13 +625,13 @@ def export_rom(
     files = write_dialect_files(deck, dialect) | write_symbol_files(deck, dialect)
     files |= write_plot_script(deck) if dialect == "ngspice" else {}
     with stage_directory(directory) as work:
-        spare_other_decks(directory, files)
+        protect_other_decks(directory, files)
         write_files(files, work)
     return [directory / file for file in sorted(files)]
 
 
 def _read_part(path: Path, dense: bool) -> tuple[LinearModel, Subcircuit]:
-    """Read a reduced model and make its subcircuit; one with parameters is that of the defaults."""
+    """Read a reduced model and return its subcircuit; parameters have their defaults."""
     name, digest = (
         make_identifier(path.stem, "rom"),
         hashlib.sha256(path.read_bytes()).hexdigest()[:16],
@@ -657,8 +654,7 @@ def _read_part(path: Path, dense: bool) -> tuple[LinearModel, Subcircuit]:
 
 
 def first_deck(model: LinearModel, part: Subcircuit) -> Deck:
-    """The response of ``model`` to 1 V, 1 N or one unit at its first port, over its band, with the
-    other ports as :func:`kc2spice.synthesis.realize.apply_unit_load` has them."""
+    """Return a deck that computes the response of ``model`` to a unit input at its first port."""
     drivable = [port for port in model.ports if port.kind != "output"]
     driven = min(drivable, key=lambda port: PORT_KINDS.index(port.kind))
     (instance, *sources), answers = apply_unit_load(model, part, driven)

@@ -1,9 +1,10 @@
 """Runs of a scene with refined numerical settings, and error estimates of its metrics.
 
-The settings are axes (:mod:`kc2spice.scene.axes`), each of which moves by notches. A refined run
-moves all axes by one notch. The error estimate of a metric is its change, times :data:`REMAINDER`.
-With an ``error_budget`` the axis that changes the metrics most is refined first. The search ends
-when the estimate of every metric is within the budget, or reports its attempts.
+The settings are axes (:mod:`kc2spice.scene.axes`), each of which changes in notches. A refined run
+changes all axes by one notch. The error estimate of a metric is its change, times
+:data:`REMAINDER_FACTOR`. With an ``error_budget`` the axis that changes the metrics most is refined
+first. The search ends when the estimate of every metric is within the budget, or reports its
+attempts.
 """
 
 from __future__ import annotations
@@ -38,31 +39,33 @@ from kc2spice.workflow.simulate import (
     simulator_cpu,
 )
 
-# largest number of unknowns of a refined mesh, which takes minutes of CPU time
-MOST_UNKNOWNS = 200_000
-FREE_SHARE = 0.5  # share of free memory for one factor; matrices and modes need the rest
-PLANE_BYTES = 100.0  # for each unknown and doubling of their number: 145 000 took 0.2 GB
-MOST = 16  # largest number of further runs besides that of the scene
-LIMIT = 1e-2  # error budget for checks.reduction without the key error_budget
-# A notch leaves at most half of the error of an axis, as corners of a mesh do; the change of a
-# metric by is the other half at least.
-REMAINDER = 2.0
+# unknowns; larger refined meshes take more than minutes of CPU time
+MAX_MESH_UNKNOWNS = 200_000
+MEMORY_SHARE = 0.5  # share of free memory for one factor; matrices and modes need the rest
+# bytes of a plane factor per unknown and doubling of the unknowns: 145 000 unknowns took 0.2 GB
+PLANE_FACTOR_BYTES = 100.0
+MAX_RUNS = 16  # largest number of further runs besides that of the scene
+DEFAULT_ERROR_LIMIT = 1e-2  # error budget for checks.reduction without the key error_budget
+# A notch removes at least half of the error of an axis, as at corners of a mesh; the error is at
+# most this multiple of the change of a metric.
+REMAINDER_FACTOR = 2.0
 # largest reduction of an error per notch; largest number of notches in one step
-PER_NOTCH, FARTHEST = 4.0, 3
-NEAR_ZERO = 0.1  # least size of a metric in errors, relative to the largest with its unit
-ROUNDING = 1e-6  # NEAR_ZERO of small signals, whose metrics are not small differences
-# ratio of successive estimates of a converging axis; number of exceptions after which the axes do
-# not converge
-SHRINKS, STALLS = 0.9, 2
+MAX_NOTCH_GAIN, MAX_NOTCH_STEP = 4.0, 3
+# smallest reference of a metric, relative to the largest metric with the same unit
+NEAR_ZERO_SHARE = 0.1
+SMALL_SIGNAL_SHARE = 1e-6  # the same for small signals, whose metrics are not small differences
+# largest ratio of successive estimates that counts as convergence; number of exceptions after which
+# the search ends
+CONVERGENCE_RATIO, MAX_STALLS = 0.9, 2
 
-Notches = Mapping[str, float]  # number of notches by which each axis is moved, by its name
+Notches = Mapping[str, float]  # number of notches of each axis, keyed by its name
 
 
 # --- runs -----------------------------------------------------------------------------------------
 
 
 class Runs:
-    """Runs of the scene of ``start`` by notches of its axes, each made once.
+    """Runs of a scene keyed by the notches of its axes; each is computed once.
 
     Axes in ``finest`` can only be moved coarser. ``most`` is the largest number of further runs for
     an error estimate, besides that of the unchanged scene.
@@ -76,12 +79,12 @@ class Runs:
         *,
         finest: Sequence[Axis] = (),
         retries: int | None = None,
-        most: float = MOST,
+        most: float = MAX_RUNS,
     ) -> None:
         self.start, self.axes, self.clock, self.retries = start, axes, clock, retries
         self.finest, self.most = finest, most
         self.known: dict[str, Run] = {repr({}): start}
-        self.refused: UsageError | None = None  # the last mesh that was too large
+        self.refused: UsageError | None = None  # error of the last mesh that was too large
 
     def run_at(self, notches: Notches) -> Run:
         """Return the run with its axes moved by ``notches``.
@@ -91,7 +94,7 @@ class Runs:
         build, settings = self.start.build, apply_notches(self.all_axes, notches)
         if repr(settings) not in self.known:
             self.require_size(notches)
-            self.known[repr(settings)] = evaluate(
+            self.known[repr(settings)] = evaluate_scene(
                 load_scene(build.scene, settings),
                 self.clock,
                 ", ".join(settings),
@@ -108,11 +111,11 @@ class Runs:
 
     @cached_property
     def limits(self) -> tuple[float, float]:
-        """Unknowns and memory [B] that a refined mesh may take."""
-        return MOST_UNKNOWNS, FREE_SHARE * available_bytes()
+        """Largest number of unknowns and memory [B] of a refined mesh."""
+        return MAX_MESH_UNKNOWNS, MEMORY_SHARE * available_bytes()
 
     def require_size(self, notches: Notches) -> None:
-        """Refuse meshes that are larger than :attr:`limits` when refined by ``notches``.
+        """Reject meshes that exceed :attr:`limits` when refined by ``notches``.
 
         Raises
         ------
@@ -170,13 +173,14 @@ def factor_bytes(unknowns: float, dimensions: int) -> float:
     George, SIAM J. Numer. Anal. 10 (1973) 345).
     """
     if dimensions == 3:
-        from kc2spice.bodies.stack import SPARSE_BYTES  # which loads the finite elements
+        # imported here, because the module loads the finite elements
+        from kc2spice.bodies.stack import SPARSE_BYTES
 
         return SPARSE_BYTES * unknowns ** (4 / 3)
-    return PLANE_BYTES * unknowns * math.log2(max(unknowns, 2.0))
+    return PLANE_FACTOR_BYTES * unknowns * math.log2(max(unknowns, 2.0))
 
 
-def evaluate(
+def evaluate_scene(
     scene: Scene,
     clock: Clock,
     text: str = "",
@@ -208,11 +212,11 @@ def metric_changes(run: Run, finer: Run) -> dict[str, float]:
 
     The change of a curve is relative to its largest value. The change of a number is relative to
     the number itself, but at least to a share of the largest metric with the same unit. The share
-    is :data:`NEAR_ZERO`, or :data:`ROUNDING` for responses to small signals. Metrics without a unit
-    have no such lower limit. A curve over other points is interpolated to the points of ``run``.
-    The change is infinite if ``run`` has no comparable metric.
+    is :data:`NEAR_ZERO_SHARE`, or :data:`SMALL_SIGNAL_SHARE` for responses to small signals.
+    Metrics without a unit have no such lower limit. A curve over other points is interpolated to
+    the points of ``run``. The change is infinite if ``run`` has no comparable metric.
     """
-    share = ROUNDING if run.small else NEAR_ZERO
+    share = SMALL_SIGNAL_SHARE if run.small else NEAR_ZERO_SHARE
     exact: dict[str, np.ndarray] = {}
     least: dict[str, float] = {}
     for name, item in finer.values.items():
@@ -297,7 +301,7 @@ class ConvergedRun:
         }
 
 
-def converge(start: Run, clock: Clock) -> ConvergedRun | None:
+def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
     """Refine the scene until the estimated error of every metric is within ``error_budget``.
 
     Without a budget, ``checks.reduction`` requests a single estimate. Returns None without either.
@@ -306,7 +310,7 @@ def converge(start: Run, clock: Clock) -> ConvergedRun | None:
     action: Action = scene.checks.reduction or ("off" if budget is None else "warn")
     if action == "off":
         return None
-    limit = budget or LIMIT
+    limit = budget or DEFAULT_ERROR_LIMIT
     runs = Runs(start, find_axes(start.build), clock, finest=find_finest_axes(start.build))
     if any(map(attrgetter("mesh"), runs.axes)):
         most, memory = runs.limits
@@ -318,7 +322,7 @@ def converge(start: Run, clock: Clock) -> ConvergedRun | None:
     why, last, stalls = "", math.inf, 0
     other = "change the keys that the run refined"
     while True:
-        now = estimate(runs, notches)
+        now = estimate_errors(runs, notches)
         if now is None:
             why = "a refined run failed"
             break
@@ -330,14 +334,18 @@ def converge(start: Run, clock: Clock) -> ConvergedRun | None:
                 other = "give a mesh that is finer where its error arises"
             why = _finest_mesh_reason(runs, now)
             break
-        stalls = stalls + 1 if now.error > SHRINKS * last else 0
-        if stalls == STALLS:
+        stalls = stalls + 1 if now.error > CONVERGENCE_RATIO * last else 0
+        if stalls == MAX_STALLS:
             why = f"the estimate does not shrink: {last:.2g}, then {now.error:.2g}"
             break
         last = now.error
-        moved = _largest_share_moved(runs, now, shares, limit)
+        moved = _refine_dominant_axis(runs, now, shares, limit)
         if moved is None or not runs.has_runs_left:
-            why = "nothing more to refine" if runs.has_runs_left else f"{MOST} runs do not suffice"
+            why = (
+                "nothing more to refine"
+                if runs.has_runs_left
+                else f"{MAX_RUNS} runs do not suffice"
+            )
             break
         notches = moved
     final = tried[-1] if tried else Estimate({}, {}, start)
@@ -354,7 +362,7 @@ def _finest_mesh_reason(runs: Runs, now: Estimate) -> str:
     return f"{large.where}: {large.message}: {large.got}, {large.expected}"
 
 
-def estimate(runs: Runs, notches: Notches) -> Estimate | None:
+def estimate_errors(runs: Runs, notches: Notches) -> Estimate | None:
     """Estimate the error of each metric at ``notches``; None if no refined run has a result.
 
     The refined run has all axes a notch finer. If that is too much for the machine, its meshes
@@ -365,12 +373,12 @@ def estimate(runs: Runs, notches: Notches) -> Estimate | None:
     finest = tuple(map(attrgetter("name"), runs.finest))
     meshes = [axis for axis in runs.axes if axis.model]
     for fixed_axes in ([], meshes) if meshes else ([],):
-        finer = _try_run(runs, _move_axes(notches, [a for a in runs.axes if a not in fixed_axes]))
+        finer = _try_run(runs, _add_notches(notches, [a for a in runs.axes if a not in fixed_axes]))
         unmoved = (*map(attrgetter("name"), fixed_axes), *finest)
         if finer is not None:
             settings = apply_notches(runs.axes, notches)
-            errors = _differences(now, finer)
-            # errors that refined runs do not show
+            errors = _estimate_differences(now, finer)
+            # errors that refined runs do not change
             left = estimate_by_coarser_runs(runs, notches, unmoved, errors)
             fixed = max(left.values(), default=0.0)
             errors = {name: error + left[name] for name, error in errors.items()}
@@ -395,45 +403,46 @@ def estimate_by_coarser_runs(
         at = notches.get(axis.name, 0)
         coarser = None
         if axis.at(at - 1) != axis.at(at):
-            coarser = _try_run(runs, _move_axes(notches, [axis], -1))
+            coarser = _try_run(runs, _add_notches(notches, [axis], -1))
         for name, change in metric_changes(coarser, now).items() if coarser is not None else ():
             if math.isfinite(change):
                 result[name] = max(result.get(name, 0.0), change)
     return result
 
 
-def _largest_share_moved(
+def _refine_dominant_axis(
     runs: Runs, now: Estimate, shares: dict[str, float], limit: float
 ) -> Notches | None:
-    """Move the axis that changes the metrics most, by several notches if the ``limit`` is far.
+    """Refine the axis that changes the metrics most, by several notches if necessary.
 
     ``shares`` are the changes by single axes. A call adds missing entries, and deletes the entry of
     the moved axis. Returns None if no axis can be moved.
     """
     for axis in runs.axes:
         if axis.name not in shares and axis.name not in now.unmoved:
-            alone = _try_run(runs, _move_axes(now.notches, [axis]))
+            alone = _try_run(runs, _add_notches(now.notches, [axis]))
             if alone is not None:
-                shares[axis.name] = max(_differences(now.run, alone).values(), default=0.0)
+                shares[axis.name] = max(_estimate_differences(now.run, alone).values(), default=0.0)
     for axis in sorted(runs.axes, key=lambda axis: shares.get(axis.name, -1.0), reverse=True):
         if axis.name not in shares:
             continue
-        far = int(math.log(max(shares[axis.name] / limit, 1.0)) / math.log(PER_NOTCH))
-        most = 1 if axis.model else min(max(far, 1), FARTHEST)
+        far = int(math.log(max(shares[axis.name] / limit, 1.0)) / math.log(MAX_NOTCH_GAIN))
+        most = 1 if axis.model else min(max(far, 1), MAX_NOTCH_STEP)
         at = now.notches.get(axis.name, 0)
         # one further notch must change the setting
         by = next((n for n in range(most, 0, -1) if axis.at(at + n) != axis.at(at + n + 1)), 0)
         if not by:
-            return None  # axis at its limit: refining other axes does not reduce this error
-        moved = _move_axes(now.notches, [axis], by)
+            # the axis is at its limit, and refining other axes does not reduce this error
+            return None
+        moved = _add_notches(now.notches, [axis], by)
         if _try_run(runs, moved) is not None:
             del shares[axis.name]
             return moved
     return None
 
 
-def _move_axes(notches: Notches, moved: Sequence[Axis], by: int = 1) -> Notches:
-    """Return ``notches`` with some axes moved by further ones."""
+def _add_notches(notches: Notches, moved: Sequence[Axis], by: int = 1) -> Notches:
+    """Return ``notches`` plus further notches of some axes."""
     return {**notches, **{axis.name: notches.get(axis.name, 0) + by for axis in moved}}
 
 
@@ -445,6 +454,6 @@ def _try_run(runs: Runs, notches: Notches) -> Run | None:
         return None
 
 
-def _differences(run: Run, finer: Run) -> dict[str, float]:
+def _estimate_differences(run: Run, finer: Run) -> dict[str, float]:
     """Estimate the relative error of each metric of ``run``."""
-    return {name: REMAINDER * change for name, change in metric_changes(run, finer).items()}
+    return {name: REMAINDER_FACTOR * change for name, change in metric_changes(run, finer).items()}

@@ -1,4 +1,4 @@
-"""Further frequencies of a small-signal analysis: at resonances, at notches, and where probes read.
+"""Additional frequencies of small-signal analyses, at resonances, notches and probes.
 
 The input is a build and its deck. The output is the deck with further analyses about each resonance
 that the frequencies of the scene do not resolve. The resonances are the natural frequencies of the
@@ -24,54 +24,55 @@ from kc2spice.reference.system import assemble_system
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import Build
 
-LARGEST_SYSTEM = 600  # unknowns; eigenvalues of larger systems take seconds
+MAX_UNKNOWNS = 600  # eigenvalues of larger systems take seconds
 # Near a pole a response is R / (j w - p). With points a quarter of a half-width apart, the parabola
 # through 1/|y|^2 at three points gives the maximum of a single pole exactly; the neighbours of a
 # pole change that by less than 1e-4 (tests/spice/test_resonant_maxima.py measures it). Wider ranges
-# follow, each WIDER times as wide with as many points, up to the distance of the scene's own
-# frequencies: the trapezoidal rule then integrates |y|^2 to 2 % (same tests, by equipartition).
-HALF_WIDTHS = 4.0  # half-widths on either side of a resonance in the narrowest range
-POINTS = 33  # points of each range
-WIDER = 4.0
+# follow, each WIDENING_FACTOR times as wide with the same number of points, up to the distance of
+# the scene's own frequencies: the trapezoidal rule then integrates |y|^2 to 2 % (same tests, by
+# equipartition).
+NARROWEST_HALF_WIDTHS = 4.0  # half-widths on either side of a resonance in the narrowest range
+RANGE_POINTS = 33  # points of each range
+WIDENING_FACTOR = 4.0
 # Each resonance takes a few analyses of 33 points, some 10 ms of the simulator.
-MOST_RESONANCES = 100
+MAX_RESONANCES = 100
 
 
 def with_resonances(deck: Deck, build: Build) -> Deck:
-    """Return ``deck`` with further frequencies about resonances, and at the places of probes.
+    """Return ``deck`` with further frequencies near resonances and at positions of probes.
 
-    A probe reads a frequency, or the end of its window, at a point of the analysis: a straight line
-    between two points of a response is no response.
+    A probe reads the response at a point of the analysis, because a straight line between two
+    points is not a response.
 
     A resonance at ``f`` with the pole ``p`` has the half-width ``|Re p| / (2 pi)``. A resonance is
     resolved if the frequencies of the scene lie closer than a quarter of its half-width. Undamped
     resonances have no largest response and get no further frequencies.
 
-    Warns if a part has no law, such as a user's netlist: only the poles of the reduced models are
-    then known.
+    A warning is printed if a part has no equations, such as a user's netlist. Only the poles of the
+    reduced models are then known.
     """
     analysis = build.scene.analysis
     if not analysis.small or analysis.stop is None:
         return deck
     resonances = [(f, width) for f, width in _narrow_resonances(build) if width > 0.0]
-    step = 2 * HALF_WIDTHS / (POINTS - 1)
-    narrow = [(f, width) for f, width in resonances if step * width < _spacing(build, f)]
-    if len(narrow) > MOST_RESONANCES:
+    step = 2 * NARROWEST_HALF_WIDTHS / (RANGE_POINTS - 1)
+    narrow = [(f, width) for f, width in resonances if step * width < _frequency_spacing(build, f)]
+    if len(narrow) > MAX_RESONANCES:
         warnings.warn(
             f"{len(narrow)} resonances are narrower than the distance of the frequencies; the "
-            f"first {MOST_RESONANCES} are resolved: raise analysis.points or narrow the range",
+            f"first {MAX_RESONANCES} are resolved: raise analysis.points or narrow the range",
             stacklevel=2,
         )
     commands = [
         with_frequencies(deck.command, place, place, 1) for place in _probe_frequencies(build)
     ]
-    for f, width in narrow[:MOST_RESONANCES]:
-        commands += _refined_ranges(deck.command, f, width, build)
+    for f, width in narrow[:MAX_RESONANCES]:
+        commands += _widening_analyses(deck.command, f, width, build)
     return replace(deck, refinements=tuple(commands))
 
 
 def _probe_frequencies(build: Build) -> list[float]:
-    """Return frequencies [Hz] inside the scene's range that probes read, in rising order."""
+    """Return frequencies [Hz] within the scene's range that probes read, in ascending order."""
     analysis, result = build.scene.analysis, set[float]()
     for probe in build.scene.probes.values():
         result.update(probe.places.values())
@@ -79,19 +80,19 @@ def _probe_frequencies(build: Build) -> list[float]:
     return sorted(f for f in result if first < f < last)
 
 
-def _refined_ranges(command: Command, f: float, width: float, build: Build) -> Iterator[Command]:
-    """Yield analyses about ``f`` [Hz] inside the scene's range, each wider than the last one."""
-    analysis, reach = build.scene.analysis, HALF_WIDTHS * width
+def _widening_analyses(command: Command, f: float, width: float, build: Build) -> Iterator[Command]:
+    """Yield analyses around the resonance ``f`` [Hz] with increasing frequency spans."""
+    analysis, reach = build.scene.analysis, NARROWEST_HALF_WIDTHS * width
     while True:
         start, stop = max(f - reach, analysis.start), min(f + reach, float(analysis.stop or 0.0))
-        yield with_frequencies(command, start, stop, POINTS)
-        if reach > _spacing(build, f):
+        yield with_frequencies(command, start, stop, RANGE_POINTS)
+        if reach > _frequency_spacing(build, f):
             return
-        reach *= WIDER
+        reach *= WIDENING_FACTOR
 
 
-def _spacing(build: Build, f: float) -> float:
-    """Return the distance [Hz] of the frequencies of the scene at ``f``."""
+def _frequency_spacing(build: Build, f: float) -> float:
+    """Return the spacing [Hz] of the scene's frequencies near ``f``."""
     analysis = build.scene.analysis
     stop = float(analysis.stop or 0.0)
     if analysis.scale == "linear":
@@ -105,14 +106,14 @@ def _narrow_resonances(build: Build) -> list[tuple[float, float]]:
     They are those in the range of the scene. A notch is one whose least value a probe reads.
     """
     analysis, laws = build.scene.analysis, scene_laws(build)
-    poles = np.concatenate([_poles(laws), _zeros(laws)])
+    poles = np.concatenate([_compute_poles(laws), _compute_zeros(laws)])
     f, width = np.abs(poles.imag) / (2 * np.pi), np.abs(poles.real) / (2 * np.pi)
     inside = (poles.imag > 0) & (f > analysis.start) & (f < float(analysis.stop or 0.0))
     rows = {(round(a, 9), round(b, 12)) for a, b in zip(f[inside], width[inside], strict=True)}
     return sorted(rows)
 
 
-def _poles(laws: SceneLaws) -> np.ndarray:
+def _compute_poles(laws: SceneLaws) -> np.ndarray:
     """Return the poles [1/s] of the scene's circuits.
 
     A circuit without equations contributes the poles of its reduced models.
@@ -135,8 +136,8 @@ def _poles(laws: SceneLaws) -> np.ndarray:
     return np.concatenate([np.zeros(0, complex), *result])
 
 
-def _zeros(laws: SceneLaws) -> np.ndarray:
-    """Return the zeros [1/s] of the responses whose least value a probe takes.
+def _compute_zeros(laws: SceneLaws) -> np.ndarray:
+    """Return the zeros [1/s] of the responses whose minimum a probe reads.
 
     Warns if a circuit has no equations, is too large, or has no operating point.
     """
@@ -161,7 +162,7 @@ def _zeros(laws: SceneLaws) -> np.ndarray:
 def _network_zeros(network: Network, of: Iterable[str]) -> dict[str, np.ndarray]:
     """Return the zeros of each response ``of`` a network; none of a large network."""
     system = assemble_system(network.laws, network.joins) if of else None
-    if system is None or system.size > LARGEST_SYSTEM:
+    if system is None or system.size > MAX_UNKNOWNS:
         return {}
     amplitudes = np.array([source.ac for source in system.sources])
     linear = LinearisedSystem(system)
@@ -172,6 +173,6 @@ def _network_poles(network: Network) -> np.ndarray | None:
     """Return the poles of a network, None if it is too large or has no operating point."""
     try:
         system = assemble_system(network.laws, network.joins)
-        return LinearisedSystem(system).poles if system.size <= LARGEST_SYSTEM else None
+        return LinearisedSystem(system).poles if system.size <= MAX_UNKNOWNS else None
     except (SimulationError, UsageError, np.linalg.LinAlgError):
         return None

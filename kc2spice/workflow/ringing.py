@@ -1,4 +1,4 @@
-"""Time points and CPU time of a long run, expected before it starts.
+"""Estimate of time points and CPU time of a run with ringing, before it starts.
 
 Error control follows every mode that rings, also far above the band of the reduction, where a
 contact excites modes. In a step ``h`` the trapezoidal rule has the error ``(w h)^3 / 12`` of the
@@ -21,17 +21,17 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.model import Build
 
-LASTING = math.log(1e3)  # ratio of a relevant amplitude to its value at the end of the ringing
-MANY = 3e5  # number of time points above which a run is announced: half a minute for 24 states
-# CPU time of ngspice [s] for each time point, and in addition for each state. It was measured with
-# kick_and_catch of 24 and of 178 states on a processor of 2.5 GHz.
-PER_POINT, PER_STATE = 5e-5, 1.4e-6
+# logarithm of the ratio of a relevant amplitude to its value at the end of the ringing
+LOG_AMPLITUDE_RATIO = math.log(1e3)
+MANY_POINTS = 3e5  # time points above which a warning is printed: half a minute for 24 states
+# CPU time of ngspice [s] per time point, and per time point and state, measured with kick_and_catch
+# of 24 and of 178 states on a processor of 2.5 GHz
+POINT_SECONDS, STATE_SECONDS = 5e-5, 1.4e-6
 
 
 @dataclass(frozen=True)
 class Ringing:
-    """Expected time ``points`` of a run for the ringing of a body, the ``seconds`` of CPU that they
-    take, and the highest ``frequency`` [Hz] that rings to the end."""
+    """Estimated time points of a run due to the ringing of a body."""
 
     part: str
     points: float
@@ -49,11 +49,11 @@ class Ringing:
 
 def time_per_point(states: int) -> float:
     """Return the CPU time [s] of ngspice for a time point with a body of so many states."""
-    return PER_POINT + PER_STATE * states
+    return POINT_SECONDS + STATE_SECONDS * states
 
 
-def expect_ringing(part: str, rom: LinearModel, stop: float, reltol: float) -> Ringing | None:
-    """Return the expected time points of a run in which all modes of a body ring from its start.
+def estimate_ringing(part: str, rom: LinearModel, stop: float, reltol: float) -> Ringing | None:
+    """Estimate the time points of a run in which all modes of a body ring from the start.
 
     Parameters
     ----------
@@ -80,17 +80,17 @@ def expect_ringing(part: str, rom: LinearModel, stop: float, reltol: float) -> R
     omega, damp = model.omega[heavy], model.damp[heavy]
     fastest = np.argsort(-omega)
     omega, rate = omega[fastest], damp[fastest] / 2
-    lasts = np.minimum(stop, LASTING / np.maximum(rate, LASTING / stop))
+    lasts = np.minimum(stop, LOG_AMPLITUDE_RATIO / np.maximum(rate, LOG_AMPLITUDE_RATIO / stop))
     until = np.array([*accumulate(lasts, max)])
-    spans = np.diff(until, prepend=0.0)  # in which the mode is the fastest one
+    spans = np.diff(until, prepend=0.0)  # intervals in which the mode is the fastest one
     points = float(omega @ spans) / (12 * reltol) ** (1 / 3)
     last = omega[lasts >= stop]
     seconds = points * time_per_point(model.order)
     return Ringing(part, points, seconds, float(last.max(initial=0.0)) / (2 * math.pi))
 
 
-def announce_long_run(build: Build, deck: Deck) -> None:
-    """Warn before a run that takes more than :data:`MANY` time points.
+def warn_of_long_run(build: Build, deck: Deck) -> None:
+    """Warn before a run that takes more than :data:`MANY_POINTS` time points.
 
     The cause is the largest time step, or the ringing of a body under a contact that decides on the
     steps.
@@ -99,11 +99,11 @@ def announce_long_run(build: Build, deck: Deck) -> None:
     if scene.analysis.type != "transient":
         return
     if any(row.decides for row in scene.numerics):
-        _announce_ringing(build, deck)
+        _warn_of_ringing(build, deck)
         return
     assert build.largest is not None
     points = scene.stop / build.largest.step
-    if points > MANY:
+    if points > MANY_POINTS:
         models = [model for model in build.models.values() if isinstance(model, LinearModel)]
         seconds = points * time_per_point(sum(model.order for model in models))
         step = format_quantity(build.largest.step, "s", 3)
@@ -115,13 +115,14 @@ def announce_long_run(build: Build, deck: Deck) -> None:
         )
 
 
-def _announce_ringing(build: Build, deck: Deck) -> None:
+def _warn_of_ringing(build: Build, deck: Deck) -> None:
+    """Warn if the ringing of a body takes many time points."""
     scene = build.scene
     for name, model in build.models.items():
         if not isinstance(model, LinearModel):
             continue
         drive = getattr(scene.parts[name].keys, "drive", None)
         span = scene.stop - min(getattr(drive, "start", 0.0), scene.stop)
-        result = expect_ringing(name, model, span, deck.reltol)
-        if result is not None and result.points > MANY and result.frequency:
+        result = estimate_ringing(name, model, span, deck.reltol)
+        if result is not None and result.points > MANY_POINTS and result.frequency:
             warnings.warn(str(result), stacklevel=3)

@@ -24,17 +24,17 @@ from kc2spice.scene.model import Scene
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
 from kc2spice.workflow import noise_analysis
-from kc2spice.workflow.decks import prepare_deck, spare_other_decks
-from kc2spice.workflow.models import fact_units, mode_tables, model_facts
+from kc2spice.workflow.decks import prepare_deck, protect_other_decks
+from kc2spice.workflow.models import mode_tables, model_values, value_units
 from kc2spice.workflow.orders import suggested_keys, with_larger_orders
-from kc2spice.workflow.refine import ConvergedRun, converge
-from kc2spice.workflow.ringing import announce_long_run
+from kc2spice.workflow.refine import ConvergedRun, converge_to_budget
+from kc2spice.workflow.ringing import warn_of_long_run
 from kc2spice.workflow.simulate import Run, keep_failed_run, simulate_deck
 
 
 @dataclass(frozen=True)
 class CompletedRun:
-    """A finished simulation of a scene, the simulator and the times that it took."""
+    """Completed simulation of a scene, with the simulator and its wall times."""
 
     run: Run
     simulator: Simulator
@@ -43,7 +43,7 @@ class CompletedRun:
 
     @cached_property
     def page_items(self) -> tuple[Figure | FileWriter, ...]:
-        """Figures of probes and parts, and further files."""
+        """Figures of probes and parts, and further output files."""
         build, waves, units = self.run.build, self.run.waves, self.run.deck.units
         result: list[Figure | FileWriter] = []
         if build.has_noise:
@@ -60,7 +60,7 @@ class CompletedRun:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """``result.json`` without the names of files."""
+        """Content of ``result.json`` without the names of files."""
         run, build, step = self.run, self.run.build, self.run.build.largest
         attempts = run.attempts
         record = {
@@ -79,7 +79,7 @@ class CompletedRun:
             "largest_step": None if step is None else {"s": step.step, "why": step.why},
             "metrics": run.metrics,
             "metric_units": run.units,
-            "model_units": {name: fact_units(row) for name, row in model_facts(build).items()},
+            "model_units": {name: value_units(row) for name, row in model_values(build).items()},
             "checks": [check.record() for check in run.verdict.checks],
             "plan": describe_plan(build),
             "wall_s": self.clock.wall_s,
@@ -106,7 +106,7 @@ def run_scene(
     scene : Scene
         Scene, such as :func:`kc2spice.load_scene` returns.
     out : Path
-        Directory for the files. It gets all of them at once, or none.
+        Directory for the files. All files appear at once, or none.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` during the run.
     trust : bool, default False
@@ -146,11 +146,11 @@ def run_scene(
     True
     """
     with stage_directory(out) as work:
-        done = complete(scene, work, progress, out=out, trust=trust, deck=deck)
+        done = complete_run(scene, work, progress, out=out, trust=trust, deck=deck)
         return write_run_files(done, work, keep=keep, png=png)
 
 
-def complete(
+def complete_run(
     scene: Scene,
     work: Path,
     progress: Progress = ignore_progress,
@@ -179,8 +179,8 @@ def complete(
                 scene, clock, trust=trust, functions=functions, edited=deck
             )
             if out is not None:
-                spare_other_decks(out, prepared_deck.files)
-            announce_long_run(build, prepared_deck)
+                protect_other_decks(out, prepared_deck.files)
+            warn_of_long_run(build, prepared_deck)
             try:
                 with clock.time_stage("simulate", f"{simulator.name} {simulator.version}") as share:
                     result = simulate_deck(build, prepared_deck, work, progress=share)
@@ -193,11 +193,11 @@ def complete(
                 warnings.warn(f"{error.message}, {error.got}: run again with {keys}", stacklevel=2)
                 automatic |= suggested
                 scene = load_scene(scene, suggested)
-        if deck is None and scene.error_budget is None:  # which refines orders itself
+        if deck is None and scene.error_budget is None:  # the error budget refines orders itself
             result = with_larger_orders(result, work, clock)
-        converged = converge(result, clock) if deck is None else None
+        converged = converge_to_budget(result, clock) if deck is None else None
         if converged is not None:
-            result = _check_error_estimate(converged)
+            result = _converge_run(converged)
     for check in result.verdict.checks:
         if not check.passed:
             limit = f"limit {check.limit:.3g}: {check.advice}"
@@ -206,7 +206,7 @@ def complete(
     return CompletedRun(result, simulator, clock, converged)
 
 
-def _check_error_estimate(converged: ConvergedRun) -> Run:
+def _converge_run(converged: ConvergedRun) -> Run:
     """Return the run within the error budget, with the check of its estimate."""
     final, check = converged.final, converged.check
     if final.settings:

@@ -1,4 +1,4 @@
-"""Simulate one deck: retries, verdict, metrics, and the files of a failed run."""
+"""Simulation of one deck: retries, checks, metrics, and the files of a failed run."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from kc2spice.sim.ngspice import (
     write_files,
 )
 from kc2spice.sim.output import join_analyses
-from kc2spice.workflow.metrics import metrics, verdict
-from kc2spice.workflow.models import model_facts, rom_facts
-from kc2spice.workflow.operating import OperatingPoint, is_linear, operating_point
+from kc2spice.workflow.metrics import compute_metrics, list_checks
+from kc2spice.workflow.models import model_values, rom_values
+from kc2spice.workflow.operating import OperatingPoint, find_operating_point, is_linear
 
-PARTIAL = "waveforms.partial.npz"
-FAILURE = "failure.json"
+PARTIAL_WAVES_FILE = "waveforms.partial.npz"
+FAILURE_FILE = "failure.json"
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Run(Outcome):
 
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
-        """Metrics that are numbers or arrays of numbers by dotted name; missing values are nan."""
+        """Metrics that are numbers or arrays, keyed by dotted name; missing values are NaN."""
         result = {}
         for name, item in flatten_mapping(self.metrics):
             value = np.asarray(np.nan if item is None else item)
@@ -66,16 +66,16 @@ class Run(Outcome):
 
     @property
     def small(self) -> bool:
-        """Whether the metrics are those of a response to small signals."""
+        """Whether the metrics belong to a response to small signals."""
         return self.build.scene.analysis.small
 
     @property
     def facts(self) -> dict[str, Any]:
-        """``result.json`` of the models, of the simulator's work and of energies."""
+        """Content of ``result.json`` about models, simulator statistics and energies."""
         stats = self.waves.stats
         return {
-            "model": model_facts(self.build),
-            **rom_facts(self.build),
+            "model": model_values(self.build),
+            **rom_values(self.build),
             # a sweep or an operating point has no time points
             "steps": {name: int(stats.get(name, 0)) for name in ("accepted", "rejected")},
             "simulator_cpu_s": stats.get("cpu_s"),
@@ -145,16 +145,17 @@ def simulate_deck(
     2.0000 A
     """
 
-    def judge(waves: Waveforms) -> Verdict:
-        result = verdict(waves, build)
+    def judge_waves(waves: Waveforms) -> Verdict:
+        """Return metrics, checks and balances of the waves."""
+        result = list_checks(waves, build)
         result = replace(result, checks=(*result.checks, *point.checks))
         if deck.text is None:
             return result
         checks = (replace(c, action="warn") if c.wiring else c for c in result.checks)
         return replace(result, checks=tuple(checks))
 
-    point = operating_point(build, deck)
-    write_files(deck.files, directory)  # whatever comes of it
+    point = find_operating_point(build, deck)
+    write_files(deck.files, directory)  # written for every outcome
     shared = bool(build.sampled_sources)
     begin = simulator_cpu(shared=shared)
     result = run_with_retries(
@@ -162,7 +163,7 @@ def simulate_deck(
         directory,
         lambda tried: run_simulation(build, tried, directory, progress, timeout),
         retries=build.scene.solver.retries if retries is None else retries,
-        judge=judge,
+        judge=judge_waves,
     )
     if build.functions and len(result.attempts) > 1:
         names = ", ".join(build.functions)
@@ -170,8 +171,8 @@ def simulate_deck(
         message += "0 on; values that they keep between calls must be reset there"
         warnings.warn(message, stacklevel=2)
     used = simulator_cpu(shared=shared) - begin
-    waves = with_powers(result.waves, deck.powers)
-    results = metrics(waves, build)
+    waves = add_powers(result.waves, deck.powers)
+    results = compute_metrics(waves, build)
     return Run(
         deck=result.deck,
         waves=waves,
@@ -185,18 +186,18 @@ def simulate_deck(
     )
 
 
-def with_powers(waves: Waveforms, powers: Mapping[str, Sequence[PowerTerm]]) -> Waveforms:
+def add_powers(waves: Waveforms, powers: Mapping[str, Sequence[PowerTerm]]) -> Waveforms:
     """Return the waves and these powers.
 
     A power is that of each instant, or in ``ac`` the mean over a period.
     """
     result = dict(waves.data)
     for name, terms in powers.items():
-        result[name] = np.asarray(sum(_power(term, waves) for term in terms))
+        result[name] = np.asarray(sum(_compute_power(term, waves) for term in terms))
     return replace(waves, data=result)
 
 
-def _power(term: PowerTerm, waves: Waveforms) -> np.ndarray:
+def _compute_power(term: PowerTerm, waves: Waveforms) -> np.ndarray:
     """Return a power over the scale of the waves.
 
     The mean of a heat flow over a period is zero. A mechanical power at the operating points of a
@@ -225,7 +226,8 @@ def run_simulation(
     """
     functions = [item.reset_function for item in build.sampled_sources]
     if build.scene.analysis.small:
-        from kc2spice.workflow.resonances import with_resonances  # which loads scipy
+        # imported here, because the module loads scipy
+        from kc2spice.workflow.resonances import with_resonances
 
         refined_deck = with_resonances(deck, build)
         if deck.text is None and is_linear(build):
@@ -255,7 +257,7 @@ def _run_each_from_rest(
 
 
 def simulator_cpu(*, shared: bool) -> float:
-    """Return the CPU seconds so far of all child processes that have ended.
+    """Return the CPU time [s] of all child processes that have ended.
 
     If the simulator is a ``shared`` library, the result is the CPU time of this process. Systems
     that do not record CPU time give the wall time.
@@ -271,8 +273,7 @@ def simulator_cpu(*, shared: bool) -> float:
 
 @contextmanager
 def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
-    """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``, until a later one
-    succeeds. No command reads results from this directory; ``failure.json`` describes the files."""
+    """Keep deck, logs and partial waveforms of a failed run in ``<out>.failed``."""
     folder = None if out is None else _failure_folder(Path(out).absolute())
     try:
         yield
@@ -284,25 +285,24 @@ def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
                 _write_failure(error, folder, scene)
                 error.where = error.where and error.where.replace(str(work), str(folder))
         raise
-    if folder is not None and (folder / FAILURE).is_file():
+    if folder is not None and (folder / FAILURE_FILE).is_file():
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def _failure_folder(out: Path) -> Path:
-    """Return the folder for the files of a failed run: ``<out>.failed``, or with a number if it
-    exists.
-    """
+    """Return a new folder ``<out>.failed`` for the files of a failed run."""
     name = f"{out.name}.failed"
     for number in ("", *range(2, 100)):
         result = out.with_name(f"{name}{number}")
         if not os.path.lexists(result) or (
-            (result / FAILURE).is_file() and not result.is_symlink()
+            (result / FAILURE_FILE).is_file() and not result.is_symlink()
         ):
             return result
     return result
 
 
 def _write_failure(error: SimulationError, folder: Path, scene: str) -> None:
+    """Write ``failure.json``."""
     record: dict[str, object] = {"scene": scene, "partial": True, "error": error.message}
     record |= {"got": error.got, "next": error.hint, "waveforms": None, "attempts": []}
     if isinstance(error, RetriesFailedError):
@@ -311,6 +311,9 @@ def _write_failure(error: SimulationError, folder: Path, scene: str) -> None:
         if failure is not None:
             record |= {"node": failure.node, "time_s": failure.time, "part": failure.part}
         if failure is not None and failure.partial is not None:
-            save_arrays(failure.partial, folder / PARTIAL)
-            record |= {"waveforms": PARTIAL, "last_point": float(failure.partial.scale[-1])}
-    write_record(record, folder, FAILURE)
+            save_arrays(failure.partial, folder / PARTIAL_WAVES_FILE)
+            record |= {
+                "waveforms": PARTIAL_WAVES_FILE,
+                "last_point": float(failure.partial.scale[-1]),
+            }
+    write_record(record, folder, FAILURE_FILE)

@@ -4,9 +4,10 @@ The error control of ngspice keeps the error of each step below a tolerance. At 
 errors of thousands of steps add up. With steps ``h`` the trapezoidal rule reduces every natural
 frequency ``w`` by the ratio ``(w h)^2 / 12``, which detunes the drive. Gear's method adds damping.
 Both rules turn ``e^(r t)`` into another exponential. The numerical solution of a linear circuit and
-the largest step that keeps its error within :data:`AMPLITUDE` therefore follow in closed form.
+the largest step that keeps its error within :data:`RMS_ERROR_LIMIT` therefore follow in closed
+form.
 
-Motions with a Q factor below :data:`RESONANT` do not limit the step, however fast they are: the
+Motions with a Q factor below :data:`RESONANT_Q` do not limit the step, however fast they are: the
 error control resolves them. Sums that cancel do not limit it either.
 """
 
@@ -34,24 +35,28 @@ from kc2spice.scene.rows import StepLimit, Vector
 if TYPE_CHECKING:
     from kc2spice.reference.small_signal import ExponentialSolution
 
-# allowed errors of the rms of a wave and of the wave itself, relative to its largest value
-AMPLITUDE, SHAPE = 5e-4, 1e-3
-MANY, MOST = 2e5, 4e6  # largest numbers of points for the limits SHAPE and AMPLITUDE
-CLOSE = 1.1  # ratio of two steps that are the same
-FEWEST = 1000  # points of any run
-UNKNOWN = 10e-6  # s, for nonlinear circuits, in which error control resolves the changes
-RESONANT = 2.0  # Q factor above which errors of steps add up
-SAMPLES, WINDOWS = 2500, 16
-SEEN = 30_000  # number of points at which a run is compared
-# size of a wave below which ngspice does not iterate, relative to the largest wave of its unit
-BESIDE = 1e-5
-LEAST = {"A": 1e-11, "V": 1e-6, "N": 1e-11, "m": 1e-12, "m/s": 1e-9}  # and there
-ASIDE = 1e-9  # relative to the duration of the run
-FAIL = 1e-2
-SIZE = 600  # unknowns; larger circuits take minutes
+# largest errors of the rms of a wave and of the wave, relative to its largest value
+RMS_ERROR_LIMIT, SHAPE_ERROR_LIMIT = 5e-4, 1e-3
+# largest numbers of time points for the limits of the shape and of the rms
+MAX_SHAPE_POINTS, MAX_RMS_POINTS = 2e5, 4e6
+EQUAL_STEP_RATIO = 1.1  # ratio of two steps that count as equal
+MIN_POINTS = 1000  # smallest number of points of a run
+# s, largest step in nonlinear circuits, in which error control resolves the changes
+NONLINEAR_STEP = 10e-6
+RESONANT_Q = 2.0  # Q factor above which the errors of steps accumulate
+SAMPLE_COUNT, WINDOW_COUNT = 2500, 16
+MAX_COMPARED_POINTS = 30_000  # largest number of points at which a run is compared
+# smallest size of a compared wave, relative to the largest wave with its unit (ngspice does not
+# iterate smaller ones)
+MIN_RELATIVE_SIZE = 1e-5
+# smallest size of a compared wave, keyed by unit
+MIN_SIZE = {"A": 1e-11, "V": 1e-6, "N": 1e-11, "m": 1e-12, "m/s": 1e-9}
+EVENT_MARGIN = 1e-9  # time around jumps that is not compared, relative to the duration of the run
+FAILURE_LIMIT = 1e-2
+MAX_UNKNOWNS = 600  # larger circuits take minutes
 
 
-def largest_step(build: Build) -> StepLimit:
+def choose_largest_step(build: Build) -> StepLimit:
     """Return the largest time step of a transient.
 
     The result is ``solver.max_step`` if the scene sets this key. Otherwise it is the smallest step
@@ -64,20 +69,20 @@ def largest_step(build: Build) -> StepLimit:
     decided = min(filter(attrgetter("decides"), scales), key=attrgetter("step"), default=None)
     if decided is not None:
         return StepLimit(min(decided.step, scene.stop), decided.what)
-    limits = [StepLimit(scene.stop / FEWEST, f"1/{FEWEST} of the run")]
+    limits = [StepLimit(scene.stop / MIN_POINTS, f"1/{MIN_POINTS} of the run")]
     limits += [StepLimit(row.step, row.what) for row in scales]
     start = min(limits, key=attrgetter("step"))
     linearised = linearised_scene(build)
-    if not linearised.linear and start.step > UNKNOWN:
-        start = StepLimit(UNKNOWN, "not all of it is linear")
-    rule, limits = RULES[scene.solver.method], [start]
+    if not linearised.linear and start.step > NONLINEAR_STEP:
+        start = StepLimit(NONLINEAR_STEP, "not all of it is linear")
+    rule, limits = INTEGRATION_RULES[scene.solver.method], [start]
     for motion in linearised.motions:
         if motion is not None:
             limits.append(find_step(motion, start, rule))
     return min(limits, key=attrgetter("step"))
 
 
-def _relaxes(network: Network) -> bool:
+def _is_thermal(network: Network) -> bool:
     """Return whether all pins of a network are thermal.
 
     Heat has no inertia. A thermal network cannot ring, and error control resolves its time
@@ -89,7 +94,7 @@ def _relaxes(network: Network) -> bool:
 
 @dataclass(frozen=True)
 class LinearisedScene:
-    """Networks of a transient and their motions, linearised at rest.
+    """Networks of a transient, linearised at rest, with the exact motion of each network.
 
     The choice of the largest step and the check of the steps after a run use the same record, which
     computes eigenvalues when they are first needed.
@@ -103,14 +108,15 @@ class LinearisedScene:
 
     @property
     def linear(self) -> bool:
-        """Whether the equations of all networks are known, and linear unless they relax."""
+        """Whether the equations of all networks are known and linear (or thermal)."""
         for network, motion in zip(self.networks, self.motions, strict=True):
-            if motion is None or not (motion.linear.exact or _relaxes(network)):
+            if motion is None or not (motion.linear.exact or _is_thermal(network)):
                 return False
         return not self.missing
 
     @cached_property
     def _joined(self) -> tuple[tuple[Network, ...], tuple[str, ...]]:
+        """Networks with unknowns, and names of the parts in no network."""
         try:
             laws = scene_laws(self.build)
             networks, missing = laws.networks, laws.missing
@@ -120,7 +126,7 @@ class LinearisedScene:
 
     @property
     def networks(self) -> tuple[Network, ...]:
-        """Networks that are more than sources."""
+        """Networks that contain more than sources."""
         return self._joined[0]
 
     @property
@@ -130,14 +136,14 @@ class LinearisedScene:
 
     @cached_property
     def motions(self) -> tuple[ExponentialSolution | None, ...]:
-        """Motion of each network; None if it is too large or has no solution."""
-        return tuple(_motion(network, self.build.scene.stop) for network in self.networks)
+        """Exact motion of each network; None if it is too large or has no solution."""
+        return tuple(_solve_motion(network, self.build.scene.stop) for network in self.networks)
 
 
 def linearised_scene(build: Build) -> LinearisedScene:
-    """Return the linearised networks that the build carries (:func:`with_linearised_scene`).
+    """Return the linearised networks of a build, stored or new.
 
-    A build of other keys or models than those of its record gets a new one.
+    If the keys or models differ from those of the stored networks, new ones are returned.
     """
     known = build.linearised
     if isinstance(known, LinearisedScene) and known.belongs_to(build):
@@ -146,18 +152,20 @@ def linearised_scene(build: Build) -> LinearisedScene:
 
 
 def with_linearised_scene(build: Build) -> Build:
-    """Return a build that carries its linearised networks, so that they are made once."""
+    """Return a build with stored linearised networks, so that they are computed once."""
     return replace(build, linearised=linearised_scene(build))
 
 
-def _motion(network: Network, stop: float) -> ExponentialSolution | None:
-    """Return the motion of a network about rest; None if too large or without solution."""
+def _solve_motion(network: Network, stop: float) -> ExponentialSolution | None:
+    """Return the exact motion of a network from rest; None if too large or unsolvable."""
     from kc2spice.reference.small_signal import LinearisedSystem
-    from kc2spice.reference.system import assemble_system  # which loads scipy
+
+    # imported here, because the module loads scipy
+    from kc2spice.reference.system import assemble_system
 
     try:
         system = assemble_system(network.laws, network.joins)
-        if system.size > SIZE:
+        if system.size > MAX_UNKNOWNS:
             return None
         linear = LinearisedSystem(system)
     except (SimulationError, UsageError, np.linalg.LinAlgError):
@@ -169,13 +177,13 @@ def _motion(network: Network, stop: float) -> ExponentialSolution | None:
 
 
 class Rule(NamedTuple):
-    """Numerical solution of ``e^(r t)`` and of a drive ``e^(j w t)`` in equal steps ``h``."""
+    """Integration rule: numerical solution of ``e^(r t)`` and of ``e^(j w t)`` in steps ``h``."""
 
     rates: Callable[[np.ndarray, float], np.ndarray]
     axis: Callable[[np.ndarray, float], np.ndarray]
 
 
-RULES = {
+INTEGRATION_RULES = {
     "trap": Rule(
         lambda r, h: np.log((1 + r * h / 2) / (1 - r * h / 2)) / h,
         lambda jw, h: 2 / h * np.tanh(jw * h / 2),
@@ -190,11 +198,11 @@ RULES = {
 def find_step(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> StepLimit:
     """Find the largest step up to ``start`` with which ``rule`` is accurate.
 
-    The error of the rms is at most :data:`AMPLITUDE`. The error of the shape is at most
-    :data:`SHAPE`, unless that takes :data:`MANY` points or more.
+    The error of the rms is at most :data:`RMS_ERROR_LIMIT`. The error of the shape is at most
+    :data:`SHAPE_ERROR_LIMIT`, unless that takes :data:`MAX_SHAPE_POINTS` points or more.
     """
     peaks = motion.peaks()
-    t = motion.samples(SAMPLES)
+    t = motion.samples(SAMPLE_COUNT)
     outputs = np.arange(len(motion.linear.system.names))
     exact = motion.at(t, outputs)
     real = np.abs(exact).max(axis=0) > motion.rounding()
@@ -202,21 +210,26 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> Step
     modes = motion.modes
     if not outputs.size:
         return start
-    resonant = modes.quality > RESONANT
+    resonant = modes.quality > RESONANT_Q
 
     def is_accurate(h: float) -> bool:
-        def rates(exact: np.ndarray) -> np.ndarray:
+        """Return whether the rule is accurate with the step ``h``."""
+
+        def discrete_rates(exact: np.ndarray) -> np.ndarray:
+            """Return the rates of the numerical solution."""
             return np.where(resonant, rule.rates(exact, h), exact)
 
-        tried = motion.at(t, outputs, rates, lambda jw: rule.axis(jw, h))
-        amplitude, shape = deviation(t, tried, exact)
+        tried = motion.at(t, outputs, discrete_rates, lambda jw: rule.axis(jw, h))
+        amplitude, shape = largest_errors(t, tried, exact)
         points = motion.stop / h
-        return (amplitude <= AMPLITUDE or points >= MOST) and (shape <= SHAPE or points >= MANY)
+        return (amplitude <= RMS_ERROR_LIMIT or points >= MAX_RMS_POINTS) and (
+            shape <= SHAPE_ERROR_LIMIT or points >= MAX_SHAPE_POINTS
+        )
 
     if is_accurate(start.step):
         return start
-    low, high = motion.stop / MOST, start.step
-    while high / low > CLOSE:
+    low, high = motion.stop / MAX_RMS_POINTS, start.step
+    while high / low > EQUAL_STEP_RATIO:
         middle = math.sqrt(low * high)
         low, high = (middle, high) if is_accurate(middle) else (low, middle)
     h = low
@@ -232,17 +245,17 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: Rule) -> Step
 
 
 def _describe_resonance(rate: complex, quality: float) -> str:
-    """Return a natural motion in words."""
+    """Describe the resonance of a natural mode."""
     damped = f"Q {quality:.3g}" if quality < 1e6 else "undamped"
     return f"a motion at {format_quantity(abs(rate) / (2 * math.pi), 'Hz', 4)}, {damped}"
 
 
-def deviation(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
-    """Return the largest errors of the rms in a window and of a value, of all waves (nt, waves).
+def largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
+    """Return the largest errors of the rms in a window and of a value, over all waves (nt, waves).
 
     The errors are relative to the largest rms of a wave in a window, and to its largest value.
     """
-    edges = np.linspace(t[0], t[-1], WINDOWS + 1)[1:-1]
+    edges = np.linspace(t[0], t[-1], WINDOW_COUNT + 1)[1:-1]
     cuts = np.unique([0, *np.searchsorted(t, edges)])
     share = np.gradient(t)[:, None]  # time [s] of each point; closely spaced points weigh less
     length = np.maximum(np.add.reduceat(share, cuts, axis=0), 1e-300)
@@ -257,7 +270,9 @@ def deviation(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float
 # -------------------------------------------------------------------------------
 
 
-def step_checks(build: Build, waves: Waveforms, balances: Mapping[str, Balance]) -> Iterator[Check]:
+def list_step_checks(
+    build: Build, waves: Waveforms, balances: Mapping[str, Balance]
+) -> Iterator[Check]:
     """Check the effect of the time steps on the waves of a run.
 
     Waves of a linear circuit are compared with its exact motion, unless a contact sets the steps,
@@ -270,30 +285,32 @@ def step_checks(build: Build, waves: Waveforms, balances: Mapping[str, Balance])
         return
     decided = any(map(attrgetter("decides"), scene.numerics))
     known = not decided and not build.unjudged
-    worst, exact = _exact_motion(build, waves) if known else ((0.0, 0.0, ""), set())
+    worst, exact = _compare_exact_motion(build, waves) if known else ((0.0, 0.0, ""), set())
     if worst[2]:
-        yield _step_check("steps against the exact motion", worst)
+        yield _make_step_check("steps against the exact motion", worst)
     for part, balance in balances.items():
         if part in exact:
             continue
         differences = []
         for name, (simulated, true) in balance.exact.items():
             if true.any():
-                errors = deviation(waves["time"], simulated[:, None], true[:, None])
+                errors = largest_errors(waves["time"], simulated[:, None], true[:, None])
                 differences.append((*errors, name))
         if differences:
-            check = _step_check(f"steps of {part} against its exact answer", max(differences))
+            check = _make_step_check(f"steps of {part} against its exact answer", max(differences))
             yield replace(check, action="warn") if decided else check
 
 
-def _exact_motion(build: Build, waves: Waveforms) -> tuple[tuple[float, float, str], set[str]]:
+def _compare_exact_motion(
+    build: Build, waves: Waveforms
+) -> tuple[tuple[float, float, str], set[str]]:
     """Return the largest deviation of all waves of linear circuits, and the parts of these
     circuits.
     """
     exact, worst = set[str](), (0.0, 0.0, "")
     linearised = linearised_scene(build)
     for network, motion in zip(linearised.networks, linearised.motions, strict=True):
-        if _has_unknown_neighbour(build, network, linearised.missing):
+        if _has_unmodelled_neighbour(build, network, linearised.missing):
             continue
         if motion is not None and motion.linear.exact and motion.moves:
             worst = max(worst, _largest_deviation(network, motion, waves, build.results.vectors))
@@ -301,14 +318,16 @@ def _exact_motion(build: Build, waves: Waveforms) -> tuple[tuple[float, float, s
     return worst, exact
 
 
-def _step_check(name: str, largest: tuple[float, float, str]) -> Check:
+def _make_step_check(name: str, largest: tuple[float, float, str]) -> Check:
     """Return the check of a deviation of a wave: the deviation of the rms and of a value."""
     amplitude, _, wave = largest
     advice = "the steps are too coarse for a resonance: leave solver.max_step out, or lower it"
-    return Check(name, amplitude, FAIL, f"of the rms of {wave}", advice, coarse=True, wiring=True)
+    return Check(
+        name, amplitude, FAILURE_LIMIT, f"of the rms of {wave}", advice, coarse=True, wiring=True
+    )
 
 
-def _has_unknown_neighbour(build: Build, network: Network, missing: Sequence[str]) -> bool:
+def _has_unmodelled_neighbour(build: Build, network: Network, missing: Sequence[str]) -> bool:
     """Return whether a part without a law is joined to this network."""
     parts, scene = set(map(law_of, network.names)), build.scene
     for name, pin in scene.nets:
@@ -322,12 +341,12 @@ def _largest_deviation(
 ) -> tuple[float, float, str]:
     """Return the largest deviation of all waves, without those that are rounding errors."""
     time = waves["time"]
-    pick = np.unique(np.linspace(0, time.size - 1, min(time.size, SEEN)).astype(int))
+    pick = np.unique(np.linspace(0, time.size - 1, min(time.size, MAX_COMPARED_POINTS)).astype(int))
     # instants at which currents jump, with points on either side; an edge may begin at the end
     corners = np.append(motion.corners, motion.stop)
     near = np.searchsorted(corners, time[pick])
     neighbours = corners[np.clip([near - 1, near], 0, corners.size - 1)]
-    pick = pick[np.abs(time[pick] - neighbours).min(axis=0) > ASIDE * motion.stop]
+    pick = pick[np.abs(time[pick] - neighbours).min(axis=0) > EVENT_MARGIN * motion.stop]
     at, names = time[pick], motion.linear.system.names
     exact = dict(zip(names, motion.at(at, np.arange(len(names))).T, strict=True))
     rounding = dict(zip(names, motion.rounding(), strict=True))
@@ -337,12 +356,12 @@ def _largest_deviation(
         noise = sum(abs(factor) * rounding[wave] for factor, wave in network.readings[name].terms)
         unit = vectors[name].unit if name in vectors else ""
         size = float(np.abs(true).max())
-        if name in waves and size > max(noise, LEAST.get(unit, 0.0)):
+        if name in waves and size > max(noise, MIN_SIZE.get(unit, 0.0)):
             result[name] = true, unit
             largest[unit] = max(largest.get(unit, 0.0), size)
     worst = (0.0, 0.0, "")
     for name, (true, unit) in result.items():
-        if np.abs(true).max() > BESIDE * largest[unit]:
-            errors = deviation(at, waves[name][pick][:, None], true[:, None])
+        if np.abs(true).max() > MIN_RELATIVE_SIZE * largest[unit]:
+            errors = largest_errors(at, waves[name][pick][:, None], true[:, None])
             worst = max(worst, (*errors, name))
     return worst

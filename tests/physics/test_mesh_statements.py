@@ -27,7 +27,7 @@ from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.parttype import load_part_types
-from kc2spice.workflow.models import build_models, model_facts
+from kc2spice.workflow.models import build_models, model_values
 from kc2spice.workflow.reduce_files import export_rom
 
 UNKNOWN = "mesh: error not estimated, because the matrices state no mesh"
@@ -41,7 +41,7 @@ def stated(tables, name, overrides=None):
     (made,) = part.type.subcircuits(part, build, Header("s", "-"))
     head = made.text[: made.text.index(".subckt")].replace("\n*  ", "")
     (line,) = (line for line in head.splitlines() if line.startswith("* mesh: "))
-    return detail, model_facts(build).get(name, {}), line.removeprefix("* ")
+    return detail, model_values(build).get(name, {}), line.removeprefix("* ")
 
 
 def chain(tmp_path):

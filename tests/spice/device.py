@@ -15,10 +15,10 @@ from kc2spice.scene.model import Build
 from kc2spice.scene.resolve import resolve_build
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.metrics import verdict
+from kc2spice.workflow.metrics import list_checks
 from kc2spice.workflow.models import build_models, name_subcircuits
-from kc2spice.workflow.time_step import largest_step
-from kc2spice.workflow.verify.law_solution import solve
+from kc2spice.workflow.time_step import choose_largest_step
+from kc2spice.workflow.verify.law_solution import solve_laws
 
 RADII = 50e-6 * np.arange(6)
 
@@ -80,7 +80,7 @@ def built(scene, model=None, table=None, others=False, **words):
             models[part.name] = part.type.build(part, scene, Clock(ignore_progress))
     result = resolve_build(Build(scene, models, name_subcircuits(scene), **words))
     timed = scene.analysis.type == "transient"
-    return replace(result, largest=largest_step(result)) if timed else result
+    return replace(result, largest=choose_largest_step(result)) if timed else result
 
 
 def models(scene, *sets):
@@ -92,8 +92,8 @@ def both(scene, folder):
     """Waves of ngspice and of the independent integrator for a scene, and its failed checks."""
     build = models(scene)
     waves = run_deck(make_deck(build), folder)
-    failed = [check for check in verdict(waves, build).checks if not check.passed]
-    return waves, solve(build, waves).results, failed
+    failed = [check for check in list_checks(waves, build).checks if not check.passed]
+    return waves, solve_laws(build, waves).results, failed
 
 
 def deck_of(scene, model=None, table=None):

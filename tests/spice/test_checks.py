@@ -8,7 +8,7 @@ from device import built
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.scene.checks import require_passed
-from kc2spice.workflow.metrics import verdict
+from kc2spice.workflow.metrics import list_checks
 
 BALANCES = {"sphere", "contact", "kick"}
 ALL = {
@@ -22,7 +22,7 @@ ALL = {
 
 
 def judged(waves, scene, table, model):
-    return verdict(waves, built(scene, model, table))
+    return list_checks(waves, built(scene, model, table))
 
 
 def violated(waves, scene, table, model):

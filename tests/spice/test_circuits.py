@@ -11,7 +11,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.lint import require_valid_wiring
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.metrics import frequency, metrics
+from kc2spice.workflow.metrics import compute_metrics, mean_frequency
 from kc2spice.workflow.simulate import simulate_deck
 
 R, L, C = 50.0, 1e-3, 1e-6
@@ -25,7 +25,7 @@ def run(tables, directory):
     deck = make_deck(build)
     require_valid_wiring(deck)
     waves = simulate_deck(build, deck, directory).waves
-    return waves, metrics(waves, build).values
+    return waves, compute_metrics(waves, build).values
 
 
 def rlc(source, analysis, **more):
@@ -206,8 +206,8 @@ def test_cycles_over_a_falling_scale_have_the_same_rate():
     """Of ten cycles in 2 V."""
     x = np.linspace(0.0, 2.0, 4001)
     y = np.sin(10 * np.pi * x) * (1 + x)
-    assert frequency(x, y) == pytest.approx(5.0, rel=1e-3)
-    assert frequency(x[::-1], y) == pytest.approx(5.0, rel=1e-3)
+    assert mean_frequency(x, y) == pytest.approx(5.0, rel=1e-3)
+    assert mean_frequency(x[::-1], y) == pytest.approx(5.0, rel=1e-3)
 
 
 def test_where_a_response_peaks_and_what_it_is_at_a_frequency():

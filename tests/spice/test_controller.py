@@ -13,7 +13,7 @@ from kc2spice.sim.ngspice import RetriesFailedError
 from kc2spice.sim.shared import run_shared
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.refine import measure_again
-from kc2spice.workflow.run import complete
+from kc2spice.workflow.run import complete_run
 from kc2spice.workflow.verify.verify import verify_scenes
 
 PERIOD, DELAY = 10e-6, 4e-6  # s
@@ -77,7 +77,7 @@ def test_a_file_runs_only_when_it_is_trusted(tmp_path):
 
 def test_a_run_says_that_it_was_within_this_process_and_can_be_timed_again(tmp_path):
     """The simulator's own process can neither call functions nor be timed for one that does."""
-    done = complete(scene(), tmp_path, functions={"digits": lambda time, inputs: 1.0})
+    done = complete_run(scene(), tmp_path, functions={"digits": lambda time, inputs: 1.0})
     assert done.record["simulator"]["engine"] == "shared"
     assert done.run.cpu_s > 0
     assert measure_again(done.run) > 0

@@ -95,11 +95,13 @@ DISC = {
 
 def test_meshes_are_refined_within_limits_that_are_stated_first(monkeypatch):
     """A mesh beyond them stays, and its own error estimate counts for it."""
-    monkeypatch.setattr(refine, "MOST_UNKNOWNS", 1000)
+    monkeypatch.setattr(refine, "MAX_MESH_UNKNOWNS", 1000)
     said = []
     scene = kc.load_scene(DISC, {"error_budget": 0.2})
-    own = refine.evaluate(scene, Clock())
-    done = refine.converge(own, Clock(lambda stage, done, text: said.append((stage, text))))
+    own = refine.evaluate_scene(scene, Clock())
+    done = refine.converge_to_budget(
+        own, Clock(lambda stage, done, text: said.append((stage, text)))
+    )
     facts = own.build.facts(scene.parts["disc"])
     assert 250 < facts["unknowns"] < 1000  # four times as many are too many
     assert said[0][0] == "error budget"
@@ -112,10 +114,10 @@ def test_meshes_are_refined_within_limits_that_are_stated_first(monkeypatch):
 
 def refined_disc(monkeypatch, most, budget):
     """The disc with a budget and a limit of unknowns, and on a mesh eight times as fine."""
-    monkeypatch.setattr(refine, "MOST_UNKNOWNS", most)
-    own = refine.evaluate(kc.load_scene(DISC, {"error_budget": budget}), Clock())
-    exact = refine.evaluate(kc.load_scene(DISC, {"disc.mesh.refine": 8}), Clock())
-    return refine.converge(own, Clock()), exact
+    monkeypatch.setattr(refine, "MAX_MESH_UNKNOWNS", most)
+    own = refine.evaluate_scene(kc.load_scene(DISC, {"error_budget": budget}), Clock())
+    exact = refine.evaluate_scene(kc.load_scene(DISC, {"disc.mesh.refine": 8}), Clock())
+    return refine.converge_to_budget(own, Clock()), exact
 
 
 def test_a_mesh_at_its_limit_ends_the_refinement_with_its_reason(monkeypatch):

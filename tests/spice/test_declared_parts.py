@@ -21,8 +21,8 @@ from kc2spice.scene import parttype
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.resolve import resolve_build
-from kc2spice.workflow.metrics import verdict
-from kc2spice.workflow.verify.law_solution import solve
+from kc2spice.workflow.metrics import list_checks
+from kc2spice.workflow.verify.law_solution import solve_laws
 
 EPS = 8.8541878188e-12
 AREA, GAP, K = 1e-8, 2e-6, 1.5
@@ -32,7 +32,7 @@ def both(scene, name):
     """A wave of a scene by ngspice and by the laws."""
     waves = kc.run(scene).waves
     scale = next(iter(waves))
-    law = solve(
+    law = solve_laws(
         resolve_build(Build(load_scene(scene), {})), Waveforms({scale: waves[scale]}, {})
     ).results
     return waves[scale], waves[name], law[name]
@@ -172,7 +172,8 @@ def test_a_force_that_is_off_is_in_the_balance():
     build = resolve_build(Build(scene, {}))
     wrong = {**waves, "plate.force": 1.01 * waves["plate.force"]}
     good, bad = (
-        dict(verdict(Waveforms(data, {}), build).balances)["plate"] for data in ({**waves}, wrong)
+        dict(list_checks(Waveforms(data, {}), build).balances)["plate"]
+        for data in ({**waves}, wrong)
     )
     assert good.share < good.limit < bad.share
 
@@ -276,7 +277,7 @@ def test_states_and_signals_are_those_of_the_stated_controller(monkeypatch):
         "solver": {"stop": stop, "max_step": 5e-6, "reltol": 1e-6},
     }  # fmt: skip
     ngspice = kc.run(scene).waves
-    laws = solve(
+    laws = solve_laws(
         resolve_build(Build(load_scene(scene), {})), Waveforms({"time": ngspice["time"]}, {})
     ).results
     corners = 0.5e-3 + np.array([0.0, edge, 1e-3, 1e-3 + edge])
@@ -353,7 +354,7 @@ def test_what_is_only_seen_brings_in_no_energy(monkeypatch):
     for x in found:
         np.testing.assert_allclose(x[-1], exact[-1], rtol=1e-4)
     build = resolve_build(Build(load_scene(scene), {}))
-    balance = dict(verdict(Waveforms(dict(kc.run(scene).waves), {}), build).balances)["pusher"]
+    balance = dict(list_checks(Waveforms(dict(kc.run(scene).waves), {}), build).balances)["pusher"]
     assert balance.scale > 0
     assert balance.missing < 1e-3 * balance.scale
 

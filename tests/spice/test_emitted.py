@@ -71,7 +71,7 @@ def test_the_error_of_an_element_is_seen_at_the_lowest_frequency():
     assert part.reduction.worst_hz == BAND[0]
     text = re.sub(r"(?m)^(Gleak .*) \S+$", r"\1 1e-15", part.text)
     leaky = read_cards(text, part.filename).subcircuits[0]
-    found = circuit_error(leaky, part.pins, sensor(), BAND)
+    found = estimate_circuit_error(leaky, part.pins, sensor(), BAND)
     assert found.error == pytest.approx(1e-15 / (2 * np.pi * BAND[0] * CLAMPED), rel=1e-3)
     assert found.frequency == BAND[0]
 
@@ -81,7 +81,9 @@ def test_the_error_of_an_element_is_seen_at_a_resonance():
     part = subcircuit(sensor(), "sensor")
     drag = float(re.search(r"(?m)^Gd1 .*\{damping\*(\S+)\}", part.text)[1])
     off = part.text.replace(f"damping*{drag}", f"damping*{1.01 * drag}")
-    found = circuit_error(read_cards(off, part.filename).subcircuits[0], part.pins, sensor(), BAND)
+    found = estimate_circuit_error(
+        read_cards(off, part.filename).subcircuits[0], part.pins, sensor(), BAND
+    )
     assert found.error == pytest.approx(0.01 / 1.01, rel=1e-3)
     assert found.frequency == pytest.approx(1e3, rel=1e-3)
 
@@ -141,7 +143,9 @@ def test_parametric_circuits_are_compared_at_corners_and_inside(monkeypatch):
     errors = {}
     for value in (1.0, 2.0):
         exact = model.at({"length": value})
-        errors[value] = circuit_error(circuit, part.pins, exact, BAND, values={"length": value})
+        errors[value] = estimate_circuit_error(
+            circuit, part.pins, exact, BAND, values={"length": value}
+        )
     assert errors[1.0].error < 1e-9
     quality = 1 / (1e-5 * W * np.exp(0.2))
     assert errors[2.0].error == pytest.approx(2e-6 * quality, rel=0.05)

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 import kc2spice as kc
 from kc2spice.report.run_page import format_results
 from kc2spice.workflow import bench, refine
-from kc2spice.workflow.models import fact_units
+from kc2spice.workflow.models import value_units
 
 MASS, STIFFNESS, CUBIC, DAMPING, FORCE, TONE, STOP = 25e-6, 100.0, 5e9, 5e-3, 0.05, 400.0, 20e-3
 # A Duffing oscillator at a coarse step beside a source of 1 kV, and probes whose names end in words
@@ -197,7 +197,7 @@ def test_facts_of_models_have_units():
         "resonance_short_hz": 1e3,
         "extent_x_mm": 3.0,
     }
-    assert fact_units(facts) == {
+    assert value_units(facts) == {
         "mass_kg": "kg",
         "capacitance_free_f": "F",
         "anode_capacitance_f": "F",

@@ -6,7 +6,7 @@ from device import models
 from kc2spice.parts.mechanics._touching import find_separation
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.verify.law_solution import solve
+from kc2spice.workflow.verify.law_solution import solve_laws
 
 KEYS = ("contact.shape=pressure", "kick.layers=3", "kick.height=150 um")
 
@@ -17,7 +17,7 @@ def solved(request, tmp_path):
     scene, *keys = request.param
     build = models(scene, *KEYS, *keys)
     waves = run_deck(make_deck(build), tmp_path)
-    return waves, solve(build, waves)
+    return waves, solve_laws(build, waves)
 
 
 @pytest.mark.parametrize("solved", [("imprint", "imprint.depth=8 um", "imprint.steps=40")],

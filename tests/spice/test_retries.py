@@ -10,7 +10,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.scene.checks import Verdict
 from kc2spice.sim.ngspice import RetriesFailedError, run_deck, run_with_retries
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.metrics import verdict
+from kc2spice.workflow.metrics import list_checks
 
 # A comparator without hysteresis drives a femtofarad: no step is short enough for it.
 HOPELESS = "B1 0 b I={(V(b)>0.5) ? -1e6 : 1e6*TIME*1e6}\nC1 b 0 1e-15\nR1 b 0 1k\n.tran 1u 1m\n"
@@ -34,7 +34,7 @@ def test_a_result_of_too_coarse_steps_is_run_again(varied, model, table, tmp_pat
             tmp_path,
             batch(tmp_path),
             retries=3,
-            judge=lambda waves: verdict(waves, build),
+            judge=lambda waves: list_checks(waves, build),
         )
     books = [f"energy of {part}" for part in ("sphere", "contact", "kick")]
     assert done.attempts[0].cause.split(":")[0] in books
@@ -47,7 +47,7 @@ def test_a_result_of_too_coarse_steps_is_run_again(varied, model, table, tmp_pat
 def test_what_no_tolerance_cures_is_not_run_again(scene, loop, model, table, tmp_path):
     def beyond(waves):
         far = waves.data | {"sphere.y": waves["sphere.y"] + 1.0}
-        return verdict(dataclasses.replace(waves, data=far), built(scene, model, table))
+        return list_checks(dataclasses.replace(waves, data=far), built(scene, model, table))
 
     with pytest.raises(RetriesFailedError, match="table left") as caught:
         run_with_retries(loop, tmp_path, batch(tmp_path), retries=3, judge=beyond)

@@ -34,19 +34,19 @@ def test_ngspice_takes_the_time_points_that_are_expected(damping, tmp_path):
     build = device.built(scene, model)
     deck = make_deck(build)
     taken = run_deck(deck, tmp_path)["time"].size
-    expected = ringing.expect_ringing("kick", build.models["kick"], 59e-6, deck.reltol)
+    expected = ringing.estimate_ringing("kick", build.models["kick"], 59e-6, deck.reltol)
     assert 0.75 < expected.points / taken < 1.35
 
 
 def test_a_long_ringing_is_announced_before_the_run(monkeypatch):
     build = device.built(load_scene(KICK), chip(0.0))
-    monkeypatch.setattr(ringing, "MANY", 2e3)
+    monkeypatch.setattr(ringing, "MANY_POINTS", 2e3)
     with pytest.warns(UserWarning, match=r"kick rings at up to .*Hz .* time points, .* s of CPU"):
-        ringing.announce_long_run(build, make_deck(build))
+        ringing.warn_of_long_run(build, make_deck(build))
     damped = device.built(load_scene(KICK), chip(0.05))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        ringing.announce_long_run(damped, make_deck(damped))
+        ringing.warn_of_long_run(damped, make_deck(damped))
 
 
 def test_a_run_of_many_short_steps_is_announced_with_their_cause():
@@ -60,9 +60,9 @@ def test_a_run_of_many_short_steps_is_announced_with_their_cause():
     }
     build, deck = prepare_deck(load_scene(scene), Clock())
     with pytest.warns(UserWarning, match=r"1e\+06 time points.* is 10 .s \(not all of it is line"):
-        ringing.announce_long_run(build, deck)
+        ringing.warn_of_long_run(build, deck)
     shorter = {**scene, "analysis": {"type": "transient", "stop": 2.0}}
     build, deck = prepare_deck(load_scene(shorter), Clock())
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        ringing.announce_long_run(build, deck)
+        ringing.warn_of_long_run(build, deck)

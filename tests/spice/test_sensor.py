@@ -10,7 +10,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.models import build_models
-from kc2spice.workflow.verify.law_solution import solve
+from kc2spice.workflow.verify.law_solution import solve_laws
 
 BANDWIDTH, OFFSET, STEP = 50e3, 0.3e-6, 2e-6  # Hz, m, m
 
@@ -45,7 +45,7 @@ def test_noise_has_its_rms_and_is_white_between_samples(tmp_path):
 def test_the_reading_follows_a_step_by_its_pole_and_offset_in_ngspice_and_by_its_law():
     scene = sensed(100e-6, offset=OFFSET)
     ngspice = kc.run(scene).waves
-    law = solve(build_models(scene, Clock()), Waveforms({"time": ngspice["time"]}, {})).results
+    law = solve_laws(build_models(scene, Clock()), Waveforms({"time": ngspice["time"]}, {})).results
     # ngspice's steps; the edge of a nanosecond, of which half is a delay
     for waves, limit in ((ngspice, 1e-3), (law, 1e-7)):
         late = np.maximum(waves["time"] - 10e-6 - 0.5e-9, 0.0)
@@ -75,7 +75,7 @@ def test_a_sphere_in_flight_is_held_through_a_sensor_as_by_the_laws(eye):
     scene = load_scene(data)
     ngspice = kc.run(scene).waves
     build = build_models(scene, Clock())
-    law = solve(build, Waveforms({"time": ngspice["time"]}, {})).results
+    law = solve_laws(build, Waveforms({"time": ngspice["time"]}, {})).results
     for name, limit in (("sphere.y", 1e-9), ("control.error", 1e-9), ("sphere.v", 1e-5)):
         found = np.interp(law["time"], ngspice["time"], ngspice[name])
         np.testing.assert_allclose(found, law[name], atol=limit, err_msg=name)

@@ -12,7 +12,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.resolve import resolve_build
-from kc2spice.workflow.verify.law_solution import solve
+from kc2spice.workflow.verify.law_solution import solve_laws
 
 PLATE = Path(__file__).parents[2] / "docs/published/plate_pull_in.toml"
 MASS, PUSH, TRAVEL, STOP = 1e-6, 1e-4, 1e-4, 1e4  # kg, N, m, N/m
@@ -86,7 +86,7 @@ def test_both_kinds_of_loss_are_those_of_ngspice_and_of_the_integrator(restituti
     scene = pushed("parallel_plate", restitution, damping=damping)
     scene["solver"]["stop"] = 3e-3
     waves = kc.run(scene).waves
-    law = solve(
+    law = solve_laws(
         resolve_build(Build(load_scene(scene), {})), Waveforms({"time": waves["time"]}, {})
     ).results
     exact = bounces(restitution, 1)[0, 1]

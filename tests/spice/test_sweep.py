@@ -129,7 +129,7 @@ def begun(scene, out, count=2, **options):
 
 
 def recorded(out):
-    path = out / engine.ROWS
+    path = out / engine.ROWS_FILE
     return path.read_bytes().count(b'"interrupted": ') if path.exists() else 0
 
 

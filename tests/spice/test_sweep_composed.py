@@ -10,7 +10,7 @@ from scipy.io import mmwrite
 from sweeps import rows
 
 from kc2spice.workflow.sweep import engine
-from kc2spice.workflow.sweep.point import scene_text
+from kc2spice.workflow.sweep.point import read_scene_text
 
 OWN = """
 name = "own"
@@ -51,12 +51,12 @@ def own(tmp_path):
 
 def test_files_of_the_parts_travel_with_the_sweep(own, tmp_path):
     path = str(own / "own.toml")
-    names = {name for name, _ in scene_text(path).files}
+    names = {name for name, _ in read_scene_text(path).files}
     assert names == {"push.csv", "beam.toml", "stiff.mtx", *(f"beam.{x}.mtx" for x in "MEBC")}
-    found = engine.make_sweep(scene_text(path), ("solver.reltol=1e-3,1e-4",))
+    found = engine.make_sweep(read_scene_text(path), ("solver.reltol=1e-3,1e-4",))
     before = found.digest
     (own / "push.csv").write_text("0,0\n1e-4,2\n1,2\n")
-    again = engine.make_sweep(scene_text(path), ("solver.reltol=1e-3,1e-4",))
+    again = engine.make_sweep(read_scene_text(path), ("solver.reltol=1e-3,1e-4",))
     assert again.digest != before
     shutil.rmtree(own)  # as on another machine
     summary = engine.run_sweep(

@@ -31,7 +31,7 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
     scheduler = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port))
     worker = ("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny")
     daemons = {"scheduler": start(*scheduler), "a": start(*worker), "b": start(*worker)}
-    rows = tmp_path / "dask" / engine.ROWS
+    rows = tmp_path / "dask" / engine.ROWS_FILE
     study = engine.make_sweep(SceneText("kick_and_catch", None), SETS)
     done = []
 

@@ -19,9 +19,9 @@ from kc2spice.scene.load import load_scene
 from kc2spice.workflow.decks import make_deck
 from kc2spice.workflow.simulate import run_simulation
 from kc2spice.workflow.verify import bodies
-from kc2spice.workflow.verify.full_models import full_solution
+from kc2spice.workflow.verify.full_models import solve_full_models
 from kc2spice.workflow.verify.full_transient import Difference
-from kc2spice.workflow.verify.law_solution import solve
+from kc2spice.workflow.verify.law_solution import solve_laws
 from kc2spice.workflow.verify.verify import verify_scenes
 
 module = importlib.import_module("kc2spice.workflow.verify.verify")
@@ -82,16 +82,16 @@ def test_each_solution_is_compared_with_both_others(wrong, tmp_path, monkeypatch
     scene = load_scene("imprint", list(SMALL))
     if wrong == "fom":
         monkeypatch.setattr(
-            module, "full_solution",
+            module, "solve_full_models",
             lambda *asked: dataclasses.replace(
-                found := full_solution(*asked), waves=scaled(found.waves)
+                found := solve_full_models(*asked), waves=scaled(found.waves)
             ),
         )  # fmt: skip
     if wrong == "rom":
         monkeypatch.setattr(
             module, "solve",
             lambda *asked: dataclasses.replace(
-                found := solve(*asked), results=scaled(found.results)
+                found := solve_laws(*asked), results=scaled(found.results)
             ),
         )  # fmt: skip
     if wrong == "ngspice":
@@ -174,10 +174,10 @@ def test_a_signal_input_listens_to_a_loaded_node(kind, tmp_path):
     build = models(scene)
     if kind == "ac":
         f = np.geomspace(100, 1e5, 20)
-        found = solve(build, Waveforms({"frequency": f}, {})).results
+        found = solve_laws(build, Waveforms({"frequency": f}, {})).results
         exact = 1 / (1 + 2j * np.pi * f / POLE) ** 2
     else:
-        found = solve(build, Waveforms({"time": np.linspace(0, 4e-4, 200)}, {})).results
+        found = solve_laws(build, Waveforms({"time": np.linspace(0, 4e-4, 200)}, {})).results
         t = np.maximum(found["time"] - 0.5e-6, 0.0)  # half of the edge
         exact = 1 - (1 + POLE * t) * np.exp(-POLE * t)
     assert found["filter.y"] == pytest.approx(exact, abs=1e-4)
@@ -220,11 +220,11 @@ def missed_gates(build, text, folder):
     part = build.scene.parts["kick"]
     rom, band = build.model(part, LinearModel), (0.0, 500e3)
     libraries = tuple(parse_subcircuits(text, "chip.lib"))
-    frequency, found = bodies.netlist_response(
+    frequency, found = bodies.simulate_netlist_response(
         part, build, libraries, Clock(ignore_progress), folder, band
     )
     gate = build.scene.gates.harmonic_ngspice
-    limits = bodies.netlist_checks("kick", rom, frequency, found, gate)
+    limits = bodies.list_netlist_checks("kick", rom, frequency, found, gate)
     return [limit.name for limit in limits if not limit.passed]
 
 

@@ -117,7 +117,7 @@ def test_verify_halves_the_mesh_of_a_body(refine, passed, tmp_path, monkeypatch)
 
 
 def test_a_mesh_that_is_too_large_to_halve_is_noted(tmp_path, monkeypatch):
-    monkeypatch.setattr(verify, "FEW_UNKNOWNS", 100)
+    monkeypatch.setattr(verify, "MAX_FINER_UNKNOWNS", 100)
     scene = load_scene(DISC)
     record = verify.verify_scenes([scene], tmp_path / "out")["scenes"][scene.name]
     assert not any("half as wide" in check["name"] for check in record["checks"])

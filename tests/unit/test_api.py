@@ -101,7 +101,7 @@ def test_saved_result_is_what_was_returned(tmp_path):
 
 
 def test_a_directory_that_cannot_be_written_is_noticed_before_the_run(tmp_path, monkeypatch):
-    monkeypatch.setattr("kc2spice.api.complete", lambda *_, **__: pytest.fail("it was run"))
+    monkeypatch.setattr("kc2spice.api.complete_run", lambda *_, **__: pytest.fail("it was run"))
     (tmp_path / "out").write_text("a file")
     with pytest.raises(kc.errors.UsageError, match="a file, not a directory"):
         kc.run(PULSE, tmp_path / "out")

@@ -34,7 +34,7 @@ def timed_again():
 def made(tmp_path_factory):
     out = tmp_path_factory.mktemp("bench") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(refine, "evaluate", simulator)
+        patch.setattr(refine, "evaluate_scene", simulator)
         record = bench.bench(load_scene("impact", ["bench.metric=[]"]), out, error=1e-4, repeats=2)
     return record, out
 
@@ -69,7 +69,7 @@ def test_recommendation_does_not_rely_on_errors_that_cancel(record):
 
 
 def test_nothing_within_the_error_is_exit_code_4(monkeypatch, cli):
-    monkeypatch.setattr(refine, "evaluate", simulator)
+    monkeypatch.setattr(refine, "evaluate_scene", simulator)
     called = ["bench", "impact", "--error", "1e-9", "--metric", "speed", "--repeats", "1"]
     result = cli(*called, "--json", "--quiet", "--out", "o")
     assert result.exit_code == 4

@@ -14,7 +14,7 @@ from kc2spice.netlist.read import read_cards
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.rom.linear_model import Certificate
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.synthesis.header import part_header, rom_lines
+from kc2spice.synthesis.header import part_header, rom_comments
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 
@@ -27,7 +27,7 @@ NETLISTS = Path(__file__).parents[2] / "netlists"
 def test_a_bound_is_rounded_upwards(error, written):
     certificate = Certificate((0.0, 5e5), error, "residual", True, True)
     reduction = ReductionSummary(7, (0.0, 5e5), "pointwise", error, 1e-12, 3.0)
-    first, second, *_ = lines = rom_lines(reduction, certificate)
+    first, second, *_ = lines = rom_comments(reduction, certificate)
     assert first == f"* rom: order=7 band=0.0..500000.0 Hz norm=pointwise error={written}"
     assert second.startswith("*   (residual; emitted circuit")
     told = "\n".join(lines).replace("\n*   ", " ")

@@ -11,7 +11,7 @@ from kc2spice.parts.mechanics._touching import find_separation
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.resolve import resolve_build
-from kc2spice.workflow.metrics import metrics
+from kc2spice.workflow.metrics import compute_metrics
 
 RADIUS, LAUNCH, SPEED, DECEL = 1e-3, 5.0057e-4, 1.02, 40.0
 
@@ -40,7 +40,7 @@ def edge(waves: Waveforms) -> tuple[float, float] | None:
 
 def of_scene(waves: Waveforms, name: str) -> dict[str, object]:
     """Metrics of the parts of a gallery scene, without their models."""
-    return metrics(waves, resolve_build(Build(load_scene(name), {}))).values
+    return compute_metrics(waves, resolve_build(Build(load_scene(name), {}))).values
 
 
 def kick_times() -> np.ndarray:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from kc2spice.workflow.misfit import covariance, likely_cause, misfit_to_noise
+from kc2spice.workflow.misfit import estimate_covariance, find_likely_cause, rms_misfit
 
 F = np.linspace(0.8, 1.3, 200)
 TRUE = np.log([1.0, 0.2, 50.0])  # resonance, motional capacitance, Q
@@ -33,7 +33,7 @@ def repeated(noise, count=150):
     for _ in range(count):
         solved = solve(log_admittance(TRUE) + noise(rng))
         values.append(solved.x)
-        errors.append(np.sqrt(np.diag(covariance(solved.jac, solved.fun, WIDE))))
+        errors.append(np.sqrt(np.diag(estimate_covariance(solved.jac, solved.fun, WIDE))))
     return np.std(values, axis=0), np.mean(errors, axis=0)
 
 
@@ -67,8 +67,8 @@ def test_no_standard_error_of_a_bad_model_exceeds_the_range_by_far():
     rng = np.random.default_rng(1)
     J, left = np.zeros((60, 1)), 20 * rng.normal(size=60)
     J[3], J[33] = 50.0, 1e-6  # one frequency determines the value
-    assert np.sqrt(covariance(J, left, np.array([0.5]))[0, 0]) < 1.1 * (
-        0.5 + misfit_to_noise(left, 1) / 50
+    assert np.sqrt(estimate_covariance(J, left, np.array([0.5]))[0, 0]) < 1.1 * (
+        0.5 + rms_misfit(left, 1) / 50
     )
 
 
@@ -79,9 +79,9 @@ def test_the_likely_cause_is_the_one_that_was_added():
     rng = np.random.default_rng(5)
     for name, changed in (("series", Y / (1 + 0.02 * Y)), ("dielectric", Y + 0.5 * F)):
         solved = solve(np.log(changed) + white(rng, STATED))
-        assert misfit_to_noise(solved.fun, 3) > 3
-        assert likely_cause(solved.jac, solved.fun, causes) == name
+        assert rms_misfit(solved.fun, 3) > 3
+        assert find_likely_cause(solved.jac, solved.fun, causes) == name
     wavy = log_admittance(TRUE) + 0.1 * np.sin(60 * F) + white(rng, STATED)
     solved = solve(wavy)
-    assert likely_cause(solved.jac, solved.fun, causes) is None
-    assert likely_cause(solved.jac, solved.fun, {}) is None
+    assert find_likely_cause(solved.jac, solved.fun, causes) is None
+    assert find_likely_cause(solved.jac, solved.fun, {}) is None

@@ -7,7 +7,7 @@ from scipy import sparse
 from kc2spice.rom.band import band_end, natural_band
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce_model
-from kc2spice.workflow.reduce_files import _scene_body
+from kc2spice.workflow.reduce_files import _load_scene_body
 
 K_LINK, MASS = 1e6, 1e-2
 
@@ -48,7 +48,7 @@ def test_unknowns_without_inertia_suggest_no_band():
 
 
 def test_a_body_of_a_scene_is_reduced_over_the_band_of_the_scene():
-    model = _scene_body("buzzer_7bb_20_6:disc")
+    model = _load_scene_body("buzzer_7bb_20_6:disc")
     from kc2spice.parts.bodies._body_model import scene_band
     from kc2spice.scene.load import load_scene
 

@@ -27,7 +27,7 @@ from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Build
 from kc2spice.scene.resolve import resolve_build
-from kc2spice.workflow.metrics import metrics
+from kc2spice.workflow.metrics import compute_metrics
 
 TEMPLATES = Path(__file__).parents[2] / "templates"
 
@@ -148,7 +148,7 @@ class Page(HTMLParser):
 def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
     out = tmp_path_factory.mktemp("report")
     waves, scene = loop_waves(), load_scene("kick_and_catch", [])
-    found = metrics(waves, resolve_build(Build(scene, {})))
+    found = compute_metrics(waves, resolve_build(Build(scene, {})))
     result = {
         "metrics": found.values,
         "metric_units": found.units,

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from kc2spice.core.errors import UsageError
-from kc2spice.workflow.sweep.engine import make_sweep, named_sweep
+from kc2spice.workflow.sweep.engine import load_named_sweep, make_sweep
 from kc2spice.workflow.sweep.point import SceneText
 
 LOOP = SceneText("kick_and_catch", None)
@@ -145,10 +145,10 @@ def test_parameters_of_subcircuits_share_a_netlist(sets, netlists):
 def test_a_study_of_your_own_is_a_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('scene = "kick_and_catch"\nzip = true\n[set]\n"control.kd" = "10:20:3"\n')
-    assert named_sweep(str(path)).plan.size == 3
-    both = named_sweep(str(path), ["control.kp=1e4,2e4,3e4", "control.kd=1,2,3"])
+    assert load_named_sweep(str(path)).plan.size == 3
+    both = load_named_sweep(str(path), ["control.kp=1e4,2e4,3e4", "control.kd=1,2,3"])
     assert both.plan.values(1) == {"control.kd": 2.0, "control.kp": 2e4}
     path.write_text('scene = "kick_and_catch"\nsets = 3\n')
     with pytest.raises(UsageError, match="not a key of a study") as caught:
-        named_sweep(str(path))
+        load_named_sweep(str(path))
     assert "key sets" in caught.value.where

@@ -10,7 +10,7 @@ import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.reductors import registry
 from kc2spice.synthesis.realize import subcircuit
-from kc2spice.workflow.methods import compare
+from kc2spice.workflow.methods import compare_methods
 
 N = 40
 
@@ -203,7 +203,7 @@ def test_a_passive_model_says_so_in_its_text():
 
 def reasons(**matrices):
     """Reasons of all methods that have no model, by their names."""
-    rows = compare(kc.LinearModel(**matrices), band=(0.0, 0.1), tolerance=1e-2)["methods"]
+    rows = compare_methods(kc.LinearModel(**matrices), band=(0.0, 0.1), tolerance=1e-2)["methods"]
     return {row["method"]: row["reason"] for row in rows}
 
 

@@ -8,7 +8,7 @@ from kc2spice.scene.checks import Gate
 from kc2spice.workflow.verify.verify import (
     Solution,
     gate_difference,
-    gate_limits,
+    list_gate_checks,
     metric_errors,
     output_errors,
 )
@@ -78,8 +78,8 @@ def test_parts_that_have_a_metric_of_one_name_are_judged_each_by_its_own() -> No
     gate = Gate("speed", "speed_m_s", {"ngspice_vs_rom": 0.1})
     gates = [("left", gate), ("right", gate)]
     ours, exact = ({"left.speed_m_s": v, "right.speed_m_s": 2.0} for v in (1.5, 1.0))
-    rows, _ = gate_limits(gates, "ngspice_vs_rom", Solution(none, ours), Solution(none, exact))
+    rows, _ = list_gate_checks(gates, "ngspice_vs_rom", Solution(none, ours), Solution(none, exact))
     assert [row.value for row in rows] == [pytest.approx(0.5), 0.0]
     alone = (Solution(none, {"speed_m_s": v}) for v in (1.5, 1.0))
-    ((row,), _) = gate_limits(gates[:1], "ngspice_vs_rom", *alone)
+    ((row,), _) = list_gate_checks(gates[:1], "ngspice_vs_rom", *alone)
     assert row.value == pytest.approx(0.5)

@@ -31,7 +31,7 @@ from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build, Part
 from kc2spice.scene.parttype import compute_pin_forces
-from kc2spice.synthesis.realize import COARSE
+from kc2spice.synthesis.realize import COARSE_WEIGHTS
 
 BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 OUTSIDE = "the reduced model has no error estimate above its band: widen rom.band"
@@ -278,7 +278,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             entries[what] = entries.get(what, 0.0) + float(result[-1])
             gap += result - took
         entries |= {"stored": float(stored[-1]), "damped": float(damped[-1])}
-        if pressed := self.weights(part, build.scene) == COARSE:
+        if pressed := self.weights(part, build.scene) == COARSE_WEIGHTS:
             forces = [*map(loads.__getitem__, names_of(mechanical_ports(model.ports)))]
             largest = np.abs(forces).max(axis=0, initial=0.0)
             last = np.flatnonzero(largest > UNPRESSED * largest.max(initial=0.0)).max(initial=0)

@@ -26,10 +26,10 @@ from kc2spice.scene.model import (
 )
 from kc2spice.scene.parttype import find_current_into
 from kc2spice.scene.rows import Vector
-from kc2spice.synthesis.heat import is_heat, modal_heat_model
+from kc2spice.synthesis.heat import diagonalise_heat_model, is_heat_model
 from kc2spice.synthesis.realize import (
-    COARSE,
-    RINGING,
+    COARSE_WEIGHTS,
+    RINGING_WEIGHTS,
     UNRATED,
     StepWeights,
     subcircuit,
@@ -47,9 +47,9 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     def weights(self, part: Part[LinearKeysT], scene: DeclaredScene) -> StepWeights:
         """Weights of the modes in time step control.
 
-        ``COARSE`` if time steps need not resolve the ringing of the body without load.
+        ``COARSE_WEIGHTS`` if time steps need not resolve the ringing of the body without load.
         """
-        return COARSE if scene.solver.ringing == "coarse" else RINGING
+        return COARSE_WEIGHTS if scene.solver.ringing == "coarse" else RINGING_WEIGHTS
 
     def library(self, part: Part[LinearKeysT], scene: Scene) -> str:
         """Return its part number, or :meth:`scene_library` if it has none."""
@@ -108,7 +108,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     def law(self, part: Part[LinearKeysT], build: Build) -> laws.Equations | None:
         model = build.model(part, LinearModel)
         ports, n = model.ports, part.name
-        heat, last = is_heat(model), build.scene.pins(part.name)[-1].name
+        heat, last = is_heat_model(model), build.scene.pins(part.name)[-1].name
         if build.net(part, last) != "0" and not heat:  # its reference
             return None
         pins = []
@@ -130,7 +130,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
             rest, E = A.coefficients
             law = laws.SignalBlock(n, E, -rest, A.B, A.C, A.D, model.inputs, model.outputs)
         elif heat:
-            law = laws.SecondOrderBody(n, modal_heat_model(model), law_ports)
+            law = laws.SecondOrderBody(n, diagonalise_heat_model(model), law_ports)
         else:
             modal = resonators(model)
             law = laws.SecondOrderBody(n, model if modal is None else modal.linear(), law_ports)

@@ -41,7 +41,7 @@ from kc2spice.scene.model import (
 )
 from kc2spice.scene.rows import LargestRealPart, Neglected
 from kc2spice.scene.settings import Probe
-from kc2spice.synthesis.realize import COARSE
+from kc2spice.synthesis.realize import COARSE_WEIGHTS
 
 FEEDING = 1e-3  # negative part of an impedance that exceeds rounding errors of a lossless body
 STEP = 1e-2  # relative step of a parameter for sensitivities by central differences
@@ -182,7 +182,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
 
     def neglected(self, part: Part[LinearKeysT], scene: Scene) -> Iterator[Neglected]:
         """Effect that ``solver.ringing = "coarse"`` neglects."""
-        if self.weights(part, scene) == COARSE:
+        if self.weights(part, scene) == COARSE_WEIGHTS:
             why = "solver.ringing lets go of it once nothing presses on the body"
             yield Neglected(
                 f"free ringing of {part.name}", why, "all of its own current and motion"

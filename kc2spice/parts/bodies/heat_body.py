@@ -95,7 +95,7 @@ from kc2spice.scene.checks import Balance, Check, Metric
 from kc2spice.scene.model import Build, DeclaredScene, GovernedScene, Part, Scene, WiredScene
 from kc2spice.scene.parttype import find_current_into, register
 from kc2spice.scene.rows import Neglected, Rest, Vector
-from kc2spice.synthesis.heat import heat_modes
+from kc2spice.synthesis.heat import compute_heat_modes
 
 CELLS = 4  # elements in each layer
 # tolerance relative to the largest temperature of a pin, over that at a frequency
@@ -525,7 +525,7 @@ def _plot_temperatures(name: str, waves: Waveforms) -> Iterator[Figure]:
 
 def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
     """Yield ``Zth(t)``: the temperature rise of each port for a step of 1 W into it alone."""
-    modes = heat_modes(model)
+    modes = compute_heat_modes(model)
     times = modes.resistance * modes.capacity
     moving = times[(times > 0) & (times < 1 / LEAK_RATE)]
     if not moving.size:

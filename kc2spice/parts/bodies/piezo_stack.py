@@ -42,7 +42,7 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import check_range
 from kc2spice.scene.rows import Neglected, Numerics
 from kc2spice.scene.settings import Rom
-from kc2spice.synthesis.realize import COARSE, THROWING, StepWeights
+from kc2spice.synthesis.realize import COARSE_WEIGHTS, THROWING_WEIGHTS, StepWeights
 
 # Mesh and solver modules are imported on use: most runs find their models in the cache.
 if TYPE_CHECKING:
@@ -241,7 +241,7 @@ class PiezoStack(MeshedBody[Stack]):
         ratio = math.pi * USUAL * part.keys.damping.beta
         close = math.sqrt(min(1.0, max(ratio, UNDAMPED) / RINGING))
         speed = _kick_speed(part, scene)
-        if self.weights(part, scene) == COARSE and speed is not None:
+        if self.weights(part, scene) == COARSE_WEIGHTS and speed is not None:
             # Anything but sources on its anode may make any kick a slow one: 0.67 m/s behind an
             # amplifier of 5 A, which is 1.5e-3 off at the settings of 1 m/s.
             driven = not scene.joined_types(part.name, "anode") <= {"source"}
@@ -254,7 +254,7 @@ class PiezoStack(MeshedBody[Stack]):
 
     def weights(self, part: Part[Stack], scene: DeclaredScene) -> StepWeights:
         """Weights of the modes; the ringing strikes the sphere if the kick begins downwards."""
-        return THROWING if _retracts_first(part) else super().weights(part, scene)
+        return THROWING_WEIGHTS if _retracts_first(part) else super().weights(part, scene)
 
     def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[Penetration]:
         voltage = highest_voltage(part, scene)

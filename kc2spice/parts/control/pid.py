@@ -37,7 +37,7 @@ from kc2spice.scene.model import (
 )
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
-from kc2spice.synthesis.header import library
+from kc2spice.synthesis.header import render_library
 
 SENSOR = 2e3  # V/m, 5 V at the paper's set point
 SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A
@@ -162,7 +162,7 @@ def pid_subcircuit(
     if output:
         params += [positive_parameter("compliance", supply, "V", "supply of the output stage")]
     gains = names_of(params)
-    part = library(
+    part = render_library(
         "pid",
         header,
         name,

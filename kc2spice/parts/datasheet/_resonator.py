@@ -180,14 +180,14 @@ class ResonatorPart(NumberedPart[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        from kc2spice.synthesis.header import defaults, part_header  # loads slowly
+        from kc2spice.synthesis.header import parameter_defaults_of, part_header  # loads slowly
 
         content = self.netlist(part, self.circuit(part, build.scene))
         name, pins = build.libraries[part.name], tuple(Pin(end, "V", "A") for end in self.ends)
         title = f"{name}: {self.title}"
         head = part_header(header, title, pins, content.params, rating=self.rating)
         items = tuple(_cards(content, *self.ends))
-        circuit = Circuit(name, self.ends, defaults(content.params), items, notes=head)
+        circuit = Circuit(name, self.ends, parameter_defaults_of(content.params), items, notes=head)
         tree = Circuit(items=(circuit,))
         return (
             Subcircuit(

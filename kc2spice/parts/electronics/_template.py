@@ -42,7 +42,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.rows import Vector
-from kc2spice.synthesis.header import ROOM, library
+from kc2spice.synthesis.header import ROOM_TEXT, render_library
 
 BANDWIDTH = 1e9  # Hz, gain-bandwidth product of a fast decompensated amplifier
 
@@ -78,7 +78,7 @@ class TemplatePart(PartType[KeysT]):
     heading: ClassVar[str]
     fixed: ClassVar[tuple[Terminal, ...]]
     rating: ClassVar[str]
-    validity: ClassVar[str] = ROOM
+    validity: ClassVar[str] = ROOM_TEXT
     opamp: ClassVar[Level | None] = None
     constants: ClassVar[Mapping[str, float]] = {}
 
@@ -109,7 +109,9 @@ class TemplatePart(PartType[KeysT]):
         """Return its library as a subcircuit with this name."""
         limits = {"rating": self.rating, "validity": self.validity}
         words: dict[str, Any] = {**limits, **self.constants, **values}
-        result = library(self.template, header, name, self.heading, self.fixed, params, **words)
+        result = render_library(
+            self.template, header, name, self.heading, self.fixed, params, **words
+        )
         if not self.opamp:
             return result
         return merge_helpers(
@@ -145,7 +147,9 @@ def opamp_subcircuit(
     title, rating = "operational amplifier", "its output stays between vee and vcc"
     if level == "pole":
         stiff = positive_parameter("clip", 1e3, "S", "stiffness of the rails")
-        return library("opamp", header, "opamp", title, pins, (*params, stiff), rating=rating)
+        return render_library(
+            "opamp", header, "opamp", title, pins, (*params, stiff), rating=rating
+        )
     limits = (
         positive_parameter("slew", 1e9, "V/s", "fastest change of the output"),
         positive_parameter("current_limit", 1.0, "A", "largest output current"),
@@ -155,7 +159,7 @@ def opamp_subcircuit(
     result = (noise.noise_voltage, noise.noise_current) if noise else (None, None)
     volts, amperes = (item / ohm if item else None for item in result)
     words: dict[str, Any] = {"rating": rating, "volts": volts, "amperes": amperes}
-    return library("opamp_slew", header, "opamp_slew", title, pins, params + limits, **words)
+    return render_library("opamp_slew", header, "opamp_slew", title, pins, params + limits, **words)
 
 
 SLACK = 1e-3  # margin over span or current: rails sag by millivolts, saved points have reltol

@@ -55,7 +55,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import check_range
 from kc2spice.scene.rows import Neglected, Vector
-from kc2spice.synthesis.header import SIGN
+from kc2spice.synthesis.header import SIGN_TEXT
 
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 
@@ -154,7 +154,7 @@ def coils_subcircuit(
         "constant forces beyond; linear magnetics; coils at the temperature of their data, nothing "
         "heats up",
         rating=rating,
-        sign=SIGN,
+        sign=SIGN_TEXT,
         mesh=f"error estimate of the field: {errors}" if errors else "",
     )
     pins = tuple(Pin(end.name, end.unit, end.flow) for end in (PINS if apart else SERIES_PINS))

@@ -28,7 +28,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 from kc2spice.scene.settings import Rom
-from kc2spice.synthesis.realize import COARSE, StepWeights
+from kc2spice.synthesis.realize import COARSE_WEIGHTS, StepWeights
 
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, TransverselyIsotropicSphere
@@ -136,7 +136,7 @@ elastic = true
 
         With 0.01 % of damping, eight times as many steps would resolve its megahertz in flight.
         """
-        return COARSE
+        return COARSE_WEIGHTS
 
     def neglected(self, part: Part[ElasticSphereKeys], scene: Scene) -> Iterator[Neglected]:
         why = "steps let go of it once nothing presses on the sphere, whose path it is no part of"

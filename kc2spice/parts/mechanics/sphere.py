@@ -40,7 +40,7 @@ from kc2spice.scene.parttype import compute_pin_forces, register
 from kc2spice.scene.plausible import check_range
 from kc2spice.scene.rows import Neglected, Rest, State, Vector
 from kc2spice.scene.settings import Probe
-from kc2spice.synthesis.header import SIGN
+from kc2spice.synthesis.header import SIGN_TEXT
 
 AIR_VISCOSITY = 1.825e-5  # Pa s
 STEEL_DENSITY = 7850.0  # kg/m^3
@@ -137,7 +137,7 @@ def rigid_sphere(
         given=(weight, size, pull, fast, place),
         base="base",
         validity=f"{declaration.valid_range}; moves along its axis only",
-        sign=SIGN,
+        sign=SIGN_TEXT,
     )
 
 

@@ -1,4 +1,4 @@
-"""Run a sweep: check it, share the models, run and record the points, write the table.
+"""Run of a sweep: check, shared models, points, results and table.
 
 Points run in processes of this machine or on a Dask scheduler's workers: both are a
 :class:`concurrent.futures.Executor`, and any other executor is accepted. The rows of the points are
@@ -52,7 +52,7 @@ from kc2spice.scene.keys import list_scene_keys
 from kc2spice.scene.model import Scene, scene_hash
 from kc2spice.scene.overrides import format_toml
 from kc2spice.workflow.sweep.grid import (
-    PARAMETER,
+    PARAMETER_KEY,
     Plan,
     find_swept_key,
     make_plan,
@@ -65,18 +65,18 @@ from kc2spice.workflow.sweep.point import (
     PointResult,
     SceneText,
     build_point,
+    read_scene_files,
+    read_scene_text,
     run_point,
-    scene_files,
-    scene_text,
     subcircuit_parameters,
 )
 
-# Opens an executor, also after the loss of an executor, and yields it with the number of its
-# workers.
+# Function that opens an executor, also after the loss of an earlier executor, and yields it with
+# the number of workers.
 Workers = Callable[[], AbstractContextManager[tuple[Executor, int]]]
-PATIENCE = 60.0  # s that a lost scheduler may take to come back
-# Exceptions for lost workers and schedulers. Names suffice, so that Dask need not be imported.
-_LOST = {
+RECONNECT_TIME = 60.0  # s, time limit for a lost scheduler to reconnect
+# Names of exceptions for lost workers and schedulers, so that Dask need not be imported.
+_LOST_EXCEPTIONS = {
     "KilledWorker",
     "FutureCancelledError",
     "FuturesCancelledError",
@@ -85,7 +85,7 @@ _LOST = {
 }
 
 
-_GROUP = ".group"  # ending of the file that is named after a worker's process group
+_GROUP_SUFFIX = ".group"  # suffix of a file named after the process group of a worker
 
 
 def available_cores() -> int:
@@ -96,10 +96,12 @@ def available_cores() -> int:
         return os.cpu_count() or 1
 
 
-def is_lost(error: BaseException) -> bool:
-    """Whether a call failed because its worker or scheduler was lost."""
+def is_lost_worker(error: BaseException) -> bool:
+    """Return whether a call failed because its worker or scheduler was lost."""
     kinds = {kind.__name__ for kind in type(error).__mro__}
-    return isinstance(error, (BrokenExecutor, CancelledError, OSError)) or bool(_LOST & kinds)
+    return isinstance(error, (BrokenExecutor, CancelledError, OSError)) or bool(
+        _LOST_EXCEPTIONS & kinds
+    )
 
 
 def local_workers(count: int) -> Workers:
@@ -111,7 +113,7 @@ def local_workers(count: int) -> Workers:
         with tempfile.TemporaryDirectory(
             prefix="kc2spice-sweep-", ignore_cleanup_errors=True
         ) as scratch:
-            pool = ProcessPoolExecutor(count, get_context("spawn"), _worker_starts, (scratch,))
+            pool = ProcessPoolExecutor(count, get_context("spawn"), _initialise_worker, (scratch,))
             try:
                 yield pool, count
             finally:
@@ -123,13 +125,13 @@ def local_workers(count: int) -> Workers:
 
 def _end_orphans(scratch: Path) -> None:
     """Kill ngspice processes of killed workers, which would still write to ``scratch``."""
-    for mark in scratch.glob("*" + _GROUP):
-        with suppress(ProcessLookupError, PermissionError):  # its whole group has ended
+    for mark in scratch.glob("*" + _GROUP_SUFFIX):
+        with suppress(ProcessLookupError, PermissionError):  # the process group has already ended
             os.killpg(int(mark.stem), signal.SIGKILL)
 
 
-def _worker_starts(scratch: str) -> None:
-    """Leave Ctrl-C to the parent; when that is killed, end with ngspice and leave no files."""
+def _initialise_worker(scratch: str) -> None:
+    """Ignore Ctrl-C; if the parent is killed, end ngspice and delete files."""
     from multiprocessing import connection, parent_process
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -137,9 +139,10 @@ def _worker_starts(scratch: str) -> None:
     parent, group = parent_process(), hasattr(os, "setpgrp")
     if group:
         os.setpgrp()
-        Path(scratch, f"{os.getpid()}{_GROUP}").touch()
+        Path(scratch, f"{os.getpid()}{_GROUP_SUFFIX}").touch()
 
-    def watch() -> None:
+    def watch_parent() -> None:
+        """Wait for the end of the parent, then end this worker."""
         if parent is None:
             return
         connection.wait([parent.sentinel])
@@ -151,7 +154,7 @@ def _worker_starts(scratch: str) -> None:
         else:
             os._exit(1)
 
-    threading.Thread(target=watch, daemon=True).start()
+    threading.Thread(target=watch_parent, daemon=True).start()
 
 
 def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
@@ -159,12 +162,12 @@ def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
 
     A scheduler gets ``patience`` seconds for its first answer, and a minute to come back.
     """
-    limits = chain([patience], repeat(PATIENCE))
+    limits = chain([patience], repeat(RECONNECT_TIME))
 
     @contextmanager
     def open_executor() -> Iterator[tuple[Executor, int]]:
         distributed = import_optional("distributed", "--dask")
-        # A scheduler that comes back is no reason for the tracebacks that Dask would print.
+        # Dask would print tracebacks although the scheduler reconnects
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         limit, target = next(limits), address
         with ExitStack() as stack:
@@ -191,12 +194,12 @@ def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
 
 
 def _disconnect(client: Any) -> None:
-    with suppress(Exception):  # the scheduler may be gone already
+    with suppress(Exception):  # the scheduler may have ended already
         client.close(timeout=5)
 
 
-OK = "ok"
-_OPEN = """
+OK_STATUS = "ok"
+_OPEN_STATEMENTS = """
 pragma trusted_schema = off;
 pragma locking_mode = exclusive;  -- another process that writes here is refused at once
 pragma journal_mode = delete;
@@ -206,11 +209,11 @@ create table if not exists sweep (digest text);
 create table if not exists row (point integer primary key, outcome text);
 commit;
 """
-_OUTCOME = TypeAdapter(PointResult)
+_OUTCOME_ADAPTER = TypeAdapter(PointResult)
 
 
 class RowStore:
-    """``outcomes`` by point, and an SQLite file in which each row is complete or missing.
+    """Results of the points in an SQLite file, in which each row is complete or missing.
 
     ``digest`` is that of the sweep; ``failed`` are the points that have no numbers.
 
@@ -225,14 +228,14 @@ class RowStore:
             raise UsageError("is no file of a sweep", where=str(path), hint="remove it")
         try:
             self._rows = sqlite3.connect(path, timeout=0.0, isolation_level=None)
-            self._rows.executescript(_OPEN)
+            self._rows.executescript(_OPEN_STATEMENTS)
             (stored,) = self._rows.execute("select digest from sweep").fetchone() or (None,)
             if stored is None:
                 self._rows.execute("insert into sweep values (?)", (digest,))
             for point, text in self._rows.execute("select * from row") if stored == digest else ():
                 if point not in range(points):
                     raise ValueError(f"point {str(point)[:80]!r}")
-                self._write_row(point, _OUTCOME.validate_json(text, strict=True))
+                self._write_row(point, _OUTCOME_ADAPTER.validate_json(text, strict=True))
         except (sqlite3.Error, ValueError) as error:
             hint = "remove it: what it held is run again"
             message = "is damaged or cannot be written: not the rows of this sweep"
@@ -270,14 +273,12 @@ class RowStore:
         (self.failed.discard if outcome.failure is None else self.failed.add)(point)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._rows.close()
 
 
 def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> None:
-    """Raise UsageError if a run of ``scene`` lacks one of the metrics, or has no number for the
-    table.
-    """
+    """Raise an error if a run lacks one of the metrics, or has no number for the table."""
     known = {**outcome.metrics, **outcome.facts}
     for name in names:
         if name not in known:
@@ -305,7 +306,7 @@ def columns(
         numbers = {**outcome.facts, **outcome.metrics}
         result = {name: numbers.get(name) for name in names} | plan.values(point)
         why = outcome.failure
-        result["status"] = OK if why is None else f"failed: {' '.join(why.split())}"
+        result["status"] = OK_STATUS if why is None else f"failed: {' '.join(why.split())}"
         for name, value in result.items():
             table[name].append(value)
     return table
@@ -343,8 +344,8 @@ def write_parquet(table: Mapping[str, Sequence[Any]], path: Path) -> None:
 WRITERS = {"csv": write_csv, "parquet": write_parquet}
 
 
-ROWS, PAGE = "rows.sqlite", "sweep.html"
-LOST = PointResult(failure="its worker process died, twice", interrupted=True)
+ROWS_FILE, PAGE_FILE = "rows.sqlite", "sweep.html"
+LOST_POINT = PointResult(failure="its worker process died, twice", interrupted=True)
 
 
 # --- planning --------------------------------------------------------------------------------
@@ -352,7 +353,7 @@ LOST = PointResult(failure="its worker process died, twice", interrupted=True)
 
 @dataclass(frozen=True)
 class Sweep:
-    """A checked sweep: points, settings of its workers, and columns of the table.
+    """Checked sweep: points, settings of the workers, and columns of the table.
 
     ``scene`` is that of the first point, ``units`` those of the swept keys; ``metrics`` are the
     requested columns, empty for all.
@@ -366,8 +367,10 @@ class Sweep:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of everything that decides the numbers."""
-        files = {n: hashlib.sha256(data).hexdigest() for n, data in scene_files(self.scene).items()}
+        """Hash of all inputs that affect the results."""
+        files = {
+            n: hashlib.sha256(data).hexdigest() for n, data in read_scene_files(self.scene).items()
+        }
         context = [
             __version__,
             scene_hash(self.scene),
@@ -382,9 +385,8 @@ class Sweep:
 
     @property
     def runs(self) -> dict[str, int]:
-        """Numbers of decks and ngspice runs. Points that differ only in parameters of subcircuits
-        share a deck."""
-        keys = [key for key in self.plan.keys if not PARAMETER.fullmatch(key)]
+        """Numbers of decks and ngspice runs."""
+        keys = [key for key in self.plan.keys if not PARAMETER_KEY.fullmatch(key)]
         return {"netlists": self.plan.count_distinct(keys), "ngspice": self.plan.size}
 
     def describe(self) -> str:
@@ -403,16 +405,16 @@ def make_sweep(
     metrics: Sequence[str] = (),
     timeout: float | None = None,
 ) -> Sweep:
-    """Check ``KEY=RANGE`` texts as far as that goes without building a model.
+    """Check ``KEY=RANGE`` texts as far as possible without building a model.
 
     Raises
     ------
-    UsageError : a bad range, an unknown key, a value that the scene does not take.
+    UsageError : a range is invalid, a key is unknown, or a value is not allowed.
     """
     fixed, firsts, constants, ranges = [], [], [], dict[str, str]()
     for text in sets:
         name, _, value = (part.strip() for part in text.partition("="))
-        parameter, (kind, words) = PARAMETER.fullmatch(name), split_range(value)
+        parameter, (kind, words) = PARAMETER_KEY.fullmatch(name), split_range(value)
         if kind != "value":
             if name in ranges:
                 raise UsageError("swept twice", where="--set", got=name)
@@ -469,7 +471,7 @@ def studies() -> dict[str, Traversable]:
     return {name.removesuffix(".toml"): result[name] for name in sorted(result)}
 
 
-def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
+def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
     """Return the sweep of a scene, or of a study with further ``sets`` and options ``asked``.
 
     A range in ``sets`` replaces the study's of the same key; ``asked`` are options of
@@ -481,7 +483,7 @@ def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
     """
     study = _find_study(name)
     if study is None:
-        return make_sweep(scene_text(name), sets, **asked)
+        return make_sweep(read_scene_text(name), sets, **asked)
     ranges = {
         key: f"{key}={v if isinstance(v, str) else format_toml(v)}"
         for key, v in study.ranges.items()
@@ -491,7 +493,7 @@ def named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
     selected = settings | {
         key: value for key, value in asked.items() if value or key not in settings
     }
-    return make_sweep(scene_text(study.scene), tuple(ranges.values()), **selected)
+    return make_sweep(read_scene_text(study.scene), tuple(ranges.values()), **selected)
 
 
 def _find_study(name: str) -> _Study | None:
@@ -515,10 +517,10 @@ def _find_study(name: str) -> _Study | None:
 # --- running it -----------------------------------------------------------------------------------
 
 
-def outcomes(
+def run_points(
     definition: Sweep, points: Iterable[int], workers: Workers
 ) -> Iterator[tuple[int, PointResult]]:
-    """Run ``points`` and give each with its outcome as it comes.
+    """Run ``points`` and yield each point with its outcome when it ends.
 
     The first worker that needs a model builds it into the cache; all other workers wait for this
     entry. A point that is interrupted, by the death of a worker or another fault of the machine, is
@@ -551,9 +553,10 @@ def outcomes(
 def _complete_points(
     definition: Sweep, points: Iterable[int], workers: Workers, at_once: int | None = None
 ) -> Iterator[tuple[int, PointResult]]:
-    """Yield outcomes of ``points`` as they come; no more run than keep all workers busy.
+    """Yield outcomes of ``points`` as they end; only as many points run as there are workers.
 
-    If a worker dies, all points that were running are ``LOST``, and the workers are started again.
+    If a worker dies, all points that were running are ``LOST_POINT``, and the workers are started
+    again.
     """
     left, pending = iter(points), dict[Future[PointResult], int]()
     with ExitStack() as opened:
@@ -564,9 +567,11 @@ def _complete_points(
                 pending[_submit_point(executor.submit, definition.job, values)] = index
             if not pending:
                 return
-            results = {f: _result(f) for f in wait(pending, return_when=FIRST_COMPLETED).done}
-            if LOST in results.values():
-                results |= {f: LOST for f in pending if f not in results}
+            results = {
+                f: _collect_result(f) for f in wait(pending, return_when=FIRST_COMPLETED).done
+            }
+            if LOST_POINT in results.values():
+                results |= {f: LOST_POINT for f in pending if f not in results}
                 opened.close()
                 executor, count = opened.enter_context(workers())
             for future, outcome in results.items():
@@ -574,20 +579,22 @@ def _complete_points(
 
 
 def _submit_point(submit: Any, job: Job, values: Mapping[str, Any]) -> Future[PointResult]:
+    """Submit a point to the workers."""
     try:
         future: Future[PointResult] = submit(run_point, job, values)
-    except Exception as error:  # raised by an executor without workers
+    except Exception as error:  # an executor without workers raises an error
         future = Future()
         future.set_exception(error)
     return future
 
 
-def _result(future: Future[PointResult]) -> PointResult:
+def _collect_result(future: Future[PointResult]) -> PointResult:
+    """Return the outcome of a point."""
     try:
         return future.result()
     except Exception as error:
-        if is_lost(error):
-            return LOST
+        if is_lost_worker(error):
+            return LOST_POINT
         raise
 
 
@@ -609,7 +616,7 @@ def run_sweep(
     Parameters
     ----------
     definition : Sweep
-        Points and settings of the sweep, such as :func:`named_sweep` returns.
+        Points and settings of the sweep, such as :func:`load_named_sweep` returns.
     out : Path
         Directory for the files of the sweep.
     workers : callable
@@ -638,7 +645,7 @@ def run_sweep(
     --------
     >>> from concurrent.futures import ThreadPoolExecutor
     >>> from contextlib import nullcontext
-    >>> drops = named_sweep("impact", ["impact.velocity=-0.1,-0.2"])
+    >>> drops = load_named_sweep("impact", ["impact.velocity=-0.1,-0.2"])
     >>> summary = run_sweep(drops, Path("drops"), lambda: nullcontext((ThreadPoolExecutor(1), 1)))
     >>> summary["points"], summary["failed"]
     (2, 0)
@@ -655,7 +662,7 @@ def run_sweep(
         for outcome in islice(good, 1):
             require_columns(outcome, definition.metrics, definition.scene.name)
         missing = sorted(set(range(definition.plan.size)) - done)
-        for count, (index, outcome) in enumerate(outcomes(definition, missing, workers), 1):
+        for count, (index, outcome) in enumerate(run_points(definition, missing, workers), 1):
             rows.record(index, outcome)
             begin = time.monotonic() if count == 1 else begin
             text = f"{count} of {len(missing)} points, {len(rows.failed)} failed"
@@ -665,7 +672,7 @@ def run_sweep(
                 text = f"{text}, {rate:.3g}/s, {left} left"
             progress("sweep", count / len(missing), text)
         progress("report", None, "table, figures and page")
-        summary = _publish(definition, rows, out, table_format)
+        summary = _write_tables(definition, rows, out, table_format)
     return {**summary, "resumed": len(done), "wall_s": time.monotonic() - start}
 
 
@@ -688,17 +695,19 @@ def _open_rows(definition: Sweep, out: Path, table_format: str) -> RowStore:
     name = table_file_name(table_format)
     if out.exists() and not out.is_dir():
         raise UsageError("is a file, not a directory", where=str(out), hint="choose another --out")
-    if (out / name).exists() and not (out / ROWS).exists():
+    if (out / name).exists() and not (out / ROWS_FILE).exists():
         hint = "choose another --out, or remove it"
         raise UsageError("would be overwritten", where=str(out / name), hint=hint)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"cannot be written: {error.strerror}", where=str(out)) from None
-    return RowStore(out / ROWS, definition.plan.size, definition.digest)
+    return RowStore(out / ROWS_FILE, definition.plan.size, definition.digest)
 
 
-def _publish(definition: Sweep, rows: RowStore, out: Path, table_format: str) -> dict[str, Any]:
+def _write_tables(
+    definition: Sweep, rows: RowStore, out: Path, table_format: str
+) -> dict[str, Any]:
     """Write table, figures and page, and return their names for the summary."""
     from kc2spice.report.sweep_page import compute_yields, write_sweep
 
@@ -712,7 +721,7 @@ def _publish(definition: Sweep, rows: RowStore, out: Path, table_format: str) ->
         for item in rows.outcomes.values():
             units |= item.units
         write_sweep(
-            work / PAGE,
+            work / PAGE_FILE,
             definition.scene,
             table,
             definition.units,
@@ -729,5 +738,5 @@ def _publish(definition: Sweep, rows: RowStore, out: Path, table_format: str) ->
         "directory": str(out.absolute()),
         "runs": definition.runs,
         "yield": shares,
-        "files": [name, PAGE],
+        "files": [name, PAGE_FILE],
     }

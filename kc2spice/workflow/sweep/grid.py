@@ -1,4 +1,4 @@
-"""Points of a sweep: ranges of keys, crossed, stepped through together or sampled at random.
+"""Points of a sweep: ranges of keys that are crossed, varied together or sampled randomly.
 
 A range is ``a:b:n`` (equally spaced, both ends), ``log:a:b:n``, ``x, y, z``,
 ``normal(mu, sigma, n)`` or ``uniform(a, b, n)``. Numbers are in SI units or carry a unit. Any other
@@ -22,10 +22,11 @@ from kc2spice.scene.keys import Key
 from kc2spice.scene.overrides import parse_override_value
 
 MAX_POINTS = 10_000_000
-PARAMETER = re.compile(r"param\.(\w+\.\w+)")  # PART.NAME of a subcircuit, not a scene key
-_ZERO = re.compile(r"[+-]?(0+\.?0*|\.0+)([eE][-+]?\d+)?(?![\d.])")
-GRAMMAR = "a:b:n, log:a:b:n, x,y,z, normal(mu,sigma,n) or uniform(a,b,n)"
-_CALL = re.compile(r"(normal|uniform)\s*\((.*)\)", re.DOTALL)
+# PART.NAME of a subcircuit parameter, which is not a scene key
+PARAMETER_KEY = re.compile(r"param\.(\w+\.\w+)")
+_ZERO_NUMBER = re.compile(r"[+-]?(0+\.?0*|\.0+)([eE][-+]?\d+)?(?![\d.])")
+RANGE_GRAMMAR = "a:b:n, log:a:b:n, x,y,z, normal(mu,sigma,n) or uniform(a,b,n)"
+_DISTRIBUTION = re.compile(r"(normal|uniform)\s*\((.*)\)", re.DOTALL)
 
 Values = tuple[Any, ...]
 
@@ -52,7 +53,7 @@ class RandomSample:
 # --- one range ------------------------------------------------------------------------------------
 
 
-def _crosses_zero(text: str) -> UsageError:
+def _make_zero_crossing_error(text: str) -> UsageError:
     """Return the error of a logarithmic range whose ends have no common sign."""
     return UsageError(
         "a log range cannot start at, end at or cross 0",
@@ -75,7 +76,7 @@ def split_range(text: str) -> tuple[str, list[str]]:
     """
     if text[:1] in ('"', "'"):
         return "value", [text]
-    if call := _CALL.fullmatch(text):
+    if call := _DISTRIBUTION.fullmatch(text):
         words = _split_words(call[2], ",")
         if len(words) != 3:
             last = "MEAN,DEVIATION,POINTS" if call[1] == "normal" else "LOW,HIGH,POINTS"
@@ -101,8 +102,8 @@ def split_range(text: str) -> tuple[str, list[str]]:
                 expected=f"{prefix}FIRST:LAST:POINTS",
                 hint=f"write {prefix}{':'.join([*words, '5'][:3])}" if len(words) > 1 else None,
             )
-        if kind == "log" and any(map(_ZERO.match, words[:2])):
-            raise _crosses_zero(text)
+        if kind == "log" and any(map(_ZERO_NUMBER.match, words[:2])):
+            raise _make_zero_crossing_error(text)
         return kind, words
     words = _split_words(text, ",")
     return ("list", words) if len(words) > 1 else ("value", words)
@@ -122,7 +123,7 @@ def _split_words(text: str, separator: str) -> list[str]:
 
 def find_swept_key(name: str, keys: Mapping[str, Key]) -> Key:
     """Return unit, range and type of a key, list entry, table or subcircuit parameter."""
-    plain = Key(name, "" if PARAMETER.fullmatch(name) else None, None, (), "")
+    plain = Key(name, "" if PARAMETER_KEY.fullmatch(name) else None, None, (), "")
     return keys.get(re.sub(r"\[-?\d+\]", "", name), plain)
 
 
@@ -137,39 +138,40 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Rando
     where = f"--set '{name}={text}'"
     drawn = kind in ("normal", "uniform")
 
-    def range_error(
-        message: str, got: object, expected: str = GRAMMAR, hint: str | None = None
+    def make_range_error(
+        message: str, got: object, expected: str = RANGE_GRAMMAR, hint: str | None = None
     ) -> UsageError:
+        """Return the error of an invalid range."""
         return UsageError(message, where=where, got=got, expected=expected, hint=hint)
 
     if kind in ("list", "value"):
         values = list(map(partial(_parse_word, where, key), words))
     elif key.choices or (key.unit is None and (drawn or not key.integer)):
-        raise range_error("only numbers have such a range", name)
+        raise make_range_error("only numbers have such a range", name)
     elif len(words) != 3:
-        raise range_error(f"{kind} takes three values", ", ".join(words))
+        raise make_range_error(f"{kind} takes three values", ", ".join(words))
     else:
         count = words[2]
         if not count.isdecimal() or not 2 <= int(count) <= MAX_POINTS:
             expected = f"a whole number of points, 2 to {MAX_POINTS}"
             known = text.removesuffix(count) if text.endswith(count) else ""
             hint = f"write {known}5 for five points" if known else None
-            raise range_error("not a number of points", repr(count), expected, hint)
+            raise make_range_error("not a number of points", repr(count), expected, hint)
         a, b = map(float, map(partial(_parse_word, where, key), words[:2]))
         if kind == "normal" and b < 0:
-            raise range_error("a standard deviation is not negative", f"{b:g}")
+            raise make_range_error("a standard deviation is not negative", f"{b:g}")
         if kind == "uniform" and b < a:
-            raise range_error("empty range", f"{a:g} … {b:g}")
+            raise make_range_error("empty range", f"{a:g} … {b:g}")
         if drawn:
             return RandomSample(kind, a, b, int(count))
         if kind == "log" and not a * b > 0:
-            raise _crosses_zero(text)
+            raise _make_zero_crossing_error(text)
         values = (np.geomspace if kind == "log" else np.linspace)(a, b, int(count)).tolist()
         if key.integer and not all(map(float.is_integer, values)):
-            raise range_error("not all values are whole numbers", values[:5])
+            raise make_range_error("not all values are whole numbers", values[:5])
         values = list(map(int, values)) if key.integer else values
     if len(set(map(repr, values))) < len(values):
-        raise range_error("a value occurs twice", words)
+        raise make_range_error("a value occurs twice", words)
     return tuple(values)
 
 
@@ -260,7 +262,7 @@ def make_plan(
     latin: bool = False,
     seed: int = 0,
 ) -> Plan:
-    """Combine the ranges and the random samples, or step through all together.
+    """Combine the ranges and the random samples, or vary all keys together.
 
     A sample has a value of every random key, so that these keys form one block. With ``latin`` each
     of n equally likely intervals of a key contains one value (McKay, Beckman, Conover 1979).

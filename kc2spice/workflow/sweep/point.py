@@ -1,4 +1,4 @@
-"""One point of a sweep, in whatever process it runs: scene, models, deck, ngspice, metrics."""
+"""Run of one point of a sweep, in any process: scene, models, deck, simulation, metrics."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.overrides import format_toml
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.workflow.decks import prepare_deck
-from kc2spice.workflow.edited_parts import with_value
-from kc2spice.workflow.models import fact_units, replace_parts
+from kc2spice.workflow.edited_parts import replace_key_value
+from kc2spice.workflow.models import replace_parts, value_units
 from kc2spice.workflow.simulate import Run, simulate_deck
-from kc2spice.workflow.sweep.grid import PARAMETER
+from kc2spice.workflow.sweep.grid import PARAMETER_KEY
 
-_SIGNAL = re.compile(r"exit code -\d+")  # somebody ended the simulator
-_ROOM = 5_000_000  # bytes that a run needs on the temporary disk
-_KEPT = 8  # decks and scenes that a worker holds at a time
-MAX_FILES = 64_000_000  # bytes
+_SIGNAL_EXIT = re.compile(r"exit code -\d+")  # the simulator was ended by a signal
+_MIN_FREE_BYTES = 5_000_000  # bytes that a run needs on the temporary disk
+_CACHED_DECKS = 8  # decks and scenes that a worker stores at a time
+MAX_FILE_BYTES = 64_000_000  # bytes
 Number = float | bool | None
 
 
@@ -54,7 +54,7 @@ Number = float | bool | None
 
 @dataclass(frozen=True)
 class SceneText:
-    """A gallery name, or a name, its TOML and the content of the files beside it, by name."""
+    """Gallery name, or a name with the TOML text and the contents of the scene's files."""
 
     name: str
     text: str | None
@@ -64,16 +64,16 @@ class SceneText:
         """Return the scene with ``overrides``; raises as :func:`load_scene` does."""
         if self.text is None:
             return load_scene(self.name, overrides)
-        home = Path(_unpack(self).name)
+        home = Path(_unpack_files(self).name)
         try:
             return load_scene(home / f"{self.name}.toml", overrides)
-        except UsageError as error:  # the text of a row does not depend on the machine
+        except UsageError as error:  # the text of a row must not depend on the machine
             error.where = error.where and str(error.where).replace(f"{home}{os.sep}", "")
             raise
 
 
-@lru_cache(maxsize=_KEPT)
-def _unpack(scene: SceneText) -> tempfile.TemporaryDirectory[str]:
+@lru_cache(maxsize=_CACHED_DECKS)
+def _unpack_files(scene: SceneText) -> tempfile.TemporaryDirectory[str]:
     """Return a directory that contains the files of ``scene`` until this process ends."""
     directory = tempfile.TemporaryDirectory(prefix="kc2spice-scene-")
     for name, content in ((f"{scene.name}.toml", (scene.text or "").encode()), *scene.files):
@@ -83,8 +83,8 @@ def _unpack(scene: SceneText) -> tempfile.TemporaryDirectory[str]:
     return directory
 
 
-def scene_text(name_or_path: str) -> SceneText:
-    """Read the present text of a scene and of its files.
+def read_scene_text(name_or_path: str) -> SceneText:
+    """Read the current text of a scene and of its files.
 
     Raises
     ------
@@ -95,10 +95,10 @@ def scene_text(name_or_path: str) -> SceneText:
     path = Path(name_or_path)
     scene = load_scene(path)
     text = decode_text(read_bounded(path, MAX_TEXT_BYTES))
-    return SceneText(scene.name, text, tuple(scene_files(scene).items()))
+    return SceneText(scene.name, text, tuple(read_scene_files(scene).items()))
 
 
-def scene_files(scene: Scene) -> dict[str, bytes]:
+def read_scene_files(scene: Scene) -> dict[str, bytes]:
     """Return the files that the scene reads, by name; netlists with expanded includes.
 
     Raises
@@ -113,14 +113,14 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
             result[name] = read_included_netlist(name, scene.home).text.encode()
             continue
         try:
-            result[name] = read_bounded(scene.home / name, MAX_FILES)
+            result[name] = read_bounded(scene.home / name, MAX_FILE_BYTES)
         except OSError as error:
             raise UsageError(f"cannot be read: {error.strerror}", where=name) from None
-    if sum(map(len, result.values())) > MAX_FILES:
+    if sum(map(len, result.values())) > MAX_FILE_BYTES:
         raise UsageError(
             "the files of this scene are too large for the workers of a sweep",
             where=scene.name,
-            expected=f"at most {MAX_FILES} bytes",
+            expected=f"at most {MAX_FILE_BYTES} bytes",
         )
     return result
 
@@ -144,7 +144,7 @@ class Job:
 
     def load(self, values: Mapping[str, Any]) -> Scene:
         """Return the scene with these values of swept keys; raises as :func:`load_scene` does."""
-        overrides = (*self.fixed, *_overrides(values))
+        overrides = (*self.fixed, *_override_texts(values))
         if isinstance(self.scene, SceneText):
             scene = self.scene.load(overrides)
         else:
@@ -154,11 +154,11 @@ class Job:
 
 @dataclass(frozen=True)
 class PointResult:
-    """Numbers of one run, or in one line why there are none.
+    """Results of one run of a sweep, or a one-line reason for its failure.
 
-    ``metrics`` by name; ``facts`` are all other numbers of ``result.json`` by dotted path.
-    ``units`` are the SI units of both, if they have one.
-    ``interrupted``: the cause was the machine, so that another attempt may succeed.
+    ``metrics`` are keyed by name, ``facts`` (all other numbers of ``result.json``) by dotted path.
+    ``units`` are their SI units. If ``interrupted``, the machine caused the failure, and another
+    attempt may succeed.
     """
 
     metrics: Mapping[str, Number] = field(default_factory=dict)
@@ -168,23 +168,25 @@ class PointResult:
     interrupted: bool = False
 
 
-def _overrides(values: Mapping[str, Any]) -> tuple[str, ...]:
+def _override_texts(values: Mapping[str, Any]) -> tuple[str, ...]:
     """Return ``key=value`` texts of the scene's keys, without parameters of subcircuits."""
-    return tuple(f"{k}={format_toml(v)}" for k, v in values.items() if not PARAMETER.fullmatch(k))
+    return tuple(
+        f"{k}={format_toml(v)}" for k, v in values.items() if not PARAMETER_KEY.fullmatch(k)
+    )
 
 
 def subcircuit_parameters(values: Mapping[str, Any]) -> Parameters:
     """Return ``("PART.NAME", value)`` of the subcircuit parameters of a point."""
-    result = ((PARAMETER.fullmatch(key), value) for key, value in values.items())
+    result = ((PARAMETER_KEY.fullmatch(key), value) for key, value in values.items())
     return tuple((name[1], float(value)) for name, value in result if name)
 
 
 def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
-    """Run one point. A failure is the outcome of the point, and never ends the sweep.
+    """Run one point; a failure becomes the outcome of the point and does not end the sweep.
 
     Raises
     ------
-    MissingToolError : no ngspice here: no point of this machine could succeed.
+    MissingToolError : ngspice is missing, so no point could succeed on this machine.
     """
     try:
         build, deck = build_point(job, values)
@@ -198,7 +200,9 @@ def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
         where = error.where if isinstance(error, UsageError) else None
         got = None if error.got is None else f"got {error.got}"
         text = ", ".join(filter(None, (where, error.message, got))).replace("\n", " ")
-        return PointResult(failure=text, interrupted=bool(_SIGNAL.search(text)) or _disk_is_full())
+        return PointResult(
+            failure=text, interrupted=bool(_SIGNAL_EXIT.search(text)) or _disk_is_full()
+        )
     except OSError as error:
         return PointResult(
             failure=f"{error}", interrupted=error.errno in DISK_FULL_ERRORS or _disk_is_full()
@@ -219,7 +223,7 @@ def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str
         library, _, name = key.partition(".")
         users = {library_stem(p) for p in deck.parts if library in dict(parameter_owners(p))}
         for owner in (p for p, used in build.libraries.items() if used in users):
-            other = with_value(parts[owner], name, known.get(key, math.nan), value)
+            other = replace_key_value(parts[owner], name, known.get(key, math.nan), value)
             if other is not None:
                 parts[owner] = other
             elif value != known.get(key):
@@ -228,31 +232,33 @@ def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str
 
 
 def _disk_is_full() -> bool:
-    """Whether the temporary directory has no room left for a run."""
+    """Return whether the temporary directory lacks space for a run."""
     try:
-        return shutil.disk_usage(tempfile.gettempdir()).free < _ROOM
+        return shutil.disk_usage(tempfile.gettempdir()).free < _MIN_FREE_BYTES
     except OSError:
         return True
 
 
-_lock = threading.Lock()  # threads of one worker must not build the same model side by side
+_lock = threading.Lock()  # threads of one worker must not build the same model at the same time
 
 
 def build_point(job: Job, values: Mapping[str, Any]) -> tuple[Build, Deck]:
-    """Return models and deck. Points that differ only in subcircuit parameters share both."""
+    """Return models and deck of a point; points with other subcircuit parameters share both."""
     with _lock:
-        return _testbench(replace(job, fixed=(*job.fixed, *_overrides(values))))
+        return _build_testbench(replace(job, fixed=(*job.fixed, *_override_texts(values))))
 
 
-@lru_cache(maxsize=_KEPT)
-def _testbench(job: Job) -> tuple[Build, Deck]:
+@lru_cache(maxsize=_CACHED_DECKS)
+def _build_testbench(job: Job) -> tuple[Build, Deck]:
+    """Return models and deck of a job."""
     return prepare_deck(job.load({}), Clock())
 
 
 def _metric_numbers(run: Run) -> PointResult:
+    """Return the numbers of a run."""
     checks = {check.name: check.value for check in run.verdict.checks}
     facts = run.facts
-    units = {f"model.{part}": fact_units(row) for part, row in facts["model"].items()}
+    units = {f"model.{part}": value_units(row) for part, row in facts["model"].items()}
     return PointResult(
         _flatten_numbers(run.metrics),
         _flatten_numbers({**facts, "checks": checks}),

@@ -1,1 +1,1 @@
-"""Full model, laws of the reduced models and ngspice on the emitted file, against each other."""
+"""Comparison of full models, equations with reduced models, and ngspice on the netlist."""

@@ -1,4 +1,4 @@
-"""Comparison of single bodies: reduced to full model, subcircuit to reduced model."""
+"""Verification of single bodies: reduced against full model, subcircuit against reduced model."""
 
 from __future__ import annotations
 
@@ -29,16 +29,18 @@ from kc2spice.scene.checks import Check
 from kc2spice.scene.model import Build, Part
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.synthesis.emitted import accelerates_frame, reaction_mass
-from kc2spice.synthesis.heat import is_heat
+from kc2spice.synthesis.heat import is_heat_model
 from kc2spice.synthesis.realize import apply_unit_load
 
-FEW, MANY = 3, 40  # frequencies at which a large full model is solved: a sample, the whole
-SMALL = 3000  # unknowns up to which a solution at all frequencies is affordable
-POINTS = 120  # frequencies of the netlist
-LEAKED = 2.0  # accepted multiple of the effect of the electrical ports' leaks
-ROUNDING = 1e-9  # largest difference of two direct solutions of a full model
+# frequencies at which a large full model is solved: for a sample, and with --full
+SAMPLE_FREQUENCIES, FULL_FREQUENCIES = 3, 40
+MAX_DIRECT_UNKNOWNS = 3000  # unknowns up to which a full model is solved at all frequencies
+NETLIST_FREQUENCIES = 120  # frequencies at which the netlist is simulated
+# accepted difference, as a multiple of the effect of the leaks of electrical ports
+MAX_LEAK_RATIO = 2.0
+SOLVER_ROUNDING = 1e-9  # largest difference of two direct solutions of a full model
 NETLIST_ROUNDING = 1e-9  # rounding error of a response that ngspice sums from modes
-OWN_ROUNDING = 1e-11  # rounding error of the reduced model's response
+MODEL_ROUNDING = 1e-11  # rounding error of the response of a reduced model
 
 
 def verify_body(
@@ -50,47 +52,53 @@ def verify_body(
     thorough: bool,
     findings: Findings,
 ) -> None:
-    """Add both comparisons of one body to ``findings``.
+    """Add both comparisons of a body to ``findings``.
 
     ``libraries`` are the subcircuits to test, those of a shipped deck or those just emitted. The
     limit of the reduced model is the error estimate of its certificate, which is within the
     tolerance.
     """
     rom = build.model(part, LinearModel)
-    band = verified_band(rom, build)
+    band = choose_verified_band(rom, build)
     errors, curves = {}, {}
-    at = _error_frequencies(rom, band)
+    at = _list_error_frequencies(rom, band)
     full = full_model(part, build.scene, clock)
     if full is not None:
-        count = at.size if thorough or full.order <= SMALL else FEW
-        at = _select_frequencies(rom, at, min(count, MANY))
+        count = at.size if thorough or full.order <= MAX_DIRECT_UNKNOWNS else SAMPLE_FREQUENCIES
+        at = _select_frequencies(rom, at, min(count, FULL_FREQUENCIES))
         with clock.time_stage("full model", f"{part.name} at {at.size} frequencies"):
-            exact = _full_response(part, build, full, at)
+            exact = _solve_full_response(part, build, full, at)
         errors["rom_vs_fom"] = relative_error(rom.transfer(at), exact)
         certificate = rom.certificate
-        limit = ROUNDING if certificate is None else max(certificate.error_estimate, ROUNDING)
+        limit = (
+            SOLVER_ROUNDING
+            if certificate is None
+            else max(certificate.error_estimate, SOLVER_ROUNDING)
+        )
         words = f"{part.name}: ROM to full model, at {at.size} frequencies with its resonances"
         findings.checks.append(Check(words, errors["rom_vs_fom"], limit))
-        curves[f"{part.name}: full model"] = _waves(at, exact, rom)
+        curves[f"{part.name}: full model"] = _label_waves(at, exact, rom)
     else:
         findings.notes.append(
             f"{part.name}: no full model here; its reduced model is taken as it is"
         )
-    findings.checks += rom_structure(part.name, rom, band)
-    frequency, answer = netlist_response(part, build, libraries, clock, work, band)
-    checks = netlist_checks(part.name, rom, frequency, answer, build.scene.gates.harmonic_ngspice)
+    findings.checks += list_rom_checks(part.name, rom, band)
+    frequency, answer = simulate_netlist_response(part, build, libraries, clock, work, band)
+    checks = list_netlist_checks(
+        part.name, rom, frequency, answer, build.scene.gates.harmonic_ngspice
+    )
     findings.checks += checks
     errors["ngspice_vs_rom"] = float(checks[0].value or 0.0)
-    curves[f"{part.name}: netlist, ngspice"] = _waves(frequency, answer, rom)
+    curves[f"{part.name}: netlist, ngspice"] = _label_waves(frequency, answer, rom)
     findings.figures += plot_solutions(part.name, curves)
     for pair, error in errors.items():
         findings.errors[pair] = max(error, findings.errors.get(pair, 0.0))
 
 
-def netlist_checks(
+def list_netlist_checks(
     name: str, rom: LinearModel, frequency: np.ndarray, emitted: np.ndarray, gate: float
 ) -> list[Check]:
-    """Checks of the netlist's response ``emitted`` (frequencies, outputs, inputs).
+    """Return checks of the netlist's response ``emitted`` (frequencies, outputs, inputs).
 
     The response is compared with that of the reduced model: all ports together, capacitance and
     charge for each load at each electrical port by their own sizes. ``gate`` is the largest error.
@@ -98,7 +106,7 @@ def netlist_checks(
     """
     exact = rom.transfer(frequency)
     electrical = [port.name for port in rom.ports if port.paired]
-    leaked = LEAKED * leakage(frequency) if electrical else 0.0
+    leaked = MAX_LEAK_RATIO * leakage_share(frequency) if electrical else 0.0
     every_row, every_column = list(range(len(rom.outputs))), list(range(len(rom.inputs)))
     rows = [(": netlist to ROM, all ports", every_row, every_column)]
     for port in electrical:
@@ -114,15 +122,15 @@ def netlist_checks(
             Check(name + words, relative_error(emitted[at], exact[at]), max(gate, leaked))
         )
     if all(port.conservative for port in rom.ports):
-        # a leak takes charge that a load separates, but no force from a voltage
+        # a leak takes charge that a load separates, but exerts no force due to a voltage
         limit = max(NETLIST_ROUNDING, leaked)
-        checks += structure_checks(
-            f"{name}: netlist", frequency, emitted, limit, rates=not is_heat(rom)
+        checks += list_structure_checks(
+            f"{name}: netlist", frequency, emitted, limit, rates=not is_heat_model(rom)
         )
     return checks
 
 
-def leakage(frequency: np.ndarray) -> float:
+def leakage_share(frequency: np.ndarray) -> float:
     """Return the share of the current of an electrical port that flows through its leak.
 
     It is ``G / (w C)`` at the lowest frequency, with ``G = LEAK_RATE C``.
@@ -130,7 +138,7 @@ def leakage(frequency: np.ndarray) -> float:
     return float(LEAK_RATE / (2 * np.pi * frequency.min()))
 
 
-def rom_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Check]:
+def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> list[Check]:
     """Check stability, passivity and reciprocity of the reduced model.
 
     Growth ``Re p`` of a general model is a share of ``max(|p|, w)``, ``w`` the end of the band.
@@ -140,9 +148,9 @@ def rom_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> lis
         rightmost = float((-modal.damp / (2 * modal.omega)).max())
         limit = 0.0
     else:
-        # A body that is free to move has poles at zero, which rounding of poles moves about; its
-        # matrices show that they do not grow.
-        rightmost, limit = 0.0, ROUNDING
+        # An unsupported body has poles at zero, which rounding shifts; its matrices show that they
+        # do not grow.
+        rightmost, limit = 0.0, SOLVER_ROUNDING
         if prove_stability(rom.pencil.dense(), band).proof != "definite matrices":
             poles = rom.poles()
             size = np.maximum(np.abs(poles), 2 * np.pi * band[1])
@@ -150,12 +158,12 @@ def rom_structure(name: str, rom: LinearModel, band: tuple[float, float]) -> lis
     result = [Check(f"{name}: ROM, growth of its poles", rightmost, limit)]
     if all(port.conservative for port in rom.ports) and rom.symmetric:
         frequency = np.linspace(0.0, band[1], 202)[1:]
-        H, rates = rom.transfer(frequency), not is_heat(rom)
-        result += structure_checks(f"{name}: ROM", frequency, H, OWN_ROUNDING, rates=rates)
+        H, rates = rom.transfer(frequency), not is_heat_model(rom)
+        result += list_structure_checks(f"{name}: ROM", frequency, H, MODEL_ROUNDING, rates=rates)
     return result
 
 
-def structure_checks(
+def list_structure_checks(
     name: str, frequency: np.ndarray, H: np.ndarray, limit: float, *, rates: bool = True
 ) -> list[Check]:
     """Check that ``Re (s H)`` is positive semi-definite and that ``H`` is symmetric.
@@ -179,7 +187,7 @@ def structure_checks(
     return result
 
 
-def netlist_response(
+def simulate_netlist_response(
     part: Part,
     build: Build,
     libraries: Sequence[Subcircuit],
@@ -187,7 +195,7 @@ def netlist_response(
     work: Path,
     band: tuple[float, float],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (nf,) [Hz] and response (nf, outputs, inputs) in SI of the subcircuit in ngspice.
+    """Return the response of the subcircuit in ngspice in SI units at its frequencies [Hz].
 
     One copy of the subcircuit per port, all in one ``.ac`` deck: electrical and acceleration pins
     are held by voltage sources, mechanical ones are free but for the unit load.
@@ -196,7 +204,7 @@ def netlist_response(
     ------
     UsageError : the libraries have no such subcircuit.
     """
-    deck = _deck(part, build, libraries, band)
+    deck = _make_response_deck(part, build, libraries, band)
     with clock.time_stage("simulate", f"frequency response of {part.name}"):
         waves = run_deck(deck, work)
     rom = build.model(part, LinearModel)
@@ -214,11 +222,12 @@ def netlist_response(
     return frequency, H
 
 
-def _deck(
+def _make_response_deck(
     part: Part, build: Build, libraries: Sequence[Subcircuit], band: tuple[float, float]
 ) -> Deck:
+    """Return a deck with a copy of the subcircuit for each port."""
     library_name = build.libraries[part.name]
-    # a deck's subcircuits carry the hash of their text behind their name
+    # the names of a deck's subcircuits end with the hash of their text
     shape = re.compile(rf"{re.escape(library_name)}(_[0-9a-f]+)?", re.IGNORECASE)
     library = next((item for item in libraries if shape.fullmatch(item.name)), None)
     if library is None:
@@ -241,11 +250,11 @@ def _deck(
         parts=(library,),
         items=tuple(items),
         vectors=vectors,
-        command=ac_command(band[1] / POINTS, band[1], POINTS, "linear"),
+        command=ac_command(band[1] / NETLIST_FREQUENCIES, band[1], NETLIST_FREQUENCIES, "linear"),
     )
 
 
-def _full_response(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.ndarray:
+def _solve_full_response(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.ndarray:
     """Return the response of the full model; scenes that share the body share its cache."""
     assert isinstance(part.type, LinearBody)
     key = part.type.model_key(part, build.scene)
@@ -261,7 +270,7 @@ def _full_response(part: Part, build: Build, full: LinearModel, at: np.ndarray) 
     return np.asarray(result)
 
 
-def verified_band(rom: LinearModel, build: Build) -> tuple[float, float]:
+def choose_verified_band(rom: LinearModel, build: Build) -> tuple[float, float]:
     """Return the band [Hz] in which the reduced model must be accurate."""
     if rom.certificate is not None:
         return rom.certificate.band_hz
@@ -269,10 +278,10 @@ def verified_band(rom: LinearModel, build: Build) -> tuple[float, float]:
     return (0.0, float(selected.stop or 0.0)) if selected.small else build.scene.rom.band
 
 
-def _error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
+def _list_error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
     """Return ascending frequencies [Hz] at which errors are large, such as resonances."""
     result = adaptive_frequencies(Response(rom.pencil.dense()), band, static=False)
-    # four digits: models that differ by their ports alone share their samples
+    # four digits, so that models that differ only in ports share their samples
     return np.unique([float(f"{f:.4g}") for f in result if f > 0])
 
 
@@ -282,13 +291,15 @@ def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndar
         return at
     size = np.abs(rom.transfer(at))
     top = size.max(axis=0)
-    peak = (size / np.where(top > 0, top, 1.0)).max(axis=(1, 2))  # a pair without a response is 0
+    # a response that is zero everywhere
+    peak = (size / np.where(top > 0, top, 1.0)).max(axis=(1, 2))
     tall = list(at[np.argsort(-peak, kind="stable")[: (count + 1) // 2]])
     spread = at[np.linspace(0, at.size - 1, count + 2).astype(int)[1:-1]]
     return np.array(sorted(dict.fromkeys([*tall, *spread][:count])))
 
 
-def _waves(frequency: np.ndarray, H: np.ndarray, rom: LinearModel) -> Waveforms:
+def _label_waves(frequency: np.ndarray, H: np.ndarray, rom: LinearModel) -> Waveforms:
+    """Return the responses as waves with names of load and port."""
     data = {"frequency": frequency}
     for o, output in enumerate(rom.outputs):
         for i, source in enumerate(rom.inputs):

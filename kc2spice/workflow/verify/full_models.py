@@ -1,4 +1,4 @@
-"""The analysis of a scene by its laws, with the full models of its parts.
+"""Solution of a scene from its equations, with the full models of its parts.
 
 Statics and frequency responses are solved directly. Transients are in
 :mod:`kc2spice.workflow.verify.full_transient`.
@@ -24,16 +24,16 @@ from kc2spice.scene.model import Build
 from kc2spice.workflow.verify.full_transient import (
     FullSolution,
     add_differences,
-    full_differences,
-    port_bodies,
+    port_bodies_of,
+    solve_full_differences,
 )
 from kc2spice.workflow.verify.law_solution import Reference, solve_steady
 
-DIRECT = 3000  # unknowns up to which every frequency is solved directly
+MAX_DIRECT_UNKNOWNS = 3000  # unknowns up to which every frequency is solved directly
 
 
-def full_build(build: Build, clock: Clock) -> Build | None:
-    """Return ``build`` with full models in place of the reduced ones; None if there are none.
+def with_full_models(build: Build, clock: Clock) -> Build | None:
+    """Return ``build`` with full instead of reduced models; None if there are none.
 
     In a transient only bodies have full models, which the integrator solves at their ports.
     """
@@ -43,11 +43,13 @@ def full_build(build: Build, clock: Clock) -> Build | None:
         if part.reduced or not timed:
             full = part.type.build(part, build.scene, clock, full=True)
             if full is not None:
-                result[part.name] = _sparse(full) if isinstance(full, LinearModel) else full
+                result[part.name] = (
+                    _sparse_full_model(full) if isinstance(full, LinearModel) else full
+                )
     return _with_models(build, result) if result else None
 
 
-def finer_build(build: Build, parts: Iterable[str], clock: Clock) -> Build | None:
+def with_finer_models(build: Build, parts: Iterable[str], clock: Clock) -> Build | None:
     """Return ``build`` with a finer discretisation of ``parts``; None if no part has a finer
     discretisation.
 
@@ -62,11 +64,12 @@ def finer_build(build: Build, parts: Iterable[str], clock: Clock) -> Build | Non
 
 
 def _with_models(build: Build, models: Mapping[str, Any]) -> Build:
+    """Return a build with other models."""
     return with_laws(replace(build, models={**build.models, **models}))
 
 
-def _sparse(model: LinearModel) -> LinearModel:
-    """A full model with sparse matrices, which laws describe at its ports."""
+def _sparse_full_model(model: LinearModel) -> LinearModel:
+    """Return a full model with sparse matrices; equations describe it at its ports."""
     if not model.pencil.is_dense:
         return model
     from scipy import sparse
@@ -75,7 +78,7 @@ def _sparse(model: LinearModel) -> LinearModel:
     return replace(model, **matrices)
 
 
-def full_solution(
+def solve_full_models(
     build: Build,
     full: Build,
     ours: Waveforms,
@@ -88,8 +91,8 @@ def full_solution(
 
     ``ours`` are the waves of ngspice, the values of sources on ``replayed`` nets. ``exact`` is the
     solution with the reduced models. ``thorough`` allows
-    :data:`kc2spice.workflow.verify.full_transient.WHOLE` times as many steps, at most to the end,
-    and replaces no full model by a surrogate.
+    :data:`kc2spice.workflow.verify.full_transient.FULL_STEP_FACTOR` times as many steps, at most to
+    the end, and replaces no full model by a surrogate.
 
     Raises
     ------
@@ -102,15 +105,15 @@ def full_solution(
             stop = float(build.scene.analysis.stop or 0.0)
             networks = networks if thorough else _with_surrogates(networks, stop, clock)
             points = ours.scale.size
-            for body in chain.from_iterable(map(port_bodies, networks)):
-                if body.model.order > DIRECT:  # no surrogate is accurate enough
+            for body in chain.from_iterable(map(port_bodies_of, networks)):
+                if body.model.order > MAX_DIRECT_UNKNOWNS:  # a surrogate is not accurate enough
                     words = f"{body.model.order} unknowns at {points} frequencies, solved at each"
         with clock.time_stage("full model", words):
             return FullSolution(solve_steady(networks, full, ours))
-    networks = list(filter(port_bodies, networks))
+    networks = list(filter(port_bodies_of, networks))
     if not networks:
         return None
-    rows = (full_differences(network, build, exact, clock, thorough) for network in networks)
+    rows = (solve_full_differences(network, build, exact, clock, thorough) for network in networks)
     fine, coarse, notes = zip(*rows, strict=True)
     end = min(float(item.time[-1]) for item in fine)
     waves, coarse_waves = (add_differences(exact, items, end) for items in (fine, coarse))
@@ -118,14 +121,15 @@ def full_solution(
 
 
 def _with_surrogates(networks: list[Network], stop: float, clock: Clock) -> list[Network]:
-    """Replace large models by surrogates of small order, certified against direct solutions.
+    """Replace large full models by small surrogates with checked error.
 
     All copies of a body have one surrogate.
     """
     bodies: dict[int, PortBody] = {}
 
-    def small(law: Law) -> Law:
-        if not isinstance(law, PortBody) or law.model.order <= DIRECT:
+    def replace_by_surrogate(law: Law) -> Law:
+        """Return a law with a surrogate model."""
+        if not isinstance(law, PortBody) or law.model.order <= MAX_DIRECT_UNKNOWNS:
             return law
         if id(law.model) not in bodies:
             with clock.time_stage("full model", f"{law.name}: basis against direct solutions"):
@@ -136,4 +140,7 @@ def _with_surrogates(networks: list[Network], stop: float, clock: Clock) -> list
             bodies[id(law.model)] = replace(law, model=model, known={})
         return replace(bodies[id(law.model)], name=law.name)
 
-    return [replace(network, laws=tuple(map(small, network.laws))) for network in networks]
+    return [
+        replace(network, laws=tuple(map(replace_by_surrogate, network.laws)))
+        for network in networks
+    ]

@@ -1,4 +1,4 @@
-"""Transient analysis with full models, computed as a correction of the reduced models' result.
+"""Transient analysis with full models, as a correction of the solution with reduced models.
 
 One integrator of equal steps (:mod:`kc2spice.reference.fixed_step`) solves both models. Their
 difference is added to the exact solution with the reduced models: both models have the same error
@@ -24,20 +24,21 @@ from kc2spice.reference.integrate import Trajectory
 from kc2spice.reference.system import System, assemble_system
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import Build
-from kc2spice.workflow.verify.bodies import verified_band
+from kc2spice.workflow.verify.bodies import choose_verified_band
 from kc2spice.workflow.verify.law_solution import Reference
 
-PER_PERIOD = 80  # steps per period of the highest frequency in the band of a reduced model
-FINEST = 800  # steps for each period of a resonance in a short scene
-WORK = 1e7  # largest product of unknowns and steps of a full model
-MOST = 4000  # largest number of steps; for small models, the laws of other parts need more time
-WHOLE = 100.0  # factor of the number of steps with --full
-STILL = 1e-9  # largest motion of a port of a body at rest, relative to its swing
+# time steps per period of the highest frequency in the band of a reduced model
+STEPS_PER_PERIOD = 80
+MAX_STEPS_PER_PERIOD = 800  # time steps per period of a resonance in a short scene
+MAX_WORK = 1e7  # largest product of unknowns and time steps of a full model
+MAX_STEPS = 4000  # largest number of time steps; in small models, other parts take most of the time
+FULL_STEP_FACTOR = 100.0  # factor of the largest number of steps with --full
+REST_MOTION = 1e-9  # largest motion of a port of a body at rest, relative to its range of motion
 
 
 @dataclass(frozen=True)
 class FullSolution:
-    """Waves of the full models over ``[0, end]``, at the points of the reduced models' waves.
+    """Waves of the full models over ``[0, end]``, at the times of the reduced models.
 
     ``coarse`` are the waves of steps twice as long. ``end`` is the duration compared [s]; None
     without a transient.
@@ -50,19 +51,19 @@ class FullSolution:
 
 
 def add_differences(exact: Reference, differences: Sequence[Difference], end: float) -> Waveforms:
-    """Add the ``differences`` of full models to the solution with the reduced ones up to ``end``.
+    """Add the ``differences`` of full models to the solution with reduced models.
 
     The result has no points around events that the steps do not resolve.
     """
     time = exact.results["time"]
     resolved = time <= end * (1 + 1e-12)
-    for difference in differences:
-        resolved &= difference.has_equal_modes(time)
+    for compute_difference in differences:
+        resolved &= compute_difference.has_equal_modes(time)
     waves = {name: values[resolved] for name, values in exact.results.data.items()}
     at = time[resolved]
-    for difference in differences:
-        for name, change in difference.results.items():
-            waves[name] = waves[name] + np.interp(at, difference.time, change, left=0.0)
+    for compute_difference in differences:
+        for name, change in compute_difference.results.items():
+            waves[name] = waves[name] + np.interp(at, compute_difference.time, change, left=0.0)
     return Waveforms(waves, {})
 
 
@@ -80,7 +81,7 @@ class Difference:
     events: tuple[float, ...]
 
     def has_equal_modes(self, time: np.ndarray) -> np.ndarray:
-        """Whether both models are in the same mode at each ``time``.
+        """Return whether both models are in the same mode at each ``time``.
 
         The result is false within the step of an event, and beside a step at whose end only one
         model has changed its mode.
@@ -98,19 +99,19 @@ class Difference:
         return result
 
 
-def port_bodies(network: Network) -> list[PortBody]:
+def port_bodies_of(network: Network) -> list[PortBody]:
     """Bodies of a network that laws describe at their ports, as full models are."""
     return [law for law in network.laws if isinstance(law, PortBody)]
 
 
-def full_differences(
+def solve_full_differences(
     network: Network, build: Build, exact: Reference, clock: Clock, thorough: bool
 ) -> tuple[Difference, Difference, str]:
     """Solve a network with full and with reduced models, by steps ``h`` and by steps ``2 h``.
 
     Returns the difference of the models for each, and a text that describes the steps.
     """
-    bodies = port_bodies(network)
+    bodies = port_bodies_of(network)
     parts = build.scene.parts
     models = {law.name: build.model(parts[law.name], LinearModel) for law in bodies}
     laws = (
@@ -120,21 +121,28 @@ def full_differences(
     reduced, names = replace(network, laws=tuple(laws)), ", ".join(models)
     stop = build.scene.stop
     run = next(run for other, run in exact.runs if other.names == network.names)
-    begin, state = _last_rest(bodies, run)
-    top = max(verified_band(model, build)[1] for model in models.values())
+    begin, reconstruct_state = _find_last_rest(bodies, run)
+    top = max(choose_verified_band(model, build)[1] for model in models.values())
     size = sum(law.model.order for law in bodies)
-    most = max(2 * round(min(MOST, WORK / size) / 2), 100) * (WHOLE if thorough else 1.0)
-    step = min(max((stop - begin) / most, 1 / (FINEST * top)), 1 / (PER_PERIOD * top))
+    most = max(2 * round(min(MAX_STEPS, MAX_WORK / size) / 2), 100) * (
+        FULL_STEP_FACTOR if thorough else 1.0
+    )
+    step = min(
+        max((stop - begin) / most, 1 / (MAX_STEPS_PER_PERIOD * top)), 1 / (STEPS_PER_PERIOD * top)
+    )
     count = 2 * math.ceil(min((stop - begin) / step, most) / 2)
     if begin + count * step > stop:
         step = (stop - begin) / count
 
     systems = [assemble_system(item.laws, item.joins) for item in (network, reduced)]
 
-    def difference(times: int, label: str) -> Difference:
+    def compute_difference(times: int, label: str) -> Difference:
+        """Return the difference of full and reduced models."""
         with clock.time_stage("full model", f"{names}: {label}") as share:
             first, second = (
-                integrate_steps(system, begin, times * step, count // times, state, share)
+                integrate_steps(
+                    system, begin, times * step, count // times, reconstruct_state, share
+                )
                 for system in systems
             )
         ours = network.results(first.waves, first.time)
@@ -143,8 +151,8 @@ def full_differences(
         results = {name: ours[name] - other[name] for name in ours}
         return Difference(first.time, results, np.array(apart), run.events)
 
-    fine = difference(1, f"{count} steps of {step:.3g} s")
-    coarse = difference(2, "half as many")
+    fine = compute_difference(1, f"{count} steps of {step:.3g} s")
+    coarse = compute_difference(2, "half as many")
     end = begin + count * step
     note = (
         f"full model of {names}: {size} unknowns in {count} steps of {step:.3g} s, from "
@@ -153,7 +161,7 @@ def full_differences(
     return fine, coarse, note
 
 
-def _last_rest(
+def _find_last_rest(
     bodies: list[PortBody], run: Trajectory
 ) -> tuple[float, Callable[[System, np.ndarray], np.ndarray] | None]:
     """Return the last time [s] before the load of a body changes, and the state.
@@ -163,26 +171,26 @@ def _last_rest(
     """
     waves, time = run.waves, run.time
     first = time.size
-    loads = chain.from_iterable(map(_port_waves, bodies))
+    loads = chain.from_iterable(map(_port_wave_names, bodies))
     for wave in (waves[name] for name in loads):
         swing = np.abs(wave - wave[0])
-        moved = np.flatnonzero(swing > STILL * swing.max()) if swing.any() else [time.size]
+        moved = np.flatnonzero(swing > REST_MOTION * swing.max()) if swing.any() else [time.size]
         first = min(first, int(moved[0]))
     if first < 2 or first >= time.size:
         return 0.0, None
     at = first - 1
 
-    def state(system: System, z: np.ndarray) -> np.ndarray:
-        return _state_of_waves(system, z, float(time[at]), lambda name: float(waves[name][at]))
+    def reconstruct_state(system: System, z: np.ndarray) -> np.ndarray:
+        return _reconstruct_state(system, z, float(time[at]), lambda name: float(waves[name][at]))
 
-    return float(time[at]), state
+    return float(time[at]), reconstruct_state
 
 
-def _port_waves(body: PortBody) -> list[str]:
+def _port_wave_names(body: PortBody) -> list[str]:
     return [f"{body.name}.{port.name}" for port in body.ports]
 
 
-def _state_of_waves(
+def _reconstruct_state(
     system: System, z: np.ndarray, t: float, wave: Callable[[str], float]
 ) -> np.ndarray:
     """Return the unknowns that reproduce the waves at ``t``.

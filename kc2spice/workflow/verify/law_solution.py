@@ -1,4 +1,4 @@
-"""The analysis of a scene by its laws (:mod:`kc2spice.equations`), without a netlist.
+"""Solution of a scene from its equations (:mod:`kc2spice.equations`), without a netlist.
 
 Statics and frequency responses are solved directly, transients by the independent integrator
 (:mod:`kc2spice.reference`).
@@ -23,13 +23,14 @@ from kc2spice.reference.system import assemble_system
 from kc2spice.scene.model import Build
 from kc2spice.scene.results import NOISE_WAVE
 
-# tolerance of the integrator; at 1e-8, a sphere that rings at megahertz loses 5e-7 of its energy
-RTOL = 1.5e-9
+# relative tolerance of the integrator; at 1e-8, a sphere that rings at megahertz loses 5e-7 of its
+# energy
+INTEGRATOR_RTOL = 1.5e-9
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Solution of the laws of a scene with its reduced models.
+    """Solution of a scene with reduced models from its equations.
 
     ``results`` are those waves of ngspice that the laws determine too. ``imbalance`` is the error
     of the energy balance, relative to the turned-over energy; None except for a transient.
@@ -41,7 +42,7 @@ class Reference:
     runs: tuple[tuple[Network, Trajectory], ...] = ()
 
 
-def solve(
+def solve_laws(
     build: Build,
     waves: Waveforms,
     replayed: Mapping[str, str] | None = None,
@@ -54,7 +55,7 @@ def solve(
 
     Raises
     ------
-    UsageError : the laws do not fit each other.
+    UsageError : the laws are incompatible.
     SimulationError : no equilibrium, or a law left its range.
     """
     networks = select_networks_to_solve(scene_laws(build), waves, replayed or {})
@@ -63,7 +64,9 @@ def solve(
     stop = build.scene.stop
     times = np.minimum(np.unique(waves["time"]), stop)
     systems = [assemble_system(network.laws, network.joins) for network in networks]
-    results = [solve_transient(system, stop, RTOL, times, progress) for system in systems]
+    results = [
+        solve_transient(system, stop, INTEGRATOR_RTOL, times, progress) for system in systems
+    ]
     runs = tuple(zip(networks, results, strict=True))
     grid = np.unique(np.concatenate([times, *(run.time for run in results)]))
     data = {"time": grid}
@@ -82,14 +85,14 @@ def solve_steady(networks: Iterable[Network], build: Build, waves: Waveforms) ->
     data = {scale: points}
     for network in networks:
         if build.has_noise:
-            data |= _noise(network, build, points)
+            data |= _solve_noise(network, build, points)
         else:
-            data |= network.results(_steady_waves(network, build, points), points)
+            data |= network.results(_solve_steady_waves(network, build, points), points)
     return Waveforms(data, {})
 
 
-def _noise(network: Network, build: Build, points: np.ndarray) -> dict[str, np.ndarray]:
-    """Noise density of the output; empty if the output is not in this network."""
+def _solve_noise(network: Network, build: Build, points: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the noise density of the output; empty if the output is not in this network."""
     name = str(build.scene.analysis.output)
     law_pins = {f"{link.part}.{link.pin}": link.law_pin for link in scene_laws(build).links}
     output = network.readings.get(name)
@@ -100,8 +103,10 @@ def _noise(network: Network, build: Build, points: np.ndarray) -> dict[str, np.n
     return {NOISE_WAVE: solve_noise(network.laws, network.joins, output, points)}
 
 
-def _steady_waves(network: Network, build: Build, points: np.ndarray) -> Mapping[str, np.ndarray]:
-    """Waves of the laws over frequency, over a dc sweep, or at the operating point."""
+def _solve_steady_waves(
+    network: Network, build: Build, points: np.ndarray
+) -> Mapping[str, np.ndarray]:
+    """Return the waves of the laws over frequency, over a dc sweep, or at the operating point."""
     system, kind = assemble_system(network.laws, network.joins), build.scene.analysis.type
     if kind == "ac":
         return solve_ac(system, points)

@@ -37,21 +37,26 @@ from kc2spice.scene.resolve import resolve
 from kc2spice.scene.results import collect_powers
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepare_deck
-from kc2spice.workflow.metrics import metrics, verdict
-from kc2spice.workflow.refine import FREE_SHARE, MOST_UNKNOWNS, factor_bytes
-from kc2spice.workflow.simulate import run_simulation, with_powers
+from kc2spice.workflow.metrics import compute_metrics, list_checks
+from kc2spice.workflow.refine import MAX_MESH_UNKNOWNS, MEMORY_SHARE, factor_bytes
+from kc2spice.workflow.simulate import add_powers, run_simulation
 from kc2spice.workflow.verify.bodies import verify_body
-from kc2spice.workflow.verify.full_models import finer_build, full_build, full_solution
-from kc2spice.workflow.verify.law_solution import solve
+from kc2spice.workflow.verify.full_models import (
+    solve_full_models,
+    with_finer_models,
+    with_full_models,
+)
+from kc2spice.workflow.verify.law_solution import solve_laws
 
-# unknowns of a mesh half as wide as that of the run, which takes seconds and little memory
-FEW_UNKNOWNS = 30_000
-LOADED = 1e-6  # least value with a meaningful relative error, over the largest value
-# factor on the time of the run, and s, that a finer discretisation may take
-LONGER, SPARE = 5.0, 30.0
-STILL = 1e-9  # largest motion at rest, by rounding errors, relative to the size
-NOTHING = 1e-150  # its square is zero: a rounding error of zero current
-SMALL = 1e-3  # least size of a metric in errors, relative to the largest wave of its unit
+# unknowns of a mesh with half the element size, which takes seconds and little memory
+MAX_FINER_UNKNOWNS = 30_000
+MIN_REFERENCE_SHARE = 1e-6  # smallest reference of a relative error, relative to the largest value
+# time limit of a finer discretisation: multiple of the run's time, plus seconds
+TIME_FACTOR, EXTRA_SECONDS = 5.0, 30.0
+REST_MOTION = 1e-9  # largest motion at rest due to rounding errors, relative to the size
+ZERO_CURRENT = 1e-150  # currents below are rounding errors of zero; the square underflows
+# smallest reference of a metric error, relative to the largest wave with its unit
+MIN_METRIC_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -65,8 +70,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class OutputError:
-    """Largest and rms error of one wave of one pair of solutions, relative to its largest and its
-    rms value."""
+    """Largest and rms error of one wave between two solutions, relative to the wave."""
 
     pair: str
     output: str
@@ -74,17 +78,17 @@ class OutputError:
     rms: float
 
 
-def solution(waves: Waveforms, build: Build) -> Solution:
+def complete_solution(waves: Waveforms, build: Build) -> Solution:
     """Return a solution with the powers and metrics that follow from its waves."""
     known = {}
     for name, terms in collect_powers(build, waves.data).items():
         if all(term.names <= set(waves) for term in terms):
             known[name] = terms
-    waves = with_powers(waves, known)
-    return Solution(waves, *metrics(waves, build, partial=True))
+    waves = add_powers(waves, known)
+    return Solution(waves, *compute_metrics(waves, build, partial=True))
 
 
-def gate_limits(
+def list_gate_checks(
     gates: Iterable[tuple[str, Gate]], pair: str, ours: Solution, exact: Solution
 ) -> tuple[list[Check], float | None]:
     """Return a check for each gate of a pair of solutions, and the largest leading difference.
@@ -136,7 +140,7 @@ def _wave_difference(gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequ
     # points by waves
     ours, true = (np.stack(wave, axis=1) for wave in zip(*pairs, strict=True))
     if gate.measure == "spectral":
-        # imported here, since scipy loads slowly and every run imports this module
+        # imported here, because scipy loads slowly and every run imports this module
         from kc2spice.rom.error_estimate import relative_error
 
         return relative_error(ours, true)
@@ -145,15 +149,15 @@ def _wave_difference(gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequ
         return largest
     size = float(np.abs(true).max())
     if gate.measure == "travel":
-        size = max(STILL * size, float(np.ptp(true, axis=0).max()))
-    # with a zero reference, any difference is infinitely large
+        size = max(REST_MOTION * size, float(np.ptp(true, axis=0).max()))
+    # with a zero reference, any difference is infinite
     return largest / size if size else math.inf if largest else 0.0
 
 
 def _relative_difference(a: np.ndarray, b: np.ndarray) -> float:
     """Return the largest difference relative to the size of the same value of ``b``."""
     size = np.abs(b)
-    loaded = size > LOADED * size.max()
+    loaded = size > MIN_REFERENCE_SHARE * size.max()
     return float((np.abs(a - b)[loaded] / size[loaded]).max(initial=0.0))
 
 
@@ -200,7 +204,7 @@ def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputE
             continue
         points, a, b = align_wave(waves, exact, name)
         size = float(np.abs(b).max(initial=0.0))
-        if size <= max(_rounding_speed(name, exact), NOTHING):
+        if size <= max(_rounding_speed(name, exact), ZERO_CURRENT):
             continue
         error = np.abs(a - b)
         ratio = np.divide(_integrate_square(error, points), _integrate_square(b, points))
@@ -224,7 +228,7 @@ def _rounding_speed(name: str, waves: Waveforms) -> float:
     position = next(filter(waves.data.__contains__, (f"{stem}.y", f"{stem}.x")), None)
     if last != "v" or position is None or "time" not in waves:
         return 0.0
-    return STILL * float(np.abs(waves[position]).max()) / float(np.ptp(waves["time"]))
+    return REST_MOTION * float(np.abs(waves[position]).max()) / float(np.ptp(waves["time"]))
 
 
 def metric_errors(
@@ -232,8 +236,8 @@ def metric_errors(
 ) -> Iterator[tuple[str, float | None]]:
     """Yield the relative error of each metric that both solutions contain.
 
-    The reference is the size of the exact metric, or ``SMALL`` of the largest wave of its unit if
-    that is larger. If both are zero, the error is the absolute difference.
+    The reference is the size of the exact metric, or ``MIN_METRIC_SHARE`` of the largest wave of
+    its unit if that is larger. If both are zero, the error is the absolute difference.
     """
     for name, b in exact.metrics.items():
         if name not in ours.metrics or isinstance(b, bool):
@@ -250,7 +254,7 @@ def metric_errors(
         if x.shape != y.shape or x.size == 0:
             continue
         largest = _largest_of_unit(exact.units.get(name, ""), exact.waves, units)
-        base = max(float(np.abs(y).max()), SMALL * largest)
+        base = max(float(np.abs(y).max()), MIN_METRIC_SHARE * largest)
         yield name, float(np.abs(x - y).max()) / (base or 1.0)
 
 
@@ -271,14 +275,16 @@ def _largest_of_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> f
     return largest
 
 
-SOLUTIONS = {"ngspice": "netlist, ngspice", "rom": "laws", "fom": "full model"}
-METRICS, WAVES = 10.0, 200.0  # times solver.reltol: default error limits of a transient
-ANY_WAVE = 0.05  # largest error with any reltol, relative to a wave's rms
-STEADY_METRICS, STEADY_WAVES = 5e-9, 3e-8  # default error limits of analyses without time steps
-NOISE = 1e-6  # default error limit of noise: Boltzmann's constant has seven digits in ngspice
+SOLUTION_NAMES = {"ngspice": "netlist, ngspice", "rom": "laws", "fom": "full model"}
+# default error limits of a transient, as multiples of solver.reltol
+METRIC_LIMIT_FACTOR, WAVE_LIMIT_FACTOR = 10.0, 200.0
+MAX_WAVE_ERROR = 0.05  # largest error for any reltol, relative to the rms value of a wave
+# default error limits of analyses without time steps
+STEADY_METRIC_LIMIT, STEADY_WAVE_LIMIT = 5e-9, 3e-8
+NOISE_LIMIT = 1e-6  # default error limit of noise: Boltzmann's constant has seven digits in ngspice
 # A source that replays samples of ngspice has an error of about 1e-3 in its slope, which is the
 # current into a capacitance (2.5e-3 at the edges of a half-bridge). Its work is off by 5e-6.
-RECORDED, RECORDED_BALANCE = 5.0, 1e-5
+REPLAY_LIMIT_FACTOR, REPLAY_BALANCE_LIMIT = 5.0, 1e-5
 
 
 def verify_scenes(
@@ -372,7 +378,7 @@ def _pin_names(pins: Iterable[Any]) -> tuple[str, ...]:
 
 @dataclass
 class _Verification:
-    """Verification of one scene, with its findings so far in ``outcome``."""
+    """Verification of one scene, with its findings in ``outcome``."""
 
     build: Build
     clock: Clock
@@ -382,7 +388,8 @@ class _Verification:
     units: Mapping[str, str] = field(default_factory=dict)
     replayed: Mapping[str, str] = field(default_factory=dict)
     verdict: Verdict = field(default_factory=Verdict)
-    finer: set[str] = field(default_factory=set)  # parts solved with a finer discretisation
+    # parts that are solved with a finer discretisation
+    finer: set[str] = field(default_factory=set)
 
     @property
     def timed(self) -> bool:
@@ -397,7 +404,7 @@ class _Verification:
             if part.reduced:
                 folder = self.work / part.name
                 verify_body(part, build, libraries, self.clock, folder, self.thorough, result)
-            most = _most_unknowns() if self.thorough else FEW_UNKNOWNS
+            most = _max_unknowns() if self.thorough else MAX_FINER_UNKNOWNS
             for row in part.type.finer_mesh(part, build, self.clock, most):
                 if isinstance(row, Check):
                     result.checks.append(row)
@@ -421,27 +428,28 @@ class _Verification:
         if result.left_out and replayed is None:
             waves = self._simulate(deck)
             self._add_run_checks()
-            simulated = solution(waves, build)
+            simulated = complete_solution(waves, build)
             result.metrics |= simulated.metrics
             result.units |= simulated.units
         else:
             vectors = list_recorded_vectors(self.replayed)
             self._compare_solutions(deck.with_results(vectors) if vectors else deck)
-        self._summarise()
+        self._summarise_errors()
         result.wall_s = {stage: time for stage, time in self.clock.wall_s.items() if time}
         return result
 
     def _explain_missing_law(self, name: str) -> str:
-        """Return the name of a part without a law, and the reason if there is one to state."""
+        """Return the name of a part without equations, and the reason if it is stated."""
         reason = self.build.scene.parts[name].type.without_law
         if name in scene_laws(self.build).stated_equations:
             reason = "its signal drives a load, and a law has signals without a current"
         return f"{name} ({reason})" if reason else name
 
     def _simulate(self, deck: Deck) -> Waveforms:
+        """Simulate a deck and return its waves."""
         with self.clock.time_stage("simulate", f"ngspice, {self.build.scene.name}") as share:
             waves = run_simulation(self.build, deck, self.work / "scene", share)
-        self.verdict = verdict(waves, self.build)
+        self.verdict = list_checks(waves, self.build)
         return waves
 
     def _compare_solutions(self, deck: Deck) -> None:
@@ -454,9 +462,12 @@ class _Verification:
             "reference", "laws of the reduced models, events located"
         ) as share:
             begin = time.monotonic()
-            reference = solve(build, waves, self.replayed, share)
+            reference = solve_laws(build, waves, self.replayed, share)
             spent = time.monotonic() - begin
-        solutions = {"ngspice": solution(waves, build), "rom": solution(reference.results, build)}
+        solutions = {
+            "ngspice": complete_solution(waves, build),
+            "rom": complete_solution(reference.results, build),
+        }
         result.metrics |= solutions["ngspice"].metrics
         result.units |= solutions["ngspice"].units
         result.answers |= {key: item.metrics for key, item in solutions.items()}
@@ -464,24 +475,24 @@ class _Verification:
         result.checks += self._general_checks(solutions, outputs)
         result.notes += self._uncompared_probes(solutions)
         if self.timed:
-            self._compare_finer(waves, solutions, LONGER * spent + SPARE)
+            self._compare_finer(waves, solutions, TIME_FACTOR * spent + EXTRA_SECONDS)
         self._add_run_checks()
         if reference.imbalance is not None:
-            limit = RECORDED_BALANCE if self.replayed else build.scene.gates.energy
+            limit = REPLAY_BALANCE_LIMIT if self.replayed else build.scene.gates.energy
             result.checks.append(
                 Check("energy of the reference integration", reference.imbalance, limit)
             )
-        full = full_build(build, self.clock)
-        followed = full and full_solution(
+        full = with_full_models(build, self.clock)
+        followed = full and solve_full_models(
             build, full, waves, reference, self.replayed, self.clock, self.thorough
         )
         if not followed:
             return
         early = {
-            key: solution(_cut_waves(item.waves, followed.end), build)
+            key: complete_solution(_cut_waves(item.waves, followed.end), build)
             for key, item in solutions.items()
         }
-        exact = solution(followed.waves, build)
+        exact = complete_solution(followed.waves, build)
         result.answers["fom"] = exact.metrics
         self._compare_pairs("full", early | {"fom": exact})
         result.notes += followed.notes
@@ -501,7 +512,7 @@ class _Verification:
         parts = [name for name, part in scene.parts.items() if name in stated and not part.reduced]
         names = ", ".join(parts)
         try:
-            finer = finer_build(self.build, parts, self.clock)
+            finer = with_finer_models(self.build, parts, self.clock)
         except UsageError as error:
             cause = " ".join(filter(None, (error.where, error.message)))
             self.outcome.notes.append(f"no finer discretisation of {names}: {cause}")
@@ -513,7 +524,9 @@ class _Verification:
                 "full model", f"finer discretisation of {names}"
             ) as progress:
                 share = progress if self.thorough else _limit_time(progress, seconds)
-                exact = solution(solve(finer, waves, self.replayed, share).results, finer)
+                exact = complete_solution(
+                    solve_laws(finer, waves, self.replayed, share).results, finer
+                )
         except _TooLongError as error:
             self.outcome.notes.append(
                 f"finer discretisation of {names}: given up after {seconds:.0f} s at "
@@ -524,7 +537,9 @@ class _Verification:
         # Laws against laws. ngspice is compared with the laws by the rms of each wave, because
         # its voltage jumps one time step earlier or later, which dominates a largest difference.
         finer_gates = [item for item in gates if item[0] in self.finer]
-        self.outcome.checks += gate_limits(finer_gates, "rom_vs_fom", solutions["rom"], exact)[0]
+        self.outcome.checks += list_gate_checks(finer_gates, "rom_vs_fom", solutions["rom"], exact)[
+            0
+        ]
 
     def _gates_of_models(self) -> list[tuple[str, Gate]]:
         """Return the error limits; in a transient without the limits of discretisations.
@@ -541,7 +556,7 @@ class _Verification:
         outputs: list[OutputError] = []
         for pair in fnmatch.filter(SOLUTION_PAIRS, f"*_vs_{last}"):
             ours, exact = solutions[pair.partition("_")[0]], solutions[last]
-            limits, leading = gate_limits(self._gates_of_models(), pair, ours, exact)
+            limits, leading = list_gate_checks(self._gates_of_models(), pair, ours, exact)
             self.outcome.checks += limits
             errors = output_errors(pair, ours.waves, exact.waves)
             if leading is None:
@@ -550,7 +565,7 @@ class _Verification:
                 self.outcome.errors[pair] = leading
             outputs += errors
         self.outcome.outputs += outputs
-        curves = {SOLUTIONS[key]: solutions[key].waves for key in reversed(list(solutions))}
+        curves = {SOLUTION_NAMES[key]: solutions[key].waves for key in reversed(list(solutions))}
         self.outcome.figures += plot_comparison(name, self.build.scene.name, curves, self.units)
         return outputs
 
@@ -558,12 +573,15 @@ class _Verification:
         """Return the largest relative errors of metrics and of waves, ngspice to the laws."""
         gates, reltol = self.build.scene.gates, self.build.scene.solver.reltol
         if self.timed:
-            metric, wave = METRICS * reltol, min(WAVES * reltol, ANY_WAVE)
+            metric, wave = (
+                METRIC_LIMIT_FACTOR * reltol,
+                min(WAVE_LIMIT_FACTOR * reltol, MAX_WAVE_ERROR),
+            )
         elif self.build.has_noise:
-            metric, wave = NOISE, NOISE
+            metric, wave = NOISE_LIMIT, NOISE_LIMIT
         else:
-            metric, wave = STEADY_METRICS, STEADY_WAVES
-        slack = RECORDED if self.replayed else 1.0
+            metric, wave = STEADY_METRIC_LIMIT, STEADY_WAVE_LIMIT
+        slack = REPLAY_LIMIT_FACTOR if self.replayed else 1.0
         return slack * (gates.metrics or metric), gates.waves or wave
 
     def _general_checks(
@@ -632,8 +650,8 @@ class _Verification:
 
     def _compare_steps(self, waves: Waveforms, coarse: Waveforms) -> None:
         """Compare the effect of steps twice as long with each gate."""
-        ours, exact = solution(coarse, self.build), solution(waves, self.build)
-        for limit in gate_limits(self._gates_of_models(), "rom_vs_fom", ours, exact)[0]:
+        ours, exact = complete_solution(coarse, self.build), complete_solution(waves, self.build)
+        for limit in list_gate_checks(self._gates_of_models(), "rom_vs_fom", ours, exact)[0]:
             words = limit.name.replace("ROM to full model", "full model, steps halved")
             self.outcome.checks.append(replace(limit, name=words))
         moved = output_errors("steps", coarse, waves)
@@ -644,7 +662,7 @@ class _Verification:
                 f"{worst.output})"
             )
 
-    def _summarise(self) -> None:
+    def _summarise_errors(self) -> None:
         """Add the error of the reduction and the size of a single body to the metrics."""
         result, bodies = self.outcome, self.build.scene.bodies
         if "rom_vs_fom" in result.errors:
@@ -656,14 +674,14 @@ class _Verification:
                 result.metrics["unknowns"] = model.facts["unknowns"]
 
 
-def _most_unknowns() -> float:
+def _max_unknowns() -> float:
     """Return the largest number of unknowns of a mesh in space.
 
-    Free memory and :data:`MOST_UNKNOWNS` limit the number.
+    Free memory and :data:`MAX_MESH_UNKNOWNS` limit the number.
     """
-    share = FREE_SHARE * available_bytes() / factor_bytes(1.0, 3)
-    # the memory is proportional to the unknowns to the power 4/3
-    return min(MOST_UNKNOWNS, share**0.75)
+    share = MEMORY_SHARE * available_bytes() / factor_bytes(1.0, 3)
+    # the memory is proportional to the number of unknowns to the power 4/3
+    return min(MAX_MESH_UNKNOWNS, share**0.75)
 
 
 class _TooLongError(Exception):
@@ -682,6 +700,7 @@ def _limit_time(progress: Callable[[float], None], seconds: float) -> Callable[[
     begin = time.monotonic()
 
     def share(done: float) -> None:
+        """Raise an error if the time limit is exceeded."""
         progress(done)
         if time.monotonic() - begin > seconds:
             raise _TooLongError(done)

@@ -26,7 +26,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.run import complete
+from kc2spice.workflow.run import complete_run
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from drawn_devices import voice
@@ -281,7 +281,7 @@ def _compared(family, tables, judge):
     try:
         with patience(PATIENCE), tempfile.TemporaryDirectory() as work, warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            done = complete(load_scene(tables), Path(work))
+            done = complete_run(load_scene(tables), Path(work))
             found, error = done.converged, judge(done)
     except (UsageError, SimulationError) as failed:
         why = f"refused: {failed.message} {failed.got or ''}"

@@ -23,7 +23,7 @@ import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.run import complete
+from kc2spice.workflow.run import complete_run
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hard_cases.modal_kick import Kick
@@ -71,7 +71,7 @@ def outcome(number, folder):
     chosen = settings(number)
     try:
         with patience(PATIENCE):
-            done = complete(load_scene("kick_and_catch", chosen), folder)
+            done = complete_run(load_scene("kick_and_catch", chosen), folder)
     except (UsageError, SimulationError) as failed:
         left = "table left" in failed.message
         return LEFT if left else f"refused: {failed.message} {failed.got or ''}", chosen, None

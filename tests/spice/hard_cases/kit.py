@@ -15,8 +15,8 @@ from kc2spice.scene.checks import require_passed
 from kc2spice.scene.load import load_scene
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.workflow.decks import make_deck
-from kc2spice.workflow.metrics import verdict
-from kc2spice.workflow.verify.law_solution import solve
+from kc2spice.workflow.metrics import list_checks
+from kc2spice.workflow.verify.law_solution import solve_laws
 
 HEADER = Header("hard case", "0")
 TIMEOUT = 300.0  # s; a case that needs more has failed
@@ -48,7 +48,7 @@ class Bench:
         """Run a scene as ``kc2spice run``: the deck, ngspice, then the physics checks."""
         build = built(scene, model or chip(), table or magnets())
         waves = self.run(make_deck(build))
-        require_passed(verdict(waves, build).checks, build.scene.name)
+        require_passed(list_checks(waves, build).checks, build.scene.name)
         return waves
 
 
@@ -88,7 +88,7 @@ def kick(*overrides):
 
 def exact(study, waves, model=None, table=None):
     """The scene by the independent integrator in Python, at the points of ``waves``."""
-    return solve(built(study, model or chip(), table), waves).results
+    return solve_laws(built(study, model or chip(), table), waves).results
 
 
 def leaves(waves):
