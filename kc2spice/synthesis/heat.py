@@ -37,16 +37,16 @@ _NETWORK_COMMENT = """\
 * Heat network: 1 V is 1 K of temperature rise over the pin {base}, 1 A is 1 W into the pin.
 * Connect {base} to node 0, or to a source whose voltage is the temperature there.
 * Resistances [K/W] and heat capacities [J/K] are positive: the network is passive."""
-_MODES = "* Every mode is a thermal resistance beside a heat capacity."
-_SERIES = "* The modes of the port are in series (Foster's form)."
-_COUPLED = """\
+_MODES_COMMENT = "* Every mode is a thermal resistance beside a heat capacity."
+_SERIES_COMMENT = "* The modes of the port are in series (Foster's form)."
+_COUPLED_COMMENT = """\
 * Ports feel the modes through ideal transformers: V(h1) times its factor adds to the temperature
 * of the port, and the heat flow times the same factor goes into the node h1. The voltage of node f
 * is the heat flow that holds the pin at that temperature (1 V = 1 W)."""
-_LADDER = """\
+_LADDER_COMMENT = """\
 * Cauer's form: capacities lie between the nodes and {base}. The sums of resistances and capacities
 * from the port on are the structure function of the path of heat."""
-_STORED = "nothing leads its heat away; the leak gives it an operating point"
+_STORED_COMMENT = "nothing leads its heat away; the leak gives it an operating point"
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,9 @@ def compute_heat_modes(model: LinearModel) -> HeatModes:
     times, shapes = decouple_heat(model)
     gain = shapes.T @ model.B
     size = np.abs(gain).max(axis=1)
-    felt = (np.abs(gain) / (np.abs(gain).max(axis=0) + np.finfo(float).tiny)).max(axis=1) > UNHEATED
+    felt = (np.abs(gain) / (np.abs(gain).max(axis=0) + np.finfo(float).tiny)).max(
+        axis=1
+    ) > ZERO_SHARE
     gain, times, size = gain[felt], times[felt], size[felt]
     sign = np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])
     return HeatModes(
@@ -99,11 +101,11 @@ def compute_heat_modes(model: LinearModel) -> HeatModes:
 def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
     """Return time constants (modes,) and shapes (states, modes) of all modes, slowest first.
 
-    The resistance of each shape is 1 K/W. See :func:`heat_modes`.
+    The resistance of each shape is 1 K/W. See :func:`compute_heat_modes`.
 
     Raises
     ------
-    UsageError : as :func:`heat_modes`.
+    UsageError : as :func:`compute_heat_modes`.
     """
     K, E = model.pencil.dense().coefficients
     if not model.symmetric or np.linalg.eigvalsh(model.D).min(initial=0.0) < 0:
@@ -181,13 +183,13 @@ def heat_cards(model: LinearModel, base: str) -> tuple[list[str], list[Line]]:
 
     The network is a ladder if the model has the matrices of a ladder, and otherwise the modes.
     """
-    about = _ABOUT.format(base=base).split("\n")
+    about = _NETWORK_COMMENT.format(base=base).split("\n")
     ladder = heat_ladder(model)
     if ladder is not None:
         cards = list(_ladder_cards(ladder, model.ports[0].terminals[0], base))
-        return [*about, *_LADDER.format(base=base).split("\n")], cards
-    modes, one = heat_modes(model), len(model.ports) == 1
-    about += [_MODES, *(_SERIES if one else _COUPLED).split("\n")]
+        return [*about, *_LADDER_COMMENT.format(base=base).split("\n")], cards
+    modes, one = compute_heat_modes(model), len(model.ports) == 1
+    about += [_MODES_COMMENT, *(_SERIES_COMMENT if one else _COUPLED_COMMENT).split("\n")]
     return about, list(_series_cards(modes, base) if one else _coupled_cards(modes, base))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from kc2spice.netlist.circuit import Element, Param, Parameters
 from kc2spice.netlist.elements import Line
-from kc2spice.netlist.spelling import number
+from kc2spice.netlist.spelling import format_number
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.parametric import ParameterAxis, Values
 
@@ -81,7 +81,7 @@ def range_cards(parameters: Sequence[Param]) -> Iterator[Line]:
     yield "* 1 within the range of a parameter, -1 outside of it"
     for k, p in enumerate(parameters, 1):
         room = 1e-9 * (p.high - p.low)
-        low, high = number(p.low - room), number(p.high + room)
+        low, high = format_number(p.low - room), format_number(p.high + room)
         # two factors that are positive inside; || and && are spelled differently elsewhere
         yield parameter_card(f"inside{k}", f"(({p.name}-{low})*({high}-{p.name})>=0 ? 1 : -1)")
 

@@ -22,13 +22,13 @@ import numpy as np
 from kc2spice.netlist.circuit import Element, Param
 from kc2spice.netlist.elements import Line
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.spelling import name as checked_name
-from kc2spice.netlist.spelling import number, require_distinct
+from kc2spice.netlist.spelling import format_number, require_distinct
+from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.heat_ranges import HeatOverRanges
 from kc2spice.rom.matrix_terms import compute_factors
-from kc2spice.synthesis.header import mesh_entry
+from kc2spice.synthesis.header import mesh_comment
 from kc2spice.synthesis.heat import (
-    UNHEATED,
+    ZERO_SHARE,
     HeatModes,
     decouple_heat,
     describe_heat_mode,
@@ -102,7 +102,7 @@ def heat_subcircuit_over_ranges(
     others = list(sample_range(model, parameters))
     return make_subcircuit(
         rom, name, pins, base, tuple(parameters), head, (about, body), others=others,
-        mesh=mesh_entry(rom.facts), **words,
+        mesh=mesh_comment(rom.facts), **words,
     )  # fmt: skip
 
 
@@ -113,7 +113,7 @@ def _make_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _Networ
     times, shapes = decouple_heat(rom)
     gain = shapes.T @ rom.B
     size = np.abs(gain).max(axis=1)
-    size = np.maximum(size, UNHEATED * size.max())
+    size = np.maximum(size, ZERO_SHARE * size.max())
     sign = np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])
     sign = np.where(sign == 0, 1.0, sign)
     shapes = shapes * (sign / size)
@@ -139,9 +139,13 @@ def _write_change(
     text = ""
     for p, scale, power in zip(parameters, scales, powers, strict=True):
         if power:
-            factor = f"{p.name}/{number(scale)}" if power > 0 else f"{number(scale)}/{p.name}"
+            factor = (
+                f"{p.name}/{format_number(scale)}"
+                if power > 0
+                else f"{format_number(scale)}/{p.name}"
+            )
             text += f"*({factor})" if text else factor
-    return f"{text}-{number(start)}" if start else text
+    return f"{text}-{format_number(start)}" if start else text
 
 
 def _without_rounding(matrix: np.ndarray) -> np.ndarray:
@@ -188,9 +192,9 @@ class _Network:
 
     def _write_sum(self, constant: float, coefficients: np.ndarray) -> str:
         """Return the text of a constant plus changes with coefficients; none if all are zero."""
-        text = number(constant) if constant else ""
+        text = format_number(constant) if constant else ""
         for t, value in enumerate(coefficients, 1):
             if value:
                 sign = "-" if value < 0 else "+" if text else ""
-                text += f"{sign}{number(abs(value))}*change{t}"
+                text += f"{sign}{format_number(abs(value))}*change{t}"
         return text

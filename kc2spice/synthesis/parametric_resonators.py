@@ -18,13 +18,13 @@ from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Element, Param, Parameters
 from kc2spice.netlist.elements import Line
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.spelling import name as checked_name
-from kc2spice.netlist.spelling import number, require_distinct
+from kc2spice.netlist.spelling import format_number, require_distinct
+from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.heat_ranges import HeatOverRanges
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.varying import Varying
 from kc2spice.synthesis.emitted import MICRO
-from kc2spice.synthesis.header import mesh_entry
+from kc2spice.synthesis.header import mesh_comment
 from kc2spice.synthesis.parameter_ranges import (
     RANGE_STOPS,
     list_parameters,
@@ -56,8 +56,8 @@ from kc2spice.synthesis.realize import (
 Polynomial = Callable[[np.ndarray], str]
 
 # Names that the subcircuit uses for its own parameters.
-_RESERVED = r"[xlkgcfbt]_?\d+(_\d+)*|alpha|beta|damping|inside\d+"
-_ABOUT = """\
+_RESERVED_NAME = r"[xlkgcfbt]_?\d+(_\d+)*|alpha|beta|damping|inside\d+"
+_RESONATOR_COMMENT = """\
 * Resonators whose frequencies, couplings, capacitances and damping depend on the parameters: they
 * are polynomials (Chebyshev's, of the parameters' logarithms) that are evaluated once, when the
 * subcircuit is expanded. x1, x2, ... count from -1 at the low end of a range to 1 at its high end.
@@ -142,7 +142,7 @@ def parametric_subcircuit(
     ]
     params = (*parameters, *([DAMPING_PARAMETER] if any(model.damped) else []))
     words = {"title": title, "rating": rating, "within": ", parameters within their ranges,"}
-    words["mesh"] = mesh_entry(rom.facts)
+    words["mesh"] = mesh_comment(rom.facts)
     head, others = header or Header(model.name, "-"), list(sample_range(model, parameters))
     return make_subcircuit(
         rom, name, pins, base, params, head, ([_RESONATOR_COMMENT], body), others=others, **words
@@ -195,7 +195,9 @@ def _coordinate_cards(model: Varying, parameters: Sequence[Param]) -> Iterator[P
     highest = model.exponents.max(axis=0, initial=0) if len(parameters) else []
     for k, (p, axis, top) in enumerate(zip(parameters, model.axes, highest, strict=True), 1):
         slope = 2 / np.log(axis.high / axis.low)
-        yield parameter_card(f"x{k}", f"{number(slope)}*ln({p.name}/{number(axis.middle)})")
+        yield parameter_card(
+            f"x{k}", f"{format_number(slope)}*ln({p.name}/{format_number(axis.middle)})"
+        )
         names = ["1", f"x{k}"]
         for power in range(2, int(top) + 1):
             names.append(f"t{k}_{power}")
@@ -227,7 +229,9 @@ def _damping_cards(
     for loss, p in zip(model.losses, loss_parameters, strict=True):
         for k, share in enumerate((loss.alpha, loss.beta)):
             if share:
-                losses[k] += f"*exp({number(share)}*ln({p.name}/{number(loss.axis.middle)}))"
+                losses[k] += (
+                    f"*exp({format_number(share)}*ln({p.name}/{format_number(loss.axis.middle)}))"
+                )
     for k, word in enumerate(("alpha", "beta")):
         if model.damped[k]:
             yield parameter_card(f"{word}", f"exp({polynomial(model.rayleigh[:, k])}){losses[k]}")
@@ -269,7 +273,7 @@ def _write_dot_product(row: str, column: str, indices: Iterable[int]) -> str:
     return "+".join(f"{row}_{n}*{column}_{n}" for n in indices)
 
 
-def _nonzero(model: Varying) -> tuple[np.ndarray, np.ndarray]:
+def _nonzero_entries(model: Varying) -> tuple[np.ndarray, np.ndarray]:
     """Return which entries (q, q) of L, and of the stiffness ``L L'``, are not zero."""
     lower = model.below.any(axis=0) | np.eye(model.order, dtype=bool)
     return lower, lower @ lower.T
@@ -316,7 +320,7 @@ class _PortsAndModes:
             for i in range(1, self.model.order + 1):
                 sums += self._weigh_state(i, k, f"{i}")
             return replace(t, sums=tuple(sums))
-        n, micro = self.electrodes.index(t), number(1 / MICRO)
+        n, micro = self.electrodes.index(t), format_number(1 / MICRO)
         shared = []
         for m, other in enumerate(self.electrodes):
             if m != n:
@@ -328,7 +332,7 @@ class _PortsAndModes:
     def _weigh_state(self, i: int, k: int, label: str) -> Iterator[Transconductance]:
         """Yield the source of the state i at the port k, none if the gain is zero."""
         if self.model.gain[:, i - 1, k].any():
-            share = number(MICRO / self.terminals[k].unit / self.scale[i - 1])
+            share = format_number(MICRO / self.terminals[k].unit / self.scale[i - 1])
             yield Transconductance(label, f"q{i}", self.base, f"{share}*g{i}_{k + 1}")
 
     def _describe_block(self, at: int, size: int) -> str:
@@ -351,16 +355,16 @@ class _PortsAndModes:
         stiff = _nonzero_entries(self.model)[1]
         for j in (np.flatnonzero(stiff[i - 1]) + 1).tolist():
             k, push = f"k{max(i, j)}_{min(i, j)}", c / w * s / self.scale[j - 1]
-            stiffness = f"{{{number(push)}*{k}}}"
+            stiffness = f"{{{format_number(push)}*{k}}}"
             yield Element.of(f"Gp{i}_{j}", f"p{i}", base, f"q{j}", base, stiffness)
             losses = ["alpha"] * (damped[0] and i == j) + [f"beta*{k}"] * damped[1]
             if losses:
-                drag = f"{{damping*{number(push * self.omega[j - 1])}*({'+'.join(losses)})}}"
+                drag = f"{{damping*{format_number(push * self.omega[j - 1])}*({'+'.join(losses)})}}"
                 yield Element.of(f"Gd{i}_{j}", f"p{i}", base, f"p{j}", base, drag)
         gains = self.model.gain[:, i - 1]
         row = [""] * gains.shape[1]
         for n in np.flatnonzero(gains.any(axis=0)):
-            row[n] = f"{number(c * s / w / MICRO)}*g{i}_{n + 1}"
+            row[n] = f"{format_number(c * s / w / MICRO)}*g{i}_{n + 1}"
         drives = filter(attrgetter("value"), drive_mode(i, row, self.terminals, base))
         yield from connect_sources(drives, base, f"p{i}")
         for t in self.electrodes:

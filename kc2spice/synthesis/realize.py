@@ -31,7 +31,15 @@ from kc2spice.synthesis.emitted import (
     accelerates_frame,
     estimate_circuit_error,
 )
-from kc2spice.synthesis.heat import heat_cards, is_heat
+from kc2spice.synthesis.header import (
+    OUTWARDS_TEXT,
+    mesh_comment,
+    netlist_pins,
+    parameter_defaults_of,
+    part_header,
+    rom_comments,
+)
+from kc2spice.synthesis.heat import heat_cards, is_heat_model
 
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel
@@ -444,7 +452,9 @@ def heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
     common = reference_pin(rom.ports)
     ends = tuple(chain.from_iterable(map(netlist_pins, rom.ports)))
     pins = (*ends, common)
-    _require_distinct(pins, (INNER_NODES, HEAT_NODES, *map(_loaded_nodes, ends)), name)
+    _require_distinct_pins(
+        pins, (INNER_NODE_PATTERN, HEAT_NODE_PATTERN, *map(_loaded_nodes, ends)), name
+    )
     return pins, common.name
 
 

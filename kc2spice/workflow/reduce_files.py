@@ -55,14 +55,14 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
 from kc2spice.synthesis.emitted import require_circuit
-from kc2spice.synthesis.heat import is_heat
+from kc2spice.synthesis.heat import is_heat_model
 from kc2spice.synthesis.parameter_ranges import list_parameters
 from kc2spice.synthesis.parametric_resonators import (
     parametric_subcircuit,
     require_parametric_form,
 )
 from kc2spice.synthesis.realize import apply_unit_load, subcircuit
-from kc2spice.workflow.decks import spare_other_decks
+from kc2spice.workflow.decks import protect_other_decks
 from kc2spice.workflow.thermal_transients import (
     network_of_transient,
     require_one_heat_port,
@@ -223,7 +223,7 @@ def _reduce_matrices(
     model = _read_full_model(path, progress)
     if isinstance(model, AffineModel):
         options = {"--order": order, "--method": method, "--network": form}
-        settings = {"band": band, "tolerance": tolerance or TOLERANCE, "norm": norm}
+        settings = {"band": band, "tolerance": tolerance or DEFAULT_TOLERANCE, "norm": norm}
         return _reduce_affine(model, out, options, settings, progress)
     if tolerance is None and order is None:
         tolerance = DEFAULT_TOLERANCE
@@ -319,7 +319,7 @@ def _require_names(model: LinearModel, name: str) -> None:
     D = [[float(out == into and out in names) for into in model.inputs] for out in model.outputs]
     one, B = np.eye(1), np.ones((1, len(model.inputs)))
     C = np.ones((len(model.outputs), 1))
-    inertia = None if is_heat(model) else one
+    inertia = None if is_heat_model(model) else one
     subcircuit(
         LinearModel(M=inertia, E=one, K=one, B=B, C=C, D=np.array(D), ports=model.ports), name
     )

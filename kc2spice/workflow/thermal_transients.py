@@ -17,7 +17,7 @@ from kc2spice.core.quantities import quantity
 from kc2spice.rom.heat_network import FosterNetwork, NetworkForm, shape_network
 from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
 from kc2spice.rom.transient_fit import StepSamples, TransientFit, fit_transient, unsettled_share
-from kc2spice.synthesis.heat import heat_modes
+from kc2spice.synthesis.heat import compute_heat_modes
 
 JUNCTION = Port("junction", THERMAL.port)
 LARGEST_MISFIT = 0.1  # deviation (rms) above which no network is written
@@ -135,7 +135,7 @@ def shape_heat_model(model: LinearModel, form: NetworkForm | None) -> LinearMode
     if form is None:
         return model
     require_one_heat_port(model)
-    modes = heat_modes(model)
+    modes = compute_heat_modes(model)
     times = modes.resistance * modes.capacity
     slow = times > 0
     direct = float(modes.direct[0, 0] + modes.resistance[~slow].sum())

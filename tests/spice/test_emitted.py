@@ -19,7 +19,7 @@ from kc2spice.rom.parametric import ParameterAxis, polynomials
 from kc2spice.rom.varying import Varying
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.synthesis import parameter_ranges, realize
-from kc2spice.synthesis.emitted import circuit_error, require_circuit
+from kc2spice.synthesis.emitted import estimate_circuit_error, require_circuit
 from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
 from kc2spice.synthesis.realize import subcircuit
 

@@ -7,7 +7,7 @@ import pytest
 from commands import asked
 
 import kc2spice as kc
-from kc2spice.netlist.expression import literal
+from kc2spice.netlist.expression import literal_value
 from kc2spice.netlist.nodal import NodalCircuit
 from kc2spice.rom.heat_network import FosterNetwork, HeatLadder, heat_ladder
 from kc2spice.rom.io import read_rom
@@ -82,7 +82,7 @@ def test_the_netlist_of_a_ladder_is_the_ladder(direct):
     part = kc.subcircuit(ladder.linear(PORT), "ladder")
     start = "h1" if direct else "junction"
     cards = re.findall(r"(?m)^([RC]\d+) (\S+) (\S+) (\S+)$", part.text)
-    found = {name: (a, b, literal(value)) for name, a, b, value in cards}
+    found = {name: (a, b, literal_value(value)) for name, a, b, value in cards}
     for k, (R, C) in enumerate(zip(ladder.resistance, ladder.capacity, strict=True), 1):
         node = start if k == 1 else f"h{k}"
         assert found[f"C{k}"][:2] == (node, "ambient")
