@@ -579,10 +579,11 @@ class _Translator:
             return name
         return self.scope.metered.setdefault(element.key, f"V{element.name}_meter")
 
-    def _call(self, function: str, arguments: tuple[Tree, ...]) -> Tree:
-        if function in self.scope.functions:  # its .func replaces a function of the program
+    def _translate_call(self, function: str, arguments: tuple[Tree, ...]) -> Tree:
+        """Translate a function call."""
+        if function in self.scope.functions:  # a .func of the user replaces a built-in function
             return Call(function, arguments)
-        if reason := _NO_EQUAL.get(function):
+        if reason := _UNSUPPORTED_FUNCTIONS.get(function):
             got = Writer().write(Call(function, arguments))
             raise self.card.error(f"{reason} has no equal in ngspice", got[:80])
         rule = _FUNCTION_RULES.get((function, len(arguments))) or _FUNCTION_RULES.get(

@@ -175,7 +175,7 @@ def _list_items(
         yield from add_title("held at the operating point alone: nothing else does", inductors)
 
 
-def _options(build: Build) -> Iterable[Option]:
+def _list_options(build: Build) -> Iterable[Option]:
     """Return the options of a deck: tolerances, then those of the parts.
 
     Other analyses than a transient have the tolerance of iterations only if the scene states it.
