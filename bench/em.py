@@ -7,7 +7,12 @@ import numpy as np
 from bench.points import Outcome, Plane, Point, speed_up, timed
 from bench.setup import keys_of
 from kc2spice.core.magnets import compute_test_forces
-from kc2spice.fem.magnet_field import assemble_heights, catch_table, ring_sign, sphere_heights
+from kc2spice.fem.magnet_field import (
+    assemble_heights,
+    compute_catch_table,
+    list_sphere_heights,
+    ring_direction,
+)
 
 HEIGHTS, QUICK_HEIGHTS, FINE_HEIGHTS = (41, 21, 81), (5, 9), 161
 
@@ -20,7 +25,7 @@ def em(setup):
     cases = np.array([(lower, upper) for lower in currents for upper in currents])
 
     def table(heights):
-        return catch_table(catch.model_copy(update={"positions": heights}), radius)
+        return compute_catch_table(catch.model_copy(update={"positions": heights}), radius)
 
     dense = table(17 if setup.quick else FINE_HEIGHTS)
     exact, largest = (
@@ -57,11 +62,11 @@ def em(setup):
 def brute_force(catch, radius, currents):
     """Force (m, n) [N] of the m pairs ``currents`` (m, 2) at n heights, case by case.
 
-    The paper's code and the baseline of :func:`catch_table`: on the same meshes, each case
+    The paper's code and the baseline of :func:`compute_catch_table`: on the same meshes, each case
     assembles, factorises and solves for the sum of its sources and takes that one field's force.
     """
-    y = sphere_heights(catch)
-    amplitudes = [np.array([ring_sign(catch), 1.0, i1, i2]) for i1, i2 in currents]
+    y = list_sphere_heights(catch)
+    amplitudes = [np.array([ring_direction(catch), 1.0, i1, i2]) for i1, i2 in currents]
     result = np.empty((len(amplitudes), y.size))
     for index, system in assemble_heights(catch, radius):
         for case, amplitude in enumerate(amplitudes):

@@ -7,7 +7,7 @@ import numpy as np
 from bench.fullmodel import chip
 from bench.points import Outcome, Plane, Point, fastest, quick_timed, scaled, speed_up, timed
 from bench.setup import keys_of
-from kc2spice.bodies.stack import stack_device
+from kc2spice.bodies.stack import make_stack
 from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.response import Response
@@ -25,7 +25,7 @@ def harmonic(setup):
     scene = setup.scene("harmonic")
     sweep = keys_of(scene, "port_loads")
     frequency = np.linspace(sweep.start, sweep.stop, sweep.steps + 1)[1:]
-    model = stack_device(chip(scene)).model
+    model = make_stack(chip(scene)).model
     taken = frequency[:: frequency.size // SAMPLED][:SAMPLED]
     with setup.clock.time_stage("harmonic", f"full model, {taken.size} direct solves"):
         _, sample = timed(lambda: model.transfer(taken), 1)

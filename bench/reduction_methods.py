@@ -18,7 +18,7 @@ import scipy
 
 from bench.beam import steel_cantilever
 from bench.fullmodel import chip
-from kc2spice.bodies.stack import stack_device
+from kc2spice.bodies.stack import make_stack
 from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.report.figures import draw_pngs
@@ -70,7 +70,7 @@ def cases(folder):
     plain = state_space(full.pencil, 800.0)
     ends = 2 * np.pi, 1600 * np.pi
     yield Case("Euler beam", full, ends, lambda w: direct(given, w), plain, (1e-3, 1e-5))
-    model = stack_device(chip(load_scene("harmonic"))).model
+    model = make_stack(chip(load_scene("harmonic"))).model
     small, _ = surrogate(model, (0.0, 5e5))  # equal to 1e-10, by direct solutions
     answers = small.transfer
     yield Case("chip", model, (0.0, np.pi * 1e6), lambda w: answers(w / (2 * np.pi)),

@@ -22,7 +22,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from docs_numbers import date_and_commit
 
-from kc2spice.bodies.impedance import analyse
+from kc2spice.bodies.impedance import analyse_impedance
 from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
 from kc2spice.core.progress import Clock
 from kc2spice.report.figures import draw_pngs
@@ -168,7 +168,7 @@ def analysed(name: str, part: str) -> Analyser:
     frequency = waves["frequency"].real
     at = [port.name for port in reduced.ports].index("anode")
     charge = reduced.transfer(frequency)[:, at, at]
-    read = asdict(analyse(frequency, 1 / (2j * np.pi * frequency * charge)))
+    read = asdict(analyse_impedance(frequency, 1 / (2j * np.pi * frequency * charge)))
     return Analyser(full, read, record["metrics"], out)
 
 

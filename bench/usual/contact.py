@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kc2spice.bodies.stack import stack_setup
+from kc2spice.bodies.stack import make_stack_setup
 from kc2spice.core.errors import SimulationError
 
 ITERATIONS = 60  # of the closed springs
@@ -38,7 +38,7 @@ def contact_surface(kick, stiffness, radius):
 
     ``stiffness`` [N/m] is that of a ring of the sector, ``radius`` [m] the sphere's.
     """
-    _, setup = stack_setup(kick)
+    _, setup = make_stack_setup(kick)
     rings = np.column_stack([each.weights[~setup.fixed] for each in setup.shapes])
     radii = kick.mesh.ring_spacing * np.arange(rings.shape[1])
     gap, penalty = sphere_gap(radius, radii), np.full(radii.size, stiffness)

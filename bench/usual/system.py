@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from kc2spice.bodies.stack import stack_device
+from kc2spice.bodies.stack import make_stack
 from kc2spice.bodies.stack_keys import SECTORS
 from kc2spice.linalg.factor import factorise
 from kc2spice.rom.linear_model import Port
@@ -43,7 +43,7 @@ class PiezoSystem:
 
 def quarter(kick):
     """Quarter model of the chip."""
-    device = stack_device(kick)
+    device = make_stack(kick)
     n, model = SECTORS, device.model
     b, C0, K = model.B[:, -1] / n, model.D[-1, -1] / n, model.K
     k_pV, lift = -device.lift[:, 0] / n, np.zeros(device.lift.shape[0])

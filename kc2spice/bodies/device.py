@@ -1,8 +1,8 @@
 """Finite-element models of solids with supports, electrodes and ports.
 
 Constraints are prolongations. ``u = P z`` follows from the free displacements and the six motions
-of each rigid face. ``phi = Q p + R V`` follows from the free potentials, one for each floating
-electrode, and from the voltages of the driven electrodes. With shapes S of the forces,
+of each rigid face. ``phi = Q p + R V`` follows from the free potentials (one per floating
+electrode) and the voltages of driven electrodes. With shapes S of the forces,
 
     P'MP z'' + P'K_uu P z + P'K_up Q p + P'K_up R V = P'S f
                      Q'K_up'P z - Q'K_pp Q p - Q'K_pp R V = 0
@@ -37,13 +37,13 @@ from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.core.progress import StepTimer
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material
-from kc2spice.fem.solid import Solid, assemble_solid, node_shares
+from kc2spice.fem.solid import Solid, assemble_solid, compute_node_shares
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 from kc2spice.rom.pencil import Schur
 
-# Shift [rad/s] of a body that is free to move, in units of its slowest sound over its size.
-FREE_SHIFT = 1e-3
+# Shift [rad/s] for an unsupported body, in units of its slowest wave speed divided by its size.
+FREE_SHIFT_RATIO = 1e-3
 UP = np.array([0.0, 0.0, 1.0])
 # Relative times of the steps, measured with piezoelectric blocks of 10 000 and 29 000 unknowns.
 SUPPORTED_STEPS = ("assembly", 1.0), ("static responses and resonances", 2.6), ("mesh error", 3.8)
@@ -52,7 +52,7 @@ FREE_STEPS = ("assembly", 1.0), ("static responses and resonances", 11.0), ("mes
 
 @dataclass(frozen=True, eq=False)
 class ForceShape:
-    """A port of forces: ``weights`` (d nodes,) spread a unit of force over the solid."""
+    """Port of forces; ``weights`` (d nodes,) distribute a unit force over the solid."""
 
     port: Port
     weights: np.ndarray
@@ -85,7 +85,7 @@ class Setup:
         within elements.
     lumped : masses [kg] (nodes,) on top of those of the solid.
     springs : stiffness [N/m] (d nodes, d nodes) on top of that of the solid.
-    sectors : of which the solid is one, all moving alike: the model is that of them together.
+    sectors : number of equal solids that move identically; the model represents all of them.
     """
 
     fixed: np.ndarray
@@ -108,7 +108,7 @@ class Setup:
 
 
 def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
-    """Make the model of a solid with supports, ports and damping, and its facts.
+    """Make the model of a solid with supports, ports and damping, and its characteristic values.
 
     Raises
     ------
@@ -132,8 +132,8 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     return replace(bare, model=_add_damping(model, solid, bare.displacement, setup))
 
 
-def constrain_device(solid: Solid, setup: Setup) -> FiniteElementModel:
-    """Make the model of a solid without its damping and facts."""
+def constrain_solid(solid: Solid, setup: Setup) -> FiniteElementModel:
+    """Make the model of a solid without its damping and characteristic values."""
     full = assemble_solid(solid)
     P, motions = _constrain_displacements(solid, setup)
     Q, R, pins = _constrain_potentials(full.K_pp, setup)
@@ -146,7 +146,7 @@ def constrain_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     mass, K_uu, K_up, K_pp = n * mass, n * K_uu, n * full.K_up, n * full.K_pp
     columns: list[tuple[Port, np.ndarray]] = [(s.port, P.T @ s.weights) for s in setup.shapes]
     columns += motions
-    columns += [(port, -(P.T @ (mass @ translation(solid, a)))) for port, a in setup.base]
+    columns += [(port, -(P.T @ (mass @ rigid_translation(solid, a)))) for port, a in setup.base]
     model = with_potentials(
         M=sparse.csc_array(P.T @ mass @ P),
         K_uu=sparse.csc_array(P.T @ K_uu @ P),
@@ -170,8 +170,8 @@ def constrain_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     )
 
 
-def _depoling_voltage(solid: Solid, setup: Setup) -> float | None:
-    """Compute the voltage [V] that certainly depolarises a ceramic, None if unknown.
+def _estimate_depoling_voltage(solid: Solid, setup: Setup) -> float | None:
+    """Estimate the voltage [V] that depolarises a ceramic; None if unknown.
 
     At this voltage the mean field along the shortest line from an electrode to the reference is a
     depoling field. A lower voltage may depolarise the ceramic at the edge of an electrode.
@@ -194,13 +194,13 @@ def add_rayleigh_damping(model: LinearModel, damping: Damping) -> LinearModel:
     ------
     UsageError : the damping is stated at a resonance that the model lacks.
     """
-    first = _damping_frequency(model, damping)
+    first = _find_damping_frequency(model, damping)
     rayleigh = damping.rayleigh(first) if first else (damping.alpha, 0.0)
     return model.copy_with(E=None, rayleigh=rayleigh)
 
 
-def _damping_frequency(model: LinearModel, damping: Damping) -> float | None:
-    """Determine the frequency [Hz] at which a damping ratio or a Q factor holds."""
+def _find_damping_frequency(model: LinearModel, damping: Damping) -> float | None:
+    """Determine the frequency [Hz] of a damping ratio or a Q factor."""
     facts = model.facts
     first = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if first is None and (damping.zeta or damping.per_material):
@@ -220,7 +220,7 @@ def _add_damping(
     damping = setup.damping
     if not damping.per_material:
         return add_rayleigh_damping(model, damping)
-    first = _damping_frequency(model, damping)
+    first = _find_damping_frequency(model, damping)
     assert first is not None
     loss = []
     for material in solid.materials:
@@ -230,40 +230,41 @@ def _add_damping(
             raise wrong("damping.per_material", problem, material.name, expected, hint)
         loss.append(1 / (material.quality * 2 * np.pi * first))
 
-    def damp(beta: float, material: int | None = None) -> sparse.csc_array:
+    def damping_term(beta: float, material: int | None = None) -> sparse.csc_array:
+        """Return the damping matrix of one material."""
         K_uu = assemble_solid(solid, only=material).K_uu
         return beta * (P.T @ (setup.sectors * K_uu) @ P)
 
-    # One term damps the whole body with the least loss, and other terms add to it for each
-    # material. E and K then contain the same rounding errors in the first mode.
+    # One term damps the whole body with the smallest loss; further terms add to it per material. E
+    # and K then have the same rounding errors in the first mode.
     least = min(loss)
-    E = damping.alpha * model.M + damp(least)
+    E = damping.alpha * model.M + damping_term(least)
     for number, beta in enumerate(loss):
         if beta > least:
-            E = E + damp(beta - least, number)
+            E = E + damping_term(beta - least, number)
     return model.copy_with(E=sparse.csc_array(E), rayleigh=None)
 
 
-def spread(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
-    """Spread a unit vector over nodes by their shares: weights (d nodes,)."""
+def spread_force(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
+    """Distribute a unit vector over nodes by their shares: weights (d nodes,)."""
     return np.outer(shares, axis[solid.axes]).ravel()
 
 
-def translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
-    """Displacements (d nodes,) of a rigid translation by the vector ``axis`` (3,)."""
-    return spread(np.ones(solid.places.shape[1]), np.asarray(axis, float), solid)
+def rigid_translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
+    """Return the displacements (d nodes,) of a rigid translation along ``axis`` (3,)."""
+    return spread_force(np.ones(solid.places.shape[1]), np.asarray(axis, float), solid)
 
 
-def rigid_motions(solid: Solid, centre: np.ndarray) -> np.ndarray:
-    """Displacements (d nodes, 6) of three translations and three rotations.
+def rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
+    """Return the displacements (d nodes, 6) of three translations and three rotations.
 
     The rotations are about ``centre``. A body of revolution has one column, the translation along
     its axis.
     """
     if solid.axisymmetric:
-        return translation(solid, UP)[:, None]
+        return rigid_translation(solid, UP)[:, None]
     arm = solid.places.T - centre
-    turns = np.cross(np.eye(3)[:, None], arm[None])  # (axis, nodes, component)
+    turns = np.cross(np.eye(3)[:, None], arm[None])  # array (axis, nodes, component)
     moves = np.broadcast_to(np.eye(3)[:, None], turns.shape)
     return np.concatenate([moves, turns]).reshape(6, -1).T
 
@@ -283,7 +284,7 @@ def _constrain_displacements(
             raise wrong(", ".join(port.name for port, _ in face.ports), problem, hint=hint)
         free[rows] = False
         motion = np.zeros((len(free), 6))
-        motion[rows] = rigid_motions(solid, where[face.nodes].mean(axis=0))[rows]
+        motion[rows] = rigid_body_modes(solid, where[face.nodes].mean(axis=0))[rows]
         blocks.append(sparse.csc_array(motion))
     identity = sparse.eye_array(len(free), format="csc")[:, np.flatnonzero(free)]
     P = sparse.hstack([identity, *blocks], format="csc")
@@ -321,18 +322,19 @@ def _constrain_potentials(
         hint = "every piezoelectric piece needs an electrode on one face at least"
         raise wrong("electrodes", problem, hint=hint)
 
-    def indicate(nodes: np.ndarray, values: float | np.ndarray = 1.0) -> sparse.csc_array:
+    def indicate_nodes(nodes: np.ndarray, values: float | np.ndarray = 1.0) -> sparse.csc_array:
+        """Return a matrix with ``values`` in the columns of the nodes."""
         column = np.zeros(len(live))
         column[nodes] = values
         return sparse.csc_array((column * live)[:, None])
 
     free = np.flatnonzero(live & (times_driven == 0))
     identity = sparse.eye_array(len(live), format="csc")
-    Q = sparse.hstack([identity[:, free], *map(indicate, setup.floating)], "csc")
+    Q = sparse.hstack([identity[:, free], *map(indicate_nodes, setup.floating)], "csc")
     none = sparse.csc_array((len(live), 0))
-    columns = [*map(indicate, setup.driven.values())]
+    columns = [*map(indicate_nodes, setup.driven.values())]
     if setup.graded is not None:
-        columns[0] = columns[0] + indicate(*setup.graded)
+        columns[0] = columns[0] + indicate_nodes(*setup.graded)
     R = sparse.hstack([none, *columns], "csc")
     ports = [Port(p, ELECTRICAL.port, pins=(p, setup.reference)) for p in setup.driven]
     return Q, R, ports
@@ -350,11 +352,11 @@ def _choose_shift(solid: Solid, setup: Setup) -> float:
         return 0.0
     slowest = min(np.sqrt(np.linalg.eigvalsh(m.C)[0] / m.density) for m in solid.materials)
     size = np.linalg.norm(np.ptp(solid.mesh.p, axis=1))
-    return float((FREE_SHIFT * slowest / size) ** 2)
+    return float((FREE_SHIFT_RATIO * slowest / size) ** 2)
 
 
 def _find_pieces(solid: Solid, setup: Setup) -> list[np.ndarray]:
-    """Find the nodes of each piece of the body that moves as a whole.
+    """Find the nodes of each piece of the body that moves independently.
 
     A piece is a rigid face, or a set of elements that are joined through common faces. Elements
     that share only an edge can turn about it and belong to different pieces.
@@ -369,7 +371,7 @@ def _find_pieces(solid: Solid, setup: Setup) -> list[np.ndarray]:
 
 
 def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
-    """Whether the ``fixed`` displacements (d nodes,) prevent all rigid-body motions.
+    """Return whether the ``fixed`` displacements (d nodes,) prevent all rigid-body modes.
 
     A supported piece supports other pieces at the nodes that it shares with them.
     """
@@ -378,7 +380,7 @@ def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray])
         free = []
         for nodes in waiting:
             rows = (solid.components * nodes[:, None] + np.arange(solid.components)).ravel()
-            motions = rigid_motions(solid, solid.places[:, nodes].mean(axis=1))[rows]
+            motions = rigid_body_modes(solid, solid.places[:, nodes].mean(axis=1))[rows]
             motions = motions / np.maximum(np.abs(motions).max(axis=0), 1e-300)
             if np.linalg.matrix_rank(motions[constrained[rows]], tol=1e-6) < motions.shape[1]:
                 free.append(nodes)
@@ -390,13 +392,13 @@ def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray])
     return True
 
 
-# From and to [m] along each axis; of one value along an axis it is a face, an edge or a point.
+# Lower and upper ends [m] along each axis; equal ends make a face, an edge or a point.
 Box: TypeAlias = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
 class Block:
-    """A box of material, already poled.
+    """Box of poled material.
 
     Blocks whose materials have one name are one piece.
     """
@@ -415,7 +417,7 @@ class Block:
 class BondedBlocks:
     """Blocks of material that are bonded where they touch, with their supports.
 
-    Where two blocks overlap, the later one counts.
+    In an overlap, the later block replaces the earlier one.
 
     Attributes
     ----------
@@ -423,11 +425,11 @@ class BondedBlocks:
     floating : faces of each equipotential without charge.
     ports : each the mean displacement upwards of a face, whose force is spread evenly over it, or
         that of a point.
-    fixed : axes (``"xz"``, x the radius in a body of revolution) along which boxes are held.
+    fixed : axes (``"xz"``, x the radius in a body of revolution) along which boxes are fixed.
     masses : [kg] spread over faces.
     moved : whether the port ``base`` is the acceleration of the support, upwards.
     grid : lines along each axis, or none: cells of at most ``size`` [m], each cut in ``refine``.
-    like : another body of the same blocks in other sizes, whose mesh this one has, moved.
+    like : body of the same blocks with other sizes, whose mesh is reused with displaced nodes.
     where : the part, for errors.
     """
 
@@ -521,7 +523,9 @@ class BondedBlocks:
         materials = {block.material.name: block.material for block in self.blocks}
         owner = np.full(mesh.nelements, -1)
         for block in self.blocks:
-            owner[_inside_box(block.box, middle, near)] = list(materials).index(block.material.name)
+            owner[_is_inside_box(block.box, middle, near)] = list(materials).index(
+                block.material.name
+            )
         occupied = np.flatnonzero(owner >= 0)
         result = tuple(materials.values())
         return Solid(mesh.restrict(occupied), result, owner[occupied], axisymmetric=len(grid) == 2)
@@ -529,34 +533,34 @@ class BondedBlocks:
     def _make_setup(self, solid: Solid, near: float) -> Setup:
         places, letters = solid.places, "xz" if solid.axisymmetric else "xyz"
 
-        def inside(box: Box) -> np.ndarray:
-            return _inside_box(box, places, near)
+        def is_inside(box: Box) -> np.ndarray:
+            return _is_inside_box(box, places, near)
 
         fixed = np.zeros((places.shape[1], len(letters)), bool)
         if solid.axisymmetric:
             fixed[places[0] < near, 0] = True
         for axes, box in self.fixed:
             for axis in axes:
-                fixed[inside(box), letters.index(axis)] = True
+                fixed[is_inside(box), letters.index(axis)] = True
 
-        def nodes_on(faces: Sequence[Box]) -> np.ndarray:
-            return np.flatnonzero(np.any([*map(inside, faces)], axis=0))
+        def find_nodes(faces: Sequence[Box]) -> np.ndarray:
+            return np.flatnonzero(np.any([*map(is_inside, faces)], axis=0))
 
         def shares(box: Box) -> np.ndarray:
-            if np.equal(*np.transpose(box)).all():  # a point
-                result = inside(box)
+            if np.equal(*np.transpose(box)).all():  # a single point
+                result = is_inside(box)
                 return np.asarray(result / result.sum())
-            face = solid.mesh.facets_satisfying(lambda x: _inside_box(box, x, near))
-            return node_shares(solid, facets=face)
+            face = solid.mesh.facets_satisfying(lambda x: _is_inside_box(box, x, near))
+            return compute_node_shares(solid, facets=face)
 
         lumped = [mass * shares(box) for mass, box in self.masses]
         return Setup(
             fixed=fixed.ravel(),
-            electrodes={pin: nodes_on(faces) for pin, faces in self.electrodes.items()},
+            electrodes={pin: find_nodes(faces) for pin, faces in self.electrodes.items()},
             reference="cathode",
-            floating=list(map(nodes_on, self.floating)),
+            floating=list(map(find_nodes, self.floating)),
             shapes=[
-                ForceShape(Port(name, TRANSLATION.port), spread(shares(box), UP, solid))
+                ForceShape(Port(name, TRANSLATION.port), spread_force(shares(box), UP, solid))
                 for name, box in self.ports.items()
             ],
             base=[(Port(BASE, ACCELERATION.port), UP)] if self.moved else [],
@@ -572,7 +576,7 @@ def _merge_edges(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return points, np.searchsorted(points, edges + 1e-9 * np.ptp(points), side="right") - 1
 
 
-def _inside_box(box: Box, places: np.ndarray, near: float) -> np.ndarray:
-    """Mask of the places (d, …) in a box, its edges included."""
+def _is_inside_box(box: Box, places: np.ndarray, near: float) -> np.ndarray:
+    """Return a mask of the points (d, …) in a box, including its boundary."""
     low, high = np.array(box, dtype=float).T.reshape(2, -1, *[1] * (places.ndim - 1))
     return np.asarray(((places > low - near) & (places < high + near)).all(axis=0))

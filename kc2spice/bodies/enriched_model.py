@@ -25,15 +25,21 @@ import numpy as np
 from scipy import linalg, sparse
 
 from kc2spice.bodies.undamped import FiniteElementModel, UndampedResponses
-from kc2spice.fem.enrichment import EnrichedOperators, Enrichment, assemble_enrichment, enrich
+from kc2spice.fem.enrichment import (
+    EnrichedOperators,
+    Enrichment,
+    assemble_enrichment,
+    make_enrichment,
+)
 from kc2spice.linalg.factor import Factor, factorise
 from kc2spice.rom.pencil import Schur
 
-ROUNDS = 4  # largest number of rounds of corrections by the functions and by the mesh
-SETTLED = 0.1  # relative change of the corrections in a round that ends the iteration
-DEPENDENT = 1e-8  # share of a vector that is independent of others, below which it is left out
+MAX_ROUNDS = 4  # largest number of rounds of corrections by the functions and by the mesh
+CONVERGED_CHANGE = 0.1  # relative change of the corrections in a round that ends the iteration
+# share of a vector that is independent of other vectors, below which the vector is omitted
+DEPENDENCE_LIMIT = 1e-8
 
-# Columns of displacements and of potentials.
+# displacements and potentials, with one column per solution
 Pair = tuple[np.ndarray, np.ndarray]
 
 
@@ -49,16 +55,19 @@ class Corrections:
     products: np.ndarray
 
     def is_near(self, other: Corrections) -> bool:
-        """Whether frequencies and energies differ little from those of other corrections."""
+        """Return whether frequencies and energies differ little from those of other corrections."""
         pairs = (
             (self.frequencies, other.frequencies),
             (np.diag(self.products), np.diag(other.products)),
         )
-        return all((np.abs(a - b) <= SETTLED * np.abs(a)).all() for a, b in pairs)
+        return all((np.abs(a - b) <= CONVERGED_CHANGE * np.abs(a)).all() for a, b in pairs)
 
 
 def correct_responses(
-    device: FiniteElementModel, answers: UndampedResponses, sectors: int = 1, rounds: int = ROUNDS
+    device: FiniteElementModel,
+    answers: UndampedResponses,
+    sectors: int = 1,
+    rounds: int = MAX_ROUNDS,
 ) -> Corrections:
     """Correct the modes, and the responses to voltages and to a force, in this order.
 
@@ -88,7 +97,7 @@ def correct_responses(
 
 
 class Blocks(NamedTuple):
-    """Matrix of four sparse blocks: unknowns of the mesh first, then functions."""
+    """Matrix of four sparse blocks: unknowns of the mesh first, then those of the functions."""
 
     mesh: sparse.sparray
     right: sparse.sparray
@@ -176,11 +185,13 @@ def enrich_model(
 
     ``solve_at_rest`` applies ``(K + shift M)^-1``.
     """
-    model, enrichment = device.model, enrich(device.solid)
-    more = assemble_enrichment(enrichment, *_free_functions(device, enrichment)).scaled(sectors)
+    model, enrichment = device.model, make_enrichment(device.solid)
+    more = assemble_enrichment(enrichment, *_find_free_functions(device, enrichment)).scaled(
+        sectors
+    )
     K, C, P = _mesh_blocks(model.K)
     to_u, to_phi = device.displacement, device.potential
-    if to_phi.shape[1] != P.shape[0]:  # some eliminated unknowns are no potentials
+    if to_phi.shape[1] != P.shape[0]:  # some eliminated unknowns are not potentials
         to_phi = sparse.csc_array((to_phi.shape[0], P.shape[0]))
     k, m, p = more.K_nodes @ to_u, more.M_nodes @ to_u, more.P_nodes @ to_phi
     return EnrichedModel(
@@ -203,16 +214,17 @@ def _mesh_blocks(K: Schur | sparse.csc_array) -> tuple[sparse.csc_array, ...]:
 
 
 def _factorise(matrix: sparse.csr_array) -> Factor | None:
+    """Factorise a sparse matrix; None if it is empty."""
     return factorise(sparse.csc_array(matrix), definite=True) if matrix.shape[0] else None
 
 
-def _free_functions(
+def _find_free_functions(
     device: FiniteElementModel, enrichment: Enrichment
 ) -> tuple[np.ndarray, np.ndarray]:
     """Masks of free displacements (functions, d) and free potentials (functions,)."""
     solid, count = device.solid, enrichment.count
     nodes = solid.basis(1).element_dofs
-    free_nodes = _has_own_unknown(device.displacement).reshape(-1, solid.components)
+    free_nodes = _has_separate_unknown(device.displacement).reshape(-1, solid.components)
     electrode = _number_electrodes(device)
     free, live = np.ones((count, solid.components), bool), enrichment.dielectric()
     for numbers, local in zip(enrichment.numbers, enrichment.nodes, strict=True):
@@ -222,8 +234,8 @@ def _free_functions(
     return free, live
 
 
-def _has_own_unknown(prolongation: sparse.csc_array) -> np.ndarray:
-    """Mask of the nodal values that depend on one unknown, which no other one uses."""
+def _has_separate_unknown(prolongation: sparse.csc_array) -> np.ndarray:
+    """Return a mask of the nodal values that depend on an unknown of their own."""
     rows = sparse.csr_array(prolongation)
     counts = np.diff(sparse.csc_array(prolongation).indptr)
     result = np.diff(rows.indptr) == 1
@@ -239,7 +251,9 @@ def _number_electrodes(device: FiniteElementModel) -> np.ndarray:
     column[tied, 0] = rows.indices[rows.indptr[:-1][tied]]
     table = np.hstack([column, device.drive.toarray()])
     return np.where(
-        _has_own_unknown(device.potential), -1, np.unique(table, axis=0, return_inverse=True)[1]
+        _has_separate_unknown(device.potential),
+        -1,
+        np.unique(table, axis=0, return_inverse=True)[1],
     )
 
 
@@ -331,4 +345,4 @@ def _orthonormalise(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
     if not rest.size:
         return rest
     Q, R, _ = linalg.qr(rest, mode="economic", pivoting=True)
-    return np.asarray(Q[:, np.abs(np.diag(R)) > DEPENDENT])
+    return np.asarray(Q[:, np.abs(np.diag(R)) > DEPENDENCE_LIMIT])

@@ -26,18 +26,20 @@ from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.fem.materials import ElementAxes
-from kc2spice.fem.solid import Solid, strains, tensors
+from kc2spice.fem.solid import Solid, list_strain_operators, list_tensors
 from kc2spice.rom.modal import integrate_modes
 from kc2spice.rom.reductors.block_krylov import block_arnoldi
 
-ORDER = 40
-STILL = 1e-6  # frequency of a motion without stiffness, relative to the highest
-SLOWEST = 1e-4  # angle over the whole run of a mode that is free to move
-# Instants at which extremes are looked for, half evenly spread, half with the largest energy: least
-# number of instants, and largest product of points and instants.
-INSTANTS, WORK = 200, 2_000_000
-CHUNK = 20
-# meshio's cell of each element.
+BASIS_SIZE = 40
+# frequency of a rigid-body mode, relative to the highest frequency (rounding error)
+ZERO_FREQUENCY_RATIO = 1e-6
+# rad; phase of an elastic mode over the whole run below which it counts as a rigid-body mode
+MIN_PHASE = 1e-4
+# Smallest number of instants at which extremes are searched (half equally spaced, half with the
+# largest energy), and largest product of points and instants.
+MIN_INSTANTS, MAX_WORK = 200, 2_000_000
+CHUNK_SIZE = 20
+# meshio cell type of each element
 _VTK_CELLS = {
     "ElementHex1": "hexahedron", "ElementHex2": "hexahedron27", "ElementTetP2": "tetra10",
     "ElementQuad2": "quad9", "ElementTriP2": "triangle6", "ElementLineP2": "line3",
@@ -69,7 +71,7 @@ class NodalMotion:
 def recover_motion(
     device: FiniteElementModel, time: np.ndarray, inputs: Mapping[str, np.ndarray]
 ) -> NodalMotion:
-    """Compute the motion of a body under port inputs (by name, SI, over ``time``).
+    """Compute the motion of a body under port inputs, keyed by name, in SI units over ``time``.
 
     Other ports have no input. The body starts in equilibrium with the first values.
 
@@ -91,7 +93,7 @@ def recover_motion(
     return NodalMotion(device, t, u, basis, states)
 
 
-def lowest_modes(
+def compute_lowest_modes(
     device: FiniteElementModel, count: int, end: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the lowest modes with shorted electrodes that the ports excite.
@@ -100,7 +102,9 @@ def lowest_modes(
     Motions without stiffness are left out.
     """
     basis, omega, _ = _compute_modes(device, np.inf)
-    selected = np.flatnonzero((omega > STILL * omega.max()) & (omega < 2 * np.pi * end))
+    selected = np.flatnonzero(
+        (omega > ZERO_FREQUENCY_RATIO * omega.max()) & (omega < 2 * np.pi * end)
+    )
     selected = selected[np.argsort(omega[selected])][:count]
     return omega[selected] / (2 * np.pi), basis[:, selected]
 
@@ -116,11 +120,15 @@ def _compute_modes(
     model, shift = device.model, device.shift
     solve = model.pencil.pencil_solver(-shift).solve
     V = block_arnoldi(
-        lambda v: model.K @ v + shift * (model.M @ v), solve, lambda v: model.M @ v, model.B, ORDER
+        lambda v: model.K @ v + shift * (model.M @ v),
+        solve,
+        lambda v: model.M @ v,
+        model.B,
+        BASIS_SIZE,
     )
     K, E, M = model.pencil.project(V).coefficients
     squares, X = eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
-    omega = np.sqrt(np.maximum(squares, (SLOWEST / span) ** 2))
+    omega = np.sqrt(np.maximum(squares, (MIN_PHASE / span) ** 2))
     return V @ X, omega, np.einsum("ij,ik,kj->j", X, E, X)
 
 
@@ -134,13 +142,13 @@ class FieldProbe:
         self.device = device
         solid = device.solid
         local = solid.element.doflocs
-        # the strains are most accurate at this point, and do not exist at a collapsed edge
+        # the strains are most accurate at this point; at a collapsed edge they are undefined
         if solid.order == 1:
             local = 0.5 + (local - 0.5) / np.sqrt(3)
         nodes = (local.T, np.ones(len(local)))
         self.basis = solid.basis(2) if gauss else solid.basis(quadrature=nodes)
         self.owner = np.repeat(solid.owner, self.basis.X.shape[-1])
-        self._operators = list(strains(solid, self.basis))
+        self._operators = list(list_strain_operators(solid, self.basis))
 
     def nodal_values(self, z: np.ndarray, voltages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return displacements and potentials at the nodes."""
@@ -151,7 +159,7 @@ class FieldProbe:
         solid, nodes = self.device.solid, self.basis.element_dofs.T
         d = solid.components
         moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
-        constants = [tensors(solid, self.basis, material) for material in solid.materials]
+        constants = [list_tensors(solid, self.basis, material) for material in solid.materials]
         active = np.array([m.piezoelectric for m in solid.materials])[solid.owner, None, None]
         stresses, fields = [], []
         for _, B, G in self._operators:
@@ -187,8 +195,8 @@ def evaluate_at_nodes(
     return result | {"stress": T[..., 0], "material": probe.owner.astype(float)}
 
 
-def principal_stress(stress: np.ndarray) -> np.ndarray:
-    """Largest principal stress of Voigt stresses (..., 6).
+def largest_principal_stress(stress: np.ndarray) -> np.ndarray:
+    """Return the largest principal stress of Voigt stresses (..., 6).
 
     The stress is the trigonometric root of the cubic characteristic equation.
     """
@@ -196,7 +204,7 @@ def principal_stress(stress: np.ndarray) -> np.ndarray:
     mean = (xx + yy + zz) / 3
     parts = np.array([xx - mean, yy - mean, zz - mean, *shears])
     size = np.abs(parts).max(axis=0)
-    # cubes of tiny stresses would vanish
+    # cubes of very small stresses would underflow
     a, b, c, yz, xz, xy = parts / np.where(size > 0, size, 1.0)
     radius = np.sqrt((a**2 + b**2 + c**2 + 2 * (yz**2 + xz**2 + xy**2)) / 6)
     determinant = a * (b * c - yz**2) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
@@ -205,8 +213,8 @@ def principal_stress(stress: np.ndarray) -> np.ndarray:
     return np.asarray(mean + 2 * size * radius * np.cos(angle))
 
 
-# Fields evaluated in each material: unit, and the name of the limit.
-QUANTITIES = {
+# Fields evaluated in each material: unit, and name of the material limit.
+FIELD_QUANTITIES = {
     "principal_stress": ("Pa", "tensile_strength"),
     "electric_field": ("V/m", "breakdown_field"),
     "opposing_field": ("V/m", "depoling_field"),
@@ -215,7 +223,7 @@ QUANTITIES = {
 
 @dataclass(frozen=True, eq=False)
 class Extreme(EqualByContent):
-    """Largest value of one of :data:`QUANTITIES` in one material over time.
+    """Largest value of one of :data:`FIELD_QUANTITIES` in one material over time.
 
     The ``value`` occurs at ``instant`` [s] and ``place`` [m]. ``curve`` (instants,) is the largest
     value in the material at each of ``time``. ``limit`` is the limit of the material, None if
@@ -243,7 +251,7 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
     linear elasticity grows without bound as the mesh is refined.
     """
     probe = FieldProbe(motion.device, gauss=True)
-    selected = _choose_instants(motion, max(INSTANTS, WORK // probe.owner.size))
+    selected = _choose_instants(motion, max(MIN_INSTANTS, MAX_WORK // probe.owner.size))
     solid = motion.device.solid
     places = np.asarray(probe.basis.global_coordinates()).reshape(solid.mesh.dim(), -1)
     electrodes = motion.voltages.shape[1]
@@ -264,11 +272,11 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
             elements = members // probe.basis.X.shape[-1]
             frames = axes.frames(places[:, members].T, elements)
             poling = np.einsum("pij,pj->pi", frames, poling)
-        for quantity, (unit, limit) in QUANTITIES.items():
+        for quantity, (unit, limit) in FIELD_QUANTITIES.items():
             if quantity != "principal_stress" and not made_of[0].piezoelectric:
                 continue
-            values = partial(_evaluate, quantity, T[members], E[members], poling)
-            parts = map(values, np.array_split(states, -(-len(states) // CHUNK)))
+            values = partial(_evaluate_quantity, quantity, T[members], E[members], poling)
+            parts = map(values, np.array_split(states, -(-len(states) // CHUNK_SIZE)))
             rows = [(part.max(axis=1), part.argmax(axis=1)) for part in parts]
             curve, points = map(np.concatenate, zip(*rows, strict=True))
             k = int(curve.argmax())
@@ -279,12 +287,12 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
     return result
 
 
-def _evaluate(
+def _evaluate_quantity(
     quantity: str, T: np.ndarray, E: np.ndarray, poling: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
-    """Compute one of :data:`QUANTITIES` (states, points) from stress and field."""
+    """Compute one of :data:`FIELD_QUANTITIES` (states, points) from stress and field."""
     if quantity == "principal_stress":
-        return principal_stress(np.moveaxis(T @ states.T, -1, 0))
+        return largest_principal_stress(np.moveaxis(T @ states.T, -1, 0))
     field = np.moveaxis(E @ states.T, -1, 0)
     if quantity == "electric_field":
         return np.asarray(np.linalg.norm(field, axis=-1))
@@ -305,7 +313,7 @@ def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
 def write_vtu(path: Path, device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray) -> None:
     """Write displacement, potential, field and stresses to a VTU file, in SI units."""
     data = evaluate_at_nodes(device, z, voltages)
-    data["principal_stress"] = principal_stress(data["stress"])
+    data["principal_stress"] = largest_principal_stress(data["stress"])
     write_nodal_values(path, device.solid, data)
 
 

@@ -20,9 +20,10 @@ from kc2spice.bodies.heat_model import HeatModel
 from kc2spice.core.errors import wrong
 from kc2spice.rom.reductors.block_krylov import block_arnoldi
 
-ORDER = 40  # vectors of the basis
-INSTANTS = 200  # instants at which the highest temperature is looked for
-SLOW = 1e-3  # rate of a body that loses no heat, relative to the reciprocal of the run's duration
+BASIS_SIZE = 40  # vectors of the Krylov basis
+SEARCH_INSTANTS = 200  # instants at which the highest temperature is searched
+# rate of a body that loses no heat, relative to the reciprocal duration of the run
+SLOW_RATE_RATIO = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,7 @@ class TemperatureField:
 
     def hottest(self) -> list[HotSpot]:
         """Return the highest temperature rise of each material, over time."""
-        even = np.linspace(self.time[0], self.time[-1], INSTANTS)
+        even = np.linspace(self.time[0], self.time[-1], SEARCH_INSTANTS)
         chosen = np.unique(np.searchsorted(self.time, even))
         values = self.basis @ self.states[chosen].T
         solid, result = self.heat.solid, []
@@ -88,25 +89,27 @@ def recover_temperatures(
         q[:, names.index(name)] = wave
     t = np.asarray(time)
     K, E = model.pencil.coefficients
-    shift = SLOW / float(t[-1] - t[0])
+    shift = SLOW_RATE_RATIO / float(t[-1] - t[0])
     shifted = sparse.csc_array(K + shift * E)
-    V = block_arnoldi(lambda v: shifted @ v, splu(shifted).solve, lambda v: E @ v, model.B, ORDER)
+    V = block_arnoldi(
+        lambda v: shifted @ v, splu(shifted).solve, lambda v: E @ v, model.B, BASIS_SIZE
+    )
     small_E, small_K = (0.5 * (A + A.T) for A in (V.T @ (E @ V), V.T @ (K @ V)))
     times, X = eigh(small_E, small_K + shift * small_E)
     moving = times > np.finfo(float).eps * times.max()
     rates = 1 / np.where(moving, times, 1.0) - shift
     gains = X.T @ (V.T @ model.B)
-    states = _integrate(np.maximum(rates, 0.0), moving, times, t, q @ gains.T)
+    states = _integrate_modes(np.maximum(rates, 0.0), moving, times, t, q @ gains.T)
     return TemperatureField(heat, t, heat.temperature @ (V @ X), states)
 
 
-def _integrate(
+def _integrate_modes(
     rates: np.ndarray, moving: np.ndarray, times: np.ndarray, t: np.ndarray, loads: np.ndarray
 ) -> np.ndarray:
     """Return the states (times, modes) of ``times (x' + rates x) = loads``, ``x = loads`` if at
     rest.
 
-    Loads are linear between samples. A mode that does not move is equal to its load.
+    Loads are linear between samples. A massless mode is equal to its load.
     """
     result = np.where(moving, 0.0, loads)
     settles = moving & (rates > 0)

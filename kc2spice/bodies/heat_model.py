@@ -32,17 +32,19 @@ from kc2spice.fem.heat_conduction import (
 from kc2spice.fem.solid import sum_matrices
 from kc2spice.rom.linear_model import LinearModel, Port
 
-MESH_LIMIT = "mesh_limit_hz"  # fact: frequency above which the mesh determines the response
-# Share of the error of a resistance that recovered heat flows show: 0.32 of heat that enters a disc
-# evenly, 0.42 of a disc of one temperature, measured beside much finer meshes.
-RECOVERED = 0.35
-RESISTANCE = "thermal_resistance_"  # facts RESISTANCE + PORT + "_k_per_w"
-LEAST_ERROR = 1e-6  # least relative mesh error that is stated
+# name of the frequency up to which the mesh resolves the response
+MESH_LIMIT_NAME = "mesh_limit_hz"
+# Share of the error of a thermal resistance that recovered heat flows show: 0.32 for uniform heat
+# flow into a disc, 0.42 for a disc with one temperature, measured against much finer meshes.
+RECOVERED_SHARE = 0.35
+# prefix of the names RESISTANCE_PREFIX + PORT + "_k_per_w"
+RESISTANCE_PREFIX = "thermal_resistance_"
+MIN_STATED_ERROR = 1e-6  # smallest relative mesh error that is stated
 
 
 @dataclass(frozen=True, eq=False)
 class HeatFilm:
-    """Faces that give off heat: ``coefficient`` [W/(m^2 K)] times the difference to its pin.
+    """Faces that transfer heat: ``coefficient`` [W/(m^2 K)] times the temperature difference.
 
     Without a ``port`` the heat goes to the ambient temperature.
     """
@@ -85,9 +87,9 @@ class HeatModel:
 
 
 def make_heat_model(solid: HeatSolid, setup: HeatSetup) -> HeatModel:
-    """Make the model of a solid with its facts.
+    """Make the model of a solid with its characteristic values.
 
-    The fact ``thermal_resistance_PORT_k_per_w`` is the temperature rise of a port for 1 W into it
+    The value ``thermal_resistance_PORT_k_per_w`` is the temperature rise of a port for 1 W into it
     alone.
 
     Raises
@@ -115,30 +117,33 @@ def make_heat_model(solid: HeatSolid, setup: HeatSetup) -> HeatModel:
             ports.append(film.port)
     temperature = sparse.csc_array(P)
     facts = {"unknowns": float(P.shape[1]), "heat_capacity_j_per_k": capacity}
-    facts[MESH_LIMIT] = _highest_frequency(solid)
-    if _leads_away(setup):
+    facts[MESH_LIMIT_NAME] = _highest_frequency(solid)
+    if _conducts_away(setup):
         answers = splu(K).solve(B)
         resistances = np.einsum("np,np->p", B, answers)
         spread = np.array([port.name not in setup.points for port in ports], dtype=bool)
         for port, resistance in zip(ports, resistances, strict=True):
             if port.name not in setup.points:
-                facts[_resistance_fact(port)] = float(resistance)
+                facts[_resistance_name(port)] = float(resistance)
         energies = estimate_energy_errors(solid, temperature @ answers[:, spread])
-        errors = energies / resistances[spread] / RECOVERED
-        facts[f"{MESH_ERROR_PREFIX}resistance"] = float(max(errors.max(initial=0.0), LEAST_ERROR))
+        errors = energies / resistances[spread] / RECOVERED_SHARE
+        facts[f"{MESH_ERROR_PREFIX}resistance"] = float(
+            max(errors.max(initial=0.0), MIN_STATED_ERROR)
+        )
     model = LinearModel(E=E, K=K, B=B, ports=tuple(ports), facts=facts)
     return HeatModel(model, solid, temperature)
 
 
-def _resistance_fact(port: Port) -> str:
-    return f"{RESISTANCE}{port.name}_k_per_w"
+def _resistance_name(port: Port) -> str:
+    """Return the name of the thermal resistance of a port."""
+    return f"{RESISTANCE_PREFIX}{port.name}_k_per_w"
 
 
 def static_resistances(model: LinearModel) -> dict[str, float]:
-    """Return the temperature rise of each port for 1 W into it alone, by the name of its fact."""
+    """Return the temperature rise of each port for 1 W into this port alone, keyed by value name."""
     response = model.transfer(np.zeros(1))[0].real
     pairs = zip(model.ports, np.diag(response), strict=True)
-    return {_resistance_fact(port): float(value) for port, value in pairs}
+    return {_resistance_name(port): float(value) for port, value in pairs}
 
 
 def _highest_frequency(solid: HeatSolid) -> float:
@@ -196,7 +201,7 @@ def _add_film_pin(
     return sparse.csc_array(E), sparse.csc_array(K), B
 
 
-def _leads_away(setup: HeatSetup) -> bool:
+def _conducts_away(setup: HeatSetup) -> bool:
     """Whether a path inside the body leads heat to the ambient temperature."""
     return bool(setup.fixed.size) or any(film.port is None for film in setup.films)
 

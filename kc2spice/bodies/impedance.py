@@ -21,11 +21,11 @@ import numpy as np
 
 from kc2spice.core.errors import wrong
 
-_FEWEST = 7  # samples around the resonance, for six real coefficients
-_PASSES = 8
-OVERDAMPED = 0.5  # Q of a circuit whose charge returns without overshoot
-# ratio of the largest conductance of a resonance to the rms residual of its circuit
-STANDS_OUT = 3.0
+_MIN_SAMPLES = 7  # samples around the resonance; the fit has six real coefficients
+_FIT_ITERATIONS = 8
+OVERDAMPED_Q = 0.5  # Q of a circuit whose charge returns without overshoot
+# smallest ratio of the largest conductance of a resonance to the rms residual of its circuit
+MIN_PROMINENCE = 3.0
 
 
 @dataclass(frozen=True)
@@ -56,14 +56,14 @@ class AnalyserValues:
     bvd: BVD
 
 
-# SI units of the figures, and of the elements in ``bvd``; those without have none.
-UNITS = {
+# SI units of the metrics, and of the elements in ``bvd``; dimensionless metrics are missing
+METRIC_UNITS = {
     "resonance_hz": "Hz", "antiresonance_hz": "Hz", "capacitance_f": "F",
     "c0_f": "F", "rm_ohm": "Ohm", "lm_h": "H", "cm_f": "F",
 }  # fmt: skip
 
 
-def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserValues:
+def analyse_impedance(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserValues:
     """Analyse the first resonance in samples of Z over f (increasing, Hz).
 
     ``capacitance_f`` is Im(Y)/w at 1 kHz or at a tenth of the resonance, whichever is lower. Below
@@ -71,12 +71,12 @@ def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserValues:
 
     Raises
     ------
-    UsageError : samples that are no impedance, no resonance among their frequencies, or too few
-        samples around it.
+    UsageError : the samples are not an impedance, or contain no resonance or too few points around
+    it.
     """
     f, Z = np.asarray(frequency, float), np.asarray(impedance_ohm, complex)
-    if f.ndim != 1 or f.shape != Z.shape or len(f) < _FEWEST:
-        expected = f"two arrays of one length, at least {_FEWEST}"
+    if f.ndim != 1 or f.shape != Z.shape or len(f) < _MIN_SAMPLES:
+        expected = f"two arrays of one length, at least {_MIN_SAMPLES}"
         got = f"shapes {f.shape} and {Z.shape}"
         raise wrong(None, "not samples of an impedance", got, expected)
     good = np.isfinite(f).all() and np.isfinite(Z).all() and (Z != 0).all()
@@ -107,7 +107,7 @@ def analyse(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserValues:
 def _require_resonance(
     f: np.ndarray, Y: np.ndarray, bvd: BVD, resonance: float, quality: float
 ) -> None:
-    """Refuse a circuit fitted to a maximum of the conductance without a resonance.
+    """Reject a fitted circuit if the maximum of the conductance is not a resonance.
 
     The loss of a dielectric, or rounding of a body without loss, has such maxima as well.
     """
@@ -118,9 +118,9 @@ def _require_resonance(
     got = f"{f[0]:g} to {f[-1]:g} Hz"
     if not f[0] <= resonance <= f[-1]:
         got = f"a circuit that would resonate at {resonance:.4g} Hz, samples of {got}"
-    elif quality <= OVERDAMPED:
+    elif quality <= OVERDAMPED_Q:
         got = f"a circuit of Q {quality:.2g} at {resonance:.4g} Hz, which does not oscillate"
-    elif np.abs(branch.real).max() > STANDS_OUT * float(np.sqrt(np.mean(ripple**2))):
+    elif np.abs(branch.real).max() > MIN_PROMINENCE * float(np.sqrt(np.mean(ripple**2))):
         return
     raise wrong(None, "no resonance among the samples", got, hint="widen the band")
 
@@ -141,12 +141,14 @@ def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
     R = (1 / Y).real
     later = np.flatnonzero((R[1:-1] >= R[:-2]) & (R[1:-1] > R[2:])) + 1
     later = later[later > peak]
-    top = int(later[0]) if len(later) else min(peak + _FEWEST, len(f) - 1)
+    top = int(later[0]) if len(later) else min(peak + _MIN_SAMPLES, len(f) - 1)
     reach = max(top - peak, 4)
     low, high = max(0, peak - reach), min(len(f), top + reach // 4 + 2)
-    if high - low < _FEWEST:
+    if high - low < _MIN_SAMPLES:
         problem = "too few samples around the resonance"
-        raise wrong(None, problem, f"{high - low} around {f[peak]:g} Hz", f"at least {_FEWEST}")
+        raise wrong(
+            None, problem, f"{high - low} around {f[peak]:g} Hz", f"at least {_MIN_SAMPLES}"
+        )
     return slice(low, high)
 
 
@@ -162,7 +164,7 @@ def _fit_circuit(f: np.ndarray, Y: np.ndarray) -> BVD:
     unit, size = float(np.mean(f)), float(np.max(np.abs(Y)))
     s, y = 1j * f / unit, Y / size
     weight = 1 / np.abs(y)
-    for _ in range(_PASSES):
+    for _ in range(_FIT_ITERATIONS):
         columns = np.column_stack([-y * s, -y * s**2, s, s**2, s**3, s**4]) * weight[:, None]
         system = np.concatenate([columns.real, columns.imag])
         right = np.concatenate([(y * weight).real, (y * weight).imag])

@@ -1,20 +1,20 @@
 """Error estimates of the mesh of a body: natural frequencies and static values.
 
-With the energy product A of displacements and potentials and the errors e of modes w, of the
-answers v to a voltage and p to a force,
+With the energy product A of displacements and potentials and the errors e of modes w, and of the
+responses v to a voltage and p to a force,
 
     df/f = -A(e_w, e_w) / (2 A(w, w)),   dC = A(e_v, e_v),   d(stroke) = A(e_p, e_v).
 
 On triangles, tetrahedra and quadrilaterals, e is the correction by shape functions of one degree
 more (:mod:`kc2spice.bodies.enriched_model`). At edges of electrodes and supports the solution is
 singular and converges slowly with the degree, so the functions correct only a part of the error,
-:data:`CORRECTED`. On hexahedra these functions would cost more than the model, and e is the
+:data:`CORRECTED_SHARE`. On hexahedra these functions would cost more than the model, and e is the
 difference to a recovered strain and field (:mod:`kc2spice.fem.recovery`).
 
 Contributions of both signs cancel by chance in the error of a stroke. A part of their absolute
-values on hexahedra, :data:`CHANCE`, counts beside their sum, and elsewhere a part, :data:`OBLIQUE`,
-of the bound ``sqrt(A(e_p, e_p) A(e_v, e_v))``. All factors were determined by comparison with much
-finer meshes; ``tests/physics/test_mesh_error.py`` limits the difference.
+values on hexahedra, :data:`ABSOLUTE_SHARE`, is added to their sum, and on other elements a part,
+:data:`BOUND_SHARE`, of the bound ``sqrt(A(e_p, e_p) A(e_v, e_v))``. All factors were determined by
+comparison with much finer meshes; ``tests/physics/test_mesh_error.py`` limits the difference.
 """
 
 from __future__ import annotations
@@ -25,26 +25,27 @@ from skfem.mesh import MeshHex
 from kc2spice.bodies.enriched_model import correct_responses
 from kc2spice.bodies.undamped import FiniteElementModel, UndampedResponses
 from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
-from kc2spice.fem.recovery import energy_products
+from kc2spice.fem.recovery import compute_energy_products
 
-# Part of the error that functions of one degree more correct: 0.56 of an energy error whose
-# solution grows like r^0.5 from an edge, 1 - (2/3)^2; 0.68 with r^0.7 of a clamp; 0.4 to 0.9 on
-# the meshes of tests/physics/test_mesh_error.py.
-CORRECTED = 0.6
-# Share of the largest possible error in that of a stroke: without it, strokes whose product is less
-# than a tenth of its bound are estimated at half of their error.
-OBLIQUE = 0.05
+# Share of the error that functions of one degree more correct: 0.56 of an energy error whose
+# solution grows like r^0.5 from an edge, 1 - (2/3)^2; 0.68 with r^0.7 of a clamp; 0.4 to 0.9 on the
+# meshes of tests/physics/test_mesh_error.py.
+CORRECTED_SHARE = 0.6
+# Share of the error bound that is added to the error of a stroke. Otherwise, strokes whose product
+# is below a tenth of its bound have an estimate of half their error.
+BOUND_SHARE = 0.05
 # Share of the sum of absolute element contributions in the error estimate of a static response. In
 # beams, where contributions cancel, their sum is only 0.3 of the error.
-CHANCE = 1 / 3
-LEAST_SHARE = 0.1  # least ratio of a corrected value to the value itself
-LEAST_ERROR = 1e-4  # least relative mesh error; below, rounding and port nodes dominate
+ABSOLUTE_SHARE = 1 / 3
+MIN_CORRECTION_RATIO = 0.1  # smallest ratio of a corrected value to the value itself
+# smallest relative mesh error; smaller errors are rounding or due to port nodes
+MIN_STATED_ERROR = 1e-4
 
 
 def estimate_mesh_errors(
     device: FiniteElementModel, answers: UndampedResponses, sectors: int = 1
 ) -> dict[str, float]:
-    """Estimate relative errors of facts by the mesh, under names of the facts.
+    """Estimate relative mesh errors of characteristic values, keyed by their names.
 
     The names begin with :data:`MESH_ERROR_PREFIX`. The model consists of ``sectors`` bodies like
     the solid. ``modes`` is the largest error of all modes that were computed.
@@ -82,23 +83,25 @@ def _estimate_by_enrichment(
     corrections = correct_responses(device, answers, sectors)
     products = corrections.products
     size = np.sqrt(np.abs(np.diag(products)))
-    products = _signed_hypot(products, OBLIQUE * np.outer(size, size))
-    return corrections.frequencies / CORRECTED, products / CORRECTED
+    products = _signed_hypot(products, BOUND_SHARE * np.outer(size, size))
+    return corrections.frequencies / CORRECTED_SHARE, products / CORRECTED_SHARE
 
 
 def _estimate_by_recovery(
     device: FiniteElementModel, answers: UndampedResponses, sectors: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate errors as :func:`_estimate_by_enrichment`, from recovered strains and fields."""
+    """Estimate the mesh error from recovered strains and fields; results as in
+    :func:`_estimate_by_enrichment`.
+    """
     n, volts = answers.modes.shape[1], answers.static.shape[1]
     z = np.hstack([answers.modes, answers.static, answers.pushed])
     voltages = np.zeros((volts, z.shape[1]))
     voltages[:, n : n + volts] = np.eye(volts)
-    products = energy_products(device.solid, *device.nodal_values(z, voltages))
+    products = compute_energy_products(device.solid, *device.nodal_values(z, voltages))
     energy, error = np.diag(products.solution), np.diag(products.error)
     static = products.error[n:, n:].copy()
     if volts:
-        static[0] = _signed_hypot(static[0], CHANCE * products.spread[n, n:])
+        static[0] = _signed_hypot(static[0], ABSOLUTE_SHARE * products.spread[n, n:])
     return -0.5 * error[:n] / energy[:n], sectors * static
 
 
@@ -107,5 +110,5 @@ def _signed_hypot(values: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _relative_error(change: float) -> float:
-    """Convert a relative change to a better value to an error relative to this value."""
-    return float(max(abs(change) / max(1 + change, LEAST_SHARE), LEAST_ERROR))
+    """Convert a change relative to the value into an error relative to the corrected value."""
+    return float(max(abs(change) / max(1 + change, MIN_CORRECTION_RATIO), MIN_STATED_ERROR))

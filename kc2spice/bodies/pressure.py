@@ -19,7 +19,7 @@ because a coarse mesh is too stiff.
 The local compliance has no dynamics, as residual modes (:mod:`kc2spice.rom.modal`): the modes of
 the patch lie above ten megahertz, the speed of sound over its size. Therefore only the depth x of a
 sphere's indentation beyond the patch's motion determines the forces. Their sum is one law of one
-depth (:func:`indentation_law`), and a circuit evaluates this law like one spring.
+depth (:func:`fit_indentation_law`), and a circuit evaluates this law like one spring.
 
 The other side may be a free elastic :class:`TransverselyIsotropicSphere` under the same basis, on
 quadrilaterals that grow away from its lowest point. The conformal map ``zeta = w / (1 - i w / 2R)``
@@ -45,11 +45,11 @@ from scipy import sparse
 from skfem import LinearForm
 from skfem.mesh import MeshQuad, MeshQuad2
 
-from kc2spice.bodies.device import ForceShape, Setup, constrain_device
-from kc2spice.bodies.fields import FieldProbe, principal_stress
+from kc2spice.bodies.device import ForceShape, Setup, constrain_solid
+from kc2spice.bodies.fields import FieldProbe, largest_principal_stress
 from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
-from kc2spice.bodies.stack import layer_materials, stack_setup
-from kc2spice.bodies.stack_keys import PATCH, Chip
+from kc2spice.bodies.stack import make_layer_materials, make_stack_setup
+from kc2spice.bodies.stack_keys import PATCH_PORT, Chip
 from kc2spice.bodies.undamped import FiniteElementModel, compute_undamped_responses
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.equality import EqualByContent
@@ -59,23 +59,24 @@ from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble_solid
 from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
 
-CELLS = 3  # cells of the graded mesh between two nodes of the basis
-GROWTH = 1.3  # growth of the cells away from the nodes
-EVEN = 0.2  # fraction of the radius of the patch within which nodes are equally spaced
-WIDEST = 0.5  # radius of the widest contact of a law, relative to the patch's radius
-RESOLVED = 5  # basis functions under the narrowest contact that the law is fitted to
-DEGREE = 5  # degree of the law's polynomial in the contact's radius
-DEPTHS = 300  # indentations to which the law is fitted
-# fraction of the compliance of a basis function that is added to make the matrix definite
-SOFT = 1e-7
-OBLATE = 2.65  # 2 pi f R / c of the lowest mode, c of shear waves (Lamb 1882, nu = 0.25)
-ANGLE = 1 / 8  # rad, largest angle of a cell
-PIT = 1 / 60  # rad, angle around the upper pole without cells
+CELLS_PER_NODE = 3  # cells of the graded mesh between two nodes of the basis
+CELL_GROWTH = 1.3  # ratio of successive cell sizes away from the nodes
+EVEN_RADIUS_RATIO = 0.2  # radius with equally spaced nodes, relative to the radius of the patch
+# largest contact radius of a force law, relative to the radius of the patch
+MAX_CONTACT_RATIO = 0.5
+MIN_FUNCTIONS = 5  # basis functions under the smallest contact to which the law is fitted
+LAW_DEGREE = 5  # degree of the law's polynomial in the contact's radius
+FIT_DEPTHS = 300  # number of indentations to which the law is fitted
+# added to the diagonal as a fraction of a function's compliance, to make the matrix definite
+REGULARISATION = 1e-7
+OBLATE_FREQUENCY = 2.65  # 2 pi f R / c of the lowest mode, c of shear waves (Lamb 1882, nu = 0.25)
+MAX_CELL_ANGLE = 1 / 8  # rad, largest angle of a cell
+PIT_ANGLE = 1 / 60  # rad, angle around the upper pole without cells
 
 
 @dataclass(frozen=True, eq=False)
 class PressureBasis(EqualByContent):
-    """Pressures linear in the radius (P1), one function for each of ``nodes`` [m].
+    """Piecewise linear pressures over the radius (P1), one function per node of ``nodes`` [m].
 
     Function j is 1 at node j and 0 at the others. At the last node, the edge of the patch, the
     pressure is zero.
@@ -110,21 +111,24 @@ class PressureBasis(EqualByContent):
         return falling + np.r_[0.0, rising[:-1]]
 
 
-def pressure_basis(spacing: float, patch: float) -> PressureBasis:
+def choose_pressure_basis(spacing: float, patch: float) -> PressureBasis:
     """Choose the nodes of a basis on a patch of a radius ``patch`` [m].
 
     The nodes have the distance ``spacing`` [m] near the axis, and a distance in proportion to the
     radius beyond a fifth of the patch. The functions then have similar shares of a sphere's force.
     """
     nodes = [0.0]
-    while nodes[-1] + 1.5 * (step := spacing * max(1.0, nodes[-1] / (EVEN * patch))) < patch:
+    while (
+        nodes[-1] + 1.5 * (step := spacing * max(1.0, nodes[-1] / (EVEN_RADIUS_RATIO * patch)))
+        < patch
+    ):
         nodes.append(nodes[-1] + step)
     return PressureBasis(np.array([*nodes, patch]))
 
 
 @dataclass(frozen=True, eq=False)
 class LocalCompliance(EqualByContent):
-    """Compliance of basis functions in addition to that of their patch.
+    """Compliance of basis functions in addition to the compliance of their patch.
 
     ``compliance`` (n, n) [m/N] is the additional one, ``patch`` [m/N] that of the whole patch.
     """
@@ -139,7 +143,7 @@ class LocalCompliance(EqualByContent):
         return np.asarray(result / result.sum())
 
 
-def local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
+def compute_local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
     """Compute the compliance of the basis functions on the top of a stack.
 
     The compliance of their patch is that on the coarse mesh.
@@ -148,15 +152,15 @@ def local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
     ------
     SimulationError : the coarse mesh is softer than the graded one, which no good mesh is.
     """
-    S = surface_compliance(chip, shape)
-    # the round stack of the same layers and the same mesh under the patch
+    S = compute_surface_compliance(chip, shape)
+    # round stack of the same layers with the same mesh under the patch
     alike = ("height", "layers", "bottom_cap", "top_cap", "material", "mesh", "damping")
     chip_keys = {name: getattr(chip, name) for name in alike} | {"diameter": 2 * min(chip.half)}
     pressure = shape.pressure(LocalCompliance(S, 0.0).shares)
     coarse = float(
-        _compliance(constrain_device(*stack_setup(Chip(**chip_keys), pressure=pressure)).model)[
-            0, 0
-        ]
+        _port_compliance(
+            constrain_solid(*make_stack_setup(Chip(**chip_keys), pressure=pressure)).model
+        )[0, 0]
     )
     lowest = float(np.linalg.eigvalsh(S - coarse)[0])
     if lowest < 0:
@@ -170,16 +174,18 @@ def local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
     return LocalCompliance(S - coarse, coarse)
 
 
-def surface_compliance(chip: Chip, shape: PressureBasis, cells: int = CELLS) -> np.ndarray:
+def compute_surface_compliance(
+    chip: Chip, shape: PressureBasis, cells: int = CELLS_PER_NODE
+) -> np.ndarray:
     """Mean displacement (n, n) [m] of each function per force [N] on each.
 
     The stack is round, as wide as the chip's smaller side, on a roller, and with electrodes at
     constant voltage.
     """
-    return _compliance(_model_stack(chip, shape, cells).model)
+    return _port_compliance(_model_stack(chip, shape, cells).model)
 
 
-def _compliance(model: LinearModel) -> np.ndarray:
+def _port_compliance(model: LinearModel) -> np.ndarray:
     """Static displacements (n, n) [m] of the mechanical ports per force [N].
 
     The mechanical ports are the first ports of the model.
@@ -192,18 +198,18 @@ def _compliance(model: LinearModel) -> np.ndarray:
 UNITS = {"pressure_pa": "Pa", "shear_pa": "Pa", "shear_depth_m": "m"}  # units of the stresses
 
 
-def stresses_under(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, float]:
+def stresses_under_force(chip: Chip, shape: PressureBasis, force: np.ndarray) -> dict[str, float]:
     """Compute stresses under ``force`` (n,) [N] on the basis, on the graded mesh.
 
     The results are values at Gauss points: the largest ``pressure_pa``, and the largest
     ``shear_pa``, half the difference of principal stresses, with its ``shear_depth_m`` below the
     top.
     """
-    stack = _model_stack(chip, shape, CELLS)
+    stack = _model_stack(chip, shape, CELLS_PER_NODE)
     probe, model = FieldProbe(stack, gauss=True), stack.model
     z = model.pencil.pencil_solver(0.0).solve(-model.B[:, : len(force)] @ force)
     T, _ = probe.stress(*probe.nodal_values(z[:, None], np.zeros((1, 1))))
-    shear = (principal_stress(T[..., 0]) + principal_stress(-T[..., 0])) / 2
+    shear = (largest_principal_stress(T[..., 0]) + largest_principal_stress(-T[..., 0])) / 2
     height = np.asarray(probe.basis.global_coordinates())[1].ravel()
     return {
         "pressure_pa": float((force / shape.areas).max()),
@@ -222,7 +228,7 @@ def _model_stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementM
     layers = [chip.height / chip.layers] * chip.layers
     heights = np.r_[0.0, np.cumsum([*ends[:1] * caps[0], *layers, *ends[1:] * caps[1]])]
     planes, near = heights[caps[0] :][: chip.layers + 1], 1e-9 * heights[-1]
-    inner = _subdivide(shape.nodes, cells)
+    inner = _subdivide_intervals(shape.nodes, cells)
     outer = _grow_points(inner[-1], min(chip.half), inner[-1] - inner[-2])
     lines, step = [heights[-1:]], shape.nodes[1] / cells
     for low, high in zip(heights[-2::-1], heights[:0:-1], strict=True):
@@ -230,46 +236,46 @@ def _model_stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementM
         lines.append(np.r_[high - down[1:-1], low])
         step = down[-1] - down[-2]
     mesh = MeshQuad.init_tensor(np.r_[inner, outer[1:]], np.concatenate(lines)[::-1])
-    materials, owner = layer_materials(chip, np.pad(np.ones(chip.layers, int), caps))
+    materials, owner = make_layer_materials(chip, np.pad(np.ones(chip.layers, int), caps))
     layer = np.searchsorted(heights, mesh.p[1][mesh.t].mean(axis=0)) - 1
     solid = Solid(mesh, materials, owner[layer], axisymmetric=True)
     r, z = solid.places
 
-    def level(at: np.ndarray) -> np.ndarray:
+    def grade_level(at: np.ndarray) -> np.ndarray:
         return np.flatnonzero((np.abs(z[:, None] - at) < near).any(axis=1))
 
     top = mesh.facets_satisfying(lambda x: np.abs(x[1] - heights[-1]) < near)
     ports = _basis_ports(shape)
     setup = Setup(
         np.column_stack([r < near, z < near]).ravel(),
-        {"anode": level(planes[1::2]), "cathode": level(planes[::2])},
+        {"anode": grade_level(planes[1::2]), "cathode": grade_level(planes[::2])},
         "cathode",
-        shapes=[*map(ForceShape, ports, _basis_loads(solid, shape, top).T)],
+        shapes=[*map(ForceShape, ports, _basis_load_vectors(solid, shape, top).T)],
     )
-    return constrain_device(solid, setup)
+    return constrain_solid(solid, setup)
 
 
 def _basis_ports(shape: PressureBasis) -> list[Port]:
     return [Port(f"basis{k}", TRANSLATION.port) for k in range(len(shape.nodes) - 1)]
 
 
-def _basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
+def _basis_load_vectors(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
     """Nodal loads (2 nodes, n) of unit axial force.
 
     Each basis function distributes the force over the projected facets.
     """
     basis = solid.face(facets, 5)
 
-    def load(heights: np.ndarray) -> np.ndarray:
+    def facet_load(heights: np.ndarray) -> np.ndarray:
         profile = partial(np.interp, xp=shape.nodes, fp=heights, right=0.0)
         form = LinearForm(lambda v, w: profile(w.x[0]) * w.x[0] * np.abs(w.n[1]) * v)
         return np.asarray(form.assemble(basis))
 
-    axial = np.column_stack(list(map(load, np.eye(len(shape.nodes))[:-1])))
+    axial = np.column_stack(list(map(facet_load, np.eye(len(shape.nodes))[:-1])))
     return np.kron(axial / axial.sum(axis=0), [[0.0], [1.0]])
 
 
-def _subdivide(points: np.ndarray, count: int) -> np.ndarray:
+def _subdivide_intervals(points: np.ndarray, count: int) -> np.ndarray:
     """Divide every interval between points into ``count`` equal ones."""
     parts = np.arange(count * (len(points) - 1) + 1) / count
     return np.interp(parts, np.arange(len(points)), points)
@@ -278,14 +284,14 @@ def _subdivide(points: np.ndarray, count: int) -> np.ndarray:
 def _grow_points(start: float, end: float, step: float) -> np.ndarray:
     """Place points from ``start`` to ``end`` at growing distances from ``step`` on."""
     points = [start]
-    while points[-1] + 1.5 * (step := GROWTH * step) < end:
+    while points[-1] + 1.5 * (step := CELL_GROWTH * step) < end:
         points.append(points[-1] + step)
     return np.array([*points, end])
 
 
 @dataclass(frozen=True)
 class IndentationLaw:
-    """Force [N] of a sphere at the indentation x [m]: ``sum_k c_k s^(3 + k)``.
+    """Force law of a sphere: ``sum_k c_k s^(3 + k)`` [N] at the indentation x [m].
 
     ``s = sqrt(x / depth)`` is the contact's radius relative to the widest one. The first term is
     Hertz's law, and the others are effects of layers and of the body's size. ``depth`` [m] is the
@@ -301,7 +307,7 @@ class IndentationLaw:
         return np.asarray(s**3 * np.polynomial.polynomial.polyval(s, self.coefficients))
 
 
-def indentation_law(
+def fit_indentation_law(
     shape: PressureBasis, compliance: np.ndarray, gap: np.ndarray
 ) -> IndentationLaw:
     """Fit the law of a sphere on basis functions with a ``compliance`` (n, n).
@@ -310,22 +316,22 @@ def indentation_law(
     and their force is n straight lines: it differs from the converged force by up to a quarter of
     (spacing / contact's radius)^2. The work ``J = int F dx`` is a minimum over all pressures, of
     second order in their error. The law is the derivative of the polynomial that fits J, for
-    contacts at least :data:`RESOLVED` functions wide.
+    contacts at least :data:`MIN_FUNCTIONS` functions wide.
     """
-    spacing, widest = shape.nodes[1], WIDEST * shape.nodes[-1]
+    spacing, widest = shape.nodes[1], MAX_CONTACT_RATIO * shape.nodes[-1]
     # Hertz: half of the pressure remains at this radius
     depth = 2 * float(np.interp(widest, shape.distances, gap))
-    s = np.linspace(min(0.5, RESOLVED * spacing / widest), 1.0, DEPTHS)
+    s = np.linspace(min(0.5, MIN_FUNCTIONS * spacing / widest), 1.0, FIT_DEPTHS)
     x = depth * s**2
-    force = contact_forces(compliance, gap, x)
+    force = solve_contact_forces(compliance, gap, x)
     work = ((x[:, None] - gap) * force).sum(axis=1) / 2
-    power = 3 + np.arange(DEGREE + 1)
+    power = 3 + np.arange(LAW_DEGREE + 1)
     terms = s[:, None] ** (power + 2) * (2 * depth / (power + 2))
-    result = np.linalg.lstsq(terms / work[:, None], np.ones(DEPTHS), rcond=None)[0]
+    result = np.linalg.lstsq(terms / work[:, None], np.ones(FIT_DEPTHS), rcond=None)[0]
     return IndentationLaw(depth, tuple(result.tolist()))
 
 
-def contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:
+def solve_contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """Forces (depths, n) [N] of a sphere, positive only where it meets the surface.
 
     With ``g = x - gap`` the conditions ``f >= 0``, ``S f >= g`` and ``f'(S f - g) = 0`` are those
@@ -334,7 +340,7 @@ def contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -
     """
     from scipy.optimize import nnls  # imported here, because contacts of rings do not need it
 
-    soft = SOFT * compliance.diagonal().max()
+    soft = REGULARISATION * compliance.diagonal().max()
     L = np.linalg.cholesky(compliance + soft * np.eye(gap.size))
     return np.array([nnls(L.T, np.linalg.solve(L, x - gap))[0] for x in depth])
 
@@ -354,7 +360,7 @@ class TransverselyIsotropicSphere:
         The frequency depends on Poisson's ratio by 1 %.
         """
         sound = np.sqrt(self.material.C[5, 5] / self.material.density)
-        return float(OBLATE * sound / (2 * np.pi * self.radius))
+        return float(OBLATE_FREQUENCY * sound / (2 * np.pi * self.radius))
 
     @property
     def rayleigh(self) -> tuple[float, float]:
@@ -362,7 +368,7 @@ class TransverselyIsotropicSphere:
         return self.damping.rayleigh(self.oblate)
 
 
-def sphere(
+def model_sphere(
     body: TransverselyIsotropicSphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1
 ) -> LinearModel:
     """Model a free sphere with the port ``patch``, upwards; see the module.
@@ -370,9 +376,9 @@ def sphere(
     ``shares`` (n,) are the weights of the basis functions in the port. ``refine`` divides every
     cell along each axis.
     """
-    device, port = _model_free_sphere(body, shape, refine), Port(PATCH, TRANSLATION.port)
-    load = device.model.B @ shares[:, None]
-    model = replace(device.model, B=load, C=load.T, D=np.zeros((1, 1)), ports=(port,))
+    device, port = _model_free_sphere(body, shape, refine), Port(PATCH_PORT, TRANSLATION.port)
+    facet_load = device.model.B @ shares[:, None]
+    model = replace(device.model, B=facet_load, C=facet_load.T, D=np.zeros((1, 1)), ports=(port,))
     answers = compute_undamped_responses(model)
     facts = {
         **model.facts,
@@ -386,7 +392,7 @@ def sphere_compliance(
     body: TransverselyIsotropicSphere, shape: PressureBasis, refine: int = 1
 ) -> LocalCompliance:
     """Compute the compliance of the basis functions on a sphere, and of their patch."""
-    S = _compliance(_model_free_sphere(body, shape, refine).model)
+    S = _port_compliance(_model_free_sphere(body, shape, refine).model)
     patch = float(1 / np.linalg.solve(S, np.ones(len(S))).sum())
     return LocalCompliance(S - patch, patch)
 
@@ -396,9 +402,11 @@ def _model_free_sphere(
 ) -> FiniteElementModel:
     """Model the undamped sphere with a port for every function, on a mapped grid."""
     radius = body.radius
-    x = _extend_angles(np.arcsin(_subdivide(shape.nodes, CELLS) / radius))
+    x = _extend_angles(np.arcsin(_subdivide_intervals(shape.nodes, CELLS_PER_NODE) / radius))
     y = _extend_angles(np.array([0.0, x[1]]))
-    mesh = MeshQuad2.from_mesh(MeshQuad.init_tensor(_subdivide(x, refine), _subdivide(y, refine)))
+    mesh = MeshQuad2.from_mesh(
+        MeshQuad.init_tensor(_subdivide_intervals(x, refine), _subdivide_intervals(y, refine))
+    )
     w = np.tan(mesh.doflocs[0] / 2) + 1j * np.tan(mesh.doflocs[1] / 2)
     zeta = 2 * radius * w / (1 - 1j * w)
     mesh = MeshQuad2(np.ascontiguousarray([zeta.real, zeta.imag]), mesh.t)
@@ -415,7 +423,7 @@ def _model_free_sphere(
     momentum = M @ along
     mass = float(along @ momentum)
     slow = np.linalg.eigvalsh(body.material.C)[0] / body.material.density / radius**2
-    loads = _basis_loads(solid, shape, np.flatnonzero(under))[unknowns]
+    loads = _basis_load_vectors(solid, shape, np.flatnonzero(under))[unknowns]
     model = with_potentials(
         M=M,
         K_uu=K,
@@ -428,15 +436,18 @@ def _model_free_sphere(
         facts={"unknowns": float(len(unknowns)), "mass_kg": mass},
     )
     moved = sparse.eye_array(free.size, format="csc")[:, unknowns]
-    none = sparse.csc_array((len(free), 0))  # no field in it
+    none = sparse.csc_array((len(free), 0))  # no electric field in the sphere
     return FiniteElementModel(model, solid, moved, none, none, np.zeros((0, 0)), 0.0, mass)
 
 
 def _extend_angles(angles: np.ndarray) -> np.ndarray:
     """Extend ``angles`` [rad] by steps that grow, and shrink again towards pi."""
     result = list(angles)
-    while result[-1] + 2 * (step := min(GROWTH * (result[-1] - result[-2]), ANGLE)) < np.pi:
+    while (
+        result[-1] + 2 * (step := min(CELL_GROWTH * (result[-1] - result[-2]), MAX_CELL_ANGLE))
+        < np.pi
+    ):
         result.append(result[-1] + step)
-    while np.pi - result[-1] > 2 * PIT:
+    while np.pi - result[-1] > 2 * PIT_ANGLE:
         result.append((result[-1] + np.pi) / 2)
     return np.array(result)

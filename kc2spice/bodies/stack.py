@@ -19,8 +19,8 @@ import numpy as np
 from scipy import sparse
 from skfem import BilinearForm, LinearForm, MeshHex1, MeshHex2
 
-from kc2spice.bodies.device import UP, ForceShape, Setup, make_device, spread
-from kc2spice.bodies.stack_keys import PATCH, SECTORS, Cap, Chip
+from kc2spice.bodies.device import UP, ForceShape, Setup, make_device, spread_force
+from kc2spice.bodies.stack_keys import PATCH_PORT, SECTORS, Cap, Chip
 from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import name_part_in_errors
@@ -29,19 +29,20 @@ from kc2spice.fem.solid import Solid
 from kc2spice.linalg.factor import require_bytes
 from kc2spice.rom.linear_model import Port
 
-GROWTH = 0.25  # growth of a level's thickness with its depth
-# Fill of sparse factors of a solid grows as n^(4/3); 152 000 unknowns took 5.8 GB.
+LEVEL_GROWTH = 0.25  # growth of a level's thickness with its depth
+# bytes per unknown; the fill of sparse factors of a solid grows as n^(4/3); 152 000 unknowns took
+# 5.8 GB
 SPARSE_BYTES = 700.0
-_NEAR = 1e-9  # distance of equal positions, relative to the stack's size
-_FINE = 8  # quadrature points per cell, enough for a pressure with kinks inside the cell
+_POSITION_TOLERANCE = 1e-9  # distance of equal positions, relative to the stack's size
+_PRESSURE_POINTS = 8  # quadrature points per cell, enough for a pressure with kinks inside the cell
 
 Profile = tuple[np.ndarray, np.ndarray]
 
 
-def stack_device(
+def make_stack(
     kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
 ) -> FiniteElementModel:
-    """Make the stack with ring ports ring0, ring1, ... and the anode, and its facts.
+    """Make the stack with ring ports ring0, ring1, ... and the anode, and its values.
 
     Boundary conditions: u_x = 0 on x = 0 and u_y = 0 on y = 0. Those on the bottom face z = 0
     depend on ``kick.mounting``: u_z = 0 on a frictionless ``roller``, u = 0 if ``glued``, none if
@@ -58,17 +59,18 @@ def stack_device(
     UsageError : rings beyond the chip, odd sector count, impossible material, too many unknowns
         for the memory.
     """
-    solid, setup = stack_setup(kick, breakdown, pressure)
+    solid, setup = make_stack_setup(kick, breakdown, pressure)
     device = make_device(solid, setup)
     facts = dict(device.model.facts)
-    facts.pop("depoling_voltage_v", None)  # the key rated_field states it
-    facts["unknowns"] += 1  # as the paper counts them: with one anode
+    facts.pop("depoling_voltage_v", None)  # the key rated_field defines this value
+    facts["unknowns"] += 1  # the paper counts the anode as one unknown
     for name in [name for name in facts if name.endswith("_m_per_v")]:
-        facts[name.replace("_m_per_v", "_m_per_100v")] = 100 * facts.pop(name)  # as data sheets do
+        # data sheets use this unit
+        facts[name.replace("_m_per_v", "_m_per_100v")] = 100 * facts.pop(name)
     return replace(device, model=device.model.copy_with(facts=facts, name="piezo_stack"))
 
 
-def stack_setup(
+def make_stack_setup(
     kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
 ) -> tuple[Solid, Setup]:
     """Make mesh, materials and boundary conditions of one quarter of the stack.
@@ -89,7 +91,7 @@ def stack_setup(
         hint="lower kick.mesh.refine, kick.mesh.order or the number of rings and sectors",
     )
     mesh, numbers = _make_hexahedra(lattice, heights, kick.mesh.order)
-    materials, owner = layer_materials(kick, spans, breakdown)
+    materials, owner = make_layer_materials(kick, spans, breakdown)
     level = np.arange(mesh.nelements) * len(spans) // mesh.nelements
     with name_part_in_errors("kick"):
         solid = Solid(mesh, materials, owner[level], order=kick.mesh.order, numbers=numbers)
@@ -109,7 +111,7 @@ def stack_setup(
 
 
 def _divide_height(kick: Chip, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Active layers in each level, and the heights [m] of all planes of nodes."""
+    """Return the active layers of each level, and the heights [m] of all planes of nodes."""
     spans, caps = choose_level_spans(kick), (kick.bottom_cap, kick.top_cap)
     counts = [cap_layers(kick, cap) for cap in caps]
     below, above = (
@@ -145,12 +147,12 @@ def _make_hexahedra(
 def choose_level_spans(kick: Chip) -> np.ndarray:
     """Choose the number of layers in each level, from the bottom up.
 
-    The number is at most ``layers_per_element``, and no level is thicker than :data:`GROWTH` of its
-    depth below the top.
+    The number is at most ``layers_per_element``, and no level is thicker than :data:`LEVEL_GROWTH`
+    of its depth below the top.
     """
     spans: list[int] = []
     while (left := kick.layers - sum(spans)) > 0:
-        grown = max(1, int(GROWTH * sum(spans)))
+        grown = max(1, int(LEVEL_GROWTH * sum(spans)))
         spans.append(min(kick.mesh.layers_per_element, grown, left))
     return np.array(spans[::-1])
 
@@ -178,12 +180,13 @@ def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
     if kick.diameter is None:
         sides = np.interp(along, [0.5, 1.0], [1.0, 0.0]), np.interp(along, [0.0, 0.5], [0.0, 1.0])
         edge = np.column_stack(sides) * half
-    else:  # chords of linear elements enclose the circle's area
+    else:  # chords of linear elements enclose the area of the circle
         angle = np.pi / (2 * mesh.sectors * steps)
         edge = half[0] * (np.sqrt(angle / np.sin(angle)) if mesh.order == 1 else 1.0) * circle
     left = min(half) - mesh.rings * mesh.ring_spacing
     growth, count, ratio = 1.0, mesh.outer_rings, left / mesh.ring_spacing
-    if ratio > count > 1:  # spacing (1 + g + ... + g^(count-1)) = left: no jump at the last ring
+    # spacing (1 + g + ... + g^(count-1)) = remaining length: no jump at the last ring
+    if ratio > count > 1:
         from scipy.optimize import brentq  # imported here, because most meshes come from the cache
 
         growth = brentq(lambda g: (g ** np.arange(count)).sum() - ratio, 1.0, ratio, xtol=1e-15)
@@ -192,7 +195,7 @@ def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
     return np.concatenate([inner, (1 - share) * inner[-1] + share * edge])
 
 
-def layer_materials(
+def make_layer_materials(
     kick: Chip, spans: np.ndarray, breakdown: float | None = None
 ) -> tuple[tuple[Material, ...], np.ndarray]:
     """Make the materials of the levels, and number the material of each level.
@@ -231,9 +234,9 @@ def layer_materials(
 
 
 def _fixed_mask(kick: Chip, solid: Solid) -> np.ndarray:
-    """Mask of the displacements ``3 node + axis`` that mirror planes or mounting fix."""
+    """Return a mask of the displacements ``3 node + axis`` that symmetry or mounting fixes."""
     fixed = np.zeros(solid.places.T.shape, dtype=bool)
-    near = _NEAR * solid.places.max()
+    near = _POSITION_TOLERANCE * solid.places.max()
     mounting = {"roller": "z", "glued": "xyz"}.get(str(kick.mounting), "")
     sides = ("x" if kick.poling == "z" else "yz", "y", mounting)
     for axes, height in zip(sides, solid.places, strict=True):
@@ -252,7 +255,7 @@ def _find_electrodes(
     """
     active, z = np.flatnonzero(spans), solid.places[2]
     planes = faces[np.r_[active, active[-1] + 1]]
-    on = np.abs(z[:, None] - planes) < _NEAR * planes[-1]
+    on = np.abs(z[:, None] - planes) < _POSITION_TOLERANCE * planes[-1]
     pins = {"anode": on[:, 1::2], "cathode": on[:, ::2]}
     several = np.r_[False, spans[active] > 1, False][np.searchsorted(planes, z)]
     within = np.flatnonzero(several & ~on.any(axis=1))
@@ -270,24 +273,28 @@ def _make_ring_forces(kick: Chip, solid: Solid) -> list[ForceShape]:
     sum to one, so the transpose averages the displacement (paper 2.2.2, eq. 8).
     """
     shapes, (x, y, z), axis = [], solid.places, np.eye(3)["xyz".index(kick.poling)]
-    near = _NEAR * solid.places.max()
+    near = _POSITION_TOLERANCE * solid.places.max()
     for number in range(kick.mesh.rings + 1):
         away = np.abs(np.hypot(x, y) - number * kick.mesh.ring_spacing)
         ring = (away < near) & (z > z.max() - near)
         share = np.where((x < near) | (y < near), 0.5, 1.0) * ring
-        weights = spread(share / share.sum(), axis, solid)
+        weights = spread_force(share / share.sum(), axis, solid)
         shapes.append(ForceShape(Port(f"ring{number}", TRANSLATION.port), weights))
     return shapes
 
 
 def _make_patch_force(solid: Solid, pressure: Profile) -> ForceShape:
-    """A unit axial force on the top, spread as the pressure is."""
+    """Return a unit axial force on the top, distributed like the pressure."""
 
-    def load(v, w):  # type: ignore[no-untyped-def]
+    def pressure_load(v, w):  # type: ignore[no-untyped-def]
         return np.interp(np.hypot(w.x[0], w.x[1]), *pressure, right=0.0) * v
 
-    share = LinearForm(load).assemble(solid.face(_facets(solid, solid.places[2].max()), _FINE))
-    return ForceShape(Port(PATCH, TRANSLATION.port), spread(share / share.sum(), UP, solid))
+    share = LinearForm(pressure_load).assemble(
+        solid.face(_facets(solid, solid.places[2].max()), _PRESSURE_POINTS)
+    )
+    return ForceShape(
+        Port(PATCH_PORT, TRANSLATION.port), spread_force(share / share.sum(), UP, solid)
+    )
 
 
 def make_springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
@@ -296,7 +303,7 @@ def make_springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
     The result is None without springs.
     """
 
-    def face(height: float) -> sparse.csc_array:
+    def face_stiffness(height: float) -> sparse.csc_array:
         """``int N_i N_j dA`` over the face at a height."""
         basis = solid.face(_facets(solid, height), solid.quadrature + 1)
         local = sparse.csc_array(BilinearForm(lambda u, v, _: u * v).assemble(basis))
@@ -304,14 +311,14 @@ def make_springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
 
     result = []
     if isinstance(kick.mounting, float):
-        result.append(sparse.kron(face(0.0), kick.mounting * np.eye(3)))
+        result.append(sparse.kron(face_stiffness(0.0), kick.mounting * np.eye(3)))
     if kick.preload_spring is not None:
-        top = face(solid.places[2].max())
+        top = face_stiffness(solid.places[2].max())
         share = kick.preload_spring / SECTORS / top.sum() * top
         result.append(sparse.kron(share, np.diag(UP)))
     return sparse.csc_array(sum(result)) if result else None
 
 
 def _facets(solid: Solid, height: float) -> np.ndarray:
-    near = _NEAR * solid.places.max()
+    near = _POSITION_TOLERANCE * solid.places.max()
     return np.asarray(solid.mesh.facets_satisfying(lambda x: np.abs(x[2] - height) < near))

@@ -25,8 +25,8 @@ from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material, material
 
 SECTORS = 4  # number of equal quarters of the chip, of which one is modelled
-PATCH = "patch"  # name of the port under a pressure
-PAPER = "THP51"  # the ceramic of the paper's chip
+PATCH_PORT = "patch"  # name of the port under a pressure
+PAPER_CERAMIC = "THP51"  # ceramic of the chip in the paper
 
 
 class ChipMesh(Section):
@@ -61,6 +61,7 @@ class ChipMesh(Section):
 
     @model_validator(mode="after")
     def _require_even_sectors(self) -> ChipMesh:
+        """Require an even number of sectors."""
         if self.sectors % 2:
             raise ValueError("sectors: no mesh line meets the chip's corner, give an even number")
         return self
@@ -84,7 +85,7 @@ class ChipDamping(Damping):
 
 
 class Cap(Section):
-    """Layer without field at one end of a stack.
+    """Layer without electric field at one end of a stack.
 
     It consists of the stack's own ceramic without poling, unless ``material`` is stated.
     """
@@ -98,17 +99,17 @@ class Cap(Section):
     )
 
 
-HEIGHT = 2e-3  # height of the stack in the paper [m]
+DEFAULT_HEIGHT = 2e-3  # m, height of the stack in the paper
 
 
 def _default_height(keys: dict[str, Any]) -> float:
     """Height [m] of all active layers, from the thickness of one layer if stated."""
     layers, thickness = keys.get("layers"), keys.get("layer_thickness")
-    return HEIGHT if layers is None or thickness is None else float(layers * thickness)
+    return DEFAULT_HEIGHT if layers is None or thickness is None else float(layers * thickness)
 
 
 class Chip(Section):
-    """Layered piezoelectric stack, of which one quarter is modelled.
+    """Keys of the layered piezoelectric stack, of which one quarter is modelled.
 
     Its cross-section is a square of ``side``, a rectangle of ``side`` (x) and ``depth`` (y), or a
     circle of ``diameter``. ``height`` is that of the active layers: ``layers`` times
@@ -135,7 +136,7 @@ class Chip(Section):
     bottom_cap: Cap | None = None
     top_cap: Cap | None = None
     material: str | dict[str, Any] = Field(
-        PAPER,
+        PAPER_CERAMIC,
         description="Ceramic poled along z: a name, or a table of changes to THP51",
     )
     poling: Literal["z", "x"] = Field(
@@ -185,7 +186,7 @@ class Chip(Section):
         """
         table = self.material
         if not isinstance(table, str):
-            table = {"like": PAPER, **table}
+            table = {"like": PAPER_CERAMIC, **table}
         result = material(table)
         if result.conductor or not result.isotropic_about_z:
             raise UsageError(f"{result.name} is no ceramic poled along z (class 6mm)")

@@ -16,13 +16,12 @@ from kc2spice.core.domains import TRANSLATION
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear_model import LinearModel
 
-RESIDUAL = 1e-5  # residual of a mode; the error of its frequency is the square
-# numbers of modes, tried in this order; a body that is free to move has more than four rigid-body
-# modes
-MODES = (4, 8, 40)
-# A mode is excited by a port if it has more than this part of the static answer (mass norm).
-COUPLED = 0.03
-REFINEMENTS = 3
+MODE_RESIDUAL = 1e-5  # largest residual of a mode; the error of its frequency is the square
+# numbers of modes, tried in this order; an unsupported body has up to six rigid-body modes
+MODE_COUNTS = (4, 8, 40)
+# Smallest share of the static response (mass norm) in a mode that a port excites.
+MIN_MODE_SHARE = 0.03
+MAX_REFINEMENTS = 3
 Operator = Callable[[np.ndarray], np.ndarray]
 
 
@@ -130,7 +129,8 @@ def _solve_static(
     """
     load = model.B[:, ports]
     shifted = rest = solve(load) if ports else load
-    for _ in range(REFINEMENTS if shift else 0):  # loads in equilibrium: exact in the limit
+    # loads in equilibrium; the result is exact in the limit
+    for _ in range(MAX_REFINEMENTS if shift else 0):
         rest = solve(load + shift * (model.M @ rest)) if ports else load
     return shifted, rest
 
@@ -148,18 +148,18 @@ def _find_resonance(
     inverse = LinearOperator((n, n), matvec=solve, dtype=float)
     ports = [k for k in ports if model.B[:, k].any()]
     none = rigid = np.empty((n, 0))
-    if not ports:  # a dielectric moves nothing
+    if not ports:  # a dielectric has no mechanical response
         return None, none, rigid
     static = np.array([solve(model.B[:, k]) for k in ports])
     start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)
-    for count in (min(count, n - 1) for count in MODES[shift > 0 :]):
-        options = {"v0": start, "tol": RESIDUAL, "ncv": min(2 * count + 1, n)}
+    for count in (min(count, n - 1) for count in MODE_COUNTS[shift > 0 :]):
+        options = {"v0": start, "tol": MODE_RESIDUAL, "ncv": min(2 * count + 1, n)}
         values, modes = eigsh(inverse, count, M=M, sigma=-shift, OPinv=inverse, **options)
         rigid = modes[:, values <= 10 * shift]
         elastic = static - (static @ (M @ rigid)) @ rigid.T
         size = np.sqrt(np.sum(elastic * (M @ elastic.T).T, axis=1))
         share = np.abs(elastic @ (M @ modes)) / size[:, None]
-        excited = np.flatnonzero((share.max(axis=0) > COUPLED) & (values > 10 * shift))
+        excited = np.flatnonzero((share.max(axis=0) > MIN_MODE_SHARE) & (values > 10 * shift))
         if excited.size:
             excited = excited[np.argsort(values[excited])]
             lowest = float(np.sqrt(values[excited[0]]) / (2 * np.pi))

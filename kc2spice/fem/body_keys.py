@@ -1,4 +1,4 @@
-"""Keys that all parametric bodies share: damping and the mesh."""
+"""Keys that all parametric bodies share: damping and mesh."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kc2spice.core.quantities import Count, Frequency, Notch, Rate, Ratio, Secti
 
 
 class Mesh(Section):
-    """``refine`` divides every cell along each axis."""
+    """Keys of a mesh; ``refine`` divides every cell along each axis."""
 
     refine: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
         1, ge=1, le=8, description="Factor by which the cells along each edge are multiplied"
@@ -62,6 +62,7 @@ class Damping(Section):
 
     @model_validator(mode="after")
     def _require_quality_only(self) -> Damping:
+        """Reject keys that contradict damping by the quality factor."""
         if self.model == "ieee176":
             others = {"per_material": self.per_material, "alpha": self.alpha}
             others["two ratios"] = isinstance(self.ratio, tuple)
@@ -72,6 +73,7 @@ class Damping(Section):
 
     @model_validator(mode="after")
     def _require_one_form(self) -> Damping:
+        """Require one of the alternative forms of damping."""
         choices = [self.ratio, self.quality, self.loss_factor]
         if sum(item is not None for item in choices) + self.per_material > 1:
             raise ValueError("give one of ratio, quality, loss_factor, per_material")

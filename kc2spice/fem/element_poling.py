@@ -1,4 +1,4 @@
-"""Polings of single elements of a mesh, read from a CSV file.
+"""Poling directions of single elements of a mesh, read from a CSV file.
 
 The first line names the columns: ``element, px, py, pz`` or ``x, y, z, px, py, pz``. Lines that
 begin with ``#`` are comments. Vectors have any length except zero.
@@ -18,16 +18,16 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.untrusted_files import decode_text, read_bounded, split_lines
 
-MAX_BYTES = 500_000_000  # size of a file
-VECTOR = ("px", "py", "pz")
-LAYOUTS = (("element", *VECTOR), ("x", "y", "z", *VECTOR))
-EXPECTED = " or ".join(map(", ".join, LAYOUTS))
-LISTED = 5  # element numbers in a message
+MAX_FILE_BYTES = 500_000_000  # size of a file
+VECTOR_COLUMNS = ("px", "py", "pz")
+COLUMN_LAYOUTS = (("element", *VECTOR_COLUMNS), ("x", "y", "z", *VECTOR_COLUMNS))
+EXPECTED_COLUMNS = " or ".join(map(", ".join, COLUMN_LAYOUTS))
+LISTED_ELEMENTS = 5  # element numbers in an error message
 
 
 @dataclass(frozen=True, eq=False)
 class PolingTable(EqualByContent):
-    """Rows of a file of polings.
+    """Rows of a file of poling directions.
 
     Attributes
     ----------
@@ -70,8 +70,8 @@ class PolingTable(EqualByContent):
         order = np.argsort(self.numbers)
         missing = np.setdiff1d(numbers[members], self.numbers)
         if missing.size:
-            first = ", ".join(map(str, missing[:LISTED]))
-            more = ", …" if missing.size > LISTED else ""
+            first = ", ".join(map(str, missing[:LISTED_ELEMENTS]))
+            more = ", …" if missing.size > LISTED_ELEMENTS else ""
             got = f"{missing.size} elements without poling: {first}{more}"
             expected = "a row for each element of the group"
             raise wrong(self.where, "elements are missing in the file", got, expected)
@@ -79,16 +79,15 @@ class PolingTable(EqualByContent):
 
 
 def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
-    """Read a file of polings.
+    """Read a file of poling directions.
 
     Raises
     ------
-    UsageError : a file that cannot be read, wrong columns, a value that is no number, a vector
-        without length, an element with two rows, or a vector that leaves the plane of an
-        axisymmetric mesh.
+    UsageError : the file is unreadable, columns are wrong, a value is not a number, a vector is
+    zero, an element has two rows, or a vector is outside the plane of an axisymmetric mesh.
     """
     try:
-        text = decode_text(read_bounded(path, MAX_BYTES))
+        text = decode_text(read_bounded(path, MAX_FILE_BYTES))
     except UnicodeDecodeError:
         raise wrong(where, "this file is not UTF-8 text", str(path)) from None
     except (OSError, ValueError) as error:
@@ -97,9 +96,9 @@ def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
     lines = _read_rows(text, where)
     _, titles = next(lines, (0, []))
     columns = tuple(map(str.lower, titles))
-    if columns not in LAYOUTS:
+    if columns not in COLUMN_LAYOUTS:
         got = ", ".join(titles)[:100] or "an empty file"
-        raise wrong(where, "wrong columns in the file of polings", got, EXPECTED)
+        raise wrong(where, "wrong columns in the file of polings", got, EXPECTED_COLUMNS)
     rows, values = [], []
     for row, cells in lines:
         rows.append(row)
@@ -108,14 +107,14 @@ def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
         raise wrong(where, "the file of polings has no rows", expected="a row for each element")
     table = np.array(values)
     _require_directions(table[:, -3:], rows, where, axisymmetric)
-    if columns == LAYOUTS[0]:
+    if columns == COLUMN_LAYOUTS[0]:
         numbers = _require_numbers(table[:, 0], rows, where)
         return PolingTable(where, rows, table[:, -3:], numbers, None)
     points = table[:, [0, 2] if axisymmetric else [0, 1, 2]]
     return PolingTable(where, rows, table[:, -3:], None, points)
 
 
-def find_middles(mesh: Mesh) -> np.ndarray:
+def compute_centres(mesh: Mesh) -> np.ndarray:
     """Return the mean (elements, d) of the corners of each element [m]."""
     return np.asarray(mesh.doflocs[:, mesh.t].mean(axis=1).T)
 
@@ -125,11 +124,11 @@ def find_parents(coarse: Mesh, fine: Mesh) -> np.ndarray:
     kinds = ((MeshHex, MeshHex1), (MeshTet, MeshTet1), (MeshQuad, MeshQuad1))
     kind = next((first for base, first in kinds if isinstance(coarse, base)), MeshTri1)
     straight = kind(coarse.doflocs[:, : coarse.nvertices].copy(), coarse.t)
-    return np.asarray(straight.element_finder()(*find_middles(fine).T))
+    return np.asarray(straight.element_finder()(*compute_centres(fine).T))
 
 
 def _read_rows(text: str, where: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number and the cells of each line that is no comment."""
+    """Yield the number and the cells of each line that is not a comment."""
     for row, line in enumerate(split_lines(text), 1):
         if line.strip() and not line.lstrip().startswith("#"):
             try:

@@ -32,17 +32,19 @@ from scipy.special import roots_jacobi
 from skfem.mesh import MeshQuad, MeshTet
 
 from kc2spice.fem.materials import Material
-from kc2spice.fem.solid import VOIGT, Solid, tensors
+from kc2spice.fem.solid import VOIGT_ROWS, Solid, list_tensors
 
-ORDER = 7  # order of integration, exact for the mass of straight cubic elements of revolution
-BYTES = 64e6  # bytes of the element matrices that are computed at once
-AFFINE = 1e-9  # relative change of the derivatives within an element that counts as rounding
+# order of integration, exact for the mass of straight cubic elements of revolution
+INTEGRATION_ORDER = 7
+CHUNK_BYTES = 64e6  # bytes of the element matrices that are computed at once
+# relative change of the derivatives within an element that counts as rounding
+AFFINE_TOLERANCE = 1e-9
 
 
 class ShapeFunction(NamedTuple):
-    """Function on the reference element with values (points,) and gradients.
+    """Shape function on the reference element: values (points,) and gradients (d, points).
 
-    The gradients are (d, points).
+
 
     ``corners`` are the two of an edge, in its direction, the three of a triangle or the four of a
     quadrilateral.
@@ -55,7 +57,7 @@ class ShapeFunction(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Enrichment:
-    """The functions that a solid lacks, and their numbers.
+    """Shape functions that a solid lacks, and their numbers.
 
     Attributes
     ----------
@@ -72,7 +74,7 @@ class Enrichment:
 
     @property
     def count(self) -> int:
-        """How many functions the solid lacks."""
+        """Number of functions that the solid lacks."""
         return int(self.numbers.max()) + 1
 
     def dielectric(self) -> np.ndarray:
@@ -108,11 +110,11 @@ class EnrichedOperators:
         return EnrichedOperators(*(factor * getattr(self, field.name) for field in fields(self)))
 
 
-def enrich(solid: Solid) -> Enrichment:
-    """The functions of one degree more on the mesh of a solid."""
-    functions = shape_functions(solid, _make_rule(solid, np.array([0])).X)
+def make_enrichment(solid: Solid) -> Enrichment:
+    """Return the functions of one degree more on the mesh of a solid."""
+    functions = evaluate_shape_functions(solid, _make_basis(solid, np.array([0])).X)
     numbers, signs = _number_functions(solid, functions)
-    return Enrichment(solid, functions, _entity_nodes(solid, functions), numbers, signs)
+    return Enrichment(solid, functions, _find_entity_nodes(solid, functions), numbers, signs)
 
 
 def assemble_enrichment(
@@ -142,8 +144,8 @@ def assemble_enrichment(
         "nodes": _SparseSum((enrichment.count, size)),
         "functions": _SparseSum((enrichment.count,) * 2),
     }
-    table = _tabulate_functions(solid, _make_rule(solid, np.array([0])).X, enrichment.functions)
-    for material, cells in _chunks(solid, len(table), len(enrichment.functions)):
+    table = _tabulate_functions(solid, _make_basis(solid, np.array([0])).X, enrichment.functions)
+    for material, cells in _split_chunks(solid, len(table), len(enrichment.functions)):
         S, M = _element_matrices(solid, material, cells, table, len(nodes))
         numbers, sign = enrichment.numbers[:, cells].T, enrichment.signs[:, cells].T
         here = {"nodes": nodes[:, cells].T, "functions": numbers}
@@ -171,13 +173,13 @@ def assemble_enrichment(
     )
 
 
-def _make_rule(solid: Solid, cells: np.ndarray) -> skfem.Basis:
+def _make_basis(solid: Solid, cells: np.ndarray) -> skfem.Basis:
     if isinstance(solid.mesh, MeshTet):
-        return solid.basis(quadrature=_conical_product(ORDER), elements=cells)
-    return solid.basis(ORDER, elements=cells)
+        return solid.basis(quadrature=_conical_product_rule(INTEGRATION_ORDER), elements=cells)
+    return solid.basis(INTEGRATION_ORDER, elements=cells)
 
 
-def _conical_product(order: int) -> tuple[np.ndarray, np.ndarray]:
+def _conical_product_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
     """Points (3, points) and weights on a tetrahedron, by Gauss-Jacobi rules.
 
     The points and weights are a product of these rules.
@@ -193,16 +195,18 @@ def _conical_product(order: int) -> tuple[np.ndarray, np.ndarray]:
     return points.reshape(3, -1), weights.ravel()
 
 
-def shape_functions(solid: Solid, X: np.ndarray) -> list[ShapeFunction]:
+def evaluate_shape_functions(solid: Solid, X: np.ndarray) -> list[ShapeFunction]:
     """Evaluate the functions of one degree more at points of the reference element.
 
     The points are ``X`` (d, points).
     """
-    on_element = _on_quadrilateral if isinstance(solid.mesh, MeshQuad) else _on_simplex
+    on_element = (
+        _quadrilateral_functions if isinstance(solid.mesh, MeshQuad) else _simplex_functions
+    )
     return on_element(np.asarray(solid.element.refdom.p, float), X)
 
 
-def _on_simplex(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
+def _simplex_functions(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
     inverse = np.linalg.inv(np.vstack([np.ones(corners.shape[1]), corners]))
     value, slope = inverse @ np.vstack([np.ones(X.shape[1]), X]), inverse[:, 1:, None]
     result = []
@@ -217,7 +221,7 @@ def _on_simplex(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
     return result
 
 
-def _on_quadrilateral(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
+def _quadrilateral_functions(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
     ends = [1 - X, X], [-np.ones(X.shape), np.ones(X.shape)]
     square, square_slope = X * (1 - X), 1 - 2 * X
     cube, cube_slope = square * (2 * X - 1), -1 + 6 * X - 6 * X**2
@@ -258,7 +262,7 @@ def _number_functions(
     return numbers.reshape(len(functions), -1), np.array(signs)
 
 
-def _entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list[np.ndarray]:
+def _find_entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list[np.ndarray]:
     """Local numbers of the nodes on the edge, face or interior of each function."""
     places, corners = np.asarray(solid.element.doflocs).T, solid.element.refdom.p
     result = []
@@ -267,7 +271,9 @@ def _entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list[np.n
         span = np.hstack(others) - first
         share = np.linalg.lstsq(span, places - first, rcond=None)[0]
         away = np.abs(span @ share - (places - first)).max(axis=0)
-        result.append(np.flatnonzero((away < AFFINE) & (share > -AFFINE).all(axis=0)))
+        result.append(
+            np.flatnonzero((away < AFFINE_TOLERANCE) & (share > -AFFINE_TOLERANCE).all(axis=0))
+        )
     return result
 
 
@@ -286,9 +292,9 @@ def _tabulate_functions(
     return np.array([np.broadcast_arrays(*row) for row in rows], dtype=float)
 
 
-def _chunks(solid: Solid, local: int, more: int) -> Iterator[tuple[Material, np.ndarray]]:
-    """Materials and elements, as many as keep their matrices within ``BYTES``."""
-    count = max(1, int(BYTES / (8 * local * more * (solid.components + 1) ** 2)))
+def _split_chunks(solid: Solid, local: int, more: int) -> Iterator[tuple[Material, np.ndarray]]:
+    """Yield materials and elements, as many as keep their matrices within ``CHUNK_BYTES``."""
+    count = max(1, int(CHUNK_BYTES / (8 * local * more * (solid.components + 1) ** 2)))
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.owner == number)
         for start in range(0, len(cells), count):
@@ -306,13 +312,13 @@ def _element_matrices(
 
     Without coupling and permittivity the fields are the displacements only.
     """
-    rule = _make_rule(solid, cells)
+    rule = _make_basis(solid, cells)
     weights, radius = rule.dx, np.asarray(rule.global_coordinates())[0]
     if solid.axisymmetric:
         weights = 2 * np.pi * weights * radius
     inverse = rule.mapping.invDF(rule.X, tind=cells).transpose(2, 3, 0, 1)
-    constants = [*tensors(solid, rule, material)]
-    even = np.ptp(inverse, axis=1).max() < AFFINE * np.abs(inverse).max()
+    constants = [*list_tensors(solid, rule, material)]
+    even = np.ptp(inverse, axis=1).max() < AFFINE_TOLERANCE * np.abs(inverse).max()
     even = even and all(len(constant[0]) == 1 for constant in constants)
     values = table[:, -1]
     pairs = (values[n:, None] * values).reshape(-1, values.shape[1])
@@ -349,7 +355,7 @@ def _reference_tensor(
     axes = solid.axes
     for i, y in enumerate(axes):
         for k, x in enumerate(axes):
-            strain[:, :, VOIGT[x, y], k, :d] += inverse[:, :, :, i]
+            strain[:, :, VOIGT_ROWS[x, y], k, :d] += inverse[:, :, :, i]
         if field:
             strain[:, :, 6 + y, d, :d] = inverse[:, :, :, i]
     if solid.axisymmetric:
@@ -364,7 +370,8 @@ def _reference_tensor(
     result = strain.transpose(0, 1, 3, 2) @ (H @ strain) * weights[:, :, None, None]
     result = result.reshape(*weights.shape, d + field, kinds, d + field, kinds)
     sigma = np.array(material.residual_stress)
-    if sigma.any():  # grad v . sigma grad u of each component, and the hoop direction's turning
+    # term grad v . sigma grad u of each component, and rotation of the hoop direction
+    if sigma.any():
         stress = np.einsum("eqmi,eqpi,i->eqmp", inverse, inverse, sigma[axes])
         for k in range(d):
             result[:, :, k, :d, k, :d] += weights[:, :, None, None] * stress
@@ -393,7 +400,7 @@ class _SparseSum:
         self.matrix = sparse.csr_array(shape)
 
     def add(self, values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> None:
-        """Add ``values`` (elements, rows, columns); rows and columns of -1 are left out."""
+        """Add ``values`` (elements, rows, columns); rows and columns of -1 are omitted."""
         i = np.broadcast_to(rows[:, :, None], values.shape)
         j = np.broadcast_to(columns[:, None, :], values.shape)
         present = (i >= 0) & (j >= 0)

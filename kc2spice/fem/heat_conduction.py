@@ -23,7 +23,7 @@ import skfem
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from kc2spice.fem.solid import CHUNK, Solid, sum_matrices, symmetrise
+from kc2spice.fem.solid import CHUNK_SIZE, Solid, sum_matrices, symmetrise
 from kc2spice.fem.thermal_materials import ThermalMaterial
 
 CANDIDATES = 50  # elements that may contain a point, those with the nearest centres
@@ -68,18 +68,18 @@ def local_functions(basis: skfem.Basis) -> Iterator[tuple[np.ndarray, np.ndarray
         yield np.stack(value, -1), np.stack([f.grad[:, :, q].T for f in local], -1)
 
 
-def _chunks(solid: HeatSolid) -> Iterator[tuple[ThermalMaterial, np.ndarray]]:
-    """Yield materials with at most ``CHUNK`` of their elements."""
+def _split_chunks(solid: HeatSolid) -> Iterator[tuple[ThermalMaterial, np.ndarray]]:
+    """Yield materials with at most ``CHUNK_SIZE`` of their elements."""
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.geometry.owner == number)
-        for start in range(0, len(cells), CHUNK):
-            yield material, cells[start : start + CHUNK]
+        for start in range(0, len(cells), CHUNK_SIZE):
+            yield material, cells[start : start + CHUNK_SIZE]
 
 
 def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]:
     """Return heat capacities E [J/K] and conductances K [W/K], both (nodes, nodes)."""
     capacities, conductances = [], []
-    for material, cells in _chunks(solid):
+    for material, cells in _split_chunks(solid):
         basis = solid.geometry.basis(elements=cells)
         k = material.conductivity[solid.geometry.axes][:, None]
         e_cell, k_cell = np.zeros(()), np.zeros(())
@@ -128,12 +128,12 @@ def point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
     geometry, result = solid.geometry, np.zeros(solid.count)
     mesh = geometry.mesh
     centres = mesh.p[:, mesh.t].mean(axis=1)
-    near = np.argsort(np.linalg.norm(centres.T - point, axis=1))[:CANDIDATES]
+    near = np.argsort(np.linalg.norm(centres.T - point, axis=1))[:MAX_CANDIDATES]
     for cell in near:
         local = _find_local_coordinates(mesh, int(cell), point)
         simplex = mesh.refdom.nnodes == len(point) + 1
         total = local.sum() if simplex else local.max()
-        if local.min() >= -INSIDE and total <= 1 + INSIDE:
+        if local.min() >= -INSIDE_TOLERANCE and total <= 1 + INSIDE_TOLERANCE:
             basis = geometry.basis(elements=np.array([cell]), quadrature=(local, np.ones(1)))
             values, _ = next(local_functions(basis))
             result[basis.element_dofs[:, 0]] = values[0]
@@ -143,7 +143,7 @@ def point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
 
 
 def split_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
-    """Return the mesh with double nodes on inner faces, its ``facets``.
+    """Return the mesh with double nodes on inner ``facets``.
 
     Elements around a node keep one common node where other faces connect them, as those beside the
     tip of a crack do.
@@ -151,7 +151,7 @@ def split_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
     numbers = np.array(geometry.basis(1).element_dofs)
     count, sides = int(numbers.max()) + 1, geometry.mesh.f2t
     split = np.zeros(count, bool)
-    split[face_nodes(geometry, facets)] = True
+    split[find_face_nodes(geometry, facets)] = True
     near = np.flatnonzero(split[numbers].any(axis=0))
     bonded = np.setdiff1d(np.unique(geometry.mesh.t2f[:, near]), facets)
     bonded = bonded[sides[1, bonded] >= 0]
@@ -185,7 +185,7 @@ def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array
     return symmetrise(sum_matrices([(matrix, nodes, nodes)], (solid.count, solid.count)))
 
 
-def common_faces(geometry: Solid, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def find_common_faces(geometry: Solid, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the faces between an element of the first and one of the second set."""
     sides = geometry.mesh.f2t
     inner = sides[1] >= 0
@@ -193,8 +193,8 @@ def common_faces(geometry: Solid, first: np.ndarray, second: np.ndarray) -> np.n
     return np.flatnonzero(inner & ((a[0] & b[1]) | (a[1] & b[0])))
 
 
-def face_nodes(geometry: Solid, facets: np.ndarray) -> np.ndarray:
+def find_face_nodes(geometry: Solid, facets: np.ndarray) -> np.ndarray:
     """Return the numbers of the nodes on faces, those of the first side of double ones."""
     basis = geometry.face(facets, 2)
     values = np.max([np.abs(N) for N, _ in local_functions(basis)], axis=0)
-    return np.unique(basis.element_dofs.T[values > ON_FACE])
+    return np.unique(basis.element_dofs.T[values > FACE_TOLERANCE])

@@ -1,4 +1,4 @@
-"""The catch actuator's force, flux and inductance over the sphere's height.
+"""Force, flux and inductance of the electromagnetic catch over the height of the sphere.
 
 The model is axisymmetric magnetostatics (scikit-fem). The unknown is ``a = A_phi / r``, smooth and
 even in r, so the axis needs no condition. With ``b(a) = 2 a + r da/dr`` the field is ``B_y =
@@ -44,21 +44,28 @@ from kc2spice.core.quantities import MU_0
 from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.linalg.factor import Factor, factorise_supernodal
 
-COMPARED = 5  # least number of heights that are also solved on a mesh half as fine
-RING, SPHERE, LOWER, UPPER = range(4)  # columns of loads and of their fields
-# Mesh sizes at refine = 1 as fractions of the sphere's radius, and growth per distance. They put
-# the force within 1e-5 of its maximum. The parts' surroundings matter most: an uneven mesh in the
-# far field of the sphere makes it push itself.
-_LATTICE, _SPHERE, _PART, _CORNER, _GROWTH = 1 / 8, 1 / 8, 1 / 10, 1 / 16, 0.12
+# smallest number of heights that are also solved on a mesh with elements of twice the size
+MIN_COMPARED_HEIGHTS = 5
+RING, SPHERE, LOWER, UPPER = range(4)  # indices of loads and of their fields
+# Mesh sizes at refine = 1 as fractions of the sphere's radius, and their growth with distance. The
+# force error is then within 1e-5 of the largest force. The mesh around the parts matters most: an
+# uneven mesh in the far field of the sphere causes a force of the sphere on itself.
+_LATTICE_SIZE, _SPHERE_SIZE, _PART_SIZE, _CORNER_SIZE, _SIZE_GROWTH = (
+    1 / 8,
+    1 / 8,
+    1 / 10,
+    1 / 16,
+    0.12,
+)
 
 
-def catch_table(
+def compute_catch_table(
     catch: Catch, radius: float, progress: Callable[[float], None] = lambda share: None
 ) -> EMTable:
     """Sweep the sphere over ``catch.positions`` heights from ``y_min`` to ``y_max``.
 
-    ``progress`` gets the share that is done, after each height. Some of the heights are solved on a
-    mesh half as fine too.
+    ``progress`` receives the completed share after each height. Some heights are also solved on a
+    mesh with elements of twice the size.
 
     Raises
     ------
@@ -76,24 +83,26 @@ def count_compared_positions(count: int) -> int:
 
     At least five of ``count`` equally spaced heights are chosen, which are equally spaced as well.
     """
-    return next((n for n in range(COMPARED, count) if (count - 1) % (n - 1) == 0), count)
+    return next(
+        (n for n in range(MIN_COMPARED_HEIGHTS, count) if (count - 1) % (n - 1) == 0), count
+    )
 
 
 def _sweep_heights(
     catch: Catch, radius: float, progress: Callable[[float], None] = lambda share: None
 ) -> EMTable:
-    """Compute the table of :func:`catch_table` on one mesh."""
-    y = sphere_heights(catch)
+    """Compute the table of :func:`compute_catch_table` on one mesh."""
+    y = list_sphere_heights(catch)
     forces = np.empty((y.size, 4, 4))
     fluxes = np.empty((y.size, 2, 4))
     unknowns = 0
-    for done, (index, system) in enumerate(assemble_heights(catch, radius), 1):
-        fields = system.solve(system.loads)
-        forces[index] = system.force(fields)
-        fluxes[index] = (system.loads.T @ fields)[[LOWER, UPPER]]
-        unknowns = max(unknowns, system.free.size)
+    for done, (index, equations_at) in enumerate(assemble_heights(catch, radius), 1):
+        fields = equations_at.solve(equations_at.loads)
+        forces[index] = equations_at.force(fields)
+        fluxes[index] = (equations_at.loads.T @ fields)[[LOWER, UPPER]]
+        unknowns = max(unknowns, equations_at.free.size)
         progress(done / y.size)
-    sign = ring_sign(catch)
+    sign = ring_direction(catch)
     inductance = fluxes[:, :, [LOWER, UPPER]]
     length = [catch.turns * pi * (c.inner + c.outer) for c in (catch.lower, catch.upper)]
     magnets = sign * forces[:, RING] + forces[:, SPHERE]  # cross terms with both magnets
@@ -115,12 +124,12 @@ def _sweep_heights(
     )
 
 
-def sphere_heights(catch: Catch) -> np.ndarray:
+def list_sphere_heights(catch: Catch) -> np.ndarray:
     """Heights of the sphere's centre [m] in the table."""
     return np.linspace(catch.y_min, catch.y_max, catch.positions)
 
 
-def ring_sign(catch: Catch) -> float:
+def ring_direction(catch: Catch) -> float:
     """Direction of the ring's magnetisation relative to the sphere's, which is +y."""
     return 1.0 if catch.polarity == "parallel" else -1.0
 
@@ -133,7 +142,7 @@ class FieldEquations:
     loads: np.ndarray  # (n, 4)
     free: np.ndarray
     mover: np.ndarray  # unknowns of the mover
-    stretch: sparse.csr_array  # force = -1/2 a' stretch a on them
+    stretch: sparse.csr_array  # force = -1/2 a' stretch a, with the unknowns a of the mover
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
         """Solve for the fields (n, k) of the loads (n, k).
@@ -143,7 +152,7 @@ class FieldEquations:
         SimulationError : the fields do not satisfy their equations.
         """
         a = np.zeros(loads.shape)
-        # Minimum degree: an order by nested dissection would cost more than these factors.
+        # Minimum degree ordering, because nested dissection would cost more than these factors.
         factor = Factor(self.matrix, factorise_supernodal(self.matrix))
         a[self.free] = factor.solve(loads[self.free])
         return a
@@ -162,15 +171,15 @@ def assemble_heights(catch: Catch, radius: float) -> Iterator[tuple[int, FieldEq
 
     Heights on one lattice share their meshes.
     """
-    y = sphere_heights(catch)
-    pitch = lattice_pitch(catch, radius, (y[-1] - y[0]) / (y.size - 1))
+    y = list_sphere_heights(catch)
+    pitch = choose_lattice_pitch(catch, radius, (y[-1] - y[0]) / (y.size - 1))
     offset = np.round((y - y[0]) / pitch, 6) % 1.0
     for value in np.unique(offset):
         selected = np.flatnonzero(offset == value)
-        lattice = bore(catch, radius, pitch, y[selected[0]], y[selected[-1]])
-        system = assemble_field(catch, lattice)
+        lattice = make_bore(catch, radius, pitch, y[selected[0]], y[selected[-1]])
+        equations_at = assemble_field(catch, lattice)
         for index in selected.tolist():
-            yield index, system(y[index])
+            yield index, equations_at(y[index])
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,14 +202,14 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
     The result is a function of the height [m] of the sphere's centre, a lattice point, that
     returns the equations at this height.
     """
-    mesh, sphere = mover_mesh(bore)
+    mesh, sphere = mesh_mover(bore)
     coercivity = catch.remanence / (catch.mu_r * MU_0)
     moved = _assemble_mesh(catch, mesh, sphere, {SPHERE: (_remanence_load, coercivity, sphere)})
     r, y = moved.points
     edge = 1e-6 * bore.pitch
     rim = np.flatnonzero((r > bore.wall - edge) | (np.abs(y) > bore.half - edge))
-    # the air carries the force where the weight g varies: 1 in the sphere, 0 on the rim, harmonic
-    # between; the force is -1/2 a' stretch a [N]
+    # the air carries the force where the weight g varies (1 in the sphere, 0 on the rim, harmonic
+    # between); the force is -1/2 a' stretch a [N]
     basis = _make_basis(mesh)
     g, core = np.zeros(basis.N), np.unique(basis.element_dofs[:, sphere])
     g[core] = 1.0
@@ -210,7 +219,7 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
         _stiffness_derivative.assemble(outside, g=outside.interpolate(g)) / MU_0
     )
 
-    mesh = stator_mesh(catch, bore)
+    mesh = mesh_stator(catch, bore)
     centres = mesh.p[:, mesh.t].mean(axis=1)
     (r, y), boxes = centres, list(map(rectangle, actuator_sections(catch)))
     ring, *coils = ((r > a) & (r < c) & (y > b) & (y < d) for a, b, c, d in boxes)
@@ -226,7 +235,7 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
     free = (r < right - edge) & (y > low + edge) & (y < high - edge)
     lookup, count, more = cKDTree(stator.points.T), stator.points.shape[1], moved.points.shape[1]
 
-    def system(height: float) -> FieldEquations:
+    def equations_at(height: float) -> FieldEquations:
         mover = count + np.arange(more)
         distance, mover[rim] = lookup.query((moved.points[:, rim] + [[0], [height]]).T)
         if not np.max(distance) < 1e-6 * bore.pitch:
@@ -253,7 +262,7 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
         loads[mover] += moved.loads
         return FieldEquations(matrix.tocsc(), loads, solved, mover, stretch)
 
-    return system
+    return equations_at
 
 
 def _assemble_mesh(
@@ -270,7 +279,7 @@ def _assemble_mesh(
     loads = np.zeros((basis.N, 4))
     for column, (form, size, inside) in sources.items():
         loads[:, column] = size * form.assemble(_make_basis(mesh, np.flatnonzero(inside)))
-    coo = _stiffness.coo_data(basis)
+    coo = _stiffness_form.coo_data(basis)
     rows, cols = coo.indices.reshape(2, -1, mesh.nelements)
     reluctivity = np.where(magnet, 1 / catch.mu_r, 1.0) / MU_0
     local = coo.data.reshape(-1, mesh.nelements) * reluctivity
@@ -278,7 +287,7 @@ def _assemble_mesh(
 
 
 def _make_basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:
-    """Make a basis that integrates polynomials of degree 5 exactly.
+    """Return a finite-element basis with a quadrature rule that is exact to degree 5.
 
     The integration order is the degree of the integrands on straight triangles.
     """
@@ -286,7 +295,7 @@ def _make_basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:
 
 
 @BilinearForm
-def _stiffness(u: Any, v: Any, w: Any) -> np.ndarray:
+def _stiffness_form(u: Any, v: Any, w: Any) -> np.ndarray:
     r = w.x[0]
     bu, bv = 2 * u + r * u.grad[0], 2 * v + r * v.grad[0]
     return 2 * pi * r * (bu * bv + r**2 * u.grad[1] * v.grad[1])
@@ -294,7 +303,7 @@ def _stiffness(u: Any, v: Any, w: Any) -> np.ndarray:
 
 @BilinearForm
 def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
-    """Derivative of the stiffness when points move by g in y with their values."""
+    """Derivative of the stiffness for points that move by g in y."""
     r, (g_r, g_y) = w.x[0], w.g.grad
     bu, bv = 2 * u + r * u.grad[0], 2 * v + r * v.grad[0]
     shear = g_r * r * (u.grad[1] * bv + bu * v.grad[1])
@@ -359,14 +368,14 @@ def air_section(catch: Catch) -> tuple[float, float, float, float]:
     return 0.0, centre - catch.air_height / 2, catch.air_radius, centre + catch.air_height / 2
 
 
-def lattice_pitch(catch: Catch, radius: float, spacing: float) -> float:
+def choose_lattice_pitch(catch: Catch, radius: float, spacing: float) -> float:
     """Choose a height of cells [m] of which ``spacing`` is a multiple or a divisor."""
-    target = min(_LATTICE * radius, _narrowest_gap(catch, radius)) / catch.refine
+    target = min(_LATTICE_SIZE * radius, _narrowest_gap(catch, radius)) / catch.refine
     ratio = spacing / target
     return spacing / ceil(ratio) if ratio >= 1 else spacing * floor(1 / ratio)
 
 
-def bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: float) -> Bore:
+def make_bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: float) -> Bore:
     """Make the lattice for centres of the sphere from ``lowest`` to ``highest``.
 
     Raises
@@ -385,11 +394,11 @@ def bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: floa
         got = f"{lowest:g} m to {highest:g} m"
         raise wrong("catch.y_min, catch.y_max", problem, got, expected, hint)
     size = radius / catch.refine
-    columns = ceil(wall / (_LATTICE * size))
+    columns = ceil(wall / (_LATTICE_SIZE * size))
     return Bore(radius, wall, pitch, columns, half, bottom, round((top - bottom) / pitch), size)
 
 
-def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
+def mesh_stator(catch: Catch, bore: Bore) -> MeshTri2:
     """Mesh the half plane without a sphere by triangles around the lattice."""
     top = bore.bottom + bore.rows * bore.pitch
     boxes = list(map(rectangle, actuator_sections(catch)))
@@ -401,8 +410,8 @@ def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
         to_part = min(
             hypot(max(a - r, 0.0, r - c), max(b - y, 0.0, y - d)) for a, b, c, d in shapes[1:]
         )
-        near = min(_CORNER * bore.size + _GROWTH * to_corner, _PART * bore.size)
-        return near + _GROWTH * to_part / catch.refine
+        near = min(_CORNER_SIZE * bore.size + _SIZE_GROWTH * to_corner, _PART_SIZE * bore.size)
+        return near + _SIZE_GROWTH * to_part / catch.refine
 
     with gmsh_session() as gmsh:
         occ = gmsh.model.occ
@@ -419,7 +428,7 @@ def stator_mesh(catch: Catch, bore: Bore) -> MeshTri2:
     return MeshTri2.from_mesh(MeshTri(points, triangles))
 
 
-def mover_mesh(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
+def mesh_mover(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
     """Mesh a box around a sphere at the origin.
 
     The other result is a mask of the triangles inside the sphere.
@@ -438,8 +447,8 @@ def mover_mesh(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
         geo.synchronize()
         gmsh.model.mesh.setTransfiniteCurve(lines[2], round(bore.half / bore.pitch) + 1)
         gmsh.model.mesh.setTransfiniteCurve(lines[3], bore.columns + 1)
-        points, triangles = _generate_mesh(gmsh, lambda r, y: _SPHERE * bore.size)
-    # with the mirror image in y = 0, sharing the nodes on that line
+        points, triangles = _generate_mesh(gmsh, lambda r, y: _SPHERE_SIZE * bore.size)
+    # with the mirror image in y = 0, which shares the nodes on that line
     on_line = np.abs(points[1]) < 1e-9 * np.ptp(points[1])
     points = np.where(on_line, [points[0], np.zeros_like(points[0])], points)
     image = np.arange(points.shape[1])

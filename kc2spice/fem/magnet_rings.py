@@ -1,4 +1,4 @@
-"""A conducting body of revolution between coaxial coils, as rings and few modes.
+"""Eddy currents in a conducting body of revolution between coaxial coils: rings and modes.
 
 The body is divided into rings of rectangular section, which are thin below its surfaces if the skin
 depth is small. For the currents i of the rings and j of the coils, ``L di/dt + R i = -d/dt m j``.
@@ -22,27 +22,29 @@ from kc2spice.core.errors import wrong
 from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 from kc2spice.core.quantities import MU_0
 
-NODES = 40  # number of Chebyshev heights at which the couplings are computed
-FINE = 24  # divisions of the longer side of a coil, for its self-inductance
-POINTS = 16  # divisions along the longer side, for the mutual inductance
-SLIVER = 0.02  # share of a cell's section; a ring with less carries no current
-NEAR = 4  # cells from the axis
-GAUSS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points of a section, relative to its side
-# number of longest sides between two sections from which their mean distance is that of their
+HEIGHT_NODES = 40  # number of Chebyshev heights at which the couplings are computed
+SELF_DIVISIONS = 24  # divisions of the longer side of a coil, for its self-inductance
+MUTUAL_DIVISIONS = 16  # divisions along the longer side, for the mutual inductance
+MIN_FILL = 0.02  # share of a cell's section that conducts; a ring with less carries no current
+AXIS_CELLS = 4  # cells from the axis within which four points per section are used
+GAUSS_POINTS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points of a section, relative to its side
+# distance, in longest sides of two sections, from which their mean distance is that of their
 # centres
-FAR = 40.0
-USUAL = 400  # default number of rings per body, with LAYERS layers per skin depth
-LAYERS = 3.0  # layers of rings per skin depth at the surface, with USUAL rings
-GROWTH = 1.35  # ratio of the thickness of a layer to that of the layer above
+FAR_RATIO = 40.0
+DEFAULT_RINGS = 400  # default number of rings per body
+LAYERS_PER_DEPTH = 3.0  # layers of rings per skin depth at the surface, with DEFAULT_RINGS rings
+LAYER_GROWTH = 1.35  # ratio of the thickness of a layer to that of the layer above
 # largest number of rings of a sphere, whose skin has no layers, if 400 rings are requested
-SKINNED = 1500
-MOST = 3000  # largest number of rings, with dense matrices of 70 MB each
-# numbers of heights and frequencies at which loops are compared with loops of finer rings
-PLACES = 5
-STEP = 1e-4  # step of a numerical slope, relative to the range of heights
+MAX_SPHERE_RINGS = 1500
+MAX_RINGS = 3000  # largest number of rings, with dense matrices of 70 MB each
+# number of heights and frequencies at which loops are compared with loops of finer rings
+COMPARED_HEIGHTS = 5
+SLOPE_STEP = 1e-4  # step of a numerical slope, relative to the range of heights
 
 
-def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) -> np.ndarray:
+def mutual_inductance(
+    r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray
+) -> np.ndarray:
     """Compute the mutual inductance [H] of two coaxial circles; arguments broadcast.
 
     The circles have the radii ``r`` and ``other`` [m] and the heights ``z`` and ``height`` [m].
@@ -53,7 +55,7 @@ def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) 
 
     apart = (z - height) ** 2
     across = (r + other) ** 2 + apart
-    # K as a function of 1 - k^2, which is accurate for circles that are close
+    # K as a function of 1 - k^2, which is accurate for close circles
     k2, rest = 4 * r * other / across, ((r - other) ** 2 + apart) / across
     result = (1 - k2 / 2) * ellipkm1(rest) - ellipe(k2)
     return np.asarray(MU_0 * np.sqrt(across) * result)
@@ -61,7 +63,7 @@ def mutual(r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray) 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Rings with rectangular sections, ``wide`` (n,) times ``tall`` (n,) [m].
+    """Rings with rectangular sections of the size ``wide`` (n,) times ``tall`` (n,) [m].
 
     The middles of the sections are at ``r`` (n,) and ``z`` (n,). The shares ``filled`` (n,) of the
     sections carry current.
@@ -82,9 +84,9 @@ class Cells:
         the axis, where it is no smoother, between four points of each.
         """
         r, z = self.r, self.z
-        logs = self._logs
-        result, near = _mean_mutual(r, z, r, z, logs), r < NEAR * self.wide
-        steps = [(i * self.wide, j * self.tall) for i, j in product(GAUSS, GAUSS)]
+        logs = self._mean_logarithms
+        result, near = _mean_mutual(r, z, r, z, logs), r < AXIS_CELLS * self.wide
+        steps = [(i * self.wide, j * self.tall) for i, j in product(GAUSS_POINTS, GAUSS_POINTS)]
         part = np.zeros((np.count_nonzero(near), r.size))
         for (u, v), (s, t) in product(steps, steps):
             ends = r[near] + u[near], z[near] + v[near], r + s, z + t
@@ -93,16 +95,16 @@ class Cells:
         return result
 
     @cached_property
-    def _logs(self) -> np.ndarray:
+    def _mean_logarithms(self) -> np.ndarray:
         """Mean logarithms (n, n) of the distance of two sections."""
         x, y = np.subtract.outer(self.r, self.r), np.subtract.outer(self.z, self.z)
         result = np.hypot(x, y)
         longest = np.maximum(self.wide, self.tall)
-        near = result < FAR * np.maximum.outer(longest, longest)
+        near = result < FAR_RATIO * np.maximum.outer(longest, longest)
         result[~near] = np.log(result[~near])
         a, b = np.nonzero(np.triu(near))
         sides = self.wide[a], self.wide[b], self.tall[a], self.tall[b]
-        result[a, b] = result[b, a] = _mean_log(x[a, b], y[a, b], *sides)
+        result[a, b] = result[b, a] = _mean_log_distance(x[a, b], y[a, b], *sides)
         return result
 
     @cached_property
@@ -114,16 +116,18 @@ class Cells:
 def _mean_mutual(
     r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray, logs: np.ndarray
 ) -> np.ndarray:
-    """Compute :func:`mutual` (n, m) with mean ``logs`` of the distances."""
+    """Compute :func:`mutual_inductance` (n, m) with mean ``logs`` of the distances."""
     r, z = r[:, None], z[:, None]
     same = (r == other) & (z == height)
     distance = np.where(same, 1.0, np.hypot(r - other, z - height))
     with np.errstate(divide="ignore", invalid="ignore"):
-        between = np.where(same, MU_0 * r * (np.log(8 * r) - 2), mutual(r, z, other, height))
+        between = np.where(
+            same, MU_0 * r * (np.log(8 * r) - 2), mutual_inductance(r, z, other, height)
+        )
     return np.asarray(between + MU_0 * np.sqrt(r * other) * (np.log(distance) - logs))
 
 
-def _mean_log(
+def _mean_log_distance(
     x: np.ndarray, y: np.ndarray, a: np.ndarray, c: np.ndarray, b: np.ndarray, d: np.ndarray
 ) -> np.ndarray:
     """Compute the mean logarithm of the distance of two rectangles.
@@ -158,31 +162,31 @@ def divide_section(
     The share of a cell that carries current is the part for which ``inside(r, z)`` is true.
     """
     wide, tall = outer - inner, high - low
-    thinnest = depth / LAYERS * np.sqrt(USUAL / count)
+    thinnest = depth / LAYERS_PER_DEPTH * np.sqrt(DEFAULT_RINGS / count)
     if inside is not None:
-        most = min(SKINNED * count / USUAL, MOST)
+        most = min(MAX_SPHERE_RINGS * count / DEFAULT_RINGS, MAX_RINGS)
         count, thinnest = int(max(count, min(most, wide * tall / thinnest**2))), np.inf
     side = np.sqrt(wide * tall / count)
-    # three layers at least: the skin effect is across the thinnest side
+    # at least three layers, because the skin effect is across the thinnest side
     across = inner + _divide_length(wide, side, thinnest, 2 if inner else 1)
     along = low + _divide_length(tall, side, thinnest, 2)
-    r, z = _flat_grid(_middles(across), _middles(along))
-    a, b = _flat_grid(np.diff(across), np.diff(along))
+    r, z = _grid_points(_midpoints(across), _midpoints(along))
+    a, b = _grid_points(np.diff(across), np.diff(along))
     if inside is None:
         return Cells(r, z, a, b, np.ones(r.size))
     offsets = (np.arange(16) + 0.5) / 16 - 0.5
-    u, v = _flat_grid(offsets * a[0], offsets * b[0])
+    u, v = _grid_points(offsets * a[0], offsets * b[0])
     filled = inside(r[:, None] + u, z[:, None] + v).mean(axis=1)
-    present = filled > SLIVER
+    present = filled > MIN_FILL
     return Cells(r[present], z[present], a[present], b[present], filled[present])
 
 
-def _flat_grid(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _grid_points(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Coordinates (2, n) of all points of a rectangular grid."""
     return np.reshape(np.meshgrid(x, y), (2, -1))
 
 
-def _middles(edges: np.ndarray) -> np.ndarray:
+def _midpoints(edges: np.ndarray) -> np.ndarray:
     return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
@@ -198,10 +202,10 @@ def _divide_length(length: float, side: float, thinnest: float, surfaces: int) -
     if thinnest >= length / count:
         return np.linspace(0.0, length, count + 1)
     layers, room = [thinnest], length / surfaces
-    while layers[-1] * GROWTH < side and sum(layers) + layers[-1] * GROWTH < room:
-        layers.append(layers[-1] * GROWTH)
+    while layers[-1] * LAYER_GROWTH < side and sum(layers) + layers[-1] * LAYER_GROWTH < room:
+        layers.append(layers[-1] * LAYER_GROWTH)
     left = length - surfaces * sum(layers)
-    inner = np.full(max(1, int(np.ceil(left / min(side, layers[-1] * GROWTH)))), left)
+    inner = np.full(max(1, int(np.ceil(left / min(side, layers[-1] * LAYER_GROWTH)))), left)
     sizes = [*(layers if surfaces == 2 else ()), *(inner / inner.size), *layers[::-1]]
     edges = np.concatenate([[0.0], np.cumsum(sizes)])
     return np.asarray(edges * length / edges[-1])
@@ -221,20 +225,22 @@ class Winding:
     def cells(self) -> Cells:
         """Cells of the section of the ring."""
         half, longest = (self.width / 2, self.height / 2), max(self.width, self.height)
-        parts = [max(2, round(FINE * side / longest)) for side in (self.width, self.height)]
+        parts = [
+            max(2, round(SELF_DIVISIONS * side / longest)) for side in (self.width, self.height)
+        ]
         r = self.radius - half[0] + self.width * (np.arange(parts[0]) + 0.5) / parts[0]
         z = self.y - half[1] + self.height * (np.arange(parts[1]) + 0.5) / parts[1]
-        r, z = _flat_grid(r, z)
+        r, z = _grid_points(r, z)
         even = np.ones_like(r)
         return Cells(r, z, self.width / parts[0] * even, self.height / parts[1] * even, even)
 
     def coupling(self, r: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Compute the mutual inductance [H] with circles (...) by Gauss points."""
         sides = np.array([self.width, self.height])
-        counts = np.maximum(3, np.round(POINTS * sides / sides.max())).astype(int)
+        counts = np.maximum(3, np.round(MUTUAL_DIVISIONS * sides / sides.max())).astype(int)
         (x, p), (y, q) = map(np.polynomial.legendre.leggauss, counts)
         at, height = self.radius + self.width / 2 * x, self.y + self.height / 2 * y
-        result = mutual(r[..., None, None], z[..., None, None], at[:, None], height)
+        result = mutual_inductance(r[..., None, None], z[..., None, None], at[:, None], height)
         return np.asarray(self.turns * np.einsum("...ij,i,j->...", result, p / 2, q / 2))
 
     def through(self, sheet: Winding, heights: np.ndarray) -> np.ndarray:
@@ -244,11 +250,11 @@ class Winding:
 
         The sheet is a winding without width, integrated by Gauss points along it.
         """
-        x, p = np.polynomial.legendre.leggauss(POINTS)
+        x, p = np.polynomial.legendre.leggauss(MUTUAL_DIVISIONS)
         z = heights[:, None] + sheet.y + sheet.height / 2 * x
         return np.asarray(sheet.turns * self.coupling(np.full_like(z, sheet.radius), z) @ p / 2)
 
-    def with_other(self, other: Winding) -> float:
+    def couple_winding(self, other: Winding) -> float:
         """Compute the mutual inductance [H] with another winding.
 
         With the winding itself, the result is the inductance.
@@ -290,7 +296,7 @@ class Ladder(EqualByContent):
 
     @property
     def facts(self) -> dict[str, float]:
-        """Size and errors of the loops. Constant currents have no approximation error."""
+        """Size and errors of the loops."""
         if not self.rates.size:
             return {}
         known = {"rings": float(self.rings), "loops": float(self.rates.size)}
@@ -340,13 +346,13 @@ def compare_rings(
     :meth:`CurrentEffect.largest_difference`.
     """
     half, middle = (ladder.high - ladder.low) / 2, (ladder.high + ladder.low) / 2
-    heights = middle + half * chebyshev.chebpts1(PLACES)
-    step, worst = 2 * STEP * half, 0.0
+    heights = middle + half * chebyshev.chebpts1(COMPARED_HEIGHTS)
+    step, worst = 2 * SLOPE_STEP * half, 0.0
 
-    couplings = partial(_couplings, body, coils, magnets)
+    couplings = partial(_compute_couplings, body, coils, magnets)
     m = couplings(heights)
     slope = (couplings(heights + step) - couplings(heights - step)) / (2 * step)
-    for speed in 2 * np.pi * ladder.frequency * np.geomspace(0.01, 1, PLACES):
+    for speed in 2 * np.pi * ladder.frequency * np.geomspace(0.01, 1, COMPARED_HEIGHTS):
         impedance = body.inductance + np.diag(body.resistance / (1j * speed * conductivity))
         currents = np.linalg.solve(impedance, m.reshape(-1, body.r.size).T).T.reshape(m.shape)
         form = "iyn,jyn->ijy"
@@ -357,7 +363,7 @@ def compare_rings(
     return worst
 
 
-def _couplings(
+def _compute_couplings(
     body: Cells, coils: Sequence[Winding], magnets: Sequence[Winding], heights: np.ndarray
 ) -> np.ndarray:
     """Mutual inductances (c, y, n) [H] of rings with each coil, and all magnets."""
@@ -368,7 +374,7 @@ def _couplings(
     return np.array(m)
 
 
-def ladder(
+def reduce_to_loops(
     body: Cells,
     coils: Sequence[Winding],
     magnets: Sequence[Winding],
@@ -392,9 +398,9 @@ def ladder(
     UsageError : the couplings are no smooth functions of the height, for example if body and
         coil touch.
     """
-    nodes, heights = _chebyshev_nodes(low, high)
+    nodes, heights = _chebyshev_heights(low, high)
     inductance = _coil_inductance(coils)
-    m = _couplings(body, coils, magnets, heights)
+    m = _compute_couplings(body, coils, magnets, heights)
     from scipy.linalg import eigh
 
     rates, modes = eigh(np.diag(body.resistance), body.inductance)
@@ -408,7 +414,7 @@ def ladder(
     return Ladder(reduced, polynomials, inductance, low, high, error, body.r.size, frequency)
 
 
-def current_body(
+def current_loop(
     sheets: Sequence[Winding],
     coils: Sequence[Winding],
     magnets: Sequence[Winding],
@@ -418,17 +424,19 @@ def current_body(
 ) -> Ladder:
     """Make one loop of a body with the constant currents of ``sheets``.
 
-    See :func:`ladder` for the other arguments.
+    See :func:`reduce_to_loops` for the other arguments.
 
     Raises
     ------
     UsageError : the couplings are no smooth functions of the height, for example if body and
         coil touch.
     """
-    nodes, heights = _chebyshev_nodes(low, high)
+    nodes, heights = _chebyshev_heights(low, high)
 
     def linked_flux(windings: Sequence[Winding]) -> np.ndarray:
-        return sum(starmap(Winding.through, product(windings, sheets, (heights,))), np.zeros(NODES))
+        return sum(
+            starmap(Winding.through, product(windings, sheets, (heights,))), np.zeros(HEIGHT_NODES)
+        )
 
     m = [linked_flux([coil]) for coil in coils]
     if magnets:
@@ -437,14 +445,14 @@ def current_body(
     return Ladder(np.empty(0), polynomials, _coil_inductance(coils), low, high, 0.0, 0)
 
 
-def _chebyshev_nodes(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-    """Chebyshev points from -1 to 1, and the same as heights [m]."""
-    nodes = chebyshev.chebpts1(NODES)
+def _chebyshev_heights(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return Chebyshev points from -1 to 1, and the corresponding heights [m]."""
+    nodes = chebyshev.chebpts1(HEIGHT_NODES)
     return nodes, low + (nodes + 1) * (high - low) / 2
 
 
 def _coil_inductance(coils: Sequence[Winding]) -> np.ndarray:
-    return np.array([list(map(a.with_other, coils)) for a in coils])
+    return np.array([list(map(a.couple_winding, coils)) for a in coils])
 
 
 def _compute_subspace(
@@ -463,7 +471,7 @@ def _compute_subspace(
 
     sampled = compute_currents(speeds[::2], mutual[:, ::3]).reshape(-1, rates.size)
     left, _, _ = np.linalg.svd(np.concatenate([sampled.real, sampled.imag]).T, full_matrices=False)
-    slopes = chebyshev.chebval(nodes, chebyshev.chebder(_chebyshev_fit(nodes, mutual))).transpose(
+    slopes = chebyshev.chebval(nodes, chebyshev.chebder(_fit_chebyshev(nodes, mutual))).transpose(
         0, 2, 1
     )
 
@@ -483,7 +491,7 @@ def _compute_subspace(
     return basis, float(error)
 
 
-def _chebyshev_fit(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _fit_chebyshev(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Chebyshev coefficients (NODES, c, k) of ``values`` (c, NODES, k)."""
     count, _, k = values.shape
     table = values.transpose(1, 0, 2).reshape(nodes.size, -1)
@@ -498,7 +506,7 @@ def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -
     The series are the shortest with errors of each coil's slopes below a tenth of the
     ``tolerance``.
     """
-    c = _chebyshev_fit(nodes, values)
+    c = _fit_chebyshev(nodes, values)
     order = np.arange(nodes.size)[:, None, None] ** 2  # largest slope of a Chebyshev polynomial
     size = np.abs(chebyshev.chebval(nodes, chebyshev.chebder(c))).max(axis=(1, 2))
     tails = np.cumsum((order * np.abs(c))[::-1], axis=0)[::-1].max(axis=2) / size

@@ -50,31 +50,31 @@ from kc2spice.core.quantities import (
     validate,
 )
 
-ROUNDING = 1e-12  # rounding error, relative to a tensor's largest component
+TENSOR_ROUNDING = 1e-12  # rounding error, relative to a tensor's largest component
 
-# Point groups as data sheets name them, and the class below with the same free components. "32" is
-# the group of quartz (3m has other piezoelectric components), "6mm" that of poled ceramics.
-_GROUPS = {
+# Point groups of data sheets, and the class below with the same free components. "32" is the group
+# of quartz (3m has other piezoelectric components), "6mm" that of poled ceramics.
+_POINT_GROUPS = {
     "6mm": "hexagonal", "∞m": "hexagonal", "∞mm": "hexagonal", "inf m": "hexagonal",
     "32": "trigonal", "mm2": "orthotropic", "mmm": "orthotropic", "m3m": "cubic", "-43m": "cubic",
     "43m": "cubic",
 }  # fmt: skip
 Symmetry: TypeAlias = Annotated[
     Literal["isotropic", "cubic", "hexagonal", "trigonal", "orthotropic"],
-    BeforeValidator(lambda said: _GROUPS.get(said, said) if isinstance(said, str) else said),
+    BeforeValidator(lambda said: _POINT_GROUPS.get(said, said) if isinstance(said, str) else said),
 ]
 
 # Free components of stiffness and coupling in a symmetry class, each with its equal components.
-_FREE = {
+_FREE_COMPONENTS = {
     "cubic": ("11=22=33 12=13=23 44=55=66", "14=25=36"),
     "hexagonal": ("11=22 12 13=23 33 44=55 66", "31=32 33 15=24"),
     "trigonal": ("11=22 12 13=23 14=-24=56 33 44=55 66", "11=-12=-26 14=-25"),
     "orthotropic": ("11 12 13 22 23 33 44 55 66", "31 32 33 15 24"),
 }
 _DERIVED_66 = ("hexagonal", "trigonal")  # c66 = (c11 - c12)/2, s66 = 2 (s11 - s12)
-# Groups of keys that state the same property; a table with one of them inherits no other key of the
+# Alternative keys of the same property; a table with one of them inherits no other key of the
 # group.
-_ALTERNATIVES = (
+_ALTERNATIVE_KEYS = (
     (("youngs_modulus", "poisson_ratio", "shear_modulus"), ("stiffness",), ("compliance",)),
     (("stress_coupling",), ("strain_coupling",)),
 )
@@ -96,7 +96,8 @@ class CylindricalAxes:
         arm = places - np.asarray(self.point)
         arm = arm - np.outer(arm @ axial, axial)
         size = np.linalg.norm(arm, axis=1, keepdims=True)
-        other = np.cross(axial, np.eye(3)[np.abs(axial).argmin()])  # any, on the axis itself
+        # any direction, on the axis itself
+        other = np.cross(axial, np.eye(3)[np.abs(axial).argmin()])
         radial = np.where(size > 0, arm, other / np.linalg.norm(other))
         radial = radial / np.where(size > 0, size, 1.0)
         hoop = np.cross(axial, radial)
@@ -127,8 +128,8 @@ class Material(EqualByContent):
     eps_S : (3, 3) permittivity at constant strain [F/m]; that of vacuum where none is given.
     conductor : no field inside; a face against an insulator is an electrode.
     quality, loss_tangent : mechanical quality factor and dielectric loss, None if not known.
-    tensile_strength, depoling_field, breakdown_field : largest principal stress [Pa], field
-        against the poling and field in any direction [V/m] that it stands, None if not known.
+    tensile_strength, depoling_field, breakdown_field : largest principal stress [Pa], largest field
+    against the poling and in any direction [V/m], None if unknown.
     residual_stress : (3,) normal stresses at rest along x, y, z [Pa], which supports must hold.
     axis : (3,) unit vector of its z axis (the poling of a ceramic) in the axes of the body.
     dielectric : has a field between its electrodes even where that is coupled to no stress.
@@ -158,12 +159,12 @@ class Material(EqualByContent):
 
     @property
     def piezoelectric(self) -> bool:
-        """Whether stress and field are coupled at all."""
+        """Whether stress and electric field are coupled."""
         return bool(np.any(self.e))
 
     @property
     def isotropic_about_z(self) -> bool:
-        """Whether nothing changes by 2 % when it is turned by 30 or 45 degrees."""
+        """Whether rotation by 30 or 45 degrees about z changes no constant by more than 2 %."""
         for angle in (np.pi / 6, np.pi / 4):
             c, s = np.cos(angle), np.sin(angle)
             rotated = self.rotated(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
@@ -176,13 +177,13 @@ class Material(EqualByContent):
 
     @property
     def couples_planes(self) -> bool:
-        """Whether motion in a plane through z causes motion or polarisation out of it.
+        """Whether motion in a plane through z causes motion or polarisation out of the plane.
 
         The material then has a component that changes its sign in the mirror of the plane.
         """
         out, within, C, e = [3, 5], [0, 1, 2, 4], np.abs(self.C), np.abs(self.e)
-        elastic = C[np.ix_(out, within)].max() > ROUNDING * C.max()
-        return bool(elastic or e[np.ix_([0, 2], out)].max() > ROUNDING * e.max())
+        elastic = C[np.ix_(out, within)].max() > TENSOR_ROUNDING * C.max()
+        return bool(elastic or e[np.ix_([0, 2], out)].max() > TENSOR_ROUNDING * e.max())
 
     def at(
         self, places: np.ndarray, elements: np.ndarray
@@ -206,11 +207,11 @@ class Material(EqualByContent):
 
     @property
     def indentation_modulus(self) -> float:
-        """Modulus [Pa] of a half-space pressed along z without fields.
+        """Modulus [Pa] of a half-space under indentation along z without fields.
 
         It is E / (1 - nu^2) if the material is isotropic.
 
-        Of a material that is isotropic about z. Source: Delafargue and Ulm, Int. J. Solids
+        The material must be isotropic about z. Source: Delafargue and Ulm, Int. J. Solids
         Structures 41 (2004), eq. 13.
         """
         c11, c13, c33, c44 = self.C[0, 0], self.C[0, 2], self.C[2, 2], self.C[3, 3]
@@ -255,7 +256,7 @@ def poling_rotation(direction: Sequence[float] | np.ndarray) -> np.ndarray:
     return np.asarray(np.eye(3) + K + K @ K / (1 + n[2]))
 
 
-_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+_VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 def bond_matrix(R: np.ndarray) -> np.ndarray:
@@ -264,11 +265,11 @@ def bond_matrix(R: np.ndarray) -> np.ndarray:
     Column J is the Voigt vector of ``R T_J R'``, with T_J the symmetric tensor of unit vector J.
     """
     M = np.empty((*R.shape[:-2], 6, 6))
-    for J, (k, l) in enumerate(_PAIRS):
+    for J, (k, l) in enumerate(_VOIGT_PAIRS):
         unit = np.zeros((3, 3))
         unit[k, l] = unit[l, k] = 1.0
         turned = R @ unit @ np.swapaxes(R, -1, -2)
-        for row, (i, j) in enumerate(_PAIRS):
+        for row, (i, j) in enumerate(_VOIGT_PAIRS):
             M[..., row, J] = turned[..., i, j]
     return M
 
@@ -309,8 +310,8 @@ class MaterialTable(Section):
 
     Piezoelectricity is ``stress_coupling`` ``e31``… or ``strain_coupling`` ``d31``…, or 3 by 6.
     ``permittivity`` is relative, ``eps11`` ``eps22`` ``eps33`` or 3 by 3. A piezoelectric material
-    must state whether it is that at constant ``stress`` or ``strain``. A material that is ``like``
-    one of the library has all other constants of that one.
+    must state whether it is that at constant ``stress`` or ``strain``. With the key ``like``, all
+    other constants are those of this library material.
     """
 
     like: str | None = Field(
@@ -384,13 +385,13 @@ class MaterialTable(Section):
     @model_validator(mode="before")
     @classmethod
     def _inherit(cls, data: Any) -> Any:
-        """Add the properties of the material ``like`` that the table leaves out."""
+        """Add the properties of the material ``like`` that the table omits."""
         if not isinstance(data, Mapping) or "like" not in data:
             return data
         base = dict(_load_tables().get(data["like"], {}))
         if not base:
             raise ValueError(f"like: no such material: {data['like']}; {', '.join(_load_tables())}")
-        for forms in _ALTERNATIVES:
+        for forms in _ALTERNATIVE_KEYS:
             if set(chain.from_iterable(forms)).isdisjoint(data):
                 continue
             for keys in forms:
@@ -459,7 +460,7 @@ class MaterialTable(Section):
             C = np.linalg.inv(s)
         _require_definite(C, "stiffness")
         largest = float(np.diag(C).max())
-        if not 1e3 <= largest <= 2e12:  # GPa written as Pa, pm^2/N as m^2/N
+        if not 1e3 <= largest <= 2e12:  # GPa written as Pa, or pm^2/N as m^2/N
             hint = 'numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12'
             problem = "stiffness out of any material's range"
             raise wrong(None, problem, f"{largest:g} Pa", "1e3 to 2e12 Pa", hint)
@@ -519,14 +520,14 @@ class MaterialTable(Section):
         shape = (6, 6) if elastic else (3, 6)
         if isinstance(values, list):
             return _require_shape(values, shape, key)
-        if self.symmetry not in _FREE:
-            expected = f"symmetry = {', '.join(_FREE)}, or a full matrix"
+        if self.symmetry not in _FREE_COMPONENTS:
+            expected = f"symmetry = {', '.join(_FREE_COMPONENTS)}, or a full matrix"
             raise wrong(key, "components need a symmetry", self.symmetry, expected)
         first, second, last = f"{letter}11", f"{letter}12", f"{letter}66"
         if elastic and self.symmetry in _DERIVED_66 and {first, second} <= set(values):
             factor = 0.5 if letter == "c" else 2.0
             values = {last: factor * (values[first] - values[second]), **values}
-        free = _FREE[self.symmetry][0 if elastic else 1]
+        free = _FREE_COMPONENTS[self.symmetry][0 if elastic else 1]
         groups = [group.split("=") for group in free.split()]
         required = {letter + group[0] for group in groups}
         if set(values) != required:
@@ -573,8 +574,8 @@ def _load_tables() -> dict[str, dict[str, Any]]:
 
 
 @cache
-def _library_names() -> dict[str, str]:
-    """Names of the library's materials by these names in lower case."""
+def _list_library_names() -> dict[str, str]:
+    """Return the names of the library's materials, keyed by lower-case name."""
     return dict(zip(map(str.lower, _load_tables()), _load_tables(), strict=True))
 
 
@@ -599,10 +600,10 @@ def material(
         table = validate(MaterialTable, name_or_table, where)
         with name_part_in_errors(where):
             return table.build(where.rsplit(".", 1)[-1])
-    if name_or_table.lower() not in _library_names():
+    if name_or_table.lower() not in _list_library_names():
         names = list(_load_tables())
         expected = f"one of {list_candidates(name_or_table, names, 'docs/reference/materials.md')}"
         hint = did_you_mean(name_or_table, names)
         hint = hint or 'write a table: { density = …, youngs_modulus = "… GPa", poisson_ratio = … }'
         raise wrong(where, "no such material", repr(name_or_table), expected, hint)
-    return _load_material(_library_names()[name_or_table.lower()])
+    return _load_material(_list_library_names()[name_or_table.lower()])

@@ -1,12 +1,12 @@
-"""Elements of mesh files, and the quadratic meshes that are made of them.
+"""Elements of mesh files, and the quadratic meshes that follow from them.
 
 A file contains blocks of elements, each of one kind, of first or second order. Meshes of only
 hexahedra or only quadrilaterals become meshes of 27 or 9 nodes per element. Nodes that the file
 lacks, such as those on the faces of hexahedra with 20 nodes, follow from the shape functions of the
 file's elements. All other meshes become quadratic tetrahedra or triangles. Prisms, pyramids, and
-hexahedra beside other elements are divided at the diagonals through the lowest node number of each
-face, so that neighbours match. Source: J. Dompierre et al., How to subdivide pyramids, prisms and
-hexahedra into tetrahedra, 8th International Meshing Roundtable (1999).
+hexahedra in meshes with other elements are divided at the diagonals through the lowest node number
+of each face, so that neighbours match. Source: J. Dompierre et al., How to subdivide pyramids,
+prisms and hexahedra into tetrahedra, 8th International Meshing Roundtable (1999).
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from skfem.mesh import (
 
 from kc2spice.core.errors import wrong
 
-# Faces of elements by the number of their corners, in gmsh's order of nodes.
-FACES = {
+# Faces of elements, keyed by number of corners, in gmsh's node order.
+ELEMENT_FACES = {
     5: ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
     6: ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     8: ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }  # fmt: skip
 # Neighbours of each corner along edges, in right-handed order.
-NEIGHBOURS = {
+CORNER_NEIGHBOURS = {
     (2, 4): ((1, 3), (2, 0), (3, 1), (0, 2)),
     (3, 5): ((1, 3, 4), (2, 0, 4), (3, 1, 4), (0, 2, 4)),
     (3, 6): ((1, 2, 3), (2, 0, 4), (0, 1, 5), (5, 4, 0), (3, 5, 1), (4, 3, 2)),
@@ -46,9 +46,9 @@ NEIGHBOURS = {
         (1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3),
     ),
 }  # fmt: skip
-SIMPLICES = {2: (MeshTri, MeshTri2), 3: (MeshTet, MeshTet2)}
-PRODUCTS = {2: (MeshQuad, MeshQuad2), 3: (MeshHex, MeshHex2)}
-# Elements whose shape functions a file uses, by dimension and number of nodes.
+SIMPLEX_MESHES = {2: (MeshTri, MeshTri2), 3: (MeshTet, MeshTet2)}
+PRODUCT_MESHES = {2: (MeshQuad, MeshQuad2), 3: (MeshHex, MeshHex2)}
+# Elements with the shape functions of a file, keyed by dimension and number of nodes.
 PRODUCT_ELEMENTS = {
     (2, 4): skfem.ElementQuad1, (2, 8): skfem.ElementQuadS2, (2, 9): skfem.ElementQuad2,
     (3, 8): skfem.ElementHex1, (3, 20): skfem.ElementHexS2, (3, 27): skfem.ElementHex2,
@@ -57,7 +57,7 @@ PRODUCT_ELEMENTS = {
 
 @dataclass(frozen=True, eq=False)
 class CellBlock:
-    """Elements of one kind: ``nodes`` (elements, l), the ``corners`` first.
+    """Elements of one kind: ``nodes`` (elements, l), with the ``corners`` first.
 
     ``local`` (l, d) are the coordinates of these nodes on gmsh's reference element.
     """
@@ -82,7 +82,7 @@ class CellBlock:
         return self.corners == 2**self.dimension
 
     def renumber(self, number: np.ndarray) -> CellBlock:
-        """Replace each node by its ``number`` (n,)."""
+        """Return the block with each node replaced by its ``number`` (n,)."""
         return CellBlock(number[self.nodes], self.corners, self.local)
 
     def middle_nodes(self) -> dict[tuple[int, int], int]:
@@ -97,25 +97,25 @@ class CellBlock:
         return {edge: node for edge, node in result.items() if node not in centres}
 
     def _centre_nodes(self, middles: dict[tuple[int, int], int]) -> set[int]:
-        """Nodes in the middle of more than one line between corners: those of faces."""
+        """Nodes in the middle of more than one line between corners, which are face nodes."""
         nodes = list(middles.values())
         return {node for node in nodes if nodes.count(node) > 1}
 
 
 def is_product_mesh(blocks: Sequence[CellBlock]) -> bool:
-    """Whether all elements are quadrilaterals, or all are hexahedra."""
+    """Return whether all elements are quadrilaterals, or all are hexahedra."""
     return bool(blocks) and all(block.is_product for block in blocks)
 
 
 def require_right_handed(points: np.ndarray, blocks: Sequence[CellBlock], where: str) -> None:
-    """Refuse elements whose Jacobian determinant changes its sign between corners.
+    """Reject elements whose Jacobian determinant changes sign between corners.
 
     Raises
     ------
     UsageError : an element is folded or has corners in one plane; the message states where.
     """
     for block in blocks:
-        corners = NEIGHBOURS.get((block.dimension, block.corners))
+        corners = CORNER_NEIGHBOURS.get((block.dimension, block.corners))
         if corners is None:
             continue
         places = points[block.vertices]
@@ -146,9 +146,9 @@ def _turn_lowest_first(faces: np.ndarray) -> np.ndarray:
 
 
 def divide_cells(blocks: Sequence[CellBlock]) -> tuple[np.ndarray, np.ndarray]:
-    """Divide elements into triangles or tetrahedra (k, d + 1).
+    """Divide elements into triangles or tetrahedra (k, d + 1), with the numbers of the elements.
 
-    The second result (k,) is the number of the element that each is a part of. A tetrahedron
+     A tetrahedron
     consists of the lowest node of an element and a triangle of a face without this node.
     """
     pieces, parents, start = [], [], 0
@@ -176,7 +176,7 @@ def _divide_block(block: CellBlock) -> list[tuple[np.ndarray, np.ndarray]]:
     result, lowest = [], cells.argmin(axis=1)
     for corner in range(block.corners):
         members = np.flatnonzero(lowest == corner)
-        for face in FACES[block.corners]:
+        for face in ELEMENT_FACES[block.corners]:
             if corner in face:
                 continue
             turned = _turn_lowest_first(cells[members][:, face])
@@ -193,7 +193,7 @@ def _edge_middles(points: np.ndarray, block: CellBlock) -> tuple[np.ndarray, np.
     middles, nodes = block.middle_nodes(), block.nodes
     ends = [nodes[:, list(edge)] for edge in middles]
     places = [points[nodes[:, node]] for node in middles.values()]
-    faces = ((0, 1, 2, 3),) if block.dimension == 2 else FACES.get(block.corners, ())
+    faces = ((0, 1, 2, 3),) if block.dimension == 2 else ELEMENT_FACES.get(block.corners, ())
     for face in faces if block.corners > block.dimension + 1 else ():
         if len(face) == 4:
             around = [middles[_sorted_pair(face[i - 1], face[i])] for i in range(4)]
@@ -212,6 +212,7 @@ def _edge_middles(points: np.ndarray, block: CellBlock) -> tuple[np.ndarray, np.
 
 
 def _sorted_pair(first: int, second: int) -> tuple[int, int]:
+    """Return two numbers in ascending order."""
     return min(first, second), max(first, second)
 
 
@@ -238,12 +239,12 @@ def _make_simplex_mesh(
     corners, parent = divide_cells(blocks)
     vertices, cells = np.unique(corners, return_inverse=True)
     number = _invert_numbers(vertices, len(points))
-    kind, curved = SIMPLICES[points.shape[1]]
+    kind, curved = SIMPLEX_MESHES[points.shape[1]]
     mesh = curved.from_mesh(kind(points[vertices].T.copy(), cells.reshape(corners.shape).T.copy()))
     places = mesh.doflocs.copy()
     for block in blocks:
         ends, middle = _edge_middles(points, block)
-        places[:, edge_nodes(mesh, number[ends])] = middle.T
+        places[:, find_edge_nodes(mesh, number[ends])] = middle.T
     return curved(places, mesh.t), number, parent
 
 
@@ -251,10 +252,10 @@ def _make_product_mesh(
     points: np.ndarray, blocks: Sequence[CellBlock]
 ) -> tuple[Mesh, np.ndarray, np.ndarray]:
     dimension = points.shape[1]
-    kind, curved = PRODUCTS[dimension]
+    kind, curved = PRODUCT_MESHES[dimension]
     corners = np.concatenate([block.vertices for block in blocks])
     vertices, cells = np.unique(corners, return_inverse=True)
-    order = _match_places(_unit_places(blocks[0])[: corners.shape[1]], kind.elem.doflocs)
+    order = _match_positions(_unit_positions(blocks[0])[: corners.shape[1]], kind.elem.doflocs)
     mesh = curved.from_mesh(
         kind(points[vertices].T.copy(), cells.reshape(corners.shape)[:, order].T.copy())
     )
@@ -263,28 +264,30 @@ def _make_product_mesh(
     for block in blocks:
         columns = numbers[:, start : start + len(block.nodes)]
         start += len(block.nodes)
-        places[:, columns] = np.einsum("il,eld->die", _interpolation(block), points[block.nodes])
+        places[:, columns] = np.einsum(
+            "il,eld->die", _interpolation_weights(block), points[block.nodes]
+        )
     number = _invert_numbers(vertices, len(points))
     return curved(places, mesh.t), number, np.arange(len(corners))
 
 
-def _unit_places(block: CellBlock) -> np.ndarray:
+def _unit_positions(block: CellBlock) -> np.ndarray:
     """Nodes (l, d) of gmsh's quadrilateral or hexahedron on the unit square or cube."""
     return (block.local + 1) / 2
 
 
-def _match_places(places: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return the number of the place that is at each of the ``others``."""
+def _match_positions(places: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the index of the position that each of the ``others`` has."""
     distance = np.linalg.norm(places[None] - others[:, None], axis=-1)
     return np.asarray(distance.argmin(axis=1))
 
 
-def _interpolation(block: CellBlock) -> np.ndarray:
+def _interpolation_weights(block: CellBlock) -> np.ndarray:
     """Weights (m, l) of a block's nodes in the nodes of its quadratic element."""
     element = PRODUCT_ELEMENTS[block.dimension, len(block.local)]()
-    curved = PRODUCTS[block.dimension][1].elem.doflocs
+    curved = PRODUCT_MESHES[block.dimension][1].elem.doflocs
     result = np.empty((len(curved), len(block.local)))
-    order = _match_places(_unit_places(block), element.doflocs)
+    order = _match_positions(_unit_positions(block), element.doflocs)
     for i, node in enumerate(order):
         result[:, node] = element.lbasis(curved.T, i)[0]
     return result
@@ -296,7 +299,7 @@ def _invert_numbers(vertices: np.ndarray, count: int) -> np.ndarray:
     return number
 
 
-def edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
+def find_edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
     """Nodes in the middle of edges given by vertices (k, 2)."""
     edges = mesh.edges if mesh.dim() == 3 else mesh.facets
     return mesh.nvertices + find_columns(edges, pairs)

@@ -3,7 +3,7 @@
 :mod:`kc2spice.fem.mesh_formats` reads the meshes of other programs. ``.msh`` and ``.unv`` files
 contain elements and physical groups. This module meshes ``.step`` and ``.brep`` files. The solids
 of a CAD file are first modified to share faces. Their groups are the labels of the file, and the
-picks of :func:`read_mesh`.
+selections (``picks``) of :func:`read_mesh`.
 
 gmsh selects the format by extension and content of a file, and runs unknown files as scripts. No
 option of gmsh prevents scripts from starting programs. Therefore gmsh runs in a separate process
@@ -36,37 +36,37 @@ from kc2spice.fem.mesh_cells import (
     CellBlock,
     divide_cells,
     divide_faces,
-    edge_nodes,
     find_columns,
+    find_edge_nodes,
     is_product_mesh,
     make_quadratic_mesh,
     require_right_handed,
 )
 from kc2spice.fem.mesh_formats import (
-    READERS,
+    MESHIO_READERS,
     merge_file,
     require_plain_content,
     require_unv_elements,
 )
 
-STEP = (".step", ".stp")
-CAD = (*STEP, ".brep")
-# First bytes of each format, and the file name that its reader receives.
-FORMATS = {
+STEP_SUFFIXES = (".step", ".stp")
+CAD_SUFFIXES = (*STEP_SUFFIXES, ".brep")
+# First bytes of each format, and the file name for its reader.
+FILE_FORMATS = {
     ".msh": (b"$MeshFormat", "mesh.msh"), ".brep": (b"DBRep_DrawableShape", "mesh.brep"),
     ".step": (b"ISO-10303-21;", "mesh.step"), ".stp": (b"ISO-10303-21;", "mesh.step"),
     ".inp": (b"", "mesh.inp"), ".bdf": (b"", "mesh.bdf"), ".nas": (b"", "mesh.nas"),
     ".unv": (b"    -1", "mesh.unv"), ".vtu": (b"<", "mesh.vtu"), ".med": (b"\x89HDF", "mesh.med"),
     ".exo": (b"", "mesh.exo"), ".e": (b"", "mesh.e"),
 }  # fmt: skip
-MAX_BYTES = 2_000_000_000  # size of a file
-_HEAD = 200  # first bytes of a file, which identify its format
-LENGTHS = ("m", "cm", "mm", "um")  # units accepted for a file without a unit
-COINCIDENT = 1e-3  # distance of coincident nodes, relative to the shortest edge
-MILLIMETRE = 1e-3  # m; unit to which STEP files are converted
-# Accepted versions of .msh files; the next bytes distinguish text from binary numbers of either
-# byte order.
-_MSH = re.compile(
+MAX_FILE_BYTES = 2_000_000_000  # size of a file
+_HEAD_BYTES = 200  # bytes at the beginning of a file that identify its format
+LENGTH_UNITS_ACCEPTED = ("m", "cm", "mm", "um")  # units accepted for a file without a unit
+COINCIDENCE_TOLERANCE = 1e-3  # distance of coincident nodes, relative to the shortest edge
+MILLIMETRE = 1e-3  # m, unit of converted STEP files
+# Accepted versions of .msh files; the following bytes distinguish text from binary numbers of
+# either byte order.
+_MSH_HEADER = re.compile(
     rb"\$MeshFormat[ \t\r]*\n[ \t]*(2|2\.[012]|4|4\.[01])[ \t]+"
     rb"(0[ \t]+8[ \t\r]*\n\s*\$EndMeshFormat|1[ \t]+8[ \t\r]*\n(\x01\0\0\0|\0\0\0\x01))"
 )
@@ -90,10 +90,10 @@ class Group(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class GroupedMesh:
-    """A quadratic mesh [m] and its groups by name.
+    """Quadratic mesh [m] with its groups, keyed by name.
 
     It consists of tetrahedra or hexahedra, in a plane of triangles or quadrilaterals. ``numbers``
-    (elements,) are those of the file's elements that the elements are parts of.
+    (elements,) are the numbers of the elements in the file from which the elements were made.
     """
 
     mesh: Mesh
@@ -158,13 +158,13 @@ def read_mesh(
 
     Raises
     ------
-    UsageError : no such file, not of the kind that its name says, without solids, a CAD file
-        without size, a pick that selects nothing, or solids that touch and share no nodes.
+    UsageError : the file is missing, has another format than its suffix, contains no solids, or is
+    a CAD file without ``size``; a selection is empty; or touching solids share no nodes.
     """
     data = _read_content(path)
-    if path.suffix.lower() in STEP and unit != MILLIMETRE:
+    if path.suffix.lower() in STEP_SUFFIXES and unit != MILLIMETRE:
         raise wrong("unit", "a STEP file states its own unit", f"{unit:g} m", "no unit, or mm")
-    cad = path.suffix.lower() in CAD
+    cad = path.suffix.lower() in CAD_SUFFIXES
     if cad == (size is None):
         if cad:
             expected = 'a length such as "1 mm"'
@@ -174,7 +174,7 @@ def read_mesh(
     if picks and not cad:
         problem = "groups are picked in CAD files only"
         raise wrong("groups", problem, hint="name physical groups in the mesh")
-    result = _ask_gmsh(
+    result = _call_gmsh(
         "extract_mesh",
         path,
         data,
@@ -194,19 +194,20 @@ def length_unit(path: Path, unit: str | None) -> float:
     ------
     UsageError : neither states the unit; the message contains the size in usual units.
     """
-    if path.suffix.lower() in STEP or unit is not None:
+    if path.suffix.lower() in STEP_SUFFIXES or unit is not None:
         return quantity(f"1 {unit or 'mm'}", "m", where="unit")
     sides = measure_extent(path)
 
-    def millimetres(scale: float) -> str:
+    def in_millimetres(scale: float) -> str:
         return " x ".join(f"{scale * side:.4g}" for side in sides)
 
     sizes = (
-        f'"{name}" if it is {millimetres(1e3 * quantity(f"1 {name}", "m"))} mm' for name in LENGTHS
+        f'"{name}" if it is {in_millimetres(1e3 * quantity(f"1 {name}", "m"))} mm'
+        for name in LENGTH_UNITS_ACCEPTED
     )
     problem = f"a {path.suffix} file does not state its unit of length"
     hint = 'state it beside mesh, such as unit = "mm"'
-    raise wrong("unit", problem, f"{millimetres(1.0)} in that unit", ", ".join(sizes), hint)
+    raise wrong("unit", problem, f"{in_millimetres(1.0)} in that unit", ", ".join(sizes), hint)
 
 
 def measure_extent(path: Path) -> np.ndarray:
@@ -218,13 +219,13 @@ def measure_extent(path: Path) -> np.ndarray:
     ------
     UsageError : as :func:`read_mesh`.
     """
-    low, high = _ask_gmsh("measure_box", path, _read_content(path))["box"]
+    low, high = _call_gmsh("measure_box", path, _read_content(path))["box"]
     return np.asarray(high - low)
 
 
-def _ask_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[str, np.ndarray]:
+def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[str, np.ndarray]:
     """Call a function of this module in a process with gmsh, on a copy of the file."""
-    file = FORMATS[path.suffix.lower()][1]
+    file = FILE_FORMATS[path.suffix.lower()][1]
 
     def write_copy(home: Path) -> None:
         (home / file).write_bytes(data)
@@ -233,7 +234,7 @@ def _ask_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[st
     try:
         return call_in_child(f"kc2spice.fem.mesh_file:{function}", request, write_copy)
     except ValueError as error:
-        reader = "meshio" if path.suffix.lower() in READERS else "gmsh"
+        reader = "meshio" if path.suffix.lower() in MESHIO_READERS else "gmsh"
         problem = f"{reader} cannot read or mesh this"
         raise UsageError(problem, where=str(path), got=str(error)) from None
 
@@ -249,25 +250,25 @@ def require_format(path: Path, head: bytes | None = None) -> None:
     ------
     UsageError : an unknown suffix, or a file of another format.
     """
-    known = FORMATS.get(path.suffix.lower())
+    known = FILE_FORMATS.get(path.suffix.lower())
     if known is None:
         raise wrong(
             str(path),
             "not a mesh or CAD file",
             path.suffix or "a name without suffix",
-            f"a file that ends with {', '.join(FORMATS)}",
+            f"a file that ends with {', '.join(FILE_FORMATS)}",
             "save the mesh as .msh with gmsh",
         )
     if head is None:
         if not path.is_file():
             return
         with path.open("rb") as file:
-            head = file.read(_HEAD)
+            head = file.read(_HEAD_BYTES)
     magic = known[0]
     got, expected = head[:20], f"a file that begins with {magic.decode(errors='backslashreplace')}"
     hint = f"export the file again as {path.suffix}"
     if head.startswith(magic):
-        if magic != b"$MeshFormat" or _MSH.match(head):
+        if magic != b"$MeshFormat" or _MSH_HEADER.match(head):
             return
         got, expected = head[:40], "a header of version 2 or 4, as text or binary"
         hint = 'gmsh.option.setNumber("Mesh.MshFileVersion", 4.1) before gmsh.write'
@@ -280,23 +281,23 @@ def _read_content(path: Path) -> bytes:
     """Read a file, and check its format."""
     require_format(path)
     try:
-        data = read_bounded(path, MAX_BYTES)
+        data = read_bounded(path, MAX_FILE_BYTES)
     except (OSError, ValueError) as error:
         if isinstance(error, FileNotFoundError):
-            expected = f"a mesh or CAD file: {', '.join(FORMATS)}"
+            expected = f"a mesh or CAD file: {', '.join(FILE_FORMATS)}"
             hint = f"copy the file to {path}, or correct the key mesh"
             raise wrong(str(path), "this file does not exist", None, expected, hint) from None
         reason = getattr(error, "strerror", None) or str(error)
         raise UsageError(f"cannot be read: {reason}", where=str(path)) from None
-    require_format(path, data[:_HEAD])
+    require_format(path, data[:_HEAD_BYTES])
     if path.suffix.lower() == ".unv" and len(_UNV_MARK.findall(data)) % 2:
         hint = "export the file again"
         raise wrong(str(path), "the file ends within a dataset", None, "two lines -1 each", hint)
     if path.suffix.lower() == ".unv":
         require_unv_elements(data, str(path))
-    if path.suffix.lower() in READERS:
+    if path.suffix.lower() in MESHIO_READERS:
         require_plain_content(path.suffix.lower(), data, str(path))
-    if path.suffix.lower() in STEP and b"DOCUMENT_FILE" in _STEP_TEXT.sub(b"", data):
+    if path.suffix.lower() in STEP_SUFFIXES and b"DOCUMENT_FILE" in _STEP_TEXT.sub(b"", data):
         hint = "export it without external references"
         expected = "one file with all solids"
         raise wrong(str(path), "refers to other files", "DOCUMENT_FILE", expected, hint)
@@ -314,7 +315,7 @@ def _assemble_mesh(
     points = unit * arrays["points"]
     if not np.isfinite(points).all():
         raise UsageError("a node has a coordinate that is not finite", where=where)
-    if dimension == 2:  # radius and height; the plane is x-y (y the axis) or x-z (z the axis)
+    if dimension == 2:  # radius and height; the plane is x-y (y is the axis) or x-z (z is the axis)
         flat = [axis for axis in (2, 1) if np.ptp(points[:, axis]) <= 1e-9 * np.ptp(points)]
         if not flat:
             problem = "the axisymmetric mesh is not plane"
@@ -325,7 +326,7 @@ def _assemble_mesh(
         blocks.append(CellBlock(arrays[f"cells{k}"], int(corners), arrays[f"local{k}"]))
     record = json.loads(str(arrays["record"]))
     if not blocks:
-        raise _refuse_empty(dimension, max(map(itemgetter(1), record), default=0), where)
+        raise _make_empty_mesh_error(dimension, max(map(itemgetter(1), record), default=0), where)
     require_right_handed(points, blocks, where)
     same = np.arange(len(points))
     if merge:
@@ -355,7 +356,7 @@ def _assemble_mesh(
     return GroupedMesh(mesh, groups, arrays["numbers"][parent])
 
 
-def _refuse_empty(dimension: int, grouped: int, where: str) -> UsageError:
+def _make_empty_mesh_error(dimension: int, grouped: int, where: str) -> UsageError:
     """Make the error of a mesh without elements of its dimension.
 
     ``grouped`` is the largest dimension of a group.
@@ -383,7 +384,7 @@ def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float
     """
     from scipy.spatial import cKDTree  # imported here, because few meshes need it
 
-    used = _used_nodes(blocks)
+    used = _find_used_nodes(blocks)
     pairs = used[cKDTree(points[used]).query_pairs(distance, output_type="ndarray")]
     links = sparse.coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
     _, label = connected_components(links, directed=False)
@@ -399,7 +400,7 @@ def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float
     return np.asarray(same)
 
 
-def _used_nodes(blocks: Sequence[CellBlock]) -> np.ndarray:
+def _find_used_nodes(blocks: Sequence[CellBlock]) -> np.ndarray:
     """Return the nodes of all elements in ascending order."""
     return np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
 
@@ -416,9 +417,9 @@ def require_joined(
     owners: Mapping[str, np.ndarray],
     where: str,
 ) -> None:
-    """Refuse solids that touch and share no nodes.
+    """Reject solids that touch and share no nodes.
 
-    Nothing would connect these solids.
+    Such solids would not be connected.
 
     ``points`` (n, d) [m], ``blocks`` of elements, ``owners`` the numbers of the elements of each
     named group.
@@ -431,8 +432,8 @@ def require_joined(
     from scipy.spatial import cKDTree
 
     cells = divide_cells(blocks)[0]
-    near = COINCIDENT * _shortest_edge(points, cells)
-    used = _used_nodes(blocks)
+    near = COINCIDENCE_TOLERANCE * _shortest_edge(points, cells)
+    used = _find_used_nodes(blocks)
     pairs = used[cKDTree(points[used]).query_pairs(near, output_type="ndarray")]
     expected = "one node for all elements that are joined there"
     apart = "merge = 0 keeps them apart"
@@ -450,7 +451,7 @@ def require_joined(
 
 
 def _nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: float) -> np.ndarray:
-    """Find nodes on the surface of a piece of the mesh that does not contain them.
+    """Find nodes on the surface of another piece of the mesh.
 
     The ``cells`` (k, d + 1) are triangles or tetrahedra.
     """
@@ -473,11 +474,11 @@ def _nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: float) -
     node = nodes[np.fromiter(chain.from_iterable(around), int)]
     other = label[faces[face, 0]] != label[node]
     face, node = face[other], node[other]
-    return np.unique(node[_on_simplex(points[node], points[faces[face]], near)])
+    return np.unique(node[_is_on_simplex(points[node], points[faces[face]], near)])
 
 
-def _on_simplex(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
-    """Mask of the ``places`` (n, d) within ``near`` of their simplex.
+def _is_on_simplex(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
+    """Return a mask of the points (n, d) closer than ``near`` to their simplex.
 
     The simplices are (n, corners, d).
 
@@ -527,7 +528,7 @@ def _measure_shares(
     """
     nodes, weights = ends.ravel(), np.ones(len(ends))
     if ends.shape[1] == 2:
-        middle = edge_nodes(mesh, ends)
+        middle = find_edge_nodes(mesh, ends)
         _require_inside(middle - mesh.nvertices, name)
         nodes = np.concatenate([*ends.T, middle])
         weights = np.concatenate([length, length, 4 * length]) / 6  # Simpson's rule
@@ -547,12 +548,13 @@ def _require_inside(places: np.ndarray, name: str) -> np.ndarray:
     return places
 
 
-DIMENSION = {0: "points", 1: "curves", 2: "faces", 3: "solids"}
-TOUCHING = 1e-6  # distance of a face from a point that selects it, over the body's size
-# Numbers of corners of the supported elements of each dimension, and their names.
-CORNERS = {0: (1,), 1: (2,), 2: (3, 4), 3: (4, 5, 6, 8)}
-ELEMENTS = "triangles, quadrilaterals, tetrahedra, pyramids, prisms and hexahedra"
-MOST = 50_000_000  # largest number of elements for a mesh size
+ENTITY_NAMES = {0: "points", 1: "curves", 2: "faces", 3: "solids"}
+# largest distance of a face from a point that selects it, relative to the body's size
+PICK_TOLERANCE = 1e-6
+# Numbers of corners of the supported elements of each dimension.
+CORNER_COUNTS = {0: (1,), 1: (2,), 2: (3, 4), 3: (4, 5, 6, 8)}
+ELEMENT_NAMES = "triangles, quadrilaterals, tetrahedra, pyramids, prisms and hexahedra"
+MAX_ELEMENTS = 50_000_000  # largest number of elements that a mesh size may produce
 
 Picks = Mapping[str, Mapping[str, Any]]
 
@@ -562,7 +564,7 @@ def extract_mesh(
 ) -> dict[str, np.ndarray]:
     """Extract nodes, elements and physical groups of a file.
 
-    The user calls the file ``name``.
+    ``name`` is the user's name of the file.
 
     A CAD file is meshed with elements of a ``size`` (in the file's unit). ``picks`` are its groups
     by name: ``dimension``, points ``at``, corners of a ``box``.
@@ -575,18 +577,19 @@ def extract_mesh(
 
     Raises
     ------
-    UsageError : nothing to mesh, a pick that selects nothing, elements of another shape.
+    UsageError : there is nothing to mesh, a selection is empty, or elements have an unsupported
+    shape.
     """
     with gmsh_session() as gmsh:
         gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
-        _merge(gmsh, file, dimension)
+        _merge_file(gmsh, file, dimension)
         if size is not None:
             _mesh_cad(gmsh, size, dimension, picks)
         for _ in range(splits):
             gmsh.model.mesh.refine()
         arrays = _collect_arrays(gmsh, dimension, name)
-    if Path(file).suffix in READERS:  # meshio does not return the numbers of elements
+    if Path(file).suffix in MESHIO_READERS:  # meshio does not return the numbers of elements
         arrays["numbers"] = np.full(len(arrays["numbers"]), -1)
     return arrays
 
@@ -598,7 +601,7 @@ def measure_box(file: str) -> dict[str, np.ndarray]:
     """
     with gmsh_session() as gmsh:
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
-        _merge(gmsh, file, 3)
+        _merge_file(gmsh, file, 3)
         _, places, _ = gmsh.model.mesh.getNodes()
         points = places.reshape(-1, 3)
         if len(points):
@@ -606,9 +609,9 @@ def measure_box(file: str) -> dict[str, np.ndarray]:
         return {"box": np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))}
 
 
-def _merge(gmsh: ModuleType, file: str, dimension: int) -> None:
+def _merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
     """Add the content of a file to the model of gmsh."""
-    if Path(file).suffix in READERS:
+    if Path(file).suffix in MESHIO_READERS:
         merge_file(gmsh, file, dimension)
     else:
         gmsh.merge(file)
@@ -627,8 +630,8 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
             for kind, numbers, nodes in blocks:
                 properties = gmsh.model.mesh.getElementProperties(kind)
                 shape, _, degree, count, places, corners = properties
-                if corners not in CORNERS[d] or degree > 2:
-                    expected = "elements of order 1 or 2: " + ELEMENTS
+                if corners not in CORNER_COUNTS[d] or degree > 2:
+                    expected = "elements of order 1 or 2: " + ELEMENT_NAMES
                     hint = "mesh with Mesh.ElementOrder = 2 in gmsh"
                     raise wrong("mesh", "an element is not supported", shape, expected, hint)
                 at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
@@ -650,7 +653,7 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
             selected = np.concatenate([np.empty(0, int), *map(itemgetter(0), members)])
             result = np.flatnonzero(np.isin(numbers, selected))
         else:
-            result = _corner_nodes(map(itemgetter(1), members), max(CORNERS[d]))
+            result = _corner_nodes(map(itemgetter(1), members), max(CORNER_COUNTS[d]))
         arrays[f"group{len(groups)}"] = result
         groups.append((gmsh.model.getPhysicalName(d, physical) or str(physical), int(d)))
     arrays |= {"points": coordinates.reshape(-1, 3), "record": np.array(json.dumps(groups))}
@@ -674,15 +677,15 @@ def _mesh_cad(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> No
     """
     bodies = gmsh.model.getEntities(dimension)
     if not bodies:
-        problem = f"the CAD file contains no {DIMENSION[dimension]}"
-        hint = f"export the {DIMENSION[dimension]} of the body into this file"
+        problem = f"the CAD file contains no {ENTITY_NAMES[dimension]}"
+        hint = f"export the {ENTITY_NAMES[dimension]} of the body into this file"
         raise UsageError(problem, where="mesh", hint=hint)
     sides = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
     elements = float(np.prod(np.maximum(np.ptp(sides, axis=0) / size, 1.0)))
-    if not elements <= MOST:
+    if not elements <= MAX_ELEMENTS:
         problem = "elements of this size are too many"
         got, hint = f"about {elements:.1g} of them", "write a larger size"
-        raise wrong("size", problem, got, f"at most {MOST}", hint)
+        raise wrong("size", problem, got, f"at most {MAX_ELEMENTS}", hint)
     labels = {e: gmsh.model.getEntityName(*e).rsplit("/", 1)[-1] for e in gmsh.model.getEntities()}
     if len(bodies) > 1:
         _, pieces = gmsh.model.occ.fragment(bodies[:1], bodies[1:])
@@ -718,16 +721,16 @@ def _select_entities(
 ) -> list[int]:
     """Select the entities that contain points ``at``, and those inside ``box``."""
     everything = gmsh.model.getBoundingBox(-1, -1)
-    near = TOUCHING * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
+    near = PICK_TOLERANCE * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
     result: list[int] = []
     for point in at:
         hits = [
             tag
             for d, tag in gmsh.model.getEntities(dimension)
-            if _contains(gmsh, d, tag, np.asarray(point), near)
+            if _passes_near(gmsh, d, tag, np.asarray(point), near)
         ]
         if not hits:
-            problem = f"no {DIMENSION[dimension][:-1]} contains this point"
+            problem = f"no {ENTITY_NAMES[dimension][:-1]} contains this point"
             expected = "a point of the geometry, in the file's unit here"
             raise wrong(f"groups.{name}.at", problem, list(map(float, point)), expected)
         result += hits
@@ -736,15 +739,15 @@ def _select_entities(
         inside = gmsh.model.getEntitiesInBoundingBox(*low, *high, dimension)
         result += map(itemgetter(1), inside)
     if not result:
-        expected = f"a point of, or a box around, {DIMENSION[dimension]} of the geometry"
+        expected = f"a point of, or a box around, {ENTITY_NAMES[dimension]} of the geometry"
         raise UsageError("this group selects nothing", where=f"groups.{name}", expected=expected)
     return sorted(set(map(int, result)))
 
 
-def _contains(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:
-    """Whether an entity itself passes within ``near`` of a point.
+def _passes_near(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:
+    """Return whether an entity passes within ``near`` of a point.
 
-    Its continuation does not count.
+    The continuation of the entity beyond its boundary is ignored.
     """
     box = np.array(gmsh.model.getBoundingBox(d, tag))
     if np.any(point < box[:3] - near) or np.any(point > box[3:] + near):

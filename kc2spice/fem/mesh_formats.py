@@ -20,36 +20,36 @@ from scipy.optimize import linear_sum_assignment
 
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.extras import import_optional
-from kc2spice.fem.mesh_cells import FACES
+from kc2spice.fem.mesh_cells import ELEMENT_FACES
 
-# Readers of meshio by suffix, and the library that each needs.
-READERS = {
+# Readers of meshio, keyed by suffix, and the library that each needs.
+MESHIO_READERS = {
     ".inp": ("abaqus", None), ".bdf": ("nastran", None), ".nas": ("nastran", None),
     ".vtu": ("vtu", None), ".med": ("med", "h5py"), ".exo": ("exodus", "netCDF4"),
     ".e": ("exodus", "netCDF4"),
 }  # fmt: skip
-# Shape, dimension and number of corners of elements, by the beginning of meshio's name.
-SHAPES = {
+# Shape, dimension and number of corners of elements, keyed by the beginning of meshio's name.
+ELEMENT_SHAPES = {
     "vertex": ("Point", 0, 1), "line": ("Line", 1, 2), "triangle": ("Triangle", 2, 3),
     "quad": ("Quadrangle", 2, 4), "tetra": ("Tetrahedron", 3, 4),
     "pyramid": ("Pyramid", 3, 5), "wedge": ("Prism", 3, 6), "hexahedron": ("Hexahedron", 3, 8),
 }  # fmt: skip
-TETRAHEDRON = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
-LONGEST_QUOTE = 60  # characters of a line that an error quotes
-MOST_VALUES = 1000  # largest number of groups of one array of integers
-# Places of nodes on edges and faces: largest distance from the places on straight edges, relative
-# to the longest edge of the element. It is 0.5 for an edge that is half a circle.
-LARGEST_BULGE = 0.5
-_INCLUDE = {
+TETRAHEDRON_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
+MAX_QUOTE_LENGTH = 60  # characters of a line that an error quotes
+MAX_GROUPS = 1000  # largest number of groups from one array of integers
+# Largest distance of nodes on edges and faces from straight edges, relative to the longest edge of
+# the element; it is 0.5 for an edge that is half a circle.
+MAX_BULGE = 0.5
+_INCLUDE_LINE = {
     "abaqus": re.compile(
         rb"^\s*\*\s*include\b|^\s*\*[^*\n]*\binput\s*=.*", re.IGNORECASE | re.MULTILINE
     ),
     "nastran": re.compile(rb"^\s*include\b", re.IGNORECASE | re.MULTILINE),
     "vtu": re.compile(rb"<!(DOCTYPE|ENTITY)"),
 }
-# Lines of Abaqus that meshio ignores, although they change the mesh: pattern, number of such lines
-# in a plain file, and what to do.
-IGNORED = (
+# Lines of Abaqus that meshio ignores although they change the mesh: pattern, number of such lines
+# in a supported file, and remedy.
+IGNORED_LINES = (
     (rb"^[ \t]*\*[ \t]*(NGEN|NFILL|NCOPY|NMAP|ELGEN|ELCOPY|SYSTEM)\b.*", 0,
      "write all nodes and elements in global coordinates"),
     (rb"^[ \t]*\*[ \t]*NODE\b.*\bSYSTEM[ \t]*=[ \t]*[CS].*", 0,
@@ -58,10 +58,10 @@ IGNORED = (
      "export without parts and assemblies"),
     (rb"^[ \t]*\*[ \t]*PART\b.*", 1, "write one part, or export without parts and assemblies"),
 )  # fmt: skip
-_GRID = re.compile(rb"^(?:GRID|GRDSET)\b.*", re.MULTILINE)
-# Lines of a Nastran file that continue the line above: fields behind an empty first field.
-_CONTINUATION = re.compile(rb"^(?:(?=,)| (?=       | *,))(?=.*\S)", re.MULTILINE)
-# Elements of Abaqus by dimension: their names end with the number of nodes and letters.
+_GRID_LINE = re.compile(rb"^(?:GRID|GRDSET)\b.*", re.MULTILINE)
+# Continuation lines of a Nastran file: fields after an empty first field.
+_CONTINUATION_LINE = re.compile(rb"^(?:(?=,)| (?=       | *,))(?=.*\S)", re.MULTILINE)
+# Elements of Abaqus, keyed by dimension; their names end with the number of nodes and letters.
 ABAQUS_TYPES = {
     2: re.compile(r"(?:DC|AC|C|CG)(?:AX|PS|PE|2D)(\d+)[A-Z]*"),
     3: re.compile(r"(?:DC|AC|C|QC)3D(\d+)[A-Z]*"),
@@ -71,7 +71,7 @@ MESHIO_NAMES = {
     3: {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra10", 15: "wedge15",
         20: "hexahedron20", 27: "hexahedron27"},
 }  # fmt: skip
-# Nodes of elements of UNV files by type, and types with a line of orientations.
+# Number of nodes of UNV elements, keyed by type, and types with a line of orientations.
 UNV_NODES = {
     11: 2, 21: 2, 22: 3, 24: 3, 41: 3, 42: 6, 44: 4, 45: 8, 81: 3, 82: 6, 84: 4, 85: 8, 91: 3,
     92: 6, 94: 4, 95: 8, 111: 4, 112: 6, 113: 15, 115: 8, 116: 20, 118: 10,
@@ -84,7 +84,7 @@ _ELSET = re.compile(rb"ELSET\s*=\s*([^,\s]+)", re.IGNORECASE)
 
 
 def require_plain_content(suffix: str, data: bytes, where: str) -> None:
-    """Refuse files that refer to others, and element sets that meshio would confuse.
+    """Reject files that include others, and element sets that meshio would confuse.
 
     Raises
     ------
@@ -92,16 +92,16 @@ def require_plain_content(suffix: str, data: bytes, where: str) -> None:
         elements inside and outside of sets, or with one set for several blocks.
     MissingToolError : a library of the format is not installed.
     """
-    reader, library = READERS[suffix]
+    reader, library = MESHIO_READERS[suffix]
     if library:
         import_optional(library, where)
-    pattern = _INCLUDE.get(reader)
+    pattern = _INCLUDE_LINE.get(reader)
     match = pattern.search(data) if pattern else None
     if match:
         got, expected = match[0].decode().strip(), "one file with nodes and elements"
         raise wrong(where, "refers to other files", got, expected, "insert their text")
     for line, hint in _list_ignored(reader, data):
-        got = line.decode(errors="replace").strip()[:LONGEST_QUOTE]
+        got = line.decode(errors="replace").strip()[:MAX_QUOTE_LENGTH]
         expected = "nodes and elements of one body in cartesian coordinates"
         raise wrong(where, "the file moves or generates parts of the mesh", got, expected, hint)
     if reader == "abaqus":
@@ -116,11 +116,11 @@ def require_plain_content(suffix: str, data: bytes, where: str) -> None:
 def _list_ignored(reader: str, data: bytes) -> Iterator[tuple[bytes, str]]:
     """Yield lines that meshio ignores, although they change the mesh, and what to do."""
     if reader == "abaqus":
-        for text, plain, hint in IGNORED:
+        for text, plain, hint in IGNORED_LINES:
             lines = re.finditer(text, data, re.IGNORECASE | re.MULTILINE)
             yield from ((line[0], hint) for line in islice(lines, plain, None))
     if reader == "nastran":
-        for match in _GRID.finditer(data):
+        for match in _GRID_LINE.finditer(data):
             line = match[0]
             large = line.startswith(b"GRID*")
             field = line[24:40] if large else line[16:24]
@@ -134,14 +134,14 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
 
     ``dimension`` is the dimension of the body.
     """
-    reader = READERS[Path(file).suffix][0]
-    _complete_reader(reader, Path(file))
+    reader = MESHIO_READERS[Path(file).suffix][0]
+    _extend_meshio(reader, Path(file))
     mesh = import_module(f"meshio.{reader}").read(file)
     points = np.zeros((len(mesh.points), 3))
     points[:, : np.shape(mesh.points)[1]] = mesh.points
     blocks, faces = [], []
     for cells in mesh.cells:
-        shape = SHAPES.get(re.sub(r"\d+$", "", cells.type))
+        shape = ELEMENT_SHAPES.get(re.sub(r"\d+$", "", cells.type))
         if shape is None:
             expected = "elements of order 1 or 2"
             raise wrong("mesh", "an element is not supported", cells.type, expected)
@@ -154,7 +154,7 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
             faces += _list_faces(nodes[:, :corners], d)
     total = sum(len(nodes) for _, nodes in blocks)
     owner = np.repeat([d for (_, d, _), _ in blocks], [len(nodes) for _, nodes in blocks])
-    sets = _element_sets(mesh, file, reader, owner)
+    sets = _collect_element_sets(mesh, file, reader, owner)
     gmsh.model.addDiscreteEntity(dimension, 1)
     gmsh.model.mesh.addNodes(
         dimension, 1, np.arange(1, len(points) + 1), points.astype(float).ravel()
@@ -182,12 +182,13 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
         marks = np.unique(signature[members])
         entities = [entity_of[d, int(mark)] for mark in marks]
         gmsh.model.addPhysicalGroup(d, entities, name=name)
-    for name, nodes in _node_sets(mesh).items():
+    for name, nodes in _collect_node_sets(mesh).items():
         _add_node_set(gmsh, name, nodes, faces, dimension, next(tags))
 
 
-def _complete_reader(reader: str, file: Path) -> None:
-    """Add what meshio lacks: prisms of 15 nodes, elements of Abaqus, continued lines of Nastran.
+def _extend_meshio(reader: str, file: Path) -> None:
+    """Add readers that meshio lacks: prisms of 15 nodes, elements of Abaqus, continued Nastran
+    lines.
 
     A Nastran ``file``, which is a copy of the user's file, is replaced.
     """
@@ -200,7 +201,7 @@ def _complete_reader(reader: str, file: Path) -> None:
                 known.setdefault(word.decode(), kind)
     if reader == "nastran":
         head, mark, bulk = file.read_bytes().partition(b"BEGIN BULK")
-        file.write_bytes(head + mark + _CONTINUATION.sub(b"+", bulk))
+        file.write_bytes(head + mark + _CONTINUATION_LINE.sub(b"+", bulk))
 
 
 def _name_abaqus_type(name: str) -> str | None:
@@ -212,7 +213,7 @@ def _name_abaqus_type(name: str) -> str | None:
 
 
 def require_unv_elements(data: bytes, where: str) -> None:
-    """Refuse elements of a UNV file with more or fewer nodes than their type has.
+    """Reject elements of a UNV file with another number of nodes than their type.
 
     gmsh writes such elements of 9, 18 and 27 nodes, and reads only their corners.
 
@@ -237,20 +238,20 @@ def require_unv_elements(data: bytes, where: str) -> None:
 
 
 def _list_faces(cells: np.ndarray, dimension: int) -> list[np.ndarray]:
-    """List the faces of elements by their corners, also the inner ones."""
+    """List the faces of elements by their corners, including inner faces."""
     corners = cells.shape[1]
     if dimension == 2:
         return [cells[:, [k, (k + 1) % corners]] for k in range(corners)]
-    return [cells[:, face] for face in FACES.get(corners, TETRAHEDRON)]
+    return [cells[:, face] for face in ELEMENT_FACES.get(corners, TETRAHEDRON_FACES)]
 
 
-def _element_sets(
+def _collect_element_sets(
     mesh: Any, file: str, reader: str, dimensions: np.ndarray
 ) -> dict[tuple[str, int], np.ndarray]:
     """Return the numbers of elements of each set, by name and dimension."""
     result: dict[tuple[str, int], np.ndarray] = {}
     starts = np.cumsum([0, *(len(cells.data) for cells in mesh.cells)])
-    named = list(_named_sets(mesh, file, reader, starts))
+    named = list(_list_named_sets(mesh, file, reader, starts))
     for name, members in named:
         for d in np.unique(dimensions[members]):
             text = name
@@ -260,19 +261,19 @@ def _element_sets(
     return result
 
 
-def _named_sets(
+def _list_named_sets(
     mesh: Any, file: str, reader: str, starts: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray]]:
     for name, parts in mesh.cell_sets.items():
         pieces = [start + np.asarray(p, int) for start, p in zip(starts, parts, strict=False)]
         yield name, np.concatenate([np.empty(0, int), *pieces])
     if reader == "exodus":
-        for name, k in _exodus_blocks(file):
+        for name, k in _exodus_block_names(file):
             yield name, np.arange(starts[k], starts[k + 1])
     arrays = {}
     for name, parts in mesh.cell_data.items():
         values = np.concatenate([np.asarray(part) for part in parts])
-        if values.ndim == 1 and values.dtype.kind in "iu" and len(np.unique(values)) <= MOST_VALUES:
+        if values.ndim == 1 and values.dtype.kind in "iu" and len(np.unique(values)) <= MAX_GROUPS:
             arrays[name] = values
     names = getattr(mesh, "cell_tags", {})
     for array, values in arrays.items():
@@ -285,7 +286,7 @@ def _named_sets(
             yield text, np.concatenate(pieces)
 
 
-def _exodus_blocks(file: str) -> Iterator[tuple[str, int]]:
+def _exodus_block_names(file: str) -> Iterator[tuple[str, int]]:
     """Names of the element blocks, or their numbers, and their places in the file."""
     with import_optional("netCDF4", file).Dataset(file) as data:
         places = [int(key[7:]) - 1 for key in data.variables if re.fullmatch(r"connect\d+", key)]
@@ -298,7 +299,7 @@ def _exodus_blocks(file: str) -> Iterator[tuple[str, int]]:
             yield text or str(place + 1 if numbers is None else numbers[place]), k
 
 
-def _node_sets(mesh: Any) -> dict[str, np.ndarray]:
+def _collect_node_sets(mesh: Any) -> dict[str, np.ndarray]:
     result = {name: np.asarray(nodes, int) for name, nodes in mesh.point_sets.items()}
     tags = np.asarray(mesh.point_data.get("point_tags", []))
     for tag, names in getattr(mesh, "point_tags", {}).items():
@@ -355,7 +356,7 @@ def _element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -> int
 def _order_nodes(
     gmsh: ModuleType, kind: int, shape: str, corners: int, nodes: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Order the nodes on edges and faces as gmsh does, by their places.
+    """Order the nodes on edges and faces as in gmsh, according to their positions.
 
     Programs number these nodes differently. The order minimises the distances from the places on
     elements with straight edges.
@@ -374,7 +375,7 @@ def _order_nodes(
     bulge = np.linalg.norm(apart[:, np.arange(len(order)), order], axis=-1).max(axis=1)
     ends = points[nodes[:, :corners]]
     longest = np.linalg.norm(ends[:, None] - ends[:, :, None], axis=-1).max(axis=(1, 2))
-    far = np.flatnonzero(bulge > LARGEST_BULGE * longest)
+    far = np.flatnonzero(bulge > MAX_BULGE * longest)
     if far.size:
         got = f"{far.size} of {len(nodes)} elements of {nodes.shape[1]} nodes"
         expected = "nodes in the middle of edges near these edges, behind the nodes at corners"

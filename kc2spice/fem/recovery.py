@@ -1,4 +1,4 @@
-"""Error estimates of the strain and field of hexahedra.
+"""Error estimates of strain and electric field in hexahedra.
 
 Around every corner of the mesh a polynomial is fitted to the strain and field of the adjacent
 elements. The least-squares fit uses the points of an element at which strain and field are most
@@ -28,16 +28,16 @@ import skfem
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from kc2spice.fem.solid import Solid, strains, tensors
+from kc2spice.fem.solid import Solid, list_strain_operators, list_tensors
 
-CHUNK = 1000  # elements or corners handled at once: bounds the memory
+CHUNK_SIZE = 1000  # elements or corners processed together, which limits the memory
 # Penalty on the squared coefficients of first degree, relative to the mean of the normal matrix of
 # a fit; coefficients of degree p have p^2 times this penalty. It determines coefficients that the
-# points do not determine.
-RIDGE = 1e-6
-# squared distance from the middle of a patch, relative to its size, by which a neighbour is
+# points leave undetermined.
+RIDGE_PENALTY = 1e-6
+# squared distance from the middle of a patch, relative to its size, by which another patch is
 # penalised
-ELSEWHERE = 0.5
+NEIGHBOUR_PENALTY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class EnergyProducts:
     spread: np.ndarray
 
 
-def energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> EnergyProducts:
+def compute_energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> EnergyProducts:
     """Compute energy products of solutions and of their errors.
 
     The solutions are displacements ``u`` (d nodes, k) [m] and potentials ``phi`` (nodes, k) [V].
@@ -62,7 +62,7 @@ def energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> EnergyProdu
     patches = _Patches.of(solid, u, phi)
     k = u.shape[1]
     solution, error, spread = np.zeros((3, k, k))
-    for cells in _chunks(solid.mesh.nelements):
+    for cells in _split_chunks(solid.mesh.nelements):
         basis = solid.basis(elements=cells)
         places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
         energy = np.zeros((len(cells), k, k))
@@ -82,9 +82,11 @@ def energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> EnergyProdu
     return EnergyProducts(solution, error, spread)
 
 
-def _chunks(count: int) -> Iterator[np.ndarray]:
-    """Divide the numbers below ``count`` into arrays of :data:`CHUNK` numbers."""
-    return (np.arange(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK))
+def _split_chunks(count: int) -> Iterator[np.ndarray]:
+    """Divide the numbers below ``count`` into arrays of :data:`CHUNK_SIZE` numbers."""
+    return (
+        np.arange(start, min(start + CHUNK_SIZE, count)) for start in range(0, count, CHUNK_SIZE)
+    )
 
 
 def _evaluate_fields(
@@ -98,12 +100,12 @@ def _evaluate_fields(
     """
     d, nodes = solid.components, basis.element_dofs.T
     moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
-    factor = -_coupling_factors(solid)[solid.owner[cells], None, None]
-    for _, B, G in strains(solid, basis):
+    factor = -_compute_coupling_factors(solid)[solid.owner[cells], None, None]
+    for _, B, G in list_strain_operators(solid, basis):
         yield np.concatenate([B @ u[moves], factor * (G @ phi[nodes])], axis=1)
 
 
-def _coupling_factors(solid: Solid) -> np.ndarray:
+def _compute_coupling_factors(solid: Solid) -> np.ndarray:
     """Coupling (materials,) relative to the first material of the same name."""
     first = {material.name: material.e for material in reversed(solid.materials)}
     pairs = [(material.e, first[material.name]) for material in solid.materials]
@@ -116,8 +118,8 @@ def _energy_matrices(solid: Solid, basis: skfem.Basis, cells: np.ndarray) -> Ite
     Fields are multiplied by the factor of their material. A material without coupling and
     permittivity has no field.
     """
-    owner, factors = solid.owner[cells], _coupling_factors(solid)
-    constants = [tensors(solid, basis, material) for material in solid.materials]
+    owner, factors = solid.owner[cells], _compute_coupling_factors(solid)
+    constants = [list_tensors(solid, basis, material) for material in solid.materials]
     for _ in range(basis.X.shape[-1]):
         H = np.zeros((len(cells), 9, 9))
         for number, (material, each) in enumerate(zip(solid.materials, constants, strict=True)):
@@ -171,10 +173,10 @@ class _Patches:
         places, samples = _sample_fields(solid, u, phi, solid.order)
         number, middle = _number_corners(solid)
         members = _widen_patches(_patch_elements(number, len(middle)), number, middle, places)
-        size, sums, right = _normal_equations(members, middle, places, samples, degree)
+        size, sums, right = _assemble_normal_equations(members, middle, places, samples, degree)
         degrees = _monomials(middle[:1], degree)[1]
         mean = np.trace(sums, axis1=1, axis2=2) / len(degrees)
-        sums += RIDGE * mean[:, None, None] * np.diag(degrees**2)
+        sums += RIDGE_PENALTY * mean[:, None, None] * np.diag(degrees**2)
         coefficients = np.linalg.solve(sums, right)
         return _Patches(number, middle, size, coefficients, degree)
 
@@ -202,7 +204,7 @@ def _sample_fields(
     The values are (elements, points, 9 k).
     """
     places, values = [], []
-    for cells in _chunks(solid.mesh.nelements):
+    for cells in _split_chunks(solid.mesh.nelements):
         basis = solid.basis(order, elements=cells)
         places.append(np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1))
         fields = np.stack([*_evaluate_fields(solid, basis, cells, u, phi)], axis=1)
@@ -236,7 +238,7 @@ def _patch_elements(number: np.ndarray, count: int) -> sparse.csr_array:
     return result
 
 
-def _normal_equations(
+def _assemble_normal_equations(
     members: sparse.csr_array,
     middle: np.ndarray,
     places: np.ndarray,
@@ -248,7 +250,7 @@ def _normal_equations(
     The sums are ``sum p p'`` (patches, terms, terms) and ``sum p values`` (patches, terms, 9 k).
     """
     sizes, sums, rights = [], [], []
-    for chosen in _chunks(len(middle)):
+    for chosen in _split_chunks(len(middle)):
         start, end = members.indptr[chosen[0]], members.indptr[chosen[-1] + 1]
         elements = members.indices[start:end]
         counts = np.diff(members.indptr[chosen[0] : chosen[-1] + 2])
@@ -299,7 +301,7 @@ def _choose_patches(
     corners = number.shape[1]
     patch = np.repeat(number, corners, axis=1).ravel()
     other = np.tile(number, corners).ravel()
-    cost = distance[other] + ELSEWHERE * (patch != other)
+    cost = distance[other] + NEIGHBOUR_PENALTY * (patch != other)
     order = np.lexsort((cost, patch))
     first = np.r_[True, np.diff(patch[order]) > 0]
     return np.asarray(other[order][first])

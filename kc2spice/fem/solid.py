@@ -29,11 +29,11 @@ from skfem.mesh import Mesh, MeshHex, MeshLine, MeshQuad, MeshTet
 from kc2spice.core.errors import wrong
 from kc2spice.fem.materials import ElementAxes, Material
 
-CHUNK = 4000  # elements handled at once: bounds the memory of the element matrices
-# Voigt row of the derivative of component i by coordinate j.
-VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
+CHUNK_SIZE = 4000  # elements processed together, which limits the memory of the element matrices
+# Voigt row of the derivative of component i with respect to coordinate j.
+VOIGT_ROWS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
 # Coordinates of a mesh among x, y and z, by its dimension: a height, a meridian plane, space.
-_AXES = {1: np.array([2]), 2: np.array([0, 2]), 3: np.arange(3)}
+_COORDINATE_AXES = {1: np.array([2]), 2: np.array([0, 2]), 3: np.arange(3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class Solid:
     @property
     def axes(self) -> np.ndarray:
         """Coordinates of the mesh among x, y and z."""
-        return _AXES[self.mesh.dim()]
+        return _COORDINATE_AXES[self.mesh.dim()]
 
     @property
     def element(self) -> Any:
@@ -107,7 +107,7 @@ class Solid:
         return 2 * self.order
 
     def basis(self, order: int | None = None, **options: Any) -> skfem.Basis:
-        """The scalar basis, whose degrees of freedom are called nodes in this package."""
+        """Scalar finite-element basis, whose degrees of freedom are called nodes in this package."""
         if "quadrature" not in options:
             options["intorder"] = order or self.quadrature
         return skfem.Basis(self.mesh, self.element, dofs=self._nodes, **options)
@@ -115,7 +115,7 @@ class Solid:
     def face(
         self, facets: np.ndarray, order: int, side: Literal[0, 1] = 0
     ) -> skfem.BoundaryFacetBasis:
-        """The same on facets, seen from the element on one ``side`` of each."""
+        """Return the scalar basis on facets, seen from the element on one ``side``."""
         if side:
             return skfem.InteriorFacetBasis(
                 self.mesh, self.element, facets=facets, intorder=order, dofs=self._nodes, side=side
@@ -144,7 +144,7 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class Operators:
-    """Matrices over all nodes of a solid, no constraint; see the module."""
+    """Matrices over all nodes of a solid, without constraints; see the module."""
 
     M: sparse.csc_array
     K_uu: sparse.csc_array
@@ -152,7 +152,7 @@ class Operators:
     K_pp: sparse.csc_array
 
 
-def strains(
+def list_strain_operators(
     solid: Solid, basis: skfem.Basis
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield values and strain operators at each point of ``basis``.
@@ -171,15 +171,15 @@ def strains(
         for j, y in enumerate(axes):
             G[:, y] = slope[j]
             for i, x in enumerate(axes):
-                B[:, VOIGT[x, y], :, i] += slope[j]
+                B[:, VOIGT_ROWS[x, y], :, i] += slope[j]
         if solid.axisymmetric:
             r = radius[:, q, None]
-            axis = r < 1e-9 * np.ptp(solid.mesh.p)  # there u_r / r is the derivative
+            axis = r < 1e-9 * np.ptp(solid.mesh.p)  # on the axis, u_r / r is the derivative
             B[:, 1, :, 0] = np.where(axis, slope[0], value / np.where(axis, 1.0, r))
         yield value, B.reshape(len(B), 6, -1), G
 
 
-def tensors(
+def list_tensors(
     solid: Solid, basis: skfem.Basis, material: Material
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield stiffness, coupling and permittivity at each point of ``basis``.
@@ -197,16 +197,16 @@ def tensors(
             yield material.at(places[:, q], elements)
 
 
-def _chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
-    """Yield materials with at most ``CHUNK`` of their elements.
+def _split_chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
+    """Yield materials with at most ``CHUNK_SIZE`` of their elements.
 
     ``only`` selects one material.
     """
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.owner == number)
         if only in (None, number):
-            for start in range(0, len(cells), CHUNK):
-                yield material, cells[start : start + CHUNK]
+            for start in range(0, len(cells), CHUNK_SIZE):
+                yield material, cells[start : start + CHUNK_SIZE]
 
 
 def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
@@ -214,11 +214,11 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
 
     Coupling and permittivity are those of piezoelectric or dielectric materials.
 
-    ``only`` is the number of the one material that is taken.
+    With ``only``, the matrices of this material alone are assembled.
     """
     d = solid.components
     parts: list[list[tuple[np.ndarray, ...]]] = [[], [], [], []]
-    for material, cells in _chunks(solid, only):
+    for material, cells in _split_chunks(solid, only):
         field = material.piezoelectric or material.dielectric
         basis = solid.basis(elements=cells)
         weights = basis.dx
@@ -227,7 +227,9 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
         nodes = basis.element_dofs.T
         moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(cells), -1)
         m, k, c, p = (np.zeros(()) for _ in range(4))
-        points = zip(strains(solid, basis), tensors(solid, basis, material), strict=True)
+        points = zip(
+            list_strain_operators(solid, basis), list_tensors(solid, basis, material), strict=True
+        )
         for ((N, B, G), (C, e, eps)), w in zip(points, weights.T[:, :, None, None], strict=True):
             m = m + w * material.density * N[:, :, None] * N[:, None]
             k = k + w * (B.transpose(0, 2, 1) @ (C @ B))
@@ -251,7 +253,7 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
 def _stress_stiffness(
     solid: Solid, material: Material, N: np.ndarray, B: np.ndarray, G: np.ndarray
 ) -> np.ndarray:
-    """Stiffness (elements, l d, l d) by a stress at rest: ``grad v . sigma0 grad u``.
+    """Return the stiffness (elements, l d, l d) due to prestress: ``grad v . sigma0 grad u``.
 
     The same matrix applies to each component. Rotation of the hoop direction adds ``sigma0_y v_r
     u_r / r^2``.
@@ -265,7 +267,7 @@ def _stress_stiffness(
     return np.asarray(result.reshape(len(result), item.shape[1] * d, -1))
 
 
-def node_shares(
+def compute_node_shares(
     solid: Solid, *, facets: np.ndarray | None = None, elements: np.ndarray | None = None
 ) -> np.ndarray:
     """Shares of nodes ``int N / int 1`` (nodes,) over facets or elements.

@@ -52,7 +52,7 @@ class ThermalMaterial(EqualByContent):
 class ThermalMaterialTable(Section):
     """Constants of a material in a scene or in the library.
 
-    A material that is ``like`` one of the library takes from there what the table leaves out.
+    With the key ``like``, the constants that the table omits are those of this library material.
     """
 
     like: str | None = Field(
@@ -77,15 +77,15 @@ class ThermalMaterialTable(Section):
     @model_validator(mode="before")
     @classmethod
     def _inherit(cls, data: Any) -> Any:
-        """Add the constants of the material ``like`` that the table leaves out."""
+        """Add the constants of the material ``like`` that the table omits."""
         if not isinstance(data, Mapping) or not isinstance(data.get("like"), str):
             return data
-        name = thermal_names().get(data["like"].lower())
+        name = list_thermal_names().get(data["like"].lower())
         if name is None:
             raise ValueError(
-                f"like: no such material: {data['like']}; {', '.join(thermal_library())}"
+                f"like: no such material: {data['like']}; {', '.join(load_thermal_library())}"
             )
-        return dict(thermal_library()[name]) | dict(data)
+        return dict(load_thermal_library()[name]) | dict(data)
 
     @model_validator(mode="after")
     def _require_conduction(self) -> ThermalMaterialTable:
@@ -100,7 +100,7 @@ class ThermalMaterialTable(Section):
 
 
 @cache
-def thermal_library() -> Mapping[str, Mapping[str, Any]]:
+def load_thermal_library() -> Mapping[str, Mapping[str, Any]]:
     """Return the tables of the library by name, each with its density."""
     path = Path(__file__).parent / "thermal_materials.toml"
     result = {}
@@ -111,12 +111,12 @@ def thermal_library() -> Mapping[str, Mapping[str, Any]]:
 
 
 @cache
-def thermal_names() -> Mapping[str, str]:
+def list_thermal_names() -> Mapping[str, str]:
     """Names of the library by these names in lower case."""
-    return dict(zip(map(str.lower, thermal_library()), thermal_library(), strict=True))
+    return dict(zip(map(str.lower, load_thermal_library()), load_thermal_library(), strict=True))
 
 
-def thermal_material(
+def find_thermal_material(
     name_or_table: str | Mapping[str, Any], where: str = "material"
 ) -> ThermalMaterial:
     """Return a material by its name in the library, in any case, or from a table.
@@ -127,19 +127,19 @@ def thermal_material(
 
     Examples
     --------
-    >>> copper = thermal_material("copper")
+    >>> copper = find_thermal_material("copper")
     >>> print(copper.conductivity[0], round(copper.capacity))
     401.0 3439205
     """
     if isinstance(name_or_table, Mapping):
         return validate(ThermalMaterialTable, name_or_table, where).build(where.rpartition(".")[2])
-    name = thermal_names().get(name_or_table.lower())
+    name = list_thermal_names().get(name_or_table.lower())
     if name is None:
-        raise _unknown_material(name_or_table, where)
-    return ThermalMaterialTable.model_validate(thermal_library()[name]).build(name)
+        raise _make_unknown_material_error(name_or_table, where)
+    return ThermalMaterialTable.model_validate(load_thermal_library()[name]).build(name)
 
 
-def resistance_coefficient(name: str) -> float:
+def find_resistance_coefficient(name: str) -> float:
     """Return the temperature coefficient [1/K] of the resistance of a metal of the library.
 
     Raises
@@ -148,17 +148,17 @@ def resistance_coefficient(name: str) -> float:
 
     Examples
     --------
-    >>> resistance_coefficient("copper")
+    >>> find_resistance_coefficient("copper")
     0.00393
     """
-    table = thermal_library().get(thermal_names().get(name.lower(), ""), {})
+    table = load_thermal_library().get(list_thermal_names().get(name.lower(), ""), {})
     if "resistance_coefficient" not in table:
-        raise _unknown_material(name, "material of a conductor")
+        raise _make_unknown_material_error(name, "material of a conductor")
     return float(table["resistance_coefficient"])
 
 
-def _unknown_material(name: str, where: str) -> UsageError:
-    names = list(thermal_library())
+def _make_unknown_material_error(name: str, where: str) -> UsageError:
+    names = list(load_thermal_library())
     hint = did_you_mean(name, names)
     hint = hint or 'write a table: { density = …, conductivity = "… W/(m K)", specific_heat = … }'
     expected = f"one of {list_candidates(name, names, 'docs/reference/thermal_materials.md')}"

@@ -21,7 +21,11 @@ from scipy.signal import find_peaks
 from scipy.stats import qmc
 
 from kc2spice.bodies.device import add_rayleigh_damping
-from kc2spice.bodies.readers.measured import MeasuredAdmittance, read_measured, shunt_resistance
+from kc2spice.bodies.readers.measured import (
+    MeasuredAdmittance,
+    parse_shunt_resistance,
+    read_measured,
+)
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, ignore_progress
@@ -159,7 +163,7 @@ def fit(
     loaded = load_scene(scene)
     # checked before the data, so that this mistake is reported first
     _require_linear(loaded.part(part, "SCENE:PART"))
-    resistance = shunt_resistance(shunt)
+    resistance = parse_shunt_resistance(shunt)
     if isinstance(data, MeasuredAdmittance) and resistance is not None:
         problem = "applies to a file of gain and phase"
         raise UsageError(problem, where="shunt", got=shunt, expected="the path of a file as data")

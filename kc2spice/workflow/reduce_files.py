@@ -15,8 +15,8 @@ from kc2spice.bodies.readers import read_any_model, read_model
 from kc2spice.bodies.readers.measured import (
     MeasuredAdmittance,
     is_measured,
+    parse_shunt_resistance,
     read_measured,
-    shunt_resistance,
 )
 from kc2spice.bodies.readers.thermal_transient import is_transient, read_transient
 from kc2spice.core.errors import (
@@ -363,7 +363,7 @@ def _reduce_measured(
     fit, otherwise poles of any kind."""
     conductance = None if dc is None else _conductance(dc)
     progress("reduce", None, "reading the measurement")
-    data = read_measured(path, shunt_resistance(shunt))
+    data = read_measured(path, parse_shunt_resistance(shunt))
     ports = data.Y.shape[1]
     if ports > 1 and dc is not None:
         raise UsageError(

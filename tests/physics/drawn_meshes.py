@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from test_body import write
 
-from kc2spice.bodies.stack import stack_device
+from kc2spice.bodies.stack import make_stack
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 from kc2spice.parts.bodies import bimorph, disc, langevin
@@ -94,7 +94,7 @@ def stack(rng):
     mesh |= {"outer_rings": 4, "rings": 1, "ring_spacing": side / 10}
     table = {"side": side, "height": side * rng.uniform(0.5, 1.5), "layers": 4,
              "mounting": str(rng.choice(["roller", "glued", "free"]))}  # fmt: skip
-    return lambda refine, _: stack_device(Chip(mesh={**mesh, "refine": refine}, **table))
+    return lambda refine, _: make_stack(Chip(mesh={**mesh, "refine": refine}, **table))
 
 
 def from_file(draw, size, dimension, **table):

@@ -14,7 +14,7 @@ from kc2spice.bodies.device import Block, BondedBlocks
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
-from kc2spice.fem.solid import node_shares
+from kc2spice.fem.solid import compute_node_shares
 from kc2spice.parts.bodies import disc, langevin
 
 approx = partial(pytest.approx, abs=0.0)  # its default of 1e-12 is a picofarad
@@ -46,7 +46,9 @@ def test_a_mean_is_that_of_the_full_turn():
     solid = ceramic(radius, thickness).solid
     top = solid.mesh.facets_satisfying(lambda x: x[1] > thickness * (1 - 1e-9))
     for where in ({"facets": top}, {"elements": np.arange(solid.mesh.nelements)}):
-        assert node_shares(solid, **where) @ solid.places[0] ** 2 == approx(radius**2 / 2, rel=1e-9)
+        assert compute_node_shares(solid, **where) @ solid.places[0] ** 2 == approx(
+            radius**2 / 2, rel=1e-9
+        )
 
 
 def test_a_free_ceramic_has_its_free_permittivity_and_strain():

@@ -10,7 +10,7 @@ from skfem.mesh import MeshQuad, MeshTet, MeshTri
 
 from kc2spice.bodies.enriched_model import correct_responses, enrich_model
 from kc2spice.bodies.undamped import compute_undamped_responses
-from kc2spice.fem.enrichment import assemble_enrichment, enrich, shape_functions
+from kc2spice.fem.enrichment import assemble_enrichment, evaluate_shape_functions, make_enrichment
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid, assemble_solid
 from kc2spice.parts.bodies import disc
@@ -66,7 +66,7 @@ def expand(solid, enrichment):
     """Coefficients of :func:`cubic` in nodes and functions, by least squares at all points, and
     the largest remainder."""
     basis = rule(solid)
-    functions = shape_functions(solid, basis.X)
+    functions = evaluate_shape_functions(solid, basis.X)
     places, _ = cubic(np.asarray(basis.global_coordinates()))
     n, rows = solid.places.shape[1], places.size
     A = np.zeros((rows, n + enrichment.count))
@@ -84,7 +84,7 @@ def expand(solid, enrichment):
 def test_cubic_polynomials_are_in_the_span(name):
     """Neighbours share functions with one sign: else no coefficients fit both."""
     solid = solid_of(name, STEEL)
-    enrichment = enrich(solid)
+    enrichment = make_enrichment(solid)
     coefficients, remainder = expand(solid, enrichment)
     assert remainder < 1e-11
     at_nodes, _ = cubic(solid.places)
@@ -97,7 +97,7 @@ def test_cubic_polynomials_are_in_the_span(name):
 def test_energy_of_cubic_fields_is_that_of_their_gradients(name):
     """Displacement along z and potential both cubic, from the gradients in closed form."""
     solid = solid_of(name, PZT)
-    enrichment = enrich(solid)
+    enrichment = make_enrichment(solid)
     d, count = solid.components, enrichment.count
     more = assemble_enrichment(enrichment, np.ones((count, d), bool), np.ones(count, bool))
     coefficients, _ = expand(solid, enrichment)
@@ -137,7 +137,7 @@ def test_modes_are_those_of_cubic_triangles():
     axis that the rule of the solid's matrices is accurate."""
     mesh = MESHES["triangles"].translated((1e5, 0.0))
     solid = Solid(mesh, (STEEL,), np.zeros(mesh.nelements, int), axisymmetric=True)
-    enrichment = enrich(solid)
+    enrichment = make_enrichment(solid)
     count, full = enrichment.count, assemble_solid(solid)
     more = assemble_enrichment(enrichment, np.ones((count, 2), bool), np.zeros(count, bool))
     K = np.block([[full.K_uu.toarray(), more.K_nodes.T.toarray()],

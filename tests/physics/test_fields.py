@@ -7,22 +7,22 @@ from scipy.linalg import eigh
 from scipy.signal import StateSpace, lsim
 from skfem.mesh import MeshHex, MeshQuad, MeshTet, MeshTet2, MeshTri, MeshTri2
 
-from kc2spice.bodies.device import ForceShape, Setup, make_device, spread
+from kc2spice.bodies.device import ForceShape, Setup, make_device, spread_force
 from kc2spice.bodies.fields import (
     FieldProbe,
+    compute_lowest_modes,
     evaluate_at_nodes,
     find_extremes,
-    lowest_modes,
-    principal_stress,
+    largest_principal_stress,
     recover_motion,
     write_vtu,
 )
-from kc2spice.bodies.stack import stack_device
+from kc2spice.bodies.stack import make_stack
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
-from kc2spice.fem.solid import Solid, node_shares
+from kc2spice.fem.solid import Solid, compute_node_shares
 from kc2spice.parts.bodies import disc, langevin
 from kc2spice.parts.bodies._pictures import OBLIQUE, draw_deformed, draw_modes
 from kc2spice.rom.linear_model import Port
@@ -52,7 +52,8 @@ def pulled(solid, damping=None):
     fixed[(x[0] < 1e-9) & (x[1] < 1e-9), 1] = True
     end = solid.mesh.facets_satisfying(lambda p: p[0] > SIZE[0] - 1e-9)
     pull = ForceShape(
-        Port("pull", "mechanical"), spread(node_shares(solid, facets=end), np.eye(3)[0], solid)
+        Port("pull", "mechanical"),
+        spread_force(compute_node_shares(solid, facets=end), np.eye(3)[0], solid),
     )
     electrodes = {"anode": at(solid, 2, SIZE[2]), "cathode": at(solid, 2, 0.0)}
     return make_device(solid, Setup(
@@ -87,7 +88,7 @@ def test_uniform_stress_and_field_are_exact(kind):
     stretched = evaluate_at_nodes(device, *motion.at(1e-6))["displacement"][:, 0].max()
     assert stretched == pytest.approx(strain * SIZE[0], rel=1e-6)
     stress, field, opposing = find_extremes(motion)
-    assert (stress.quantity, stress.unit, stress.limit) == ("principal_stress", "Pa", 76e6)
+    assert (stress.quantity, stress.unit, stress.limit) == ("largest_principal_stress", "Pa", 76e6)
     assert stress.value == pytest.approx(pressure, rel=1e-6)
     assert (field.quantity, field.limit) == ("electric_field", None)
     assert (opposing.quantity, opposing.limit) == ("opposing_field", 0.7e6)  # E = -V/t z
@@ -109,7 +110,7 @@ SANDWICH = {
 
 def chip(**keys):
     kick = Chip(layers=6, layer_thickness=60e-6, **keys)
-    return stack_device(kick, 2e6)
+    return make_stack(kick, 2e6)
 
 
 def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
@@ -184,8 +185,8 @@ def test_motion_is_that_of_the_full_model():
 def test_free_body_falls_as_newton_says():
     solid = plate(MeshHex, material("steel"))
     fixed = np.zeros(3 * solid.basis(1).N, bool)
-    everywhere = spread(
-        node_shares(solid, elements=np.arange(solid.mesh.nelements)), np.eye(3)[2], solid
+    everywhere = spread_force(
+        compute_node_shares(solid, elements=np.arange(solid.mesh.nelements)), np.eye(3)[2], solid
     )
     push = ForceShape(Port("push", "mechanical"), everywhere)
     device = make_device(solid, Setup(fixed, shapes=[push], damping=Damping(ratio=0.01, at=1e6)))
@@ -204,9 +205,11 @@ def test_largest_principal_stress_is_the_largest_eigenvalue():
     voigt[:3] = [[0] * 6, [1, 1, 1, 0, 0, 0], [-2, -2, -2, 0, 0, 1e-9]]
     place = [[0, 5, 4], [5, 1, 3], [4, 3, 2]]
     wanted = np.linalg.eigvalsh(voigt[:, place])[:, -1]
-    assert principal_stress(voigt) == pytest.approx(wanted, abs=1e-7)
+    assert largest_principal_stress(voigt) == pytest.approx(wanted, abs=1e-7)
     tiny = 1e-200  # whose cube is no number any more
-    assert principal_stress(tiny * voigt[3:]) == pytest.approx(tiny * wanted[3:], rel=1e-7, abs=0)
+    assert largest_principal_stress(tiny * voigt[3:]) == pytest.approx(
+        tiny * wanted[3:], rel=1e-7, abs=0
+    )
 
 
 @pytest.mark.parametrize(("kind", "cell"), [
@@ -279,7 +282,7 @@ def test_shapes_of_modes_are_those_of_the_matrices():
     device = pulled(plate())
     K, _, M = device.model.pencil.dense().coefficients
     exact = np.sqrt(eigh(K, M, eigvals_only=True)) / (2 * np.pi)
-    hertz, columns = lowest_modes(device, 4, np.inf)
+    hertz, columns = compute_lowest_modes(device, 4, np.inf)
     assert len(hertz) == 4
     for f, z in zip(hertz, columns.T, strict=True):
         assert np.abs(exact / f - 1).min() < 1e-3

@@ -9,7 +9,7 @@ from scipy import sparse
 from bench.usual.contact import contact_surface
 from bench.usual.statics import imprint
 from bench.usual.system import quarter
-from kc2spice.bodies.stack import stack_device
+from kc2spice.bodies.stack import make_stack
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.linear_model import LinearModel
@@ -20,7 +20,7 @@ SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 
 
 def test_surrogate_is_checked_against_direct_solutions():
-    full = stack_device(Chip(layers=3, mesh={**SMALL, "order": 2})).model
+    full = make_stack(Chip(layers=3, mesh={**SMALL, "order": 2})).model
     model, error = surrogate(full, (0.0, 500e3))
     assert error < 1e-10
     frequency = np.array([1.23e5, 4.56e5])
@@ -81,7 +81,7 @@ def test_mass_damping_reaches_the_response_and_its_reduction():
     assert system.K_pp.shape[0] == 0  # one element a layer: nothing to eliminate
     M, K = system.M.toarray(), system.K_uu.toarray()
     E = 3e5 * M + 1e-3 / (np.pi * 250e3) * K
-    model = stack_device(kick).model
+    model = make_stack(kick).model
     frequency = np.array([50e3, 230e3, 270e3, 400e3])
     matrices = {"M": M, "E": E, "K": K, "B": -system.k_uV[:, None], "C": system.B[:, :1].T}
     direct = oracle.direct(oracle.system(matrices), frequency)[:, 0, 0]

@@ -31,8 +31,8 @@ from kc2spice.fem.heat_conduction import (
     point_shares,
     split_nodes,
 )
-from kc2spice.fem.solid import Solid, node_shares
-from kc2spice.fem.thermal_materials import thermal_library, thermal_material
+from kc2spice.fem.solid import Solid, compute_node_shares
+from kc2spice.fem.thermal_materials import find_thermal_material, load_thermal_library
 from kc2spice.physics import Declaration, DeclaredPart, branch
 from kc2spice.rom.linear_model import Port
 from kc2spice.scene import parttype
@@ -368,7 +368,7 @@ def cylinder(cells, material):
     return solid, bottom, top
 
 
-COPPER = thermal_material("copper")
+COPPER = find_thermal_material("copper")
 
 
 def test_quadratic_elements_converge_with_the_fourth_power_of_their_size():
@@ -381,7 +381,7 @@ def test_quadratic_elements_converge_with_the_fourth_power_of_their_size():
         cold = mesh.facets_satisfying(
             lambda x: (x[0] > 1e-2 - 1e-9) | (x[1] < 1e-9) | (x[1] > 1e-2 - 1e-9)
         )
-        free = np.setdiff1d(np.arange(solid.count), face_nodes(solid.geometry, cold))
+        free = np.setdiff1d(np.arange(solid.count), find_face_nodes(solid.geometry, cold))
         E, K = (matrix[free][:, free].toarray() for matrix in assemble_heat(solid))
         rate = scipy.linalg.eigh(K, E, eigvals_only=True, subset_by_index=[0, 0])[0]
         errors.append(rate * COPPER.capacity / 401.0 / exact - 1)
@@ -396,12 +396,12 @@ def test_the_mesh_error_of_a_resistance_is_that_of_a_finer_mesh(isothermal):
     for cells in (8, 64):
         solid, bottom, top = cylinder(cells, COPPER)
         port = Port("disc", "thermal")
-        setup = HeatSetup(fixed=face_nodes(solid.geometry, bottom))
+        setup = HeatSetup(fixed=find_face_nodes(solid.geometry, bottom))
         if isothermal:
-            nodes = face_nodes(solid.geometry, top)
+            nodes = find_face_nodes(solid.geometry, top)
             setup = HeatSetup(fixed=setup.fixed, isothermal=[(port, nodes)])
         else:
-            shares = node_shares(solid.geometry, facets=top)
+            shares = compute_node_shares(solid.geometry, facets=top)
             setup = HeatSetup(fixed=setup.fixed, sources=[(port, shares)])
         values.append(make_heat_model(solid, setup).model.facts)
     coarse, fine = values
@@ -417,7 +417,7 @@ def test_split_nodes_separate_two_materials_and_no_others():
     x, y = mesh.p[:, mesh.t].mean(axis=1)
     geometry = Solid(mesh, (), (2 * (y > 0.5) + (x > 0.5)).astype(int))
     first, second = (np.flatnonzero(geometry.owner == k) for k in (2, 3))
-    between = common_faces(geometry, first, second)
+    between = find_common_faces(geometry, first, second)
     split = split_nodes(geometry, between)
     # quadratic nodes on the line, without the one that the other quarters join
     assert split.places.shape[1] - geometry.places.shape[1] == 2 * 2
@@ -429,8 +429,8 @@ def test_split_nodes_separate_two_materials_and_no_others():
 def test_a_point_has_no_resistance_and_no_mesh_error():
     """The temperature of a point that takes in heat grows without bound as the mesh is refined."""
     solid, bottom, top = cylinder(8, COPPER)
-    fixed = face_nodes(solid.geometry, bottom)
-    disc = Port("disc", "thermal"), node_shares(solid.geometry, facets=top)
+    fixed = find_face_nodes(solid.geometry, bottom)
+    disc = Port("disc", "thermal"), compute_node_shares(solid.geometry, facets=top)
     spot = Port("spot", "thermal"), np.eye(solid.count)[-1]
     alone = make_heat_model(solid, HeatSetup(fixed=fixed, sources=[disc])).model.facts
     setup = HeatSetup(fixed=fixed, sources=[disc, spot], points=frozenset({"spot"}))
@@ -448,7 +448,7 @@ def test_layers_are_resistances_in_series():
     layers, expected = [], 1e-5 / 25e-6 + 1 / (500.0 * 100e-6)
     for name, (thickness, area) in materials.items():
         layers.append({"material": name, "thickness": thickness, "area": area})
-        expected += thickness / (thermal_library()[name]["conductivity"] * area)
+        expected += thickness / (load_thermal_library()[name]["conductivity"] * area)
     layers[1]["resistance"] = "1e-5 m2 K/W"
     scene = {
         "name": "layers", "gravity": 0.0,
@@ -468,10 +468,10 @@ def test_layers_are_resistances_in_series():
 def test_constants_of_the_library_have_sources():
     path = Path(__file__).parents[2] / "docs" / "reference" / "thermal_materials.md"
     rows = path.read_text("utf-8").splitlines()
-    for name, table in thermal_library().items():
+    for name, table in load_thermal_library().items():
         (row,) = [row for row in rows if row.startswith(f"| `{name}` |")]
         assert f"| {table['density']:g} | {table['source']} |" in row
-        material = thermal_material(name)
+        material = find_thermal_material(name)
         assert table["source"], name
         assert 1e5 < material.capacity < 1e7, name
         assert 0.1 < material.conductivity.max() < 500, name
@@ -561,7 +561,7 @@ def test_the_file_of_temperatures_holds_right_handed_hexahedra(tmp_path):
     solid = HeatSolid(geometry, (COPPER,))
     bottom = geometry.mesh.facets_satisfying(lambda p: p[2] < 1e-9)
     heat = make_heat_model(solid, HeatSetup(sources=[(Port("in", "thermal"), np.ones(125) / 125)],
-                                            fixed=face_nodes(geometry, bottom)))  # fmt: skip
+                                            fixed=find_face_nodes(geometry, bottom)))  # fmt: skip
     write_temperatures(tmp_path / "a.vtu", heat, 300.0 * geometry.places[2])
     found = meshio.read(tmp_path / "a.vtu")
     (block,) = found.cells

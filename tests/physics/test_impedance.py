@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from kc2spice.bodies.impedance import analyse
+from kc2spice.bodies.impedance import analyse_impedance
 from kc2spice.core.errors import UsageError
 
 approx = partial(pytest.approx, abs=0.0)  # its default of 1e-12 is a picofarad
@@ -24,7 +24,7 @@ def circuit(f, r=R, extra=0.0):
 def test_the_circuit_is_found_whatever_the_samples(samples, quality):
     r = np.sqrt(L / C) / quality
     f = np.geomspace(300, 20e3, samples)
-    reading = analyse(f, circuit(f, r))
+    reading = analyse_impedance(f, circuit(f, r))
     assert reading.resonance_hz == approx(FS, rel=1e-6)
     assert reading.antiresonance_hz == approx(FS * np.sqrt(1 + C / C0), rel=1e-6)
     assert reading.quality == approx(quality, rel=1e-4)
@@ -39,11 +39,11 @@ def test_the_capacitance_is_read_at_a_tenth_of_the_resonance_or_at_1_khz():
     f = np.geomspace(100, 20e3, 400)
     at = FS / 10  # 630 Hz
     expected = C0 + C / (1 - (at / FS) ** 2)
-    assert analyse(f, circuit(f)).capacitance_f == approx(expected, rel=1e-4)
+    assert analyse_impedance(f, circuit(f)).capacitance_f == approx(expected, rel=1e-4)
     narrow = np.geomspace(3e3, 12e3, 200)
-    assert analyse(narrow, circuit(narrow)).capacitance_f == approx(expected, rel=1e-4)
+    assert analyse_impedance(narrow, circuit(narrow)).capacitance_f == approx(expected, rel=1e-4)
     fast = 100 * f  # the same circuit a hundred times as fast is read at 1 kHz
-    assert analyse(fast, circuit(f)).capacitance_f == approx((C0 + C) / 100, rel=0.02)
+    assert analyse_impedance(fast, circuit(f)).capacitance_f == approx((C0 + C) / 100, rel=0.02)
 
 
 def test_higher_modes_and_loss_are_left_to_the_rest():
@@ -51,7 +51,7 @@ def test_higher_modes_and_loss_are_left_to_the_rest():
     s = 2j * np.pi * f
     second = 1 / (200 + s * 0.06 + 1 / (s * 0.6e-9))  # at 26.5 kHz
     Z = 1 / (1 / circuit(f) + second + 0.02 * 2 * np.pi * f * C0)
-    reading = analyse(f, Z)
+    reading = analyse_impedance(f, Z)
     assert reading.resonance_hz == approx(FS, rel=1e-4)
     assert reading.quality == approx(np.sqrt(L / C) / R, rel=0.02)
     assert reading.bvd.c0_f == approx(C0 + 0.6e-9 / (1 - (FS / 26.5e3) ** 2), rel=0.02)
@@ -69,7 +69,7 @@ def test_higher_modes_and_loss_are_left_to_the_rest():
 )
 def test_samples_that_show_no_resonance_are_refused(f, Z, says):
     with pytest.raises(UsageError, match=says):
-        analyse(np.array(f, float), np.array(Z))
+        analyse_impedance(np.array(f, float), np.array(Z))
 
 
 def test_the_loss_of_a_dielectric_is_no_resonance():
@@ -80,7 +80,7 @@ def test_the_loss_of_a_dielectric_is_no_resonance():
     rounded = [s * C0 + 1e-9 * np.abs(s * C0) * (3 + random_numbers(k, f)) for k in range(10)]
     for Y in (relaxing, *rounded):
         with pytest.raises(UsageError, match="resonance"):
-            analyse(f, 1 / Y)
+            analyse_impedance(f, 1 / Y)
 
 
 def random_numbers(seed, f):
@@ -93,7 +93,7 @@ def test_a_resonance_outside_of_the_band_gives_no_figures(span):
     noise = 1 + 1e-4 * np.random.default_rng(2).normal(size=f.size)
     for Z in (circuit(f), circuit(f) * noise):
         with pytest.raises(UsageError, match="no resonance among the samples"):
-            analyse(f, Z)
+            analyse_impedance(f, Z)
 
 
 @pytest.mark.parametrize(("start", "seed"), [(1.003, 0), (1.01, 5), (1.02, 2), (1.02, 5)])
@@ -102,4 +102,4 @@ def test_noise_beside_a_resonance_below_the_band_is_no_resonance(start, seed):
     f = np.linspace(start * FS, 2 * FS, 400)
     noise = 1 + 3e-3 * np.random.default_rng(seed).normal(size=f.size)
     with pytest.raises(UsageError, match="no resonance among the samples"):
-        analyse(f, circuit(f, r=2.5 * R) * noise)
+        analyse_impedance(f, circuit(f, r=2.5 * R) * noise)

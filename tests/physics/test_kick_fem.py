@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse.linalg import eigsh
 
 from bench.usual.system import quarter
-from kc2spice.bodies.stack import choose_level_spans, stack_device
+from kc2spice.bodies.stack import choose_level_spans, make_stack
 from kc2spice.bodies.stack_keys import Chip
 
 # Rings wide enough for quadratic cells: strong grading would fold them.
@@ -33,7 +33,7 @@ def test_several_layers_in_an_element_move_resonances_and_compliance_by_little()
         tall = Chip(height=6e-3, layers=60, mesh={**SMALL, "layers_per_element": several})
         assert choose_level_spans(tall).sum() == 60
         assert choose_level_spans(tall).max() == several
-        model = stack_device(tall).model
+        model = make_stack(tall).model
         facts[several] = model.facts
         answer = model.pencil.pencil_solver(0.0).solve(model.B[:, 0])
         soft[several] = model.B[:, 0] @ answer

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kc2spice.bodies.stack import stack_device
+from kc2spice.bodies.stack import make_stack
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.reduce import reduce_model
@@ -16,12 +16,12 @@ BAND = (0.0, 500e3)
 
 @pytest.fixture(scope="module")
 def default():
-    return stack_device(Chip()).model
+    return make_stack(Chip()).model
 
 
 @pytest.fixture(scope="module")
 def model():
-    return stack_device(Chip(layers=3, mesh={**SMALL, "refine": 2})).model
+    return make_stack(Chip(layers=3, mesh={**SMALL, "refine": 2})).model
 
 
 @pytest.mark.parametrize("order", [1, 5, 9, 20, 40])

@@ -8,13 +8,13 @@ import pytest
 from drawn_meshes import box_groups, drawn, rows
 from test_body import section, slabs, write
 
-from kc2spice.bodies.stack import stack_device
+from kc2spice.bodies.stack import make_stack
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.bodies.undamped import compute_undamped_responses
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.materials import material
-from kc2spice.fem.recovery import energy_products
+from kc2spice.fem.recovery import compute_energy_products
 from kc2spice.netlist.library import Header
 from kc2spice.parts.bodies import bimorph, disc, langevin
 from kc2spice.parts.bodies.body import device
@@ -41,7 +41,7 @@ def sandwich(**table):
 
 def chip(**table):
     mesh = {"sectors": 6, "outer_rings": 8}
-    return lambda refine, _: stack_device(
+    return lambda refine, _: make_stack(
         Chip(side=5e-3, height=5e-3, layers=8, mesh={**mesh, "refine": refine}, **table)
     )
 
@@ -229,7 +229,7 @@ def test_energy_of_solutions_is_that_of_the_model():
     made = beam(**layers(("brass", 0.2), (PZT, 0.22)), length=4e-3, width=4e-3)(1, None)
     answers = compute_undamped_responses(made.model)
     z = np.hstack([answers.modes[:, :1], answers.static])
-    products = energy_products(made.solid, *made.nodal_values(z, np.array([[0.0, 1.0]])))
+    products = compute_energy_products(made.solid, *made.nodal_values(z, np.array([[0.0, 1.0]])))
     omega = 2 * np.pi * made.model.facts["resonance_short_hz"]
     mass = answers.modes[:, 0] @ made.model.M @ answers.modes[:, 0]
     assert products.solution[0, 0] == pytest.approx(omega**2 * mass, rel=1e-6)

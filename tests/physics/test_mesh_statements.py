@@ -8,15 +8,15 @@ import pytest
 import kc2spice as kc
 from kc2spice.bodies.pressure import (
     TransverselyIsotropicSphere,
-    pressure_basis,
-    sphere,
+    choose_pressure_basis,
+    model_sphere,
     sphere_compliance,
 )
 from kc2spice.core.magnets import TEST_CURRENTS, compute_test_forces
 from kc2spice.core.mesh_error import mesh_errors
 from kc2spice.core.progress import Clock
 from kc2spice.fem.body_keys import Damping
-from kc2spice.fem.magnet_field import catch_table, count_compared_positions
+from kc2spice.fem.magnet_field import compute_catch_table, count_compared_positions
 from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.fem.magnet_rings import Ladder, compare_rings
 from kc2spice.fem.materials import material
@@ -107,7 +107,7 @@ def test_error_of_the_force_table_is_that_of_its_mesh(changes, radius):
     """Against a mesh three times as fine."""
     coarse = Catch(positions=9, y_min=-2e-3, y_max=6e-3, **changes)
     table, exact = (
-        catch_table(Catch(**{**coarse.model_dump(), "refine": n}), radius) for n in (1, 3)
+        compute_catch_table(Catch(**{**coarse.model_dump(), "refine": n}), radius) for n in (1, 3)
     )
     errors = {
         "force": compute_test_forces(table, TEST_CURRENTS)
@@ -182,10 +182,10 @@ def test_an_elastic_sphere_states_its_mesh():
     """Against cells half as large: its compliance under a patch, and its first mode."""
     body, shape = (
         TransverselyIsotropicSphere(1e-3, material("steel"), Damping(ratio=1e-3)),
-        pressure_basis(20e-6, 2e-4),
+        choose_pressure_basis(20e-6, 2e-4),
     )
     shares = sphere_compliance(body, shape).shares
-    coarse, fine = (sphere(body, shares, shape, refine) for refine in (1, 2))
+    coarse, fine = (model_sphere(body, shares, shape, refine) for refine in (1, 2))
     soft = [m.B[:, 0] @ m.pencil.pencil_solver(0.0).solve(m.B[:, 0]) for m in (coarse, fine)]
     errors = {
         "compliance": abs(soft[0] / soft[1] - 1),

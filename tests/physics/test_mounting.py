@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kc2spice.bodies.stack import stack_device, stack_setup
+from kc2spice.bodies.stack import make_stack, make_stack_setup
 from kc2spice.bodies.stack_keys import Chip, ChipMesh
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.load import load_scene
@@ -17,7 +17,7 @@ def chip(mounting, layers=4):
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_springs_cover_the_bottom_face_and_nothing_else(order):
-    solid, setup = stack_setup(
+    solid, setup = make_stack_setup(
         chip(1.0).model_copy(update={"mesh": MESH.model_copy(update={"order": order})})
     )
     springs = setup.springs
@@ -31,23 +31,23 @@ def test_springs_cover_the_bottom_face_and_nothing_else(order):
 
 def test_on_soft_springs_the_chip_swings_as_a_mass():
     stiffness = 1e10
-    facts = stack_device(chip(stiffness)).model.facts
+    facts = make_stack(chip(stiffness)).model.facts
     own = np.sqrt(stiffness * 9e-6 / (7700 * 3e-3**2 * 2e-3)) / (2 * np.pi)
     assert facts["resonance_short_hz"] == pytest.approx(own, rel=2e-4)
     # nothing clamps it: it lengthens by d33 a layer, as on a frictionless roller
-    roller = stack_device(chip("roller")).model.facts
+    roller = make_stack(chip("roller")).model.facts
     stroke = "free_stroke_ring0_m_per_100v"
     assert facts[stroke] == pytest.approx(roller[stroke], rel=1e-3)
 
 
 def test_on_stiff_springs_the_chip_is_glued():
-    stiff, glued = (stack_device(chip(each)).model.facts for each in (1e18, "glued"))
+    stiff, glued = (make_stack(chip(each)).model.facts for each in (1e18, "glued"))
     for name in ("free_stroke_ring0_m_per_100v", "capacitance_free_f", "resonance_short_hz"):
         assert stiff[name] == pytest.approx(glued[name], rel=1e-4)
 
 
 def test_a_free_chip_moves_as_a_whole():
-    device = stack_device(chip("free"))
+    device = make_stack(chip("free"))
     M, K, up = device.model.M, device.model.K, np.zeros(device.displacement.shape[0])
     up[2::3] = 1.0
     shift = device.displacement.T @ up
@@ -58,7 +58,7 @@ def test_a_free_chip_moves_as_a_whole():
 
 def test_the_usual_chip_glued_down():
     """Stroke and resonance as on the paper's mesh; the roller's are 2.351 um and 270 kHz."""
-    facts = stack_device(Chip(mounting="glued")).model.facts
+    facts = make_stack(Chip(mounting="glued")).model.facts
     assert facts["free_stroke_ring0_m_per_100v"] == pytest.approx(1.983e-6, abs=0.5e-9)
     assert facts["resonance_short_hz"] == pytest.approx(308e3, abs=0.5e3)
 

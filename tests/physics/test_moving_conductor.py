@@ -13,7 +13,7 @@ from scipy.special import j1, spherical_jn
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, ignore_progress
-from kc2spice.fem.magnet_rings import Winding, divide_section, ladder
+from kc2spice.fem.magnet_rings import Winding, divide_section, reduce_to_loops
 from kc2spice.parts.magnetics.moving_conductor import ROUGH, declare
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.load import load_scene
@@ -35,7 +35,7 @@ def test_a_thin_ring_is_one_loop_of_closed_form(shape, sizes):
     radius, (wide, tall) = 20e-3, sizes
     body = divide_section(radius - wide / 2, radius + wide / 2, 0.0, tall, 40)
     coil = Winding(15e-3, 0.1e-3, 0.1e-3, 0.0, 1.0)
-    found = ladder(body, [coil], [], 2e-3, 12e-3, ALUMINIUM, 1e3, 1e-4)
+    found = reduce_to_loops(body, [coil], [], 2e-3, 12e-3, ALUMINIUM, 1e3, 1e-4)
     own = MU_0 * radius * (np.log(8 * radius / (0.2235 * (wide + tall))) - 2)
     resistance = 2 * np.pi * radius / (ALUMINIUM * wide * tall)
     s = 2j * np.pi * 1e3
@@ -61,7 +61,7 @@ def test_a_coil_over_a_plate_sees_the_integral_of_dodd_and_deeds():
     six radii of the coil and 1000 rings change less than 4e-3."""
     coil = Winding(10e-3, 4e-3, 4e-3, 4e-3, 100.0)
     body = divide_section(0.0, 60e-3, -5e-3, 0.0, 1000)
-    found = ladder(body, [coil], [], -0.2e-3, 0.2e-3, ALUMINIUM, 2e3, 1e-4)
+    found = reduce_to_loops(body, [coil], [], -0.2e-3, 0.2e-3, ALUMINIUM, 2e3, 1e-4)
     changed = (seen(found, 0.0, 2j * np.pi * 1e3) - found.inductance)[0, 0]
     assert changed == pytest.approx(over_a_plate(coil, 5e-3, 1e3, ALUMINIUM), rel=4e-3)
 
@@ -164,7 +164,7 @@ def test_a_coil_of_many_layers_has_its_inductance():
     """Of Brooks' coil: ``1.6994e-6 radius turns^2`` with a square section of 2/3 of the mean radius
     (F. W. Grover, Inductance Calculations, ch. 13)."""
     coil = Winding(30e-3, 20e-3, 20e-3, 0.0, 100.0)
-    assert coil.with_other(coil) == pytest.approx(1.6994e-6 * 30e-3 * 100**2, rel=1e-3)
+    assert coil.couple_winding(coil) == pytest.approx(1.6994e-6 * 30e-3 * 100**2, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -221,7 +221,7 @@ def test_what_a_state_stores_and_pulls_is_one_coenergy():
     power series of degree 8 lose 1e-7."""
     part = load_scene("levitated_disc").parts["conductor"]
     coils = [Winding(c.radius, c.width, c.height, c.y, c.turns) for c in part.keys.coils.values()]
-    found = ladder(
+    found = reduce_to_loops(
         divide_section(0, 65e-3, 0, 3e-3, 60), coils, [], 2e-3, 22e-3, ALUMINIUM, 1e3, 1e-3
     )
     law = DeclaredLaw("c", declare(part, found).with_loop_pin, (ALUMINIUM,))
@@ -251,7 +251,7 @@ def test_the_mean_force_on_a_disc_is_that_of_others_finite_elements():
     """1.0963 N at 20 A and 50 Hz, 10.8 mm over the coils of TEAM problem 28 (half of 2.19253 N, as
     in radia's examples), to which three-dimensional elements there come within 1 %."""
     coils = [Winding(41e-3, 28e-3, 52e-3, -26e-3, 960), Winding(87.5e-3, 15e-3, 52e-3, -26e-3, 576)]
-    found = ladder(
+    found = reduce_to_loops(
         divide_section(0, 65e-3, 0, 3e-3, 400), coils, [], 5e-3, 15e-3, ALUMINIUM, 1e3, 1e-3
     )
     both, s, step = np.array([1.0, -1.0]), 2j * np.pi * 50, 1e-5

@@ -10,7 +10,7 @@ from scipy.special import j1
 
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
-from kc2spice.fem.magnet_rings import Winding, current_body
+from kc2spice.fem.magnet_rings import Winding, current_loop
 from kc2spice.parts.magnetics.moving_magnet import demagnetising_factor
 
 COIL = Winding(1.75e-3, 0.46e-3, 1.5e-3, 2.72e-3, 280.0)
@@ -42,7 +42,7 @@ def pull(y: float) -> float:
 
 def forces(low: float, high: float, *heights: float) -> np.ndarray:
     """Force [N] per ampere from the slopes of the power series."""
-    found = current_body([SHEET], [COIL], [], low, high, 1e-7)
+    found = current_loop([SHEET], [COIL], [], low, high, 1e-7)
     series = np.polynomial.Polynomial(found.couplings[0, 0]).deriv()
     place = (2 * np.array(heights) - low - high) / (high - low)
     return 2 / (high - low) * series(place)

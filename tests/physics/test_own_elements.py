@@ -14,7 +14,7 @@ from bench.usual.contact import contact_surface
 from bench.usual.statics import imprint
 from bench.usual.system import quarter
 from bench.usual.transient import Ball, transient
-from kc2spice.bodies.stack import stack_setup
+from kc2spice.bodies.stack import make_stack_setup
 from kc2spice.bodies.stack_keys import Chip
 
 RADIUS, PENALTY, MASS = 1e-3, 1e8, 8e-6
@@ -23,7 +23,7 @@ CHIP = Chip(layers=2, mesh={"sectors": 4, "rings": 2, "ring_spacing": 100e-6, "o
 
 @pytest.fixture(scope="module")
 def own():
-    x, y, z = stack_setup(CHIP)[0].places
+    x, y, z = make_stack_setup(CHIP)[0].places
     plane = np.column_stack([x, y])[z == 0]
     M, K, k, c, free, top = own_elements.chip(plane, 5, np.unique(z))
     return M, K, k, c, own_elements.ring_shapes(free, top, (0, 1, 2), 5)

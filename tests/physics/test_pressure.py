@@ -14,12 +14,12 @@ from closed_forms import half_space, hertz
 from bench.usual.contact import sphere_gap
 from kc2spice.bodies.pressure import (
     PressureBasis,
-    contact_forces,
-    indentation_law,
-    local_compliance,
-    pressure_basis,
-    stresses_under,
-    surface_compliance,
+    choose_pressure_basis,
+    compute_local_compliance,
+    compute_surface_compliance,
+    fit_indentation_law,
+    solve_contact_forces,
+    stresses_under_force,
 )
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.waveforms import Waveforms
@@ -61,7 +61,7 @@ def without_mean(S):
 @cache
 def body(name, cells=3):
     chip = Chip(material=steel() if name == "steel" else ceramic())
-    return surface_compliance(chip, EVEN, cells)
+    return compute_surface_compliance(chip, EVEN, cells)
 
 
 @pytest.mark.parametrize("name", ["steel", "ceramic"])
@@ -77,8 +77,8 @@ def test_rings_of_pressure_dent_as_on_a_half_space(name):
 @cache
 def graded(spacing):
     """Basis, its compliance beyond a half-space of the same body, and its gaps."""
-    shape = pressure_basis(spacing, PATCH)
-    S = surface_compliance(Chip(material=steel()), shape)
+    shape = choose_pressure_basis(spacing, PATCH)
+    S = compute_surface_compliance(Chip(material=steel()), shape)
     whole = (body("steel")[:COUNT, :COUNT] - half_space(STEEL, NODES))[5, 11]
     return shape, S - whole, sphere_gap(R, shape.distances)
 
@@ -95,7 +95,7 @@ def force(law, depth):
 def test_a_sphere_dents_steel_as_hertz_says(spacing, first, error):
     """From contacts some basis functions wide on: ``F = 4/3 E* sqrt(R) d^(3/2)``. Of the error 1e-3
     is the body's, which is no half-space, and the sphere's, which is no paraboloid."""
-    law = indentation_law(*graded(spacing))
+    law = fit_indentation_law(*graded(spacing))
     depth = np.linspace(first, 14e-6, 60)
     np.testing.assert_allclose(force(law, depth), hertz(STEEL, R, depth), rtol=error)
     slope = np.polyfit(np.log(depth), np.log(force(law, depth)), 1)[0]
@@ -106,8 +106,8 @@ def test_stress_below_a_sphere_is_that_of_hertz_and_huber():
     """``p0 = 2 E* a / pi R``; on the axis the shear is largest half a radius down (Johnson 4.2)."""
     shape, S, gap = graded(5e-6)
     depth, nu = 6e-6, 0.291
-    found = stresses_under(
-        Chip(material=steel()), shape, contact_forces(S, gap, np.array([depth]))[0]
+    found = stresses_under_force(
+        Chip(material=steel()), shape, solve_contact_forces(S, gap, np.array([depth]))[0]
     )
     a = np.sqrt(R * depth)
     p0 = 2 * STEEL * a / (np.pi * R)
@@ -123,10 +123,10 @@ def test_stress_below_a_sphere_is_that_of_hertz_and_huber():
 @pytest.mark.slow  # the potentials of 33 layers
 def test_a_chip_is_stiffer_than_its_ceramic_and_converges():
     """Fields stiffen a dent that is as wide as a layer is thick; meshes agree."""
-    coarse, fine = (surface_compliance(Chip(), EVEN, cells) for cells in (3, 6))
+    coarse, fine = (compute_surface_compliance(Chip(), EVEN, cells) for cells in (3, 6))
     np.testing.assert_allclose(coarse[1:, 1:], fine[1:, 1:], rtol=1e-3)
     assert 0.05 < 1 - fine[0, 0] / body("ceramic")[0, 0] < 0.15
-    added = local_compliance(Chip(), EVEN).compliance
+    added = compute_local_compliance(Chip(), EVEN).compliance
     assert np.linalg.eigvalsh(added)[0] > 0
 
 
@@ -135,7 +135,7 @@ def test_forces_act_where_surfaces_meet_and_nowhere_else():
     for _ in range(100):
         root = rng.normal(size=(6, 6))
         S, gap, depth = (root @ root.T + np.eye(6)) * 1e-8, rng.normal(size=6) * 1e-6, 1e-6
-        (force,) = contact_forces(S, gap, np.array([depth]))
+        (force,) = solve_contact_forces(S, gap, np.array([depth]))
         apart = S @ force - (depth - gap)
         assert min(force) >= 0
         assert apart.min() > -1e-5 * np.abs(gap).max()

@@ -5,11 +5,11 @@ import pytest
 from scipy.optimize import brentq
 from skfem.mesh import MeshHex, MeshTet, MeshTet2
 
-from kc2spice.bodies.device import ForceShape, Setup, make_device, spread
+from kc2spice.bodies.device import ForceShape, Setup, make_device, spread_force
 from kc2spice.core.errors import UsageError
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
-from kc2spice.fem.solid import Solid, assemble_solid, node_shares
+from kc2spice.fem.solid import Solid, assemble_solid, compute_node_shares
 from kc2spice.rom.linear_model import Port
 
 STEEL = material({"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3})
@@ -89,7 +89,7 @@ def test_cantilever_bends_as_euler_and_bernoulli_say():
     solid = box((L, w, h), (40, 2, 2), SLENDER)
     tip = ForceShape(
         Port("tip", "mechanical"),
-        spread(node_shares(solid, facets=end(solid, 0, L)), np.eye(3)[2], solid),
+        spread_force(compute_node_shares(solid, facets=end(solid, 0, L)), np.eye(3)[2], solid),
     )
     base = Port("base", "acceleration")
     fixed = held(solid, (plane(solid, 0, 0.0), (0, 1, 2)))
@@ -133,8 +133,12 @@ def test_longitudinal_wave_converges_with_the_fourth_power(axis, kind):
         x = places(solid)
         sides = [(np.flatnonzero((x[a] < 1e-9) | (x[a] > size[a] - 1e-9)), (a,))
                  for a in range(3) if a != axis]  # fmt: skip
-        near = spread(node_shares(solid, facets=end(solid, axis, 0.0)), np.eye(3)[axis], solid)
-        far = spread(node_shares(solid, facets=end(solid, axis, L)), np.eye(3)[axis], solid)
+        near = spread_force(
+            compute_node_shares(solid, facets=end(solid, axis, 0.0)), np.eye(3)[axis], solid
+        )
+        far = spread_force(
+            compute_node_shares(solid, facets=end(solid, axis, L)), np.eye(3)[axis], solid
+        )
         pull = ForceShape(Port("pull", "mechanical"), far - near)  # keeps out the even, rigid ones
         squeeze = ForceShape(Port("push", "mechanical"), far)
         fixed = held(solid, *sides)

@@ -11,9 +11,9 @@ from scipy.special import spherical_jn
 from kc2spice.bodies.pressure import (
     PressureBasis,
     TransverselyIsotropicSphere,
-    indentation_law,
-    pressure_basis,
-    sphere,
+    choose_pressure_basis,
+    fit_indentation_law,
+    model_sphere,
     sphere_compliance,
 )
 from kc2spice.fem.body_keys import Damping
@@ -74,7 +74,7 @@ def test_the_sphere_swings_as_lamb_says():
     # the oblate mode of nu = 0.291: 0.842 c / 2R (Love 1944, article 196: 0.840 of nu = 1/4)
     assert expected[0] * 2 * R / np.sqrt(MU / DENSITY) == pytest.approx(0.842, abs=2e-3)
     wide = PressureBasis(np.array([0.0, 60e-6, 120e-6]))
-    model = sphere(BODY, np.array([0.4, 0.6]), wide)
+    model = model_sphere(BODY, np.array([0.4, 0.6]), wide)
     assert model.facts["mass_kg"] == pytest.approx(4 / 3 * np.pi * R**3 * DENSITY, rel=2e-5)
     small = reduce_model(model, tolerance=1e-3, band=(0.0, 3e6))
     swings = np.sort(resonators(small).omega)[: len(expected)] / 2 / np.pi
@@ -83,7 +83,7 @@ def test_the_sphere_swings_as_lamb_says():
 
 @cache
 def dents():
-    shape = pressure_basis(5e-6, 120e-6)
+    shape = choose_pressure_basis(5e-6, 120e-6)
     return sphere_compliance(BODY, shape).compliance, shape
 
 
@@ -94,7 +94,7 @@ def test_two_elastic_sides_dent_as_hertz_says(plane):
     S, shape, own = *dents(), E / (1 - NU**2)
     whole = (S - half_space(own, shape.nodes))[-1, 0]
     local = S - whole + half_space(plane, shape.nodes)
-    law = indentation_law(shape, local, shape.distances**2 / (2 * R))
+    law = fit_indentation_law(shape, local, shape.distances**2 / (2 * R))
     modulus = 1 / (1 / own + 1 / plane)
     for d in (1e-6, 2e-6, 3e-6):
         s = np.sqrt(d / law.depth)

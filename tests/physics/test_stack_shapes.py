@@ -5,13 +5,13 @@ import pytest
 from closed_forms import rod_resonance
 from skfem.mesh import MeshHex
 
-from kc2spice.bodies.device import ForceShape, Setup, make_device, spread
-from kc2spice.bodies.stack import stack_device
+from kc2spice.bodies.device import ForceShape, Setup, make_device, spread_force
+from kc2spice.bodies.stack import make_stack
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import validate
 from kc2spice.fem.materials import material
-from kc2spice.fem.solid import Solid, node_shares
+from kc2spice.fem.solid import Solid, compute_node_shares
 from kc2spice.rom.linear_model import Port
 from kc2spice.rom.reduce import reduce_model
 
@@ -21,7 +21,7 @@ SMALL = {"sectors": 4, "rings": 1, "outer_rings": 2, "order": 2}
 
 
 def stack(**keys):
-    return stack_device(Chip(**{"material": "PZT-5A", "layers": 2, "mesh": SMALL} | keys)).model
+    return make_stack(Chip(**{"material": "PZT-5A", "layers": 2, "mesh": SMALL} | keys)).model
 
 
 @pytest.mark.parametrize(
@@ -106,10 +106,10 @@ def test_shear_agrees_with_solid_elements_over_the_whole_section():
     solid = Solid(mesh, (low, high), owner)
     places = solid.basis(1).doflocs
     z = places[2]
-    top = node_shares(solid, facets=mesh.facets_satisfying(lambda p: p[2] > height - 1e-9))
+    top = compute_node_shares(solid, facets=mesh.facets_satisfying(lambda p: p[2] > height - 1e-9))
     pins = {"anode": np.flatnonzero(abs(z - height / 2) < 1e-9),
             "cathode": np.flatnonzero((z < 1e-9) | (z > height - 1e-9))}  # fmt: skip
-    shape = ForceShape(Port("top", "mechanical"), spread(top, np.array([1.0, 0, 0]), solid))
+    shape = ForceShape(Port("top", "mechanical"), spread_force(top, np.array([1.0, 0, 0]), solid))
     setup = Setup(fixed=np.repeat(z < 1e-9, 3), electrodes=pins, reference="cathode",
                   shapes=[shape])  # fmt: skip
     other = make_device(solid, setup).model.facts

@@ -26,7 +26,7 @@ def stack_matrices(layers):
     count = 1 + 2 * ELEMENTS * len(layers) + sum("resistance" in item for item in layers)
     E, K, at, first = np.zeros((count, count)), np.zeros((count, count)), 0, {}
     for number, layer in enumerate(layers):
-        made_of = thermal_material(layer["material"])
+        made_of = find_thermal_material(layer["material"])
         h, area = layer["thickness"] / ELEMENTS, layer["area"]
         stiff = np.array([[7, -8, 1], [-8, 16, -8], [1, -8, 7]]) / 3
         mass = np.array([[4, 2, -1], [2, 16, 2], [-1, 2, 4]]) / 30
@@ -179,7 +179,7 @@ def test_a_film_leads_heat_away_as_the_closed_form():
     body = ranged({**WALL, "refine": 8}, **{"films[0].coefficient": [1.0, 1e5]})
     sweep = {"type": "ac", "start": 1e-5, "stop": 1.0, "points": 25}
     deck = kc.deck(scene_of(body, sweep, ac="1 W"))
-    made_of = thermal_material("alumina")
+    made_of = find_thermal_material("alumina")
     k, thickness, area = made_of.conductivity[2], 5e-3, 1e-3
     rises = []
     for h in (1.0, 37.0, 2e3, 1e5):
@@ -212,7 +212,7 @@ def test_conductivity_joint_and_thickness_are_parameters_too():
         },
     )
     deck = kc.deck(scene_of(body, {"type": "op"}, dc="1 W"))
-    silicon = thermal_material("silicon").conductivity[2]
+    silicon = find_thermal_material("silicon").conductivity[2]
     rng = np.random.default_rng(4)
     for _ in range(5):
         k, r, t, h = 10 ** rng.uniform([2.0, -6, -4, 1.7], [2.6, -3, -2, 2.69])
@@ -229,7 +229,7 @@ def test_the_header_states_range_passivity_and_resistance():
     assert f"* @param {FILM}=100.0 unit=W/(m2*K) range=20..5000 films[0].coefficient" in text
     assert "passiv" not in text.split(".subckt")[0]  # a header names only what is not proven
     found = kc.run(scene).metrics["thermal_resistance_junction_k_per_w"]
-    conductivity = thermal_material("alumina").conductivity[2]
+    conductivity = find_thermal_material("alumina").conductivity[2]
     assert found == pytest.approx(5e-3 / (conductivity * 1e-3) + 1 / (100.0 * 1e-3), rel=1e-6)
 
 

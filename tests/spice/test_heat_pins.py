@@ -10,7 +10,7 @@ import scipy
 
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.fem.thermal_materials import resistance_coefficient
+from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.netlist.expression import Number
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.physics.declaration import Declaration
@@ -83,7 +83,7 @@ def coil(**drive):
 
 
 def test_a_copper_coil_heats_to_its_fixed_point():
-    a, R0, Rth, probe = resistance_coefficient("copper"), 4.0, 50.0, {"take": "final"}
+    a, R0, Rth, probe = find_resistance_coefficient("copper"), 4.0, 50.0, {"take": "final"}
     op = {"type": "op"}
     probes = {"rise": {"of": "mass.temperature"} | probe}
     # I^2 R0 (1 + a T) Rth = T

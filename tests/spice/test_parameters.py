@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from device import deck_of
 
-from kc2spice.bodies.stack import stack_device
+from kc2spice.bodies.stack import make_stack
 from kc2spice.bodies.stack_keys import Chip
 from kc2spice.netlist.deck import Command, Deck
 from kc2spice.netlist.lint import require_valid_wiring
@@ -112,5 +112,5 @@ Xkick anode 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick {given}
 
 
 def chip(damping, header):
-    device = stack_device(Chip(damping=damping, mesh={"sectors": 4, "outer_rings": 3})).model
+    device = make_stack(Chip(damping=damping, mesh={"sectors": 4, "outer_rings": 3})).model
     return subcircuit(reduce_model(device, order=30, band=(0.0, 500e3)), "kick", header)

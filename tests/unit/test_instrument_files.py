@@ -11,7 +11,7 @@ from instrument_layouts import AD2, DEG, E4990, GAIN, LAYOUTS, SHUNT, TRACE_A, F
 from typer.testing import CliRunner
 
 import kc2spice as kc
-from kc2spice.bodies.readers.measured import read_measured, shunt_resistance
+from kc2spice.bodies.readers.measured import parse_shunt_resistance, read_measured
 from kc2spice.cli.main import app
 from kc2spice.workflow.reduce_files import reduce_file
 
@@ -61,7 +61,7 @@ def test_files_of_real_instruments():
 
 def test_a_real_gain_is_the_resistor_that_was_measured():
     """47 Ohm and 100 Ohm by their colour codes, of 5 %; the oscilloscope measures to 10 MHz."""
-    data = read_measured(FILES / "rohde_schwarz_gain.csv", shunt_resistance("100 Ohm"))
+    data = read_measured(FILES / "rohde_schwarz_gain.csv", parse_shunt_resistance("100 Ohm"))
     low = data.f < 1e5
     assert np.abs(1 / data.Y[low, 0, 0] / 47.0 - 1).max() < 0.05
     assert "shunt over source, through 100 Ohm" in " ".join(data.notes)

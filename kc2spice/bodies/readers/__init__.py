@@ -1,4 +1,4 @@
-"""Matrices of other tools, read as linear models with ports."""
+"""Readers of matrices from other tools, as linear models with ports."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError("is a folder, not a model", where=str(path), expected=expected)
     base, files, _, settings = locate_model(path, sidecar)
-    path = files.pop(_WHOLE, path)  # NAME stands for NAME.npz
+    path = files.pop(_SINGLE_FILE, path)  # NAME may mean NAME.npz
     result = _read_files(path, {**files, **settings.files}, settings.matrices)
     sound = {
         k: raw.require_matrix(m, k, result.files.get(k, path)) for k, m in result.matrices.items()
@@ -178,8 +178,8 @@ def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matr
     if entry.file is None and entry.name is None:
         return None
     letter, file = entry.matrix, entry.file or path
-    if entry.name is not None and file.suffix.lower() not in NAMED:
-        expected = f"a file whose name ends with {', '.join(NAMED)}"
+    if entry.name is not None and file.suffix.lower() not in NAMED_FORMATS:
+        expected = f"a file whose name ends with {', '.join(NAMED_FORMATS)}"
         hint = "write the matrix into a file of its own, and give file alone"
         raise wrong(where, "this file has no names of matrices", file.name, expected, hint)
     if file.suffix.lower() in READERS:
@@ -210,29 +210,29 @@ def mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
     if settings.mesh is None:
         return None
     return np.asarray(
-        _sidecar.LENGTHS[settings.length] * np.ptp(read_nodes(settings.mesh).at, axis=0)
+        _sidecar.LENGTH_UNITS[settings.length] * np.ptp(read_nodes(settings.mesh).at, axis=0)
     )
 
 
-# Suffixes allowed behind NAME.K or NAME_K.
-_TAILS = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
-_MEMBER = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
-_WHOLE = ""  # key of the single file with all matrices, if the given name has no suffix
-_MATLAB = "a MATLAB file of version 5 to 7.2 with matrices, or with one mphmatrix struct"
-_ARRAYS = (
+# suffixes that may follow NAME.K or NAME_K
+_MATRIX_SUFFIXES = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
+_MATRIX_FILE = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
+_SINGLE_FILE = ""  # key of a single file with all matrices, for a name without suffix
+_MATLAB_EXPECTED = "a MATLAB file of version 5 to 7.2 with matrices, or with one mphmatrix struct"
+_ARRAYS_EXPECTED = (
     "arrays of numbers; a scipy.sparse K as K.data, K.indices, K.indptr, K.shape and K.format, or "
     "in a file of its own, NAME.K.mtx, by scipy.io.mmwrite"
 )
-_JOB = f"{', '.join(codes.SUFFIXES)} of one job"
-NAMED = (".npz", ".op4", ".pch")  # formats whose matrices have names
+_JOB_EXPECTED = f"{', '.join(codes.SUFFIXES)} of one job"
+NAMED_FORMATS = (".npz", ".op4", ".pch")  # formats that contain names of matrices
 # Formats of one file with all matrices, by suffix: description and reader. The reader receives the
 # names of the matrices in the sidecar.
 READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] = {
-    ".npz": (_ARRAYS, raw.read_matrix_archive),
-    ".mat": (_MATLAB, raw.make_unpacker(raw.unpack_matlab)),
+    ".npz": (_ARRAYS_EXPECTED, raw.read_matrix_archive),
+    ".mat": (_MATLAB_EXPECTED, raw.make_unpacker(raw.unpack_matlab)),
     ".full": ("a symmetric .full file of Ansys", raw.make_unpacker(codes.unpack_full)),
     ".op4": ("a Nastran OUTPUT4 file", raw.make_unpacker(codes.unpack_op4)),
-    **dict.fromkeys(codes.SUFFIXES, (_JOB, codes.read_calculix)),
+    **dict.fromkeys(codes.SUFFIXES, (_JOB_EXPECTED, codes.read_calculix)),
     **dict.fromkeys(
         (".pch", ".pch1", ".bdf", ".dat", ".nas", ".dmig"),
         ("a punch file of Nastran", codes.read_dmig),
@@ -279,24 +279,24 @@ def locate_model(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path
 
 def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
     """Find the path of a model without suffixes, and its files of one matrix each."""
-    job = codes.find_siblings(path)
+    job = codes.find_matrix_files(path)
     if job:
-        match = codes.NAME.fullmatch(path.name)
-        assert match is not None  # find_siblings() matched it
+        match = codes.ABAQUS_NAME.fullmatch(path.name)
+        assert match is not None  # find_matrix_files() has matched the name
         return path.with_name(match[1]), job
     if path.suffix == ".toml":
         return path.with_suffix(""), {}
-    match = _MEMBER.fullmatch(path.name)  # NAME.K may stand for NAME.K.mtx
+    match = _MATRIX_FILE.fullmatch(path.name)  # NAME.K may mean NAME.K.mtx
     if match is not None and not raw.is_file(path):
-        tails = () if match[4] else _TAILS[1:]
+        tails = () if match[4] else _MATRIX_SUFFIXES[1:]
         if not any(raw.is_file(path.with_name(path.name + tail)) for tail in tails):
             match = None
     base = path.with_name(match[1]) if match else path
     separators = (match[2],) if match else (".", "_")
     result: dict[str, Path] = {}
     for letter in raw.LETTERS:
-        candidates = list(map("".join, product((base.name,), separators, letter, _TAILS)))
-        if "_" in separators:  # a matrix file NAME_K has a suffix
+        candidates = list(map("".join, product((base.name,), separators, letter, _MATRIX_SUFFIXES)))
+        if "_" in separators:  # the name NAME_K of a matrix file needs a suffix
             candidates.remove(f"{base.name}_{letter}")
         fits = list(filter(raw.is_file, map(base.with_name, candidates)))
         if len(fits) > 1:
@@ -314,17 +314,20 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
         got = ", ".join(map(attrgetter("name"), archives))
         hint = f"give the full name, such as {archives[0].name}"
         raise wrong(str(path), "several files have this name", got, "one file", hint)
-    archive = dict.fromkeys([_WHOLE], archives[0]) if archives else {}
+    archive = dict.fromkeys([_SINGLE_FILE], archives[0]) if archives else {}
     return (path.with_suffix("") if raw.is_file(path) else path), archive
 
 
 def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]) -> raw.Raw:
+    """Read the raw matrices of a model."""
     suffix = path.suffix.lower()
     if files:
         return _read_matrices(files)
     if not raw.is_file(path) or suffix == ".toml":
         if not raw.is_file(path) and suffix:
-            raise raw.missing_file(path, "a model: kc2spice reduce --help lists the kinds of files")
+            raise raw.make_missing_error(
+                path, "a model: kc2spice reduce --help lists the kinds of files"
+            )
         if path.is_dir():
             raise wrong(
                 str(path),
@@ -338,7 +341,7 @@ def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]
     if suffix not in READERS:
         hint = 'or name the files in NAME.toml: files = { K = "...", M = "..." }'
         got = "a file whose name does not end with the letter of a matrix"
-        raise raw.unusable_file(
+        raise raw.make_unusable_error(
             path, got, "names such as NAME.K, NAME_K.mtx or JOB_STIF1.mtx", hint
         )
     expected, read = READERS[suffix]
@@ -358,15 +361,15 @@ def _read_matrices(files: dict[str, Path]) -> raw.Raw:
             result[letter] = raw.parse_file(path, expected, partial(read_market, allowed=allowed))
         elif codes.is_harwell_boeing(head):
             read = partial(codes.read_harwell_boeing, allowed=allowed)
-            result[letter] = raw.parse_file(path, codes.EXPECTED, read)
+            result[letter] = raw.parse_file(path, codes.HARWELL_BOEING_EXPECTED, read)
             mapped += map(path.with_suffix, (".mapping", ".MAPPING"))
         elif (
-            letter in f"MEK{codes.LOSS}" and path.suffix.lower() == ".mtx"
+            letter in f"MEK{codes.LOSS_LETTER}" and path.suffix.lower() == ".mtx"
         ):  # matrix file of Abaqus
             tables[letter] = path
         else:
             expected = "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus"
-            raise raw.unusable_file(path, f"matrix {letter} in an unknown format", expected)
+            raise raw.make_unusable_error(path, f"matrix {letter} in an unknown format", expected)
     abaqus = raw.Raw({})
     if tables:
         one = next(iter(tables.values()))
@@ -382,6 +385,7 @@ def _read_matrices(files: dict[str, Path]) -> raw.Raw:
 
 
 def _read_head(path: Path) -> bytes:
+    """Return the first bytes of a file."""
     with raw.require_file(path).open("rb") as stream:
         return stream.read(2000).removeprefix(b"\xef\xbb\xbf")
 

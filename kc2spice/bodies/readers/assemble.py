@@ -1,4 +1,4 @@
-"""Raw matrices and a sidecar to a linear model with ports."""
+"""Assembly of a linear model with ports from raw matrices and a sidecar."""
 
 from __future__ import annotations
 
@@ -11,15 +11,30 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.bodies.readers.mesh import read_nodes
-from kc2spice.bodies.readers.raw import DOFS, MAX_WIDE, ROTATIONS, TRANSLATIONS, VOLT, Dofs, Raw
-from kc2spice.bodies.readers.sidecar import FORCES, LENGTHS, NodeSelection, PortEntry, Sidecar
+from kc2spice.bodies.readers.raw import (
+    DOFS,
+    MAX_NARROW_ENTRIES,
+    ROTATIONS,
+    TRANSLATIONS,
+    VOLT,
+    Dofs,
+    Raw,
+)
+from kc2spice.bodies.readers.sidecar import (
+    FORCE_UNITS,
+    LENGTH_UNITS,
+    NodeSelection,
+    PortEntry,
+    Sidecar,
+)
 from kc2spice.core.domains import ACCELERATION, ELECTRICAL
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.linear_model import LinearModel, Port, is_half_stored, with_potentials
 from kc2spice.rom.pencil import Matrix
 
-LOSSLESS = 1e-12  # imaginary part of a row that is rounding, relative to the real part
+# imaginary part of a row that is rounding error, relative to the real part
+IMAGINARY_ROUNDING = 1e-12
 
 
 def assemble_model(rows: Rows) -> LinearModel:
@@ -27,12 +42,12 @@ def assemble_model(rows: Rows) -> LinearModel:
 
     Raises
     ------
-    UsageError : letters missing or too many, shapes that do not fit, matrices that are zero or
-        half stored, freedoms or nodes that do not exist; the message names file and key.
+    UsageError : matrices are missing, superfluous, zero, half stored or of incompatible shape, or a
+    degree of freedom or node does not exist; the message contains file and key.
     """
     rows = replace(rows, matrices=_match_letters(rows))
     rows = replace(rows, matrices=_complete_matrices(rows))
-    rows = replace(rows, matrices=rows.in_si())
+    rows = replace(rows, matrices=rows.convert_to_si())
     if any(entry.kind == ELECTRICAL.port and entry.placed for entry in rows.sidecar.ports):
         return _assemble_piezoelectric(rows)
     return _assemble_mechanical(rows)
@@ -64,10 +79,13 @@ def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
             f'write damping_matrix = "C" into {rows.name}.toml, or outputs = "C" if every unknown '
             "is an output; or call the damping matrix E",
         )
-    if square and C.shape[0] ** 2 > MAX_WIDE:  # type: ignore[union-attr]
+    if square and C.shape[0] ** 2 > MAX_NARROW_ENTRIES:  # type: ignore[union-attr]
         got = f"{C.shape[0]} outputs"  # type: ignore[union-attr]
-        raise wrong(rows.where, "too many outputs", got, f"at most {MAX_WIDE} numbers in C")
-    if square and "M" in matrices and "E" not in matrices:  # outputs of a model without damping
+        raise wrong(
+            rows.where, "too many outputs", got, f"at most {MAX_NARROW_ENTRIES} numbers in C"
+        )
+    # output matrix of a model without damping
+    if square and "M" in matrices and "E" not in matrices:
         return {**matrices, "E": sparse.csc_array(K.shape)}  # type: ignore[union-attr]
     return matrices
 
@@ -121,7 +139,7 @@ def _square_matrices(matrices: Mapping[str, Matrix]) -> dict[str, Matrix]:
     return {letter: matrices[letter] for letter in "MEKA" if letter in matrices}
 
 
-def _restrict(matrix: Matrix, keep: np.ndarray) -> Matrix:
+def _select_entries(matrix: Matrix, keep: np.ndarray) -> Matrix:
     """Select rows and columns of a sparse matrix."""
     return matrix if len(keep) == matrix.shape[0] else sparse.csc_array(matrix[keep][:, keep])
 
@@ -140,7 +158,7 @@ class Rows:
     raw: Raw
     matrices: Mapping[str, Matrix]
 
-    # --- freedoms ---------------------------------------------------------------------------------
+    # --- degrees of freedom ---
 
     @property
     def size(self) -> int:
@@ -170,7 +188,7 @@ class Rows:
 
         The result contains an array for each of ``kinds``.
 
-        Without ``kinds`` the only array contains the rows of all freedoms at these nodes.
+        Without ``kinds`` the only array contains the rows of all degrees of freedom at these nodes.
         """
         where = self.sidecar.of(place)
         dofs, mesh = self.dofs(where), self.sidecar.mesh
@@ -204,10 +222,10 @@ class Rows:
                 )
         return rows if kinds else [np.flatnonzero(here)]
 
-    def in_si(self) -> Mapping[str, Matrix]:
+    def convert_to_si(self) -> Mapping[str, Matrix]:
         """Convert the matrices to metres and newtons, with the same virtual work."""
         settings = self.sidecar
-        length, force = LENGTHS[settings.length], FORCES[settings.force]
+        length, force = LENGTH_UNITS[settings.length], FORCE_UNITS[settings.force]
         if length == force == 1:
             return self.matrices
         where = f"{settings.where}: length"
@@ -235,7 +253,7 @@ class Rows:
         if entry.column is not None or entry.row is not None:
             return self._select_load(entry)
         where, load = self.sidecar.of(entry), np.zeros(self.size)
-        if entry.kind == ACCELERATION.port:  # acceleration of the frame: -M r
+        if entry.kind == ACCELERATION.port:  # acceleration of the frame: load -M r
             if "M" not in self.matrices:
                 problem = "a port of kind acceleration needs a mass matrix"
                 raise wrong(where, problem, None, "matrix M", "add the matrix M")
@@ -281,9 +299,9 @@ class Rows:
         settings = self.sidecar
         if not settings.ports:
             return self.matrices["B"], self.matrices["C"], self.matrices["D"], ()
-        if self.size * len(settings.ports) > MAX_WIDE:
+        if self.size * len(settings.ports) > MAX_NARROW_ENTRIES:
             got = f"{len(settings.ports)} ports of {self.size} rows"
-            expected = f"at most {MAX_WIDE // self.size} ports of this model"
+            expected = f"at most {MAX_NARROW_ENTRIES // self.size} ports of this model"
             raise UsageError("too many ports", where=settings.where, got=got, expected=expected)
         loads = np.array([*map(self.load, settings.ports)])
         kinds = np.array([entry.kind for entry in settings.ports])
@@ -293,10 +311,11 @@ class Rows:
             lacking = "output" if inputs.size else "input"
             hint = f'add a port with  kind = "{lacking}"'
             raise wrong(settings.where, f"no port is an {lacking}", None, expected, hint)
-        scales = np.array([entry.scale for entry in settings.ports])  # 1 of conservative ports
+        scales = np.array([entry.scale for entry in settings.ports])  # 1 for conservative ports
         into, out = scales[inputs], 1 / scales[outputs][:, None]
         D = np.zeros((len(outputs), len(inputs)))
-        if "D" in self.matrices:  # for ports whose column and row are numbers in the sidecar
+        # for ports whose column and row are given as numbers in the sidecar
+        if "D" in self.matrices:
             numbers = np.array([entry.row or entry.column or 0 for entry in settings.ports])
             D = np.pad(self.matrices["D"], 1)[np.ix_(numbers[outputs], numbers[inputs])]
         return (
@@ -315,10 +334,10 @@ def _assemble_mechanical(rows: Rows) -> LinearModel:
         cure = "delete one of the [[fixed]] entries"
         raise UsageError("every degree of freedom is fixed", where=settings.where, hint=cure)
     square = _square_matrices(rows.matrices)
-    operators = {letter: _restrict(matrix, keep) for letter, matrix in square.items()}
+    operators = {letter: _select_entries(matrix, keep) for letter, matrix in square.items()}
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
-    if empty.size:  # no matrix determines an unknown: a gap in the numbering
+    if empty.size:  # an unknown that no matrix determines is a gap in the numbering
         problem, expected = "an equation is empty in all matrices", "no gaps in the numbering"
         got = f"row {empty[0] + 1} of the free ones, {empty.size} such in all"
         hint = None if rows.raw.dofs is None else "fix the degree of freedom in [[fixed]]"
@@ -389,14 +408,14 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
         got = "mass on a potential, or a positive dielectric block"
         raise wrong(rows.where, "the rows of the potentials have another form", got, expected)
     loads = [rows.load(entry)[u] for entry in settings.ports if entry.kind != ELECTRICAL.port]
-    damping = {"rayleigh": settings.damping.rayleigh} if E is None else {"E": _restrict(E, u)}
+    damping = {"rayleigh": settings.damping.rayleigh} if E is None else {"E": _select_entries(E, u)}
     if loss is not None:
-        damping["loss"] = _restrict(loss, u)
+        damping["loss"] = _select_entries(loss, u)
     return with_potentials(
-        M=_restrict(M, u),
-        K_uu=_restrict(K, u),
+        M=_select_entries(M, u),
+        K_uu=_select_entries(K, u),
         K_up=sparse.csc_array(K[u][:, p]),
-        K_pp=-_restrict(K, p),
+        K_pp=-_select_entries(K, p),
         k_uV=KT[u],
         k_pV=-KT[p],
         c_VV=c,
@@ -426,7 +445,7 @@ def _split_loss(
         got = "a complex K and loss_factor"
         raise wrong(rows.where, "structural damping is stated twice", got, "one of them", hint)
     real, loss = (sparse.csc_array(part) for part in (K.real, K.imag))
-    if abs(loss[potential]).max() > LOSSLESS * abs(real[potential]).max():
+    if abs(loss[potential]).max() > IMAGINARY_ROUNDING * abs(real[potential]).max():
         expected = "an imaginary part in the rows of displacements alone"
         hint = "leave out dielectric losses, or give their real part"
         raise wrong(rows.where, "the rows of the potentials have losses", None, expected, hint)

@@ -1,10 +1,10 @@
-"""Readers of the matrix formats of FE codes.
+"""Readers of the matrix formats of finite-element programs.
 
 Abaqus writes ``JOB_STIF2.mtx``, ``JOB_MASS2.mtx`` ... of ``*MATRIX GENERATE``. With ``FORMAT=MATRIX
 INPUT`` (or ``LABELS``) the text file contains ``node, dof, node, dof, value`` of one triangle.
 With ``FORMAT=COORDINATE`` it contains ``row column value`` of both triangles, without the names of
-the rows. A freedom that a boundary condition of the step fixes has 1e36 on the diagonal of the
-stiffness.
+the rows. A degree of freedom that a boundary condition of the step fixes has 1e36 on the diagonal
+of the stiffness.
 
 CalculiX writes ``JOB.sti``, ``JOB.mas`` and ``JOB.dof`` of ``*FREQUENCY, SOLVER=MATRIXSTORAGE``.
 The files contain ``row column value``, and one ``node.direction`` per row: 1 to 6, and 0 for
@@ -41,22 +41,22 @@ from kc2spice.bodies.readers import raw
 from kc2spice.core.extras import import_optional
 from kc2spice.rom.io import complete_triangle, parse_indices, parse_numbers
 
-LOSS = "H"  # the letter of structural damping, in K + j H
-NAME = re.compile(r"(.*)_(STIF|MASS|DMPV|DMPS)(\d*)\.mtx", re.IGNORECASE)
-_LETTER = {"STIF": "K", "MASS": "M", "DMPV": "E", "DMPS": LOSS}
+LOSS_LETTER = "H"  # letter of structural damping, in K + j H
+ABAQUS_NAME = re.compile(r"(.*)_(STIF|MASS|DMPV|DMPS)(\d*)\.mtx", re.IGNORECASE)
+_ABAQUS_LETTERS = {"STIF": "K", "MASS": "M", "DMPV": "E", "DMPS": LOSS_LETTER}
 _FIXED_STIFFNESS = 1e35
 _COMMENT_LINE = re.compile(rb"^\*.*\n?", re.MULTILINE)
 _EXPECTED = "an .mtx file of *MATRIX OUTPUT, FORMAT=MATRIX INPUT or COORDINATE"
 SUFFIXES = (".sti", ".mas", ".dof")
 
 
-def find_siblings(path: Path) -> dict[str, Path]:
-    """Find the matrices of the same job and step as ``path``, by letter."""
-    match = NAME.fullmatch(path.name)
+def find_matrix_files(path: Path) -> dict[str, Path]:
+    """Return the matrix files of the same job and step as ``path``, keyed by matrix letter."""
+    match = ABAQUS_NAME.fullmatch(path.name)
     if match is None:
         return {}
     result = {}
-    for word, letter in _LETTER.items():
+    for word, letter in _ABAQUS_LETTERS.items():
         for spelled in (word, word.lower()):
             other = path.with_name(f"{match[1]}_{spelled}{match[3]}{path.suffix}")
             if raw.is_file(other):
@@ -65,11 +65,12 @@ def find_siblings(path: Path) -> dict[str, Path]:
 
 
 def read_abaqus(files: dict[str, Path]) -> raw.Raw:
-    """Read matrices by letter from the files of one job.
+    """Read matrices from the Abaqus files of one job, keyed by letter.
 
     Raises
     ------
-    UsageError : damaged, formats mixed, too large, or entries that are not those of one matrix.
+    UsageError : a file is damaged or too large, formats are mixed, or entries do not belong to one
+    matrix.
     """
     tables, formats, dofs = dict[str, raw.Triple](), set[bool](), None
     for letter, path in files.items():
@@ -77,7 +78,9 @@ def read_abaqus(files: dict[str, Path]) -> raw.Raw:
         formats.add(labelled)
     if len(formats) > 1:
         one = next(iter(files.values()))
-        raise raw.unusable_file(one, "MATRIX INPUT and COORDINATE", "one format for all matrices")
+        raise raw.make_unusable_error(
+            one, "MATRIX INPUT and COORDINATE", "one format for all matrices"
+        )
     if True in formats:
         result, dofs = raw.matrices_by_letter(tables)
         result = {letter: raw.both_triangles(matrix) for letter, matrix in result.items()}
@@ -94,10 +97,10 @@ def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises
     ------
-    ValueError : there is no K, K has another size, or K is complex itself.
+    ValueError : K is missing, has another size, or is already complex.
     """
     result = dict(matrices)
-    loss = result.pop(LOSS, None)
+    loss = result.pop(LOSS_LETTER, None)
     if loss is None:
         return result
     K = result.get("K")
@@ -107,7 +110,7 @@ def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parse_entries(data: bytes) -> tuple[bool, raw.Triple]:
-    """Parse rows, columns and values, and whether the lines name nodes and freedoms.
+    """Parse rows, columns and values, and whether the lines contain nodes and degrees of freedom.
 
     Rows and columns are keys of nodes and freedoms, or count from 0.
     """
@@ -125,8 +128,8 @@ def _parse_entries(data: bytes) -> tuple[bool, raw.Triple]:
     if width == 5:
         return True, raw.row_keys(table)
     return False, (
-        parse_indices(table[:, 0], raw.MAX_SIZE),
-        parse_indices(table[:, 1], raw.MAX_SIZE),
+        parse_indices(table[:, 0], raw.MAX_ROWS),
+        parse_indices(table[:, 1], raw.MAX_ROWS),
         table[:, 2],
     )
 
@@ -142,7 +145,7 @@ def read_calculix(path: Path, _: object) -> raw.Raw:
     for file in (stiffness, mass, rows):
         if not raw.is_file(file):
             hint = f"{file.suffix} is written by *FREQUENCY, SOLVER=MATRIXSTORAGE"
-            raise raw.unusable_file(
+            raise raw.make_unusable_error(
                 path, f"no {file.name}", f"{', '.join(SUFFIXES)} side by side", hint
             )
     dofs = raw.parse_file(rows, "lines node.direction", _parse_dofs)
@@ -157,14 +160,14 @@ def read_calculix(path: Path, _: object) -> raw.Raw:
 
 def _parse_dofs(data: bytes) -> raw.Dofs:
     words = data.split()
-    if not 0 < len(words) <= raw.MAX_SIZE:
+    if not 0 < len(words) <= raw.MAX_ROWS:
         raise ValueError(f"{len(words)} rows")
-    # 12.3 is component 3 of node 12, not a number
+    # 12.3 means component 3 of node 12; it is not a decimal number
     pairs = [word.partition(b".")[::2] for word in words]
     node, kind = np.array(pairs).astype(np.int64).T
     if not ((kind >= 0) & (kind <= 6)).all():
         raise ValueError(f"unknown direction {kind[(kind < 0) | (kind > 6)][0]}")
-    return raw.Dofs(node, np.where(kind == 0, raw.CODES["temp"], kind))
+    return raw.Dofs(node, np.where(kind == 0, raw.DOF_NUMBERS["temp"], kind))
 
 
 def _parse_triangle(data: bytes, n: int) -> sparse.csc_array:
@@ -173,21 +176,23 @@ def _parse_triangle(data: bytes, n: int) -> sparse.csc_array:
         raise ValueError(f"{values.size} numbers in 3 columns: is it cut off?")
     row, column = parse_indices(values[0::3], n), parse_indices(values[1::3], n)
     bare = np.bincount(row[row == column], minlength=n) == 0
-    if bare.any():  # CalculiX writes every diagonal entry, zeros too
+    if bare.any():  # CalculiX writes every diagonal entry, including zeros
         raise ValueError(f"row {bare.argmax() + 1} has no diagonal entry: is it cut off?")
     return raw.both_triangles(sparse.csc_array((values[2::3], (row, column)), shape=(n, n)))
 
 
-# Ansys counts freedoms in this file from 0.
-_KINDS = dict(enumerate((
+# numbers of degrees of freedom in this file, counted from 0
+_ANSYS_KINDS = dict(enumerate((
     "ux", "uy", "uz", "rx", "ry", "rz", "ax", "ay", "az", "vx", "vy", "vz", "", "", "", "warp",
     "conc", "hdsp", "pres", "temp", "volt", "mag", "enke", "ends", "emf", "curr",
 )))  # fmt: skip
-EXPECTED = "an assembled Harwell-Boeing file in ASCII: type RSA, RUA, RZA, RRA, CSA, CUA"
-_FORMAT = re.compile(rb"\(?\s*(?:\d*P,?)?\s*(\d*)\s*[IFEDG](\d+)", re.IGNORECASE)
-_TYPE = re.compile(rb"\s*([RCPrcp][SUHZRsuhzr][AEae])\s")
-_LONGEST = 10_000  # characters of a line
-_ANSYS = {"ROTX": "rx", "ROTY": "ry", "ROTZ": "rz"}
+HARWELL_BOEING_EXPECTED = (
+    "an assembled Harwell-Boeing file in ASCII: type RSA, RUA, RZA, RRA, CSA, CUA"
+)
+_FORTRAN_FORMAT = re.compile(rb"\(?\s*(?:\d*P,?)?\s*(\d*)\s*[IFEDG](\d+)", re.IGNORECASE)
+_MATRIX_TYPE = re.compile(rb"\s*([RCPrcp][SUHZRsuhzr][AEae])\s")
+_MAX_LINE_LENGTH = 10_000  # characters of a line
+_ANSYS_NAMES = {"ROTX": "rx", "ROTY": "ry", "ROTZ": "rz"}
 
 
 def unpack_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
@@ -202,13 +207,13 @@ def unpack_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
     file = import_optional("ansys.mapdl.reader.full", path).FullFile(path)
     place, stiffness, mass = file.load_km()
     place = np.asarray(place, dtype=np.int64)
-    kind = np.array([raw.CODES[_KINDS[int(k)]] for k in place[:, 1]])
+    kind = np.array([raw.DOF_NUMBERS[_ANSYS_KINDS[int(k)]] for k in place[:, 1]])
     # the rows of these unknowns are empty
     const = np.asarray(file.const, dtype=np.int64).reshape(-1, 2)
     key = np.array([64, 1])
     fixed = np.flatnonzero(np.isin(place[:, :2] @ key, const @ key))
     result = {"nodes": place[:, 0], "dofs": kind, "fixed": fixed}
-    for letter, matrix in (("K", stiffness), ("M", mass)):  # the upper triangle is stored
+    for letter, matrix in (("K", stiffness), ("M", mass)):  # the file contains the upper triangle
         result |= raw.pack_matrix(letter, complete_triangle(sparse.csc_array(matrix)))
     return result
 
@@ -216,7 +221,7 @@ def unpack_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
 def is_harwell_boeing(head: bytes) -> bool:
     """Whether the first lines of a file are a Harwell-Boeing header."""
     lines = head.split(b"\n", 4)
-    return len(lines) > 3 and _TYPE.match(lines[2] + b" ") is not None
+    return len(lines) > 3 and _MATRIX_TYPE.match(lines[2] + b" ") is not None
 
 
 def read_harwell_boeing(
@@ -234,7 +239,7 @@ def read_harwell_boeing(
     lines = data.splitlines()
     if len(lines) < 5:
         raise ValueError("the header is cut off")
-    match = _TYPE.match(lines[2] + b" ")
+    match = _MATRIX_TYPE.match(lines[2] + b" ")
     if match is None:
         raise ValueError(f"the third line cannot be read: {lines[2][:40]!r}")
     kind = match[1].decode().upper()
@@ -245,10 +250,10 @@ def read_harwell_boeing(
     allowed((rows, columns), entries)
     if min(counts) < 0 or (kind[1] in "SZ" and rows != columns):
         raise ValueError("the header is damaged")
-    formats = _FORMAT.findall(lines[3])
+    formats = _FORTRAN_FORMAT.findall(lines[3])
     if len(formats) < 3:
         raise ValueError("the line of formats is damaged")
-    sides = lines[1].split()[4:]  # right-hand sides, which have a separate line
+    sides = lines[1].split()[4:]  # right-hand sides have a separate line
     parts, start = [], 5 if sides and int(sides[0]) > 0 else 4
     numbers_of = (columns + 1, entries, 2 * entries if kind[0] == "C" else entries)
     for (repeat, width), length, number in zip(formats, counts[1:], numbers_of, strict=False):
@@ -277,7 +282,7 @@ def _parse_fixed_width(lines: list[bytes], repeat: int, width: int, number: int)
             f"the file ends after {len(lines)} of {math.ceil(number / repeat)} lines with "
             f"{number} numbers; it may be truncated"
         )
-    if not 0 < repeat * width <= _LONGEST:
+    if not 0 < repeat * width <= _MAX_LINE_LENGTH:
         raise ValueError(f"unusual line format: {repeat} fields of {width} characters")
     text = b"".join(line[: repeat * width].ljust(repeat * width) for line in lines)
     text = text.translate(bytes.maketrans(b"Dd", b"EE"))
@@ -286,7 +291,7 @@ def _parse_fixed_width(lines: list[bytes], repeat: int, width: int, number: int)
 
 
 def read_mapping(data: bytes, size: int) -> raw.Dofs:
-    """Read the nodes and freedoms of ``size`` equations from an Ansys mapping.
+    """Read the nodes and degrees of freedom of ``size`` equations from an Ansys mapping.
 
     Raises
     ------
@@ -297,8 +302,8 @@ def read_mapping(data: bytes, size: int) -> raw.Dofs:
     if len(rows) != size or set(map(len, rows)) != {3}:
         raise ValueError(f"{len(rows)} equations")
     equations, nodes, freedoms = zip(*rows, strict=True)
-    names = [_ANSYS.get(name.upper(), name.lower()) for name in freedoms]
-    unknown = sorted(set(names) - set(raw.CODES))
+    names = [_ANSYS_NAMES.get(name.upper(), name.lower()) for name in freedoms]
+    unknown = sorted(set(names) - set(raw.DOF_NUMBERS))
     if unknown:
         raise ValueError(f"unknown degree of freedom {unknown[0]}")
     place = parse_indices(np.array(list(map(float, equations))), size)
@@ -306,12 +311,12 @@ def read_mapping(data: bytes, size: int) -> raw.Dofs:
         raise ValueError("an equation occurs twice")
     node, kind = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     node[place] = list(map(int, nodes))
-    kind[place] = list(map(raw.CODES.__getitem__, names))
+    kind[place] = list(map(raw.DOF_NUMBERS.__getitem__, names))
     return raw.Dofs(node, kind)
 
 
-# Letters of Nastran's matrices by the first letters of their names.
-_PREFIXES = {"K": "K", "K4": LOSS, "M": "M", "B": "E"}
+# Matrix letters, keyed by the beginning of Nastran's matrix names.
+_NASTRAN_PREFIXES = {"K": "K", "K4": LOSS_LETTER, "M": "M", "B": "E"}
 _SHORT_EXPONENT = re.compile(r"(?<=[0-9.])([+-]\d+)$")  # 1.5+7 is 1.5e+7
 _SQUARE, _SYMMETRIC = 1, 6
 
@@ -327,34 +332,34 @@ def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) 
     selected = {}
     for letter, name in requested.items():
         if name.upper() not in known:
-            raise raw.unusable_file(path, f"no matrix {name}", f"one of {', '.join(names)}")
+            raise raw.make_unusable_error(path, f"no matrix {name}", f"one of {', '.join(names)}")
         selected[letter] = known[name.upper()]
-    for letter in _PREFIXES.values():
+    for letter in _NASTRAN_PREFIXES.values():
         fits = [name for name in known.values() if _usual_letter(name) == letter]
         if letter in selected or not fits or requested:
             continue
         if len(fits) > 1:
             hint = f'matrices = {{ {letter} = "{fits[0]}" }} in the TOML file'
-            raise raw.unusable_file(
+            raise raw.make_unusable_error(
                 path, f"matrices {', '.join(fits)}", f"one that is {letter}", hint
             )
         selected[letter] = fits[0]
     if not selected:
-        raise raw.unusable_file(
+        raise raw.make_unusable_error(
             path, f"matrices {', '.join(names)}", "K..., M... and as needed B..."
         )
     return selected
 
 
 def _usual_letter(name: str) -> str | None:
-    """Letter of a matrix with this name, None if its first letters have no meaning."""
-    return _PREFIXES.get(name[:2].upper()) or _PREFIXES.get(name[:1].upper())
+    """Return the letter of a matrix from the beginning of its name; None if unknown."""
+    return _NASTRAN_PREFIXES.get(name[:2].upper()) or _NASTRAN_PREFIXES.get(name[:1].upper())
 
 
 def read_dmig(path: Path, requested: Mapping[str, str]) -> raw.Raw:
     """Read the matrices of the DMIG cards in ``path``.
 
-    Grid and component name the rows.
+    Grid and component identify the rows.
 
     Raises
     ------
@@ -401,7 +406,7 @@ def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
 
 
 def _value_converter(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
-    """Conversion of the two fields of an entry to its value.
+    """Return the function that converts the two fields of an entry to its value.
 
     A real matrix uses the first field. A complex matrix uses both, as real and imaginary part or as
     magnitude and angle [degrees].

@@ -1,7 +1,7 @@
 """Complex responses from columns, and their admittances.
 
-In: tables of a file, or vectors with titles. Out: a :class:`MeasuredResponse`. A file that allows
-two readings is refused, and the error states both.
+The input is tables of a file, or vectors with titles. The output is a :class:`MeasuredResponse`. A
+file with two possible meanings is rejected, and the error describes both.
 
 The gain through a shunt is measured with a resistor R in series with the part. It is the voltage
 across the shunt relative to that of the source::
@@ -21,36 +21,39 @@ from operator import attrgetter
 import numpy as np
 
 from kc2spice.bodies.readers.meanings import (
-    CHANNEL,
+    CHANNEL_PATTERN,
     COMBINATIONS,
     DEFAULT_UNITS,
-    LABELS,
-    SOUND,
+    QUANTITY_LABELS,
+    SOUND_QUANTITY,
     SUFFIX_TITLES,
-    UNSTATED,
-    UNTITLED,
+    UNSTATED_QUANTITIES,
+    UNTITLED_MEANINGS,
     Combination,
     Quantity,
 )
-from kc2spice.bodies.readers.text_table import LONGEST_HEADER, TextTable
+from kc2spice.bodies.readers.text_table import MAX_HEADER_LENGTH, TextTable
 from kc2spice.bodies.readers.titles import (
     Column,
-    column_of,
     complex_quantity,
+    convert_column,
     is_frequency,
     read_title,
 )
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 
-REFERENCE = 50.0  # Ohm, reference resistance of S if the file states none
-FEWEST = 12  # least number of frequencies, for four parameters of one resonance and its noise
-AGREE = 0.05  # median relative difference of two readings, above the rounding of columns
-# largest ratio of turns of the frequency to its steps in a table of sweeps of 10 rows or more
-LARGEST_SHARE_OF_STARTS = 0.1
-LONGEST_NAMES = 50  # characters of the titles in an error that also lists unknown titles
-NAME_COLUMNS = "name the columns in the first line, such as  frequency_hz,real_ohm,imag_ohm"
-ONE_PART = "delete the columns or lines of the other one"
+DEFAULT_REFERENCE = 50.0  # Ohm, reference resistance of S if the file states none
+# smallest number of frequencies, for four parameters of one resonance and its noise
+MIN_FREQUENCIES = 12
+# largest median relative difference of two readings, above the rounding of columns
+AGREEMENT_LIMIT = 0.05
+# largest ratio of reversals of the frequency to its steps, in a table of sweeps with 10 rows or
+# more
+MAX_REVERSAL_SHARE = 0.1
+MAX_TITLE_LENGTH = 50  # characters of the titles in an error that also lists unknown titles
+NAME_COLUMNS_HINT = "name the columns in the first line, such as  frequency_hz,real_ohm,imag_ohm"
+ONE_PART_HINT = "delete the columns or lines of the other one"
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +73,7 @@ class MeasuredResponse(EqualByContent):
     columns: str = ""
 
 
-def admittance_of(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarray:
+def convert_to_admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarray:
     """Convert S, Z or Y to Y (n, ports, ports).
 
     ``z0`` (ports,) are the reference resistances of S.
@@ -86,7 +89,7 @@ def admittance_of(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarr
         raise ValueError(text) from None
 
 
-def ambiguous_file(got: str, readings: Sequence[str], hint: str) -> UsageError:
+def make_ambiguity_error(got: str, readings: Sequence[str], hint: str) -> UsageError:
     """The error of a file that allows more than one reading."""
     listed = " or ".join(f"({k}) {text}" for k, text in enumerate(readings, 1))
     expected = f"one reading; this file allows {listed}"
@@ -102,12 +105,12 @@ def find_response(
     ------
     ValueError, UsageError : no table is a response, or more than one is.
     """
-    large = [table for table in tables if table.rows >= FEWEST] or list(tables[:1])
+    large = [table for table in tables if table.rows >= MIN_FREQUENCIES] or list(tables[:1])
     responses, reasons = list[tuple[TextTable, MeasuredResponse]](), list[Exception]()
     notes = list[str]()
     for table in large:
         try:
-            responses.append((table, _find_response(table, shunt, suffix)))
+            responses.append((table, _find_table_response(table, shunt, suffix)))
         except (ValueError, UsageError) as error:
             reasons.append(error)
             notes.append(f"{table.place} are not used: {error}".splitlines()[0])
@@ -115,31 +118,31 @@ def find_response(
         raise reasons[0]
     if len(responses) > 1:
         readings = [f"{table.place}: {response.columns}" for table, response in responses]
-        raise ambiguous_file(f"{len(responses)} sweeps", readings, ONE_PART)
+        raise make_ambiguity_error(f"{len(responses)} sweeps", readings, ONE_PART_HINT)
     response = responses[0][1]
     return replace(response, notes=(*response.notes, *notes))
 
 
-def _find_response(table: TextTable, shunt: float | None, suffix: str) -> MeasuredResponse:
+def _find_table_response(table: TextTable, shunt: float | None, suffix: str) -> MeasuredResponse:
     """Find the response in one table."""
     if table.titles is not None and any(map(is_frequency, table.titles)):
-        return response_of(table.titles, table.numbers, shunt, table.notes)
+        return combine_response(table.titles, table.numbers, shunt, table.notes)
     suffix_titles = SUFFIX_TITLES.get(suffix)
     width = len(table.numbers)
     if suffix_titles and width == len(suffix_titles):
         titles = _replace_titles(suffix_titles, table.comments)
         notes = (*table.notes, f"no titles of columns, taken as {', '.join(titles)}")
-        return response_of(titles, table.numbers, shunt, notes)
+        return combine_response(titles, table.numbers, shunt, notes)
     if table.titles is not None:
-        return response_of(table.titles, table.numbers, shunt, table.notes)
+        return combine_response(table.titles, table.numbers, shunt, table.notes)
     if table.header:
         raise ValueError(
-            f"the header {table.header[:LONGEST_HEADER]!r} does not have the separators of the "
+            f"the header {table.header[:MAX_HEADER_LENGTH]!r} does not have the separators of the "
             f"{width} columns of numbers below it"
         )
     first = " ".join(f"{column[0]:g}" for column in table.numbers[:6])
     got = f"{width} columns without titles, first row {first}"
-    raise ambiguous_file(got, UNTITLED, NAME_COLUMNS)
+    raise make_ambiguity_error(got, UNTITLED_MEANINGS, NAME_COLUMNS_HINT)
 
 
 def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str, ...]:
@@ -159,14 +162,14 @@ def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str
             quantity = title.meaning.quantity
             if quantity in quantities:
                 result[quantities.index(quantity)] = piece.strip()
-            elif quantity == SOUND:
+            elif quantity == SOUND_QUANTITY:
                 result[1] = piece.strip()
     return tuple(result)
 
 
 @dataclass(frozen=True, eq=False)
 class _ColumnPair(EqualByContent):
-    """The ``samples`` (n,) of a combination of columns, and the titles of these columns."""
+    """Combination of two columns: the ``samples`` (n,) and the titles of the columns."""
 
     combination: Combination
     columns: tuple[Column, ...]
@@ -186,7 +189,7 @@ class _Columns(EqualByContent):
     problems: list[str]
 
 
-def response_of(
+def combine_response(
     titles: Sequence[str],
     numbers: Sequence[np.ndarray],
     shunt: float | None = None,
@@ -215,14 +218,14 @@ def response_of(
     reading = readings[0]
     used = (frequency, *reading.columns)
     remarks = [*notes, *filter(None, map(attrgetter("note"), used))]
-    reference = REFERENCE
+    reference = DEFAULT_REFERENCE
     samples = reading.samples
     if reading.combination.shunt:
         assert shunt is not None
         samples, reference, remark = _convert_gain(samples, shunt)
         remarks.append(remark)
     elif reading.combination.quantity == "S":
-        remarks.append(f"no reference resistance of S, taken as {REFERENCE:g} Ohm")
+        remarks.append(f"no reference resistance of S, taken as {DEFAULT_REFERENCE:g} Ohm")
     if "c" in reading.combination.columns:
         remarks.append(f"{reading.columns[0].title.text}: neither Cp nor Cs, taken as Cp")
     texts = map(attrgetter("title.text"), used)
@@ -231,7 +234,7 @@ def response_of(
 
 
 def _require_one_sweep(f: np.ndarray) -> None:
-    """Check that frequencies (n,) increase or decrease; those of direct current, 0, do not count.
+    """Raise an error if nonzero frequencies (n,) neither increase nor decrease.
 
     Raises
     ------
@@ -243,11 +246,11 @@ def _require_one_sweep(f: np.ndarray) -> None:
     if (steps >= 0).all() or (steps <= 0).all():
         return
     starts = rows[np.flatnonzero(steps * np.median(steps) < 0) + 1]
-    if not starts.size or len(starts) > LARGEST_SHARE_OF_STARTS * len(steps):
+    if not starts.size or len(starts) > MAX_REVERSAL_SHARE * len(steps):
         raise ValueError("the frequency column goes up and down: is it another one?")
     ends = [*starts[:3], len(f)][:3]
     sweeps = [f"rows {a + 1} to {b}" for a, b in zip((0, *starts), ends, strict=False)]
-    raise ambiguous_file(f"{len(starts) + 1} sweeps in one table", sweeps, ONE_PART)
+    raise make_ambiguity_error(f"{len(starts) + 1} sweeps in one table", sweeps, ONE_PART_HINT)
 
 
 def _classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> _Columns:
@@ -263,7 +266,7 @@ def _classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> _
                     result.unknown.append(text.strip())
                 continue
             title = read_title(text)
-            column = None if title is None else column_of(title, values)
+            column = None if title is None else convert_column(title, values)
         except ValueError as error:
             result.problems.append(str(error))
             continue
@@ -275,7 +278,7 @@ def _classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> _
 
 
 def _require_complete(titles: Sequence[str], columns: _Columns, shunt: float | None) -> None:
-    """Check that a frequency and columns of one combination exist."""
+    """Raise an error unless a frequency and the columns of one combination exist."""
     names = set(columns.by_quantity)
     complete = [c for c in COMBINATIONS if set(c.columns) <= names]
     gains = list(filter(attrgetter("shunt"), complete))
@@ -298,31 +301,31 @@ def _require_complete(titles: Sequence[str], columns: _Columns, shunt: float | N
             expected="the resistance in series with the part, or columns of an impedance",
             hint="add for example  --shunt '100 Ohm'",
         )
-    raise _incomplete_table(titles, columns)
+    raise _make_incomplete_error(titles, columns)
 
 
-def _incomplete_table(titles: Sequence[str], columns: _Columns) -> Exception:
-    """The error of columns that determine no impedance."""
+def _make_incomplete_error(titles: Sequence[str], columns: _Columns) -> Exception:
+    """Return the error of columns that do not determine an impedance."""
     if columns.problems:
         return ValueError(columns.problems[0])
     for text in columns.unknown:
-        meaning = UNSTATED.get("".join(text.lower().split()))
+        meaning = UNSTATED_QUANTITIES.get("".join(text.lower().split()))
         if meaning is not None:
             got = f"the column {text!r} states neither quantity nor unit"
-            return ambiguous_file(got, meaning.split("; or "), NAME_COLUMNS)
-    if SOUND in columns.by_quantity:
-        title = columns.by_quantity[SOUND][0].title.text
+            return make_ambiguity_error(got, meaning.split("; or "), NAME_COLUMNS_HINT)
+    if SOUND_QUANTITY in columns.by_quantity:
+        title = columns.by_quantity[SOUND_QUANTITY][0].title.text
         return ValueError(f"column {title!r} is a sound pressure")
     missing = "no complete impedance" if "f" in columns.by_quantity else "no frequency"
     listed = ", ".join(map(repr, columns.unknown[:5]))
     strange = f"; unknown: {listed}" if listed else ""
     names = ", ".join(titles[:5])
-    names = names if len(names) <= LONGEST_NAMES else f"{names[:LONGEST_NAMES]}…"
+    names = names if len(names) <= MAX_TITLE_LENGTH else f"{names[:MAX_TITLE_LENGTH]}…"
     return ValueError(f"the columns {names} contain {missing}{strange}")
 
 
 def _require_agreement(quantity: str, candidates: Sequence[Column]) -> Column:
-    """Return the first column of a quantity, and check that others have its values.
+    """Return the first column of a quantity; raise an error if other columns differ.
 
     Raises
     ------
@@ -330,16 +333,16 @@ def _require_agreement(quantity: str, candidates: Sequence[Column]) -> Column:
     """
     first, *others = candidates
     for other in others:
-        if _relative_difference(other.values, first.values) > AGREE:
-            label = f"two columns of {LABELS.get(quantity, quantity)}"
-            raise ambiguous_file(label, (str(first), str(other)), ONE_PART)
+        if _relative_difference(other.values, first.values) > AGREEMENT_LIMIT:
+            label = f"two columns of {QUANTITY_LABELS.get(quantity, quantity)}"
+            raise make_ambiguity_error(label, (str(first), str(other)), ONE_PART_HINT)
     return first
 
 
 def _select_pair(combination: Combination, columns: _Columns) -> tuple[Column, Column]:
     """Select the columns of a combination.
 
-    Of several first columns the one with the channel of the second column is selected.
+    If several first columns exist, the channel of the second column determines the selection.
 
     Raises
     ------
@@ -348,23 +351,21 @@ def _select_pair(combination: Combination, columns: _Columns) -> tuple[Column, C
     """
     first, second = combination.columns
     sizes, others = columns.by_quantity[first], columns.by_quantity[second]
-    channel = _channel(others[0])
+    channel = _find_channel(others[0])
     if len(sizes) > 1 and len(others) == 1 and channel:
-        same = [column for column in sizes if _channel(column) == channel]
+        same = [column for column in sizes if _find_channel(column) == channel]
         sizes = same if len(same) == 1 else sizes
     return _require_agreement(first, sizes), _require_agreement(second, others)
 
 
-def _channel(column: Column) -> str:
-    """The channel in the title of a column, such as ``channel 2``; empty without one."""
-    match = CHANNEL.search(column.title.text)
+def _find_channel(column: Column) -> str:
+    """Return the channel in the title of a column, such as ``channel 2``; empty if missing."""
+    match = CHANNEL_PATTERN.search(column.title.text)
     return match[0].lower() if match else ""
 
 
 def _relative_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the median difference relative to ``b`` (n,) at points at which both are finite and
-    not zero.
-    """
+    """Return the median difference relative to ``b`` (n,) at finite, nonzero points."""
     with np.errstate(all="ignore"):
         ratio = np.abs(a / b - 1)
     ratio = ratio[np.isfinite(ratio) & (b != 0) & (a != 0)]
@@ -380,7 +381,7 @@ def _combine_columns(columns: _Columns, f: np.ndarray, shunt: float | None) -> l
     """
     names, readings = set(columns.by_quantity), list[_ColumnPair]()
     phases = {"z": "phase_z", "y": "phase_y"} if shunt is None else {"gain": "gain_phase"}
-    # the magnitude to which the phase belongs
+    # magnitude to which the phase belongs
     size = next(filter(names.__contains__, phases), None)
     for combination in COMBINATIONS:
         first, second = combination.columns
@@ -393,19 +394,22 @@ def _combine_columns(columns: _Columns, f: np.ndarray, shunt: float | None) -> l
         readings.append(_ColumnPair(combination, pair, samples))
     best = readings[0]
     for other in readings[1:]:
-        if _relative_difference(_admittance(other), _admittance(best)) > AGREE:
+        if (
+            _relative_difference(_compute_admittance(other), _compute_admittance(best))
+            > AGREEMENT_LIMIT
+        ):
             got = f"columns that differ, first at {f[0]:g} Hz"
             hint = "check the units of these columns, or delete those that are wrong"
-            raise ambiguous_file(got, (str(best), str(other)), hint)
+            raise make_ambiguity_error(got, (str(best), str(other)), hint)
     return readings
 
 
-def _admittance(reading: _ColumnPair) -> np.ndarray:
+def _compute_admittance(reading: _ColumnPair) -> np.ndarray:
     """Admittance (n,) of a reading, by a reference of S that is the same for all."""
     x = reading.samples
     if reading.combination.quantity == "Y":
         return x
-    return 1 / x if reading.combination.quantity == "Z" else (1 - x) / (1 + x) / REFERENCE
+    return 1 / x if reading.combination.quantity == "Z" else (1 - x) / (1 + x) / DEFAULT_REFERENCE
 
 
 def _convert_gain(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, str]:
@@ -424,21 +428,21 @@ def _complex_response(
     text, quantity, samples = columns.complex_columns[0]
     if len(columns.complex_columns) > 1:
         readings = [f"{kind} from {name!r}" for name, kind, _ in columns.complex_columns]
-        raise ambiguous_file("two columns of complex numbers", readings, ONE_PART)
+        raise make_ambiguity_error("two columns of complex numbers", readings, ONE_PART_HINT)
     remarks = [*notes, frequency.note] if frequency.note else list(notes)
     if quantity == "S":
-        remarks.append(f"no reference resistance of S, taken as {REFERENCE:g} Ohm")
+        remarks.append(f"no reference resistance of S, taken as {DEFAULT_REFERENCE:g} Ohm")
     else:
         unit = DEFAULT_UNITS["impedance" if quantity == "Z" else "admittance"]
         remarks.append(f"{text}: complex numbers, taken as {quantity} in the unit of its title")
         remarks[-1] = remarks[-1] if "(" in text or "_" in text else f"{text}: taken as {unit}"
     summary = f"{frequency}, {quantity} from {text!r}"
     summary += _describe_unused(titles, (text, frequency.title.text))
-    return _make_response(frequency.values, quantity, samples, REFERENCE, remarks, summary)
+    return _make_response(frequency.values, quantity, samples, DEFAULT_REFERENCE, remarks, summary)
 
 
 def _describe_unused(titles: Sequence[str], used: Iterable[str]) -> str:
-    """Text on the titles that are not among those ``used``; empty if all are used."""
+    """Describe the titles that are not among those ``used``; empty if all are used."""
     names = set(map(str.strip, used))
     unused = [title for title in map(str.strip, titles) if title and title not in names]
     return f"; not used: {', '.join(unused)}" if unused else ""
@@ -455,5 +459,5 @@ def _make_response(
     """Make the response of samples (n,) of one port; rows of direct current are left out."""
     f, samples = f[f != 0], samples[f != 0]
     matrix, z0 = samples[:, None, None], np.array([reference])
-    Y = admittance_of(quantity, matrix, z0)
+    Y = convert_to_admittance(quantity, matrix, z0)
     return MeasuredResponse(f, quantity, matrix, Y, z0, tuple(notes), summary)

@@ -1,11 +1,12 @@
-"""Columns that instruments write: quantities, units, titles and combinations.
+"""Columns of measuring instruments: quantities, units, titles and combinations.
 
 This module contains data only; a new kind of column is one row.
 
 - :mod:`kc2spice.bodies.readers.titles` reads titles by :data:`COLUMN_KINDS` and :data:`UNITS`.
 - :mod:`kc2spice.bodies.readers.text_table` reads files without titles by :data:`SUFFIX_TITLES`.
 - :mod:`kc2spice.bodies.readers.complex_response` combines columns by :data:`COMBINATIONS`.
-- :mod:`kc2spice.bodies.readers.thermal_transient` reads a time and one of :data:`TRANSIENTS`.
+- :mod:`kc2spice.bodies.readers.thermal_transient` reads a time and one of
+:data:`TRANSIENT_QUANTITIES`.
 """
 
 from __future__ import annotations
@@ -20,13 +21,14 @@ import numpy as np
 Quantity = Literal["S", "Z", "Y"]
 PREFIXES = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "": 1.0,
             "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # fmt: skip
-# prefixes that are accepted in both cases, because the small letter is no other prefix
-LARGE = "kMGT"
-# Spellings of each unit by the measured quantity, with the SI value of the unit.
-# A spelling with a capital letter counts in this case only.
+# prefixes accepted in upper and lower case, because the lower-case letter is not another prefix
+CASE_FREE_PREFIXES = "kMGT"
+# Spellings of each unit, keyed by measured quantity, with the SI value of the unit. Titles with a
+# capital letter are matched case-sensitively; all others ignore case.
 UNITS: dict[str, dict[str, float]] = {
     "frequency": {"hz": 1.0, "hertz": 1.0, "rad/s": 0.5 / np.pi, "rads": 0.5 / np.pi},
-    "impedance": {"ohm": 1.0, "ohms": 1.0, "O": 1.0},  # an omega of another code page becomes an O
+    # an omega from another code page becomes an O
+    "impedance": {"ohm": 1.0, "ohms": 1.0, "O": 1.0},
     "admittance": {"s": 1.0, "siemens": 1.0, "mho": 1.0},
     "capacitance": {"f": 1.0, "farad": 1.0},
     "inductance": {"h": 1.0, "henry": 1.0},
@@ -36,24 +38,39 @@ UNITS: dict[str, dict[str, float]] = {
     "number": {"": 1.0, "-": 1.0, "1": 1.0, "%": 0.01, "U": 1.0},
     "time": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "min": 60.0, "minutes": 60.0, "h": 3600.0,
              "hours": 3600.0},
-    # Differences of temperatures count: the zero of a scale does not.
+    # Only temperature differences matter, so the zero of a scale is ignored.
     "temperature": {"k": 1.0, "kelvin": 1.0, "°c": 1.0, "degc": 1.0, "c": 1.0, "celsius": 1.0,
                     "°f": 5 / 9, "degf": 5 / 9},
     "thermal impedance": {"k/w": 1.0, "k_per_w": 1.0, "k_w": 1.0, "°c/w": 1.0, "c/w": 1.0},
 }  # fmt: skip
-LOST_LETTERS = {"O": "Ohm"}  # units in whose title a program replaced a letter
+REPLACED_LETTERS = {"O": "Ohm"}  # unit letters that a program has replaced in titles
 DEFAULT_UNITS = {
     "frequency": "Hz", "impedance": "Ohm", "admittance": "S", "capacitance": "F",
     "inductance": "H", "angle": "deg", "decibel": "dB", "number": "",
     "time": "s", "temperature": "K", "thermal impedance": "K/W",
 }  # fmt: skip
 # units without prefixes
-BARE = ("°", "db", "", "-", "1", "%", "°c", "degc", "c", "celsius", "°f", "degf", "min")
-# Phases of passive parts are within a turn however they are wrapped.
+UNITS_WITHOUT_PREFIX = (
+    "°",
+    "db",
+    "",
+    "-",
+    "1",
+    "%",
+    "°c",
+    "degc",
+    "c",
+    "celsius",
+    "°f",
+    "degf",
+    "min",
+)
+# phases of passive parts are within one turn for any wrapping
 PASSIVE_PHASES = ("phase", "phase_z", "phase_y", "gain_phase")
-LARGEST_PHASE = 2.02 * np.pi  # rad: a turn, and 1 % of noise
-# An angle without unit is in rad if its size is at most the first and its spread above the second.
-RADIANS = 0.51 * np.pi, 0.5
+MAX_PHASE = 2.02 * np.pi  # rad: one turn plus 1 % for noise
+# An angle without unit is in rad if its magnitude is at most the first value and its spread above
+# the second.
+RADIAN_LIMITS = 0.51 * np.pi, 0.5
 
 
 @dataclass(frozen=True)
@@ -71,38 +88,52 @@ class ColumnKind:
     needs_unit: bool = False
 
 
-_PHASE = r"(phase|theta|th|θ|φ|phi|arg|angle|ang)"
-_SIZE = r"(mag|magnitude|abs|absolute|absolut|mod|modulus)"
-_REAL, _IMAG = r"(re|real|realpart)", r"(im|img|imag|imaginary|imagpart)"
+_PHASE_PATTERN = r"(phase|theta|th|θ|φ|phi|arg|angle|ang)"
+_MAGNITUDE_PATTERN = r"(mag|magnitude|abs|absolute|absolut|mod|modulus)"
+_REAL_PATTERN, _IMAGINARY_PATTERN = r"(re|real|realpart)", r"(im|img|imag|imaginary|imagpart)"
 
 
-def _pattern(of: str, word: str) -> str:
-    """The word before or behind the letter ``of``, as in ``magz`` and ``zmag``."""
+def _pattern_with_letter(of: str, word: str) -> str:
+    """Return the pattern of a word before or after the letter ``of``, as in ``magz`` and ``zmag``."""
     return rf"{of}{word}|{word}{of}|{word}\|{of}\|"
 
 
-_SITE = r"(j|junction|c|case)"  # place of a temperature
-SOUND = "sound pressure"  # a quantity that gives no impedance
+_SITE_PATTERN = r"(j|junction|c|case)"  # location of a temperature
+SOUND_QUANTITY = "sound pressure"  # quantity that does not determine an impedance
 COLUMN_KINDS = (
     ColumnKind("f", ("frequency",), r"f|freq|frequency|frequenz|frq|omega|ω"),
-    ColumnKind("z", ("impedance", "decibel"), rf"z|z?\|z\||{_pattern('z', _SIZE)}"),
-    ColumnKind("y", ("admittance", "decibel"), rf"y|y?\|y\||{_pattern('y', _SIZE)}"),
-    ColumnKind("z", ("impedance",), _SIZE, needs_unit=True),
-    ColumnKind("y", ("admittance",), _SIZE, needs_unit=True),
-    ColumnKind("phase", ("angle",), _PHASE),
-    ColumnKind("phase_z", ("angle",), _pattern("z", _PHASE)),
-    ColumnKind("phase_y", ("angle",), _pattern("y", _PHASE)),
+    ColumnKind(
+        "z", ("impedance", "decibel"), rf"z|z?\|z\||{_pattern_with_letter('z', _MAGNITUDE_PATTERN)}"
+    ),
+    ColumnKind(
+        "y",
+        ("admittance", "decibel"),
+        rf"y|y?\|y\||{_pattern_with_letter('y', _MAGNITUDE_PATTERN)}",
+    ),
+    ColumnKind("z", ("impedance",), _MAGNITUDE_PATTERN, needs_unit=True),
+    ColumnKind("y", ("admittance",), _MAGNITUDE_PATTERN, needs_unit=True),
+    ColumnKind("phase", ("angle",), _PHASE_PATTERN),
+    ColumnKind("phase_z", ("angle",), _pattern_with_letter("z", _PHASE_PATTERN)),
+    ColumnKind("phase_y", ("angle",), _pattern_with_letter("y", _PHASE_PATTERN)),
     ColumnKind("phase_z", ("angle",), "z", needs_unit=True),  # Impedance (Degree)
     ColumnKind("phase_y", ("angle",), "y", needs_unit=True),
-    ColumnKind("r", ("impedance",), rf"r|z?rs|esr|resistance|{_pattern('z', _REAL)}"),
-    ColumnKind("x", ("impedance",), rf"x|z?xs|reactance|{_pattern('z', _IMAG)}"),
+    ColumnKind(
+        "r", ("impedance",), rf"r|z?rs|esr|resistance|{_pattern_with_letter('z', _REAL_PATTERN)}"
+    ),
+    ColumnKind(
+        "x", ("impedance",), rf"x|z?xs|reactance|{_pattern_with_letter('z', _IMAGINARY_PATTERN)}"
+    ),
     ColumnKind("rp", ("impedance",), r"z?rp"),
-    ColumnKind("g", ("admittance",), rf"g|y?gp|conductance|{_pattern('y', _REAL)}"),
-    ColumnKind("b", ("admittance",), rf"b|y?bp|susceptance|{_pattern('y', _IMAG)}"),
-    ColumnKind("r", ("impedance",), _REAL, needs_unit=True),
-    ColumnKind("x", ("impedance",), _IMAG, needs_unit=True),
-    ColumnKind("g", ("admittance",), _REAL, needs_unit=True),
-    ColumnKind("b", ("admittance",), _IMAG, needs_unit=True),
+    ColumnKind(
+        "g", ("admittance",), rf"g|y?gp|conductance|{_pattern_with_letter('y', _REAL_PATTERN)}"
+    ),
+    ColumnKind(
+        "b", ("admittance",), rf"b|y?bp|susceptance|{_pattern_with_letter('y', _IMAGINARY_PATTERN)}"
+    ),
+    ColumnKind("r", ("impedance",), _REAL_PATTERN, needs_unit=True),
+    ColumnKind("x", ("impedance",), _IMAGINARY_PATTERN, needs_unit=True),
+    ColumnKind("g", ("admittance",), _REAL_PATTERN, needs_unit=True),
+    ColumnKind("b", ("admittance",), _IMAGINARY_PATTERN, needs_unit=True),
     ColumnKind("c", ("capacitance",), r"c|capacitance"),
     ColumnKind("cp", ("capacitance",), r"[zy]?cp"),
     ColumnKind("cs", ("capacitance",), r"[zy]?cs"),
@@ -115,30 +146,47 @@ COLUMN_KINDS = (
     ColumnKind(
         "s_size",
         ("number", "decibel"),
-        rf"{_pattern('s', _SIZE)}|{_pattern('s11', _SIZE)}",
+        rf"{_pattern_with_letter('s', _MAGNITUDE_PATTERN)}|{_pattern_with_letter('s11', _MAGNITUDE_PATTERN)}",
     ),
-    ColumnKind("s_phase", ("angle",), rf"{_pattern('s', _PHASE)}|{_pattern('s11', _PHASE)}"),
-    ColumnKind("s_real", ("number",), rf"{_pattern('s', _REAL)}|{_pattern('s11', _REAL)}"),
-    ColumnKind("s_imag", ("number",), rf"{_pattern('s', _IMAG)}|{_pattern('s11', _IMAG)}"),
-    ColumnKind("gain", ("decibel", "number"), rf"gain|{_pattern('gain', _SIZE)}", needs_unit=True),
-    ColumnKind("gain", ("decibel",), _SIZE, needs_unit=True),
-    ColumnKind("gain_phase", ("angle",), _pattern("gain", _PHASE)),
+    ColumnKind(
+        "s_phase",
+        ("angle",),
+        rf"{_pattern_with_letter('s', _PHASE_PATTERN)}|{_pattern_with_letter('s11', _PHASE_PATTERN)}",
+    ),
+    ColumnKind(
+        "s_real",
+        ("number",),
+        rf"{_pattern_with_letter('s', _REAL_PATTERN)}|{_pattern_with_letter('s11', _REAL_PATTERN)}",
+    ),
+    ColumnKind(
+        "s_imag",
+        ("number",),
+        rf"{_pattern_with_letter('s', _IMAGINARY_PATTERN)}|{_pattern_with_letter('s11', _IMAGINARY_PATTERN)}",
+    ),
+    ColumnKind(
+        "gain",
+        ("decibel", "number"),
+        rf"gain|{_pattern_with_letter('gain', _MAGNITUDE_PATTERN)}",
+        needs_unit=True,
+    ),
+    ColumnKind("gain", ("decibel",), _MAGNITUDE_PATTERN, needs_unit=True),
+    ColumnKind("gain_phase", ("angle",), _pattern_with_letter("gain", _PHASE_PATTERN)),
     ColumnKind("gain_phase", ("angle",), "gain", needs_unit=True),
-    ColumnKind("gain_real", ("number",), _pattern("gain", _REAL)),
-    ColumnKind("gain_imag", ("number",), _pattern("gain", _IMAG)),
+    ColumnKind("gain_real", ("number",), _pattern_with_letter("gain", _REAL_PATTERN)),
+    ColumnKind("gain_imag", ("number",), _pattern_with_letter("gain", _IMAGINARY_PATTERN)),
     ColumnKind("time", ("time",), r"t|tp|time|elapsed|elapsedtime|pulse(width|duration)"),
     ColumnKind(
         "temperature",
         ("temperature",),
-        rf"(d|δ|delta)?t{_SITE}|(d|δ|delta)t|{_SITE}?temp(erature)?(rise)?|rise",
+        rf"(d|δ|delta)?t{_SITE_PATTERN}|(d|δ|delta)t|{_SITE_PATTERN}?temp(erature)?(rise)?|rise",
     ),
     ColumnKind("temperature", ("temperature",), "t", needs_unit=True),
     ColumnKind("zth", ("thermal impedance",), r"zth(j[abc]|jmb)?|(transient)?thermalz"),
     ColumnKind("zth", ("thermal impedance",), "z", needs_unit=True),
-    ColumnKind(SOUND, ("decibel",), r"spl|dbspl|soundpressure(level)?"),
+    ColumnKind(SOUND_QUANTITY, ("decibel",), r"spl|dbspl|soundpressure(level)?"),
 )
-# Names of quantities in messages, where they are not those of the columns.
-LABELS = {
+# Names of quantities in messages, if they differ from the names of the columns.
+QUANTITY_LABELS = {
     "z": "|Z|", "y": "|Y|", "phase_z": "phase of Z", "phase_y": "phase of Y", "s_size": "|S11|",
     "s_phase": "phase of S11", "s_real": "Re S11", "s_imag": "Im S11", "gain_phase": "phase",
     "gain_real": "Re gain", "gain_imag": "Im gain", "zth": "Zth",
@@ -148,22 +196,22 @@ LABELS = {
 COMPLEX_NAMES: dict[Quantity, str] = {
     "Z": "z", "Y": "y", "S": "s|s11|sparameters|scattering|γ|gamma"
 }  # fmt: skip
-# Primes behind Z or Y, with the parts that they mean. ZPlot writes Z'(a) and Z''(b).
+# Primes after Z or Y, and the part that they denote. ZPlot writes Z'(a) and Z''(b).
 PRIMES = ((r"(''|\")\s*(\(b\))?", "imag"), (r"'\s*(\(a\))?", "real"))
 # Words that instruments add to a title.
-ADDED = re.compile(
+ADDED_WORDS = re.compile(
     r"trace|tr\d*|trc\d*|ch\d*|channel|data|measured|measurement|meas|value|\d+|parameter|primary|"
     r"secondary|in|log|lin|linear"
 )
-# states which columns belong together
-CHANNEL = re.compile(r"\b(channel|ch)\s*(\d+|[a-z]\b)", re.I)
-# Titles of a table without titles, by the suffix of its file.
+# channel to which a column belongs
+CHANNEL_PATTERN = re.compile(r"\b(channel|ch)\s*(\d+|[a-z]\b)", re.I)
+# Titles of a table without titles, keyed by file suffix.
 SUFFIX_TITLES = {
     ".zma": ("Frequency (Hz)", "|Z| (Ohm)", "Phase (deg)"),
     ".frd": ("Frequency (Hz)", "Gain (dB)", "Phase (deg)"),
 }
-# Readings of three columns without titles in any other file.
-UNTITLED = ("frequency, R and X in Ohm", "frequency, |Z| in Ohm and phase in degrees")
+# possible meanings of three columns without titles in any other file
+UNTITLED_MEANINGS = ("frequency, R and X in Ohm", "frequency, |Z| in Ohm and phase in degrees")
 # Columns of a trace whose quantity is stated in a line ``FORMAT: |Z|`` above the table.
 TRACE_COLUMN = re.compile(r"((data )?trace( [a-z0-9])?|formatted data)( (real|imag))?", re.I)
 TRACE_FORMAT = re.compile(r"\W*format\s*:\s*(.*\S)", re.I)
@@ -178,8 +226,8 @@ TWO_PARTS = re.compile(
 )  # fmt: skip
 COMPLEX_FORMATS = {"complex z": ("Re(Z) (Ohm)", "Im(Z) (Ohm)"),
                    "complex y": ("Re(Y) (S)", "Im(Y) (S)")}  # fmt: skip
-# Columns that state no quantity, with their possible quantities.
-UNSTATED = {
+# columns without a quantity, and their possible quantities
+UNSTATED_QUANTITIES = {
     "formatteddata": "real and imaginary part of S11 or Z; or one real quantity beside zeros"
 }
 
@@ -227,5 +275,5 @@ COMBINATIONS = (
     Combination(("gain", "gain_phase"), "S", lambda g, a, w: g * np.exp(1j * a), shunt=True),
     Combination(("gain_real", "gain_imag"), "S", lambda a, b, w: a + 1j * b, shunt=True),
 )
-# Quantities of a thermal transient; each needs a time.
-TRANSIENTS = ("temperature", "zth")
+# quantities of a thermal transient; each needs a time column
+TRANSIENT_QUANTITIES = ("temperature", "zth")

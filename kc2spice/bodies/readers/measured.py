@@ -20,26 +20,31 @@ from pathlib import Path
 import numpy as np
 
 from kc2spice.bodies.readers.complex_response import (
-    FEWEST,
-    NAME_COLUMNS,
-    REFERENCE,
+    DEFAULT_REFERENCE,
+    MIN_FREQUENCIES,
+    NAME_COLUMNS_HINT,
     MeasuredResponse,
-    admittance_of,
+    combine_response,
+    convert_to_admittance,
     find_response,
-    response_of,
 )
 from kc2spice.bodies.readers.meanings import COMPLEX_NAMES, Quantity
 from kc2spice.bodies.readers.raw import (
     call_in_process,
     call_reader,
     is_file,
-    missing_file,
+    make_missing_error,
+    make_unusable_error,
     read_vectors,
-    unusable_file,
 )
 from kc2spice.bodies.readers.text_table import read_tables
-from kc2spice.bodies.readers.titles import column_of, complex_quantity, is_frequency, read_title
-from kc2spice.bodies.readers.touchstone import touchstone_response
+from kc2spice.bodies.readers.titles import (
+    complex_quantity,
+    convert_column,
+    is_frequency,
+    read_title,
+)
+from kc2spice.bodies.readers.touchstone import parse_touchstone
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.quantities import quantity as parse_quantity
@@ -47,14 +52,14 @@ from kc2spice.core.untrusted_files import read_bounded
 from kc2spice.rom.linear_model import Norm
 
 MAX_BYTES = 20_000_000
-# largest number of frequencies, more than any analyser measures; a fit would take hours
-MOST = 20_000
-# ratio of negative resistance to |Z| that is no noise, if a tenth of the points exceed it
-ACTIVE = 0.05
-_TOUCHSTONE = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
+# largest number of frequencies; no analyser measures more, and a fit would take hours
+MAX_FREQUENCIES = 20_000
+# ratio of negative resistance to |Z| that noise does not explain if a tenth of the points exceed it
+ACTIVE_RATIO = 0.05
+_TOUCHSTONE_SUFFIX = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
 TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".zma", ".frd", ".z", ".dta", ".mpt")
-_RESISTANCE = ("z0", "r0", "zref", "reference")
-_MATRIX = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # NAME_K.txt
+_RESISTANCE_NAMES = ("z0", "r0", "zref", "reference")
+_MATRIX_NAME = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # name of a matrix file such as NAME_K.txt
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +79,7 @@ class MeasuredAdmittance(EqualByContent):
     quantity: Quantity = "Y"
     samples: np.ndarray | None = None
     columns: str = ""
-    reference: np.ndarray = field(default_factory=lambda: np.array([REFERENCE]))
+    reference: np.ndarray = field(default_factory=lambda: np.array([DEFAULT_REFERENCE]))
 
     @property
     def description(self) -> str:
@@ -84,7 +89,7 @@ class MeasuredAdmittance(EqualByContent):
 
     @property
     def measured_noise(self) -> float:
-        """Standard deviation of one component of the measured quantity.
+        """Standard deviation of a component (real or imaginary part) of the measured quantity.
 
         That of Z and Y is relative to each entry. The estimate is the median size of third
         differences, which vanish for a smooth response. Entries that are zero have no noise.
@@ -119,12 +124,12 @@ class MeasuredAdmittance(EqualByContent):
 
     @property
     def noise(self) -> float:
-        """Relative standard deviation of one component of Y: the median over the samples."""
+        """Relative standard deviation of a component of Y: the median over the samples."""
         size = np.abs(self.Y)
         return float(np.median(self.admittance_noise[size > 0] / size[size > 0]))
 
     def relative_noise(self, norm: Norm) -> float:
-        """Noise (rms, complex) of Y in the norm of an error.
+        """Noise (rms, complex) of Y in the norm of an error estimate.
 
         *Pointwise* noise is relative to each entry, *peak* noise to the largest value of the entry.
         The result is that of the noisiest entry.
@@ -136,40 +141,40 @@ class MeasuredAdmittance(EqualByContent):
 
 
 def is_measured(path: Path) -> bool:
-    """Whether a path names a measured response."""
-    by_suffix = _TOUCHSTONE.fullmatch(path.suffix) or is_table(path)
+    """Return whether a path is the name of a measured response."""
+    by_suffix = _TOUCHSTONE_SUFFIX.fullmatch(path.suffix) or is_table(path)
     if path.suffix.lower() == ".mat" and is_file(path):
         try:
             return any(map(is_frequency, _load_variables(path, path.stat().st_mtime)))
-        except (ValueError, NotImplementedError):  # which the reader of matrices reports
+        except (ValueError, NotImplementedError):  # the reader of matrices reports this error
             return False
     return bool(by_suffix) and is_file(path)
 
 
 def is_table(path: Path) -> bool:
-    """Whether the name of a file is that of a table, and not that of a matrix."""
-    return path.suffix.lower() in TABLE_SUFFIXES and not _MATRIX.fullmatch(path.stem)
+    """Return whether a file name belongs to a table and not to a matrix."""
+    return path.suffix.lower() in TABLE_SUFFIXES and not _MATRIX_NAME.fullmatch(path.stem)
 
 
 def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
-    """The response in a Touchstone file, a table or a MATLAB file.
+    """Read the response of a Touchstone file, a table or a MATLAB file.
 
     ``shunt`` is the resistance [Ohm] in series with the part through which a gain was measured.
 
     Raises
     ------
-    UsageError : no such file, damaged, too large, too few points, columns that are not known, or
-        that make a passive part give power; a short circuit, or a port that conducts nothing.
+    UsageError : the file is missing, damaged or too large; it has too few points or unknown
+    columns; or the response is active, a short circuit or an open circuit.
     """
-    match = _TOUCHSTONE.fullmatch(path.suffix)
+    match = _TOUCHSTONE_SUFFIX.fullmatch(path.suffix)
     expected = "a table with a frequency and two columns of impedance, admittance or reflection"
-    advice = NAME_COLUMNS
+    advice = NAME_COLUMNS_HINT
     if match:
         expected = "a Touchstone file with S, Y or Z parameters in RI, MA or DB"
         advice = "export the file again as Touchstone"
 
     if not is_file(path):
-        raise missing_file(path, expected)
+        raise make_missing_error(path, expected)
 
     def read() -> MeasuredResponse:
         if path.suffix.lower() == ".mat":
@@ -177,11 +182,11 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
         text = decode_measured_text(read_bounded(path, MAX_BYTES))
         if match:
             _require_no_shunt(shunt, "a Touchstone file")
-            return touchstone_response(text, int(match[2] or 0))
+            return parse_touchstone(text, int(match[2] or 0))
         return find_response(read_tables(text), shunt, path.suffix.lower())
 
     try:
-        with np.errstate(all="ignore"):  # values that are not finite are refused
+        with np.errstate(all="ignore"):  # values that are not finite are rejected later
             response = call_reader(path, expected, read, advice)
     except UsageError as error:
         error.where = error.where or str(path)
@@ -189,12 +194,12 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     f, Y = response.f, response.Y
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
         got = "NaN, infinity, an impedance of zero or a frequency below zero"
-        raise unusable_file(path, got, "finite numbers", NAME_COLUMNS)
-    f, order = np.unique(f, return_index=True)  # increasing, each once
+        raise make_unusable_error(path, got, "finite numbers", NAME_COLUMNS_HINT)
+    f, order = np.unique(f, return_index=True)  # in ascending order, without repetitions
     order = order[f > 0]
-    if len(order) < FEWEST:
-        raise unusable_file(
-            path, f"{len(order)} frequencies", f"at least {FEWEST}", "measure more points"
+    if len(order) < MIN_FREQUENCIES:
+        raise make_unusable_error(
+            path, f"{len(order)} frequencies", f"at least {MIN_FREQUENCIES}", "measure more points"
         )
     result = MeasuredAdmittance(
         name=path.stem,
@@ -207,16 +212,18 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
         reference=response.reference,
         columns=response.columns,
     )
-    if len(order) > MOST:
+    if len(order) > MAX_FREQUENCIES:
         hint = "leave out points between resonances"
-        raise unusable_file(path, f"{len(order)} frequencies", f"at most {MOST}", hint)
+        raise make_unusable_error(
+            path, f"{len(order)} frequencies", f"at most {MAX_FREQUENCIES}", hint
+        )
     _require_conducting(result)
     _require_passive(result)
     return result
 
 
-def shunt_resistance(shunt: str | float | None) -> float | None:
-    """Resistance [Ohm] of the option ``--shunt``, None without the option.
+def parse_shunt_resistance(shunt: str | float | None) -> float | None:
+    """Return the resistance [Ohm] of the option ``--shunt``, None without the option.
 
     Raises
     ------
@@ -232,7 +239,7 @@ def shunt_resistance(shunt: str | float | None) -> float | None:
 
 
 def decode_measured_text(data: bytes) -> str:
-    """The text of a file in UTF-8, in UTF-16 with a byte order mark, or in Latin-1."""
+    """Decode the text of a file in UTF-8, in UTF-16 with a byte order mark, or in Latin-1."""
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         return data.decode("utf-16")
     try:
@@ -254,7 +261,7 @@ def _require_no_shunt(shunt: float | None, content: str) -> None:
 
 
 def _require_conducting(data: MeasuredAdmittance) -> None:
-    """Refuse an open circuit, because deviations are relative to the admittance.
+    """Reject an open circuit, because deviations are relative to the admittance.
 
     Deviations are relative to each admittance of one port, and to the largest admittance of several
     ports.
@@ -272,10 +279,10 @@ def _require_conducting(data: MeasuredAdmittance) -> None:
 
 
 def _require_passive(data: MeasuredAdmittance) -> None:
-    """Check that the real part of Y has no negative eigenvalue beyond noise."""
+    """Raise an error if the real part of Y has a negative eigenvalue beyond noise."""
     size = np.linalg.norm(data.Y, 2, axis=(1, 2))
     least = np.linalg.eigvalsh(0.5 * (data.Y + data.Y.conj().swapaxes(1, 2)))[:, 0]
-    bad = least < -max(ACTIVE, 5 * data.noise) * size
+    bad = least < -max(ACTIVE_RATIO, 5 * data.noise) * size
     if np.mean(bad) < 0.1:
         return
     hint = "check the order of the columns and the sign of the phase"
@@ -309,7 +316,7 @@ def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> Measu
     pairs = product(COMPLEX_NAMES, numbers)
     kinds = [(kind, name) for kind, name in pairs if _has_quantity(name, kind)]
     if not kinds:
-        return response_of(list(columns), list(columns.values()), shunt)
+        return combine_response(list(columns), list(columns.values()), shunt)
     _require_no_shunt(shunt, "complex numbers in a MATLAB file")
     quantity, name = kinds[0]
     P = variables[name]
@@ -321,28 +328,28 @@ def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> Measu
         raise ValueError(f"{name} of {P.shape} beside {n} frequencies in {names}")
     title = read_title(first)
     assert title is not None  # title of the frequency
-    frequency = column_of(title, variables[first].ravel())
+    frequency = convert_column(title, variables[first].ravel())
     notes = [frequency.note] if frequency.note else []
-    P, R = P * _unit_factor(name), REFERENCE
+    P, R = P * _unit_factor(name), DEFAULT_REFERENCE
     if quantity == "S":
-        resistance = next((variables[k] for k in variables if k.lower() in _RESISTANCE), None)
+        resistance = next((variables[k] for k in variables if k.lower() in _RESISTANCE_NAMES), None)
         R = R if resistance is None else float(resistance.ravel()[0].real)
         notes += (
             [f"{name}: no reference resistance, taken as {R:g} Ohm"] if resistance is None else []
         )
     z0 = np.full(P.shape[1], R)
-    Y = admittance_of(quantity, P, z0)
+    Y = convert_to_admittance(quantity, P, z0)
     understood = f"{frequency}, {quantity} from {name!r}"
     return MeasuredResponse(frequency.values, quantity, P, Y, z0, tuple(notes), understood)
 
 
 def _has_quantity(name: str, quantity: Quantity) -> bool:
-    """Whether ``name`` is a usual name of a complex array of this quantity."""
+    """Return whether ``name`` is a usual name of a complex array of this quantity."""
     kind = complex_quantity(name)
     return kind is not None and kind[0] == quantity
 
 
 def _unit_factor(name: str) -> float:
-    """SI value of the unit in the name of an array, 1 without."""
+    """Return the SI value of the unit in the name of an array; 1 without a unit."""
     kind = complex_quantity(name)
     return kind[1] if kind else 1.0

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from kc2spice.bodies.readers.codes import bulk_data_cards, parse_fortran_number
-from kc2spice.bodies.readers.raw import MAX_SIZE, parse_file
+from kc2spice.bodies.readers.raw import MAX_ROWS, parse_file
 from kc2spice.core.errors import UsageError, unknown, wrong
 
 _EXPECTED = "an .inp, .cdb, .bdf, .dat, .nas, .pch or .csv file with the nodes"
@@ -78,7 +78,7 @@ def read_nodes(path: Path) -> NodeMesh:
     if read is None:
         raise UsageError("is no mesh", where=str(path), got=path.suffix, expected=_EXPECTED)
 
-    def parse(data: bytes) -> NodeMesh:
+    def parse_nodes(data: bytes) -> NodeMesh:
         nodes, sets = read(data)
         if not nodes:
             raise ValueError("no node in it")
@@ -89,14 +89,14 @@ def read_nodes(path: Path) -> NodeMesh:
         node_sets = {name: np.unique(np.array(item, np.int64)) for name, item in sets.items()}
         return NodeMesh(str(path), node, at, node_sets)
 
-    return parse_file(path, _EXPECTED, parse)
+    return parse_file(path, _EXPECTED, parse_nodes)
 
 
 Nodes = dict[int, tuple[float, float, float]]
 Content = tuple[Nodes, dict[str, list[int]]]
 
 
-def _lines(data: bytes) -> list[str]:
+def _decode_lines(data: bytes) -> list[str]:
     return data.decode("utf-8", "replace").splitlines()
 
 
@@ -113,15 +113,15 @@ def _parse_point(words: Iterable[str]) -> tuple[float, float, float]:
 
 
 class _Sets(dict[str, list[int]]):
-    """Node sets by name, with a limit of their size.
+    """Node sets, keyed by name, with a limit of their size.
 
-    A short text may state a large range.
+    The limit is necessary because a short text may define a large range.
     """
 
     def add(self, name: str, members: Sequence[int]) -> None:
         """Add nodes to a set."""
-        if len(members) + sum(map(len, self.values())) > MAX_SIZE:
-            raise ValueError(f"node sets of more than {MAX_SIZE} nodes")
+        if len(members) + sum(map(len, self.values())) > MAX_ROWS:
+            raise ValueError(f"node sets of more than {MAX_ROWS} nodes")
         self.setdefault(name, []).extend(members)
 
 
@@ -130,7 +130,7 @@ def _parse_keywords(data: bytes) -> Content:
     nodes: Nodes = {}
     sets = _Sets()
     keyword, options, instances = "", dict[str, str](), 0
-    for line in _lines(data):
+    for line in _decode_lines(data):
         if line.startswith("**") or not line.strip():
             continue
         if line.startswith("*"):
@@ -181,11 +181,11 @@ def _parse_blocks(data: bytes) -> Content:
     """
     nodes: Nodes = {}
     sets = _Sets()
-    lines = iter(_lines(data))
+    lines = iter(_decode_lines(data))
     for line in lines:
         head = line.upper()
         if head.startswith("NBLOCK"):
-            # (3i9,6e21.13e3): how many numbers and coordinates of which widths
+            # format (3i9,6e21.13e3): number and width of the integers and of the coordinates
             integers, floats = next(lines).strip().strip("()").lower().split(",")[:2]
             fields, wide = map(int, integers.split("i"))
             item = int(floats.split("e")[1].split(".")[0])
@@ -201,7 +201,7 @@ def _parse_blocks(data: bytes) -> Content:
             while len(members) < int(count.split("!")[0]):
                 members += list(map(int, next(lines).split()))
             for before, number in pairwise([0, *members] if kind == "NODE" else ()):
-                # a negative number ends a range that the one before began
+                # a negative number ends a range that begins with the previous number
                 sets.add(name, range(before + 1, 1 - number) if number < 0 else [number])
     return nodes, sets
 
@@ -209,7 +209,7 @@ def _parse_blocks(data: bytes) -> Content:
 def _parse_table(data: bytes) -> Content:
     """Parse lines of a node and its coordinates; other lines may only precede them."""
     nodes: Nodes = {}
-    for line in _lines(data):
+    for line in _decode_lines(data):
         cells = line.split(",")
         if len(cells) >= 4 and cells[0].strip().isdigit():
             nodes[int(cells[0])] = _parse_point(cells[1:4])

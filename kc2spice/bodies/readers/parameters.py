@@ -54,14 +54,14 @@ def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
             expected = f"one of {', '.join(settings.parameters)}"
             raise wrong(where, "no such parameter", node.text, expected)
 
-    def factor(values: Mapping[str, float]) -> float:
-        return _evaluate(tree, values, where)
+    def evaluate_factor(values: Mapping[str, float]) -> float:
+        return _evaluate_factor(tree, values, where)
 
-    return AffineTerm(entry.matrix, matrix, factor, where)
+    return AffineTerm(entry.matrix, matrix, evaluate_factor, where)
 
 
-def _evaluate(tree: Tree, values: Mapping[str, float], where: str) -> float:
-    """Value of a factor, with errors that name the key of the factor."""
+def _evaluate_factor(tree: Tree, values: Mapping[str, float], where: str) -> float:
+    """Return the value of a factor; errors contain the key of the factor."""
     try:
         return evaluate_parameter(tree, {name.lower(): value for name, value in values.items()})
     except UsageError as error:

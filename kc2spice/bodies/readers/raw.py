@@ -1,7 +1,7 @@
 """Content of a matrix file: matrices by letter, and names of their rows.
 
-The functions of this module refuse bad sizes and indices before they allocate memory. The functions
-read ``.npz`` archives, of which nothing is unpickled, and MATLAB files.
+The functions of this module reject invalid sizes and indices before they allocate memory. The
+functions read ``.npz`` archives, of which nothing is unpickled, and MATLAB files.
 
 An archive contains dense arrays of the names ``M``, ``E``, ``K``, ``A``, ``B``, ``C``, ``D``, or
 the parts of a sparse matrix. The parts have the names of ``scipy.sparse.save_npz`` behind the
@@ -34,51 +34,54 @@ from kc2spice.rom.io import complete_triangle
 from kc2spice.rom.pencil import Matrix
 
 LETTERS = ("M", "E", "K", "A", "B", "C", "D")
-WIDE = ("B", "C", "D")  # few rows or columns, kept dense
-MAX_SIZE = 5_000_000  # rows or columns
+NARROW_MATRICES = ("B", "C", "D")  # matrices with few rows or columns, stored as dense arrays
+MAX_ROWS = 5_000_000  # rows or columns
 MAX_ENTRIES = 200_000_000  # stored numbers of one matrix
 MAX_DENSE = 50_000_000  # entries of a full matrix
-MAX_WIDE = 25_000_000  # entries of B, C or D, which may be more than their file holds
+MAX_NARROW_ENTRIES = 25_000_000  # entries of B, C or D, which may be more than their file holds
 MAX_BYTES = 4_000_000_000  # one file, unpacked
-UNPACKED = 100_000_000, 100  # bytes of any packed file, and times its size of a large one
-NEXT = "export the file again; kc2spice reduce --help lists the formats"
+# bytes of an unpacked file: a fixed amount, and a multiple of its packed size
+UNPACKED_LIMITS = 100_000_000, 100
+REDO_HINT = "export the file again; kc2spice reduce --help lists the formats"
 _BOM = b"\xef\xbb\xbf"
 
-# Degrees of freedom by number: 1 to 6 as every tool counts them, the others as Abaqus or ours.
+# Degrees of freedom, keyed by number: 1 to 6 as in all programs, others as in Abaqus or kc2spice.
 DOFS = {
     0: "scalar", 1: "ux", 2: "uy", 3: "uz", 4: "rx", 5: "ry", 6: "rz", 7: "warp", 8: "pres",
     9: "volt", 11: "temp", 12: "conc", 13: "mag", 14: "emf", 15: "curr", 21: "ax", 22: "ay",
     23: "az", 31: "vx", 32: "vy", 33: "vz", 41: "enke", 42: "ends", 43: "hdsp",
 }  # fmt: skip
-CODES = {name: code for code, name in DOFS.items()}
+DOF_NUMBERS = {name: code for code, name in DOFS.items()}
 TRANSLATIONS = (1, 2, 3)
 ROTATIONS = (4, 5, 6)
-VOLT = CODES["volt"]
+VOLT = DOF_NUMBERS["volt"]
 # the key of a row is its node times this number, plus the number of its degree of freedom
-_KINDS = 64
+_KIND_COUNT = 64
 _LARGEST_NODE = 2**40
 
 Triple: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 T = TypeVar("T")
 
 
-# --- refused files --------------------------------------------------------------------------------
+# --- rejected files ---
 
 
-def unusable_file(path: Path, got: object, expected: str, hint: str = NEXT) -> UsageError:
+def make_unusable_error(
+    path: Path, got: object, expected: str, hint: str = REDO_HINT
+) -> UsageError:
     """The error for a file that cannot be used."""
     return UsageError("cannot be used", where=str(path), got=got, expected=expected, hint=hint)
 
 
 def is_file(path: Path) -> bool:
-    """Whether ``path`` is a file; impossible names (NUL, too long) are no files."""
+    """Return whether ``path`` is a file; impossible names (NUL, too long) are not files."""
     try:
         return path.is_file()
     except (ValueError, OSError):
         return False
 
 
-def missing_file(path: Path, what: str) -> UsageError:
+def make_missing_error(path: Path, what: str) -> UsageError:
     """The error of a file that does not exist; ``what`` is the kind of file."""
     where = str(path).replace("\0", "\\0")
     return UsageError(
@@ -94,16 +97,16 @@ def require_file(path: Path, what: str = "a model in this file") -> Path:
     UsageError : no such file, or one above ``MAX_TEXT_BYTES``.
     """
     if not is_file(path):
-        raise missing_file(path, what)
+        raise make_missing_error(path, what)
     size = path.stat().st_size
     if size > MAX_BYTES:
-        raise unusable_file(path, f"{size} bytes", f"at most {MAX_BYTES:.3g}")
+        raise make_unusable_error(path, f"{size} bytes", f"at most {MAX_BYTES:.3g}")
     return path
 
 
-def unpacked_limit(path: Path) -> int:
+def limit_unpacked_bytes(path: Path) -> int:
     """Limit of the unpacked size [bytes] of a packed file."""
-    least, times = UNPACKED
+    least, times = UNPACKED_LIMITS
     return min(MAX_BYTES, max(least, times * require_file(path).stat().st_size))
 
 
@@ -113,7 +116,7 @@ def parse_file(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
     return call_reader(path, expected, lambda: parse(data))
 
 
-def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = NEXT) -> T:
+def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = REDO_HINT) -> T:
     """Call ``read()``, and turn exceptions of parsers into errors about the file.
 
     ``advice`` is the hint for a damaged file.
@@ -132,7 +135,7 @@ def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = 
 
 
 def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int | None) -> None:
-    """Refuse a matrix by its declared size, before memory is allocated for the matrix.
+    """Reject a matrix with a too large declared size, before memory is allocated.
 
     Raises
     ------
@@ -141,19 +144,21 @@ def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int |
     shape = tuple(map(int, shape))
     what = f"matrix {letter} of {' x '.join(map(str, shape))}"
     if len(shape) != 2:
-        raise unusable_file(path, what, "2 dimensions")
-    if max(shape) > MAX_SIZE or min(shape) < 0:
-        raise unusable_file(path, what, f"at most {MAX_SIZE} rows and columns")
-    square = letter == "C" and shape[0] == shape[1]  # the damping, under the name it often has
-    if letter in WIDE and not square and shape[0] * shape[1] > MAX_WIDE:
-        raise unusable_file(path, what, f"few inputs or outputs, at most {MAX_WIDE} numbers")
+        raise make_unusable_error(path, what, "2 dimensions")
+    if max(shape) > MAX_ROWS or min(shape) < 0:
+        raise make_unusable_error(path, what, f"at most {MAX_ROWS} rows and columns")
+    square = letter == "C" and shape[0] == shape[1]  # the damping matrix is often named C
+    if letter in NARROW_MATRICES and not square and shape[0] * shape[1] > MAX_NARROW_ENTRIES:
+        raise make_unusable_error(
+            path, what, f"few inputs or outputs, at most {MAX_NARROW_ENTRIES} numbers"
+        )
     limit = MAX_DENSE if entries == shape[0] * shape[1] else MAX_ENTRIES
     if entries is not None and not 0 <= entries <= limit:
-        raise unusable_file(path, f"{entries} entries in matrix {letter}", f"at most {limit}")
+        raise make_unusable_error(path, f"{entries} entries in matrix {letter}", f"at most {limit}")
 
 
 def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
-    """Check that a matrix is finite, and return it in double precision.
+    """Raise an error if a matrix is not finite, and return it in double precision.
 
     Matrices with few columns are dense, all others csc. Only a stiffness may be complex.
 
@@ -161,19 +166,23 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
     ------
     UsageError : the matrix cannot be used; the message states why.
     """
-    # the coo format checks its indices itself
+    # the coo format checks its indices
     if sparse.issparse(matrix) and matrix.format in ("csc", "csr"):
         call_reader(path, f"a sound matrix {letter}", lambda: matrix.check_format(True))
-    matrix = real_if_possible(matrix)
+    matrix = drop_zero_imaginary(matrix)
     data = matrix.data if sparse.issparse(matrix) else matrix
     if data.dtype.kind not in ("fiubc" if letter == "K" else "fiub"):
         what = "complex" if data.dtype.kind == "c" else f"of type {data.dtype}"
-        hint = "only a stiffness may be complex, K (1 + j eta)" if data.dtype.kind == "c" else NEXT
-        raise unusable_file(path, f"matrix {letter} is {what}", "a real numeric matrix", hint)
+        hint = (
+            "only a stiffness may be complex, K (1 + j eta)"
+            if data.dtype.kind == "c"
+            else REDO_HINT
+        )
+        raise make_unusable_error(path, f"matrix {letter} is {what}", "a real numeric matrix", hint)
     require_size(path, letter, matrix.shape, data.size)
     if not np.isfinite(data).all():
-        raise unusable_file(path, f"matrix {letter} holds NaN or infinity", "finite numbers")
-    if letter in WIDE:
+        raise make_unusable_error(path, f"matrix {letter} holds NaN or infinity", "finite numbers")
+    if letter in NARROW_MATRICES:
         plain = matrix.toarray() if sparse.issparse(matrix) else matrix
         return np.asarray(plain, dtype=float)
     matrix = sparse.csc_array(matrix, dtype=complex if data.dtype.kind == "c" else float)
@@ -182,16 +191,16 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
     return matrix
 
 
-# --- accepted files -------------------------------------------------------------------------------
+# --- accepted files ---
 
 
 @dataclass(frozen=True, eq=False)
 class Dofs:
-    """Node and kind of freedom (a key of ``DOFS``) of each row, (n,) integers.
+    """Node and kind of degree of freedom (a key of ``DOFS``) of each row, (n,) integers.
 
     Raises
     ------
-    ValueError : something that is no node or freedom.
+    ValueError : a value is not a node or degree of freedom.
     """
 
     node: np.ndarray
@@ -215,7 +224,7 @@ class Dofs:
 
         Rows with the same node and kind have the same integer, in the order of the nodes.
         """
-        return np.asarray(self.node * _KINDS + self.kind)
+        return np.asarray(self.node * _KIND_COUNT + self.kind)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +264,7 @@ def matrices_by_letter(triples: Mapping[str, Triple]) -> tuple[dict[str, sparse.
     for letter, (row, column, value) in triples.items():
         place = (np.searchsorted(keys, row), np.searchsorted(keys, column))
         result[letter] = sparse.csc_array((value, place), shape=shape)
-    return result, Dofs(keys // _KINDS, keys % _KINDS)
+    return result, Dofs(keys // _KIND_COUNT, keys % _KIND_COUNT)
 
 
 def both_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
@@ -270,13 +279,13 @@ def both_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
     return matrix if below.multiply(above.T).nnz else complete_triangle(matrix)
 
 
-_NAMES = ("nodes", "dofs")
-_SECONDS = 8, 1_000_000  # CPU seconds for a small file; bytes per second of a large one
-_MEMORY = 1_300_000_000  # bytes, with libraries, in addition to the content of the file
-_OTHER = ("cell", "object", "char", "function", "opaque")
-# Fields of the structs by letter; the first existing field is used.
-_STATE = {"E": ("Mc",), "A": ("MA", "A"), "B": ("MB", "B"), "C": ("C",), "D": ("D",)}
-_SECOND = {"M": ("Ec", "E"), "E": ("Dc", "D"), "K": ("Kc", "K"), "B": ("Lc", "L")}
+_NAME_ARRAYS = ("nodes", "dofs")
+_CPU_LIMITS = 8, 1_000_000  # CPU seconds for a small file; bytes per second for a large file
+_MEMORY_BYTES = 1_300_000_000  # bytes, including libraries, in addition to the content of the file
+_OTHER_CLASSES = ("cell", "object", "char", "function", "opaque")
+# Fields of COMSOL structs, keyed by letter; the first existing field is used.
+_STATE_FIELDS = {"E": ("Mc",), "A": ("MA", "A"), "B": ("MB", "B"), "C": ("C",), "D": ("D",)}
+_SECOND_ORDER_FIELDS = {"M": ("Ec", "E"), "E": ("Dc", "D"), "K": ("Kc", "K"), "B": ("Lc", "L")}
 
 
 def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> Raw:
@@ -292,16 +301,16 @@ def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> Raw:
 
     letters = {name: letter for letter, name in requested.items()}
     plain = set(LETTERS) - requested.keys()
-    known = {*plain, *letters, *_NAMES}
+    known = {*plain, *letters, *_NAME_ARRAYS}
 
     def is_known(name: str) -> bool:
         return name.partition(".")[0] in known
 
-    def largest(name: str) -> int:
+    def size_limit(name: str) -> int:
         return MAX_DENSE if name in known else MAX_ENTRIES
 
     arrays = untrusted_files.read_archive(
-        path, is_known, entries=largest, total=unpacked_limit(path)
+        path, is_known, entries=size_limit, total=limit_unpacked_bytes(path)
     )
     for name in letters:
         if not any(key.partition(".")[0] == name for key in arrays):
@@ -328,8 +337,8 @@ def call_in_process(
         reason.
     MissingToolError : the function needs a package that is not installed.
     """
-    memory = _MEMORY + 2 * unpacked_limit(path)
-    seconds = _SECONDS[0] + path.stat().st_size // _SECONDS[1]
+    memory = _MEMORY_BYTES + 2 * limit_unpacked_bytes(path)
+    seconds = _CPU_LIMITS[0] + path.stat().st_size // _CPU_LIMITS[1]
     request = {"path": str(path.absolute()), **options}
     name = f"{function.__module__}:{function.__name__}"
     return call_in_child(name, request, memory=memory, seconds=seconds)
@@ -379,7 +388,7 @@ def _unpack_sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> spa
 
 
 def _unpack_dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
-    present_arrays = [np.asarray(arrays[name]).ravel() for name in _NAMES if name in arrays]
+    present_arrays = [np.asarray(arrays[name]).ravel() for name in _NAME_ARRAYS if name in arrays]
     if not present_arrays:
         return None
     if len(present_arrays) == 1 or any(array.dtype.kind not in "iu" for array in present_arrays):
@@ -399,7 +408,7 @@ def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]
     ------
     ValueError, NotImplementedError : the file is damaged, or does not contain matrices.
     """
-    names = (*LETTERS, *_NAMES)
+    names = (*LETTERS, *_NAME_ARRAYS)
     kinds = _list_variables(path)
     plain = list(filter(kinds.__contains__, names))
     structs = [name for name, (_, kind) in kinds.items() if kind == "struct"]
@@ -409,7 +418,7 @@ def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]
         )
     else:
         for name in plain:
-            if kinds[name][1] in (*_OTHER, "struct"):
+            if kinds[name][1] in (*_OTHER_CLASSES, "struct"):
                 raise ValueError(f"variable {name} is a {kinds[name][1]}")
         full = [kinds[name][0] for name in plain if kinds[name][1] != "sparse"]
         result = _load_variables(path, plain, full)
@@ -446,7 +455,7 @@ def _list_variables(path: str) -> dict[str, tuple[tuple[int, ...], str]]:
 def _load_variables(path: str, names: list[str], full: list[tuple[int, ...]]) -> dict[str, Any]:
     """Load the variables of these names, whose full arrays have the shapes ``full``."""
     size = sum(8 * np.prod(shape, dtype=float) for shape in full)
-    if size > unpacked_limit(Path(path)):
+    if size > limit_unpacked_bytes(Path(path)):
         raise ValueError(f"its variables take {size:g} bytes, which is too much")
     return io.loadmat(path, appendmat=False, variable_names=names) if names else {}
 
@@ -454,16 +463,16 @@ def _load_variables(path: str, names: list[str], full: list[tuple[int, ...]]) ->
 def _to_plain_array(name: str, matrix: Any) -> Any:
     if sparse.issparse(matrix):
         return matrix.tocsc()
-    matrix = real_if_possible(np.asarray(matrix))
-    if name in _NAMES:  # MATLAB's numbers are doubles
+    matrix = drop_zero_imaginary(np.asarray(matrix))
+    if name in _NAME_ARRAYS:  # numbers in MATLAB are doubles
         if not (matrix == np.floor(matrix)).all():
             raise ValueError(f"variable {name} contains fractions")
         return matrix.astype(np.int64)
     return matrix
 
 
-def real_if_possible(matrix: Any) -> Any:
-    """Drop an imaginary part of zero, which COMSOL writes after a complex solution."""
+def drop_zero_imaginary(matrix: Any) -> Any:
+    """Return the real part of an array if its imaginary part is zero, as after a complex solution."""
     data = matrix.data if sparse.issparse(matrix) else matrix
     return matrix.real if np.iscomplexobj(data) and not data.imag.any() else matrix
 
@@ -473,7 +482,7 @@ def _select_fields(value: Any, name: str) -> dict[str, Any]:
         raise ValueError(f"struct {name} is an array of structs")
     fields = {key: value[0, 0][key] for key in value.dtype.names}
 
-    def pick(table: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+    def pick_fields(table: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
         matrices = {}
         for letter, names in table.items():
             for first in filter(fields.__contains__, names):
@@ -482,18 +491,18 @@ def _select_fields(value: Any, name: str) -> dict[str, Any]:
         return matrices
 
     if "MA" in fields or ("A" in fields and "K" not in fields):
-        return pick(_STATE)
+        return pick_fields(_STATE_FIELDS)
     if not {"K", "Kc"} & set(fields):
         raise ValueError(f"struct {name} has fields {', '.join(fields)}; K or Kc is needed")
-    result = pick(_SECOND)
+    result = pick_fields(_SECOND_ORDER_FIELDS)
     if "Kc" not in fields and "N" in fields and _count_entries(fields["N"]):
         raise ValueError(f"struct {name} has constraints N that are not eliminated: ask for Kc, Ec")
     if "Kc" in fields and "uscale" in fields and (np.asarray(fields["uscale"]) != 1).any():
         raise ValueError(
             f"struct {name} has scaled unknowns (uscale): set the scaling in the solver to None"
         )
-    # Without a mass the problem is of first order and keeps its E; without a load the ports come
-    # from the TOML file.
+    # A problem without mass is of first order and retains its E; without a load, the TOML file
+    # defines the ports.
     empty = {letter for letter in {*"MEB"} & set(result) if not _count_entries(result[letter])}
     if "M" not in result or "M" in empty:
         empty -= {"E"}

@@ -76,7 +76,7 @@ from pydantic import (
 )
 
 from kc2spice.bodies.readers.raw import (
-    CODES,
+    DOF_NUMBERS,
     DOFS,
     ROTATIONS,
     TRANSLATIONS,
@@ -97,30 +97,32 @@ from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded
 from kc2spice.rom.linear_model import PORT_KINDS, Port
 
-LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
-FORCES = {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "lbf": 4.4482216152605}
-SCALARS = {ELECTRICAL.port: "volt", THERMAL.port: "temp"}  # degrees of freedom without a direction
-DIRECTED = (TRANSLATION.port, ROTATION.port)  # kinds that act on nodes along an axis
-LISTED = tuple(PORTS.keys() - {*SCALARS, *DIRECTED, ACCELERATION.port})  # columns of B alone
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
+FORCE_UNITS = {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "lbf": 4.4482216152605}
+# degrees of freedom without a direction
+SCALAR_DOFS = {ELECTRICAL.port: "volt", THERMAL.port: "temp"}
+DIRECTED_KINDS = (TRANSLATION.port, ROTATION.port)  # kinds that act on nodes along an axis
+# kinds that are defined by a column of B
+COLUMN_KINDS_ONLY = tuple(PORTS.keys() - {*SCALAR_DOFS, *DIRECTED_KINDS, ACCELERATION.port})
+_AXIS_VECTORS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def _require_printable(value: str) -> str:
-    """Netlists contain these names, and a line of a netlist is a command."""
+    """Require printable characters, because netlists contain these names."""
     if not value.isprintable():
         raise invalid_value_error("is no name", "printable characters in one line")
     return value
 
 
 def _require_word(value: str) -> str:
-    """A unit goes into the header of a netlist."""
+    """Require a single word, because the header of a netlist contains the unit."""
     if value and len(value.split()) != 1:
         raise invalid_value_error("is no unit", "one word")
     return value
 
 
 def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
-    """Never elsewhere, so that a stranger's file cannot look around."""
+    """Resolve a path inside the folder of the sidecar, so that no other file is read."""
     _require_printable(str(value))
     if value.is_absolute() or ".." in value.parts:
         hint = "copy the file beside the TOML file and write its name alone"
@@ -132,16 +134,16 @@ def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
 
 
 def _parse_dof(value: object) -> int:
-    code = CODES.get(value.lower()) if isinstance(value, str) else value
+    code = DOF_NUMBERS.get(value.lower()) if isinstance(value, str) else value
     if type(code) is not int or code not in DOFS:
-        expected = f"one of {list_candidates(value, CODES, 'docs/reference/matrices.md')}"
-        hint = did_you_mean(str(value), CODES)
+        expected = f"one of {list_candidates(value, DOF_NUMBERS, 'docs/reference/matrices.md')}"
+        hint = did_you_mean(str(value), DOF_NUMBERS)
         raise invalid_value_error("no such degree of freedom", expected, hint=hint)
     return code
 
 
 def _parse_axis(value: object) -> object:
-    return _AXES.get(value, value) if isinstance(value, str) else value
+    return _AXIS_VECTORS.get(value, value) if isinstance(value, str) else value
 
 
 def _normalise_axis(value: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -207,7 +209,7 @@ class NodeSelection(Section):
 
 
 class Fixed(NodeSelection):
-    """Freedoms held at zero; ``dof`` empty for all of the nodes."""
+    """Degrees of freedom that are fixed at zero."""
 
     dof: Annotated[tuple[Dof, ...], BeforeValidator(_as_list)] = ()
 
@@ -222,7 +224,7 @@ class Fixed(NodeSelection):
 
 
 class PortEntry(NodeSelection):
-    """One ``[[ports]]`` table, which selects the loaded nodes in one way, and one direction."""
+    """Table ``[[ports]]``: the loaded nodes and a direction."""
 
     name: Name
     kind: Literal[PORT_KINDS]  # type: ignore[valid-type]
@@ -258,7 +260,7 @@ class PortEntry(NodeSelection):
                 raise invalid_value_error(
                     "a column or row beside nodes", expected, hint="delete one of them"
                 )
-        elif self.kind in LISTED:
+        elif self.kind in COLUMN_KINDS_ONLY:
             problem = f"a port of kind {self.kind} has a column of B and nothing else"
             raise invalid_value_error(
                 problem, "column", hint="write  column = 1  and neither node nor axis"
@@ -274,8 +276,8 @@ class PortEntry(NodeSelection):
             raise invalid_value_error(
                 "this port has no place", expected, hint="add for example  column = 1"
             )
-        elif self.kind in SCALARS:
-            if self.axis is not None or self.dof not in (None, CODES[SCALARS[self.kind]]):
+        elif self.kind in SCALAR_DOFS:
+            if self.axis is not None or self.dof not in (None, DOF_NUMBERS[SCALAR_DOFS[self.kind]]):
                 hint = "delete axis and dof of this port"
                 article = "an" if self.kind[0] in "aeiou" else "a"
                 problem = f"{article} {self.kind} port has no direction"
@@ -285,7 +287,7 @@ class PortEntry(NodeSelection):
             problem = "this port has both dof and axis" if both else "this port has no direction"
             hint = "delete dof or axis" if both else 'add  axis = "z"'
             raise invalid_value_error(problem, "either dof or axis", hint=hint)
-        elif self.kind in DIRECTED and not self.weights.keys() <= {*self._directions}:
+        elif self.kind in DIRECTED_KINDS and not self.weights.keys() <= {*self._directions}:
             expected = ", ".join(DOFS[k] for k in self._directions)
             raise invalid_value_error(
                 f"{DOFS[self.dof or 0]} is no degree of freedom of a {self.kind} port", expected
@@ -298,11 +300,11 @@ class PortEntry(NodeSelection):
 
     @property
     def weights(self) -> dict[int, float]:
-        """Freedoms of its nodes that it acts on, and with which share."""
+        """Return the degrees of freedom that the port acts on, and their shares."""
         if self.dof is not None:
             return {self.dof: 1.0}
-        if self.kind in SCALARS:
-            return {CODES[SCALARS[self.kind]]: 1.0}
+        if self.kind in SCALAR_DOFS:
+            return {DOF_NUMBERS[SCALAR_DOFS[self.kind]]: 1.0}
         axis = zip(self._directions, self.axis or (0.0, 0.0, 0.0), strict=True)
         return {kind: weight for kind, weight in axis if weight}
 
@@ -343,7 +345,7 @@ class MatrixDamping(Section):
 
 
 class ParameterEntry(Section):
-    """A parameter of the subcircuit with its default, its range and its unit."""
+    """Parameter of the subcircuit with its default, its range and its unit."""
 
     default: Finite
     low: Finite
@@ -353,7 +355,7 @@ class ParameterEntry(Section):
 
 
 class TermEntry(Section):
-    """One ``[[terms]]`` table: a matrix, its place, and the factor that multiplies it.
+    """Table ``[[terms]]``: a matrix, its location, and the factor that multiplies it.
 
     Without ``file`` and ``name`` the factor multiplies the matrix of the model.
     """
@@ -388,11 +390,11 @@ class Sidecar(Section):
 
     @property
     def where(self) -> str:
-        """The file, for errors that show later."""
+        """File name for errors that occur later."""
         return self._where
 
     def of(self, entry: NodeSelection) -> str:
-        """The file and the table that ``entry`` refers to."""
+        """Return the file and the table of ``entry`` for error messages."""
         for word in ("ports", "fixed"):
             for number, item in enumerate(getattr(self, word)):
                 if item is entry:
@@ -429,12 +431,12 @@ class Sidecar(Section):
 
 
 def read_sidecar(path: Path) -> Sidecar:
-    """The sidecar at ``path``.
+    """Read the sidecar at ``path``.
 
     Raises
     ------
-    UsageError : missing, not TOML, too long, an unknown key, a value of the wrong type, a name
-        twice; the message names the file and the key.
+    UsageError : the file is missing, not TOML or too long, a key is unknown, a value has the wrong
+    type, or a name occurs twice; the message contains file and key.
     """
     expected = f"a TOML file of at most {MAX_TEXT_BYTES} bytes"
     require_file(path, expected)

@@ -1,9 +1,9 @@
-"""Tables in a text: lines of numbers, titles above them, and merged blocks.
+"""Tables in a text: rows of numbers, titles above them, and merged blocks.
 
-In: the text of a file. Out: :class:`TextTable` records, the longest first. Fields lie between
-semicolons, tabs, commas or blanks. Commas that do not separate fields are decimal commas, or
-separate thousands in numbers with decimal points. :mod:`kc2spice.bodies.readers.complex_response`
-reads on.
+The input is the text of a file, the output :class:`TextTable` records, longest first. Semicolons,
+tabs, commas or blanks separate fields. Commas that do not separate fields are decimal commas, or
+separate thousands in numbers with decimal points. The module
+:mod:`kc2spice.bodies.readers.complex_response` interprets the tables.
 """
 
 from __future__ import annotations
@@ -27,25 +27,27 @@ from kc2spice.bodies.readers.meanings import (
     TRACE_SCALE,
     TWO_PARTS,
 )
-from kc2spice.bodies.readers.titles import COMMENT, is_abscissa, is_frequency, parse_units
+from kc2spice.bodies.readers.titles import COMMENT_MARKS, is_abscissa, is_frequency, parse_units
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.untrusted_files import split_lines
 
-_REAL = r"(\d+\.?\d*|\.\d+)([eEdD][-+]?\d{1,3})?"
-_NUMBER = re.compile(rf"[-+]?{_REAL}")
-_COMPLEX = re.compile(rf"\(?([-+]?{_REAL})?[-+]?{_REAL}[ij]\)?")
-_GROUPED = re.compile(r"[-+]?\d{1,3}([,' \u00a0\u202f])\d{3}(\1\d{3})*(\.\d*)?([eE][-+]?\d{1,3})?")
+_REAL_PATTERN = r"(\d+\.?\d*|\.\d+)([eEdD][-+]?\d{1,3})?"
+_NUMBER_PATTERN = re.compile(rf"[-+]?{_REAL_PATTERN}")
+_COMPLEX_PATTERN = re.compile(rf"\(?([-+]?{_REAL_PATTERN})?[-+]?{_REAL_PATTERN}[ij]\)?")
+_GROUPED_PATTERN = re.compile(
+    r"[-+]?\d{1,3}([,' \u00a0\u202f])\d{3}(\1\d{3})*(\.\d*)?([eE][-+]?\d{1,3})?"
+)
 SEPARATORS = (";", "\t", ",")  # separators of fields, unless blanks separate the fields
-_WITH_COMMA = re.compile(".*,.*")  # a line of text with a comma
-FEWEST_COLUMNS, FEWEST_ROWS = 2, 2
-MOST_LINES = 100_000  # lines of a file: five times as many as frequencies are accepted
-MOST_COLUMNS = 200  # fields of a line
-LONGEST_LINE = 4000  # characters of a row or of a line of titles
+_LINE_WITH_COMMA = re.compile(".*,.*")  # a line of text with a comma
+MIN_COLUMNS, MIN_ROWS = 2, 2
+MAX_LINES = 100_000  # lines of a file: five times the accepted number of frequencies
+MAX_COLUMNS = 200  # fields of a line
+MAX_LINE_LENGTH = 4000  # characters of a row or of a line of titles
 COMMENT_LINES = 300  # lines above a table that may state units
 TITLE_LINES = 40  # lines above the numbers in which their titles are searched
-LEFT_OUT = 0.05  # share of rows with a word instead of a number
-LONGEST_HEADER = 80  # characters of a header that an error quotes
-HALF_TURN = 180.0  # degrees, the largest size of a phase
+MAX_OMITTED_SHARE = 0.05  # largest share of rows with a word instead of a number
+MAX_HEADER_LENGTH = 80  # characters of a header that an error quotes
+MAX_PHASE_DEGREES = 180.0  # degrees, the largest size of a phase
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +88,8 @@ def read_tables(text: str) -> list[TextTable]:
         decimals; rows with words.
     """
     count = max(text.count("\n"), text.count("\r"))
-    if count > MOST_LINES:
-        raise ValueError(f"{count} lines, more than {MOST_LINES}")
+    if count > MAX_LINES:
+        raise ValueError(f"{count} lines, more than {MAX_LINES}")
     lines = split_lines(text)
     runs, separator, most = list[_Run](), None, 0
     for candidate in (*SEPARATORS, None):
@@ -98,7 +100,7 @@ def read_tables(text: str) -> list[TextTable]:
     if not runs:
         first = next(filter(None, map(str.strip, lines)), "")
         below = f", below the first line {first[:40]!r}" if first else ""
-        fewest = f"fewer than {FEWEST_ROWS} rows of {FEWEST_COLUMNS} numbers or more"
+        fewest = f"fewer than {MIN_ROWS} rows of {MIN_COLUMNS} numbers or more"
         raise ValueError(f"{fewest}{below}{_describe_word(lines)}")
     tables, end = list[TextTable](), 0
     for run in runs:
@@ -117,8 +119,7 @@ def read_tables(text: str) -> list[TextTable]:
 
 @dataclass(frozen=True)
 class _Run:
-    """Lines from ``first`` to before ``last`` with the same number of fields; some of these lines
-    are rows.
+    """Range of lines with the same number of fields, some of which are rows of numbers.
 
     ``rows`` is the number of rows of numbers.
     """
@@ -141,7 +142,11 @@ def _split_fields(line: str, separator: str | None) -> list[str]:
 
 def _is_number(word: str) -> bool:
     plain = word.replace(",", ".", 1).replace("\u2212", "-")
-    return bool(_NUMBER.fullmatch(plain) or _GROUPED.fullmatch(word) or _COMPLEX.fullmatch(plain))
+    return bool(
+        _NUMBER_PATTERN.fullmatch(plain)
+        or _GROUPED_PATTERN.fullmatch(word)
+        or _COMPLEX_PATTERN.fullmatch(plain)
+    )
 
 
 def _measure_line(line: str, separator: str | None) -> tuple[int, bool]:
@@ -151,10 +156,10 @@ def _measure_line(line: str, separator: str | None) -> tuple[int, bool]:
     """
     if not line.strip():
         return -1, False
-    if len(line) > LONGEST_LINE or (separator is not None and separator not in line):
+    if len(line) > MAX_LINE_LENGTH or (separator is not None and separator not in line):
         return 0, False
     fields = _split_fields(line, separator)
-    if not FEWEST_COLUMNS <= len(fields) <= MOST_COLUMNS:
+    if not MIN_COLUMNS <= len(fields) <= MAX_COLUMNS:
         return 0, False
     index = 1 if fields[0] == "" else 0  # the index column of a table may be empty
     if not _is_number(fields[index]):
@@ -163,13 +168,14 @@ def _measure_line(line: str, separator: str | None) -> tuple[int, bool]:
 
 
 def _find_runs(lines: list[str], separator: str | None) -> Iterator[_Run]:
-    """Find every run of rows of the same width, some of which may contain a word."""
+    """Find every range of rows with the same width, some of which may contain a word."""
     kinds = [_measure_line(line, separator) for line in lines]
-    filled = [k for k, (width, _) in enumerate(kinds) if width >= 0]  # blank lines divide nothing
+    # blank lines do not end a table
+    filled = [k for k, (width, _) in enumerate(kinds) if width >= 0]
     for width, group in groupby(filled, key=lambda k: kinds[k][0]):
         run = list(group)
         numeric_rows = sum(kinds[k][1] for k in run)
-        if width > 0 and numeric_rows >= FEWEST_ROWS:
+        if width > 0 and numeric_rows >= MIN_ROWS:
             yield _Run(run[0], run[-1] + 1, numeric_rows, width)
 
 
@@ -186,15 +192,17 @@ def _describe_word(lines: list[str]) -> str:
 
 def _build_table(lines: list[str], run: _Run, end: int, separator: str | None) -> TextTable:
     """Make the table of a run of rows, whose titles are below line ``end``."""
-    short = (line[:LONGEST_LINE] for line in lines[max(end, run.first - COMMENT_LINES) : run.first])
-    above = [line for line in short if line.strip().strip(COMMENT)]
+    short = (
+        line[:MAX_LINE_LENGTH] for line in lines[max(end, run.first - COMMENT_LINES) : run.first]
+    )
+    above = [line for line in short if line.strip().strip(COMMENT_MARKS)]
     filled = [k for k in range(run.first, run.last) if lines[k].strip()]
     rows = [_split_fields(lines[k], separator) for k in filled]
     index = list(map(itemgetter(0), rows)) == list(map(str, range(len(rows))))
     titles = _find_titles(above, separator, run.width, index)
     names = titles or tuple(map("column {}".format, range(1, run.width + 1)))
     complete = [all(map(_is_number, row)) for row in rows]
-    notes = _note_left_out_rows(rows, complete, names, filled)
+    notes = _describe_omitted_rows(rows, complete, names, filled)
     rows = list(compress(rows, complete))
     columns = zip(*rows, strict=True)
     numbers = list(map(_parse_column, columns, repeat(rows), names))
@@ -204,12 +212,12 @@ def _build_table(lines: list[str], run: _Run, end: int, separator: str | None) -
     if titles and stated:
         titles, numbers, more = _apply_format(titles, numbers, stated)
         notes += more
-    header = above[-1].strip().lstrip(COMMENT) if above else ""
+    header = above[-1].strip().lstrip(COMMENT_MARKS) if above else ""
     place = filled[0] + 1, filled[-1] + 1
     return TextTable(titles, tuple(numbers), place, header, tuple(above), tuple(notes))
 
 
-def _note_left_out_rows(
+def _describe_omitted_rows(
     rows: list[list[str]], complete: list[bool], names: Sequence[str], lines: list[int]
 ) -> list[str]:
     """Describe the rows that contain a word; ``lines`` of the rows count from 0.
@@ -225,7 +233,7 @@ def _note_left_out_rows(
     count, word = complete.count(False), rows[first][column]
     name = names[column].strip()
     text = f"line {lines[first] + 1}: {word[:20]!r} in column {name!r} is no number"
-    if count > max(1, LEFT_OUT * len(rows)):
+    if count > max(1, MAX_OMITTED_SHARE * len(rows)):
         raise ValueError(f"{text}; {count} of {len(rows)} rows are like this")
     return [f"{text}: {count} of {len(rows)} rows left out"]
 
@@ -236,7 +244,7 @@ def _note_left_out_rows(
 def _find_titles(
     above: list[str], separator: str | None, columns: int, index: bool
 ) -> tuple[str, ...] | None:
-    """Find so many titles in the nearest line that names a frequency or a time.
+    """Find ``count`` titles in the nearest line that contains a frequency or a time.
 
     Otherwise the last line contains the titles.
 
@@ -244,14 +252,14 @@ def _find_titles(
     """
     below: list[str] | None = None
     for line in reversed(above[-TITLE_LINES:]):
-        names = _split_titles(line.strip().lstrip(COMMENT), separator, columns, index)
+        names = _split_titles(line.strip().lstrip(COMMENT_MARKS), separator, columns, index)
         if names is not None and any(map(is_abscissa, names)):
             if below and all(map(_is_unit, below)):
                 pairs = zip(names, below, strict=True)
                 return tuple(f"{name} ({unit.strip('()[]')})" for name, unit in pairs)
             return tuple(names)
         below = names
-    last = above[-1].strip().lstrip(COMMENT) if above else ""
+    last = above[-1].strip().lstrip(COMMENT_MARKS) if above else ""
     names = _split_titles(last, separator, columns, index)
     return None if names is None else tuple(names)
 
@@ -266,10 +274,10 @@ def _is_unit(word: str) -> bool:
 def _split_titles(line: str, separator: str | None, columns: int, index: bool) -> list[str] | None:
     """Split a line into so many titles; None if no separator does."""
     splits = [_split_fields(line, separator)]
-    if separator is None:  # blanks also divide the words of one title
+    if separator is None:  # blanks also separate the words of one title
         splits += map(partial(_split_fields, line), SEPARATORS)
         splits.append(re.findall(r"[^\s()\[\]][^()\[\]]*[(\[][^()\[\]]*[)\]]", line))
-    # titles in columns of a width, above numbers with any separator
+    # titles in columns of fixed width, above numbers with any separator
     spaced = re.split(r"\s{2,}", line.strip().strip('"').strip())
     if any(map(is_frequency, spaced)):
         splits.append(spaced)
@@ -285,7 +293,7 @@ def _find_format(above: list[str]) -> str:
 
     The result is empty without such a line.
     """
-    return _find_last(TRACE_FORMAT, above)
+    return _find_last_match(TRACE_FORMAT, above)
 
 
 def _find_trace_quantity(above: list[str]) -> str:
@@ -293,18 +301,18 @@ def _find_trace_quantity(above: list[str]) -> str:
 
     The result is empty without such a line.
     """
-    match = TWO_PARTS.fullmatch(_find_last(TRACE_PARAMETERS, above))
-    trace = _find_last(TRACE_NAME, above).upper()
+    match = TWO_PARTS.fullmatch(_find_last_match(TRACE_PARAMETERS, above))
+    trace = _find_last_match(TRACE_NAME, above).upper()
     if match is None or not trace:
         return ""
     part = match["a" if trace == "A" else "b"] or match["first" if trace == "A" else "second"]
     return f"{match['of']} {part}" if match["of"] else part
 
 
-def _find_last(pattern: re.Pattern[str], lines: list[str]) -> str:
+def _find_last_match(pattern: re.Pattern[str], lines: list[str]) -> str:
     """Return the first group of a pattern in the last line that it matches; empty without one."""
     for line in reversed(lines):
-        if match := pattern.fullmatch(line[:LONGEST_HEADER].strip().strip('"')):
+        if match := pattern.fullmatch(line[:MAX_HEADER_LENGTH].strip().strip('"')):
             return match[1]
     return ""
 
@@ -333,7 +341,10 @@ def _apply_format(
     for k in others[:1]:
         if not numbers[k].any():
             continue
-        if stated.strip("|").upper() not in ("Z", "Y") or np.abs(numbers[k]).max() > HALF_TURN:
+        if (
+            stated.strip("|").upper() not in ("Z", "Y")
+            or np.abs(numbers[k]).max() > MAX_PHASE_DEGREES
+        ):
             raise ValueError(
                 f"column {titles[k].strip()!r}: FORMAT: {stated} has one number, but it is not zero"
             )
@@ -342,7 +353,7 @@ def _apply_format(
     return tuple(names), numbers, notes
 
 
-# --- blocks that belong together ------------------------------------------------------------------
+# --- blocks of one table ---
 
 
 def _append_block(before: TextTable, table: TextTable) -> TextTable:
@@ -368,7 +379,7 @@ def _merge_blocks(tables: list[TextTable]) -> list[TextTable]:
         first = result[place]
         assert first.titles is not None
         titles, numbers = list(table.titles or ()), list(table.numbers)
-        frequency = _frequency_column(table)
+        frequency = _find_frequency_column(table)
         assert frequency is not None
         del titles[frequency], numbers[frequency]
         result[place] = replace(
@@ -382,17 +393,17 @@ def _merge_blocks(tables: list[TextTable]) -> list[TextTable]:
 
 
 def _has_same_frequencies(first: TextTable, table: TextTable) -> bool:
-    """Whether two tables have the same frequencies under the same title."""
+    """Return whether two tables have the same frequencies under the same title."""
     if first.titles is None or table.titles is None or first.rows != table.rows:
         return False
-    a, b = _frequency_column(first), _frequency_column(table)
+    a, b = _find_frequency_column(first), _find_frequency_column(table)
     if a is None or b is None or first.titles[a].strip() != table.titles[b].strip():
         return False
     return bool(np.array_equal(first.numbers[a], table.numbers[b]))
 
 
-def _frequency_column(table: TextTable) -> int | None:
-    """Number of the first column with frequencies, None without one."""
+def _find_frequency_column(table: TextTable) -> int | None:
+    """Return the index of the first column with frequencies; None without one."""
     return next((k for k, title in enumerate(table.titles or ()) if is_frequency(title)), None)
 
 
@@ -410,16 +421,16 @@ def _parse_column(words: Sequence[str], rows: list[list[str]], title: str) -> np
     """
     text = "\n".join(words).replace("\u2212", "-")
     text = re.sub("(?<=\\d)[' \u00a0\u202f](?=\\d)", "", text)
-    with_comma = _WITH_COMMA.findall(text)
+    with_comma = _LINE_WITH_COMMA.findall(text)
     if with_comma:
         table = "\n".join(chain.from_iterable(rows))
         if "." in table or re.search(",.*,", text):
-            if not all(map(_GROUPED.fullmatch, with_comma)):
+            if not all(map(_GROUPED_PATTERN.fullmatch, with_comma)):
                 raise ValueError(f"column {title!r}: commas and points in one table")
             text = text.replace(",", "")
         else:
             thousands = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
-            if all(map(thousands.fullmatch, _WITH_COMMA.findall(table))):
+            if all(map(thousands.fullmatch, _LINE_WITH_COMMA.findall(table))):
                 raise ValueError(
                     f"column {title!r}: {with_comma[0]!r} may have thousands or decimals behind "
                     "its comma: write a decimal point"

@@ -1,8 +1,9 @@
-"""Thermal transients from tables: a temperature, or a thermal impedance, over the time.
+"""Thermal transients from tables: temperature or thermal impedance over time.
 
-A table has a column of the time and one column of :data:`TRANSIENTS` in
-:mod:`kc2spice.bodies.readers.meanings`. The power is switched on or off at the time zero. In: the
-path of a table. Out: a :class:`ThermalTransient`, which :mod:`kc2spice.rom.transient_fit` fits.
+A table has a column of the time and one column of :data:`TRANSIENT_QUANTITIES` in
+:mod:`kc2spice.bodies.readers.meanings`. The power is switched on or off at the time zero. The input
+is the path of a table, the output a :class:`ThermalTransient`, which
+:mod:`kc2spice.rom.transient_fit` fits.
 """
 
 from __future__ import annotations
@@ -15,19 +16,20 @@ from typing import Literal
 
 import numpy as np
 
-from kc2spice.bodies.readers.complex_response import ONE_PART, ambiguous_file
-from kc2spice.bodies.readers.meanings import TRANSIENTS
+from kc2spice.bodies.readers.complex_response import ONE_PART_HINT, make_ambiguity_error
+from kc2spice.bodies.readers.meanings import TRANSIENT_QUANTITIES
 from kc2spice.bodies.readers.measured import MAX_BYTES, decode_measured_text, is_table
-from kc2spice.bodies.readers.raw import call_reader, is_file, unusable_file
+from kc2spice.bodies.readers.raw import call_reader, is_file, make_unusable_error
 from kc2spice.bodies.readers.text_table import TextTable, read_tables
-from kc2spice.bodies.readers.titles import Column, column_of, read_title
+from kc2spice.bodies.readers.titles import Column, convert_column, read_title
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.core.untrusted_files import read_bounded
 
-FEWEST_TIMES = 8  # after the step: two time constants with their resistances, and the noise
-NAME_TIME = "name the columns in the first line, such as  time_s,temperature_k"
-EXPECTED = "a table with a time and a temperature or a thermal impedance Zth"
+# smallest number of times after the step: two time constants with their resistances, and the noise
+MIN_TIMES = 8
+NAME_TIME_HINT = "name the columns in the first line, such as  time_s,temperature_k"
+EXPECTED_TABLE = "a table with a time and a temperature or a thermal impedance Zth"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +56,12 @@ class ThermalTransient(EqualByContent):
 
 
 def is_transient(path: Path) -> bool:
-    """Whether a file is a table with a time and without a frequency."""
+    """Return whether a file is a table with a time and without a frequency."""
     if not is_table(path) or not is_file(path):
         return False
     try:
-        tables = call_reader(path, EXPECTED, partial(_read, path))
-    except UsageError:  # which the reader of responses reports
+        tables = call_reader(path, EXPECTED_TABLE, partial(_read_tables, path))
+    except UsageError:  # the reader of responses reports this error
         return False
     return any(map(_has_time, tables))
 
@@ -69,62 +71,65 @@ def read_transient(path: Path) -> ThermalTransient:
 
     Raises
     ------
-    UsageError : no temperature, two different ones, too few times, numbers that are not finite.
+    UsageError : the table has no temperature, two different temperatures, too few times, or numbers
+    that are not finite.
     """
 
-    def read() -> ThermalTransient:
-        table = next(filter(_has_time, _read(path)))
+    def read_response() -> ThermalTransient:
+        table = next(filter(_has_time, _read_tables(path)))
         return _find_transient(table, path)
 
     try:
-        result = call_reader(path, EXPECTED, read, NAME_TIME)
+        result = call_reader(path, EXPECTED_TABLE, read_response, NAME_TIME_HINT)
     except UsageError as error:
         error.where = error.where or str(path)
         raise
     if not (np.isfinite(result.time).all() and np.isfinite(result.value).all()):
-        raise unusable_file(path, "NaN or infinity", "finite numbers", NAME_TIME)
+        raise make_unusable_error(path, "NaN or infinity", "finite numbers", NAME_TIME_HINT)
     count = len(np.unique(result.time[result.time > 0]))
-    if count < FEWEST_TIMES:
+    if count < MIN_TIMES:
         hint = "the time counts from the step of the power; measure more points after it"
-        raise unusable_file(
-            path, f"{count} times after zero", f"at least {FEWEST_TIMES} of them", hint
+        raise make_unusable_error(
+            path, f"{count} times after zero", f"at least {MIN_TIMES} of them", hint
         )
     return result
 
 
-def _read(path: Path) -> list[TextTable]:
+def _read_tables(path: Path) -> list[TextTable]:
     return read_tables(decode_measured_text(read_bounded(path, MAX_BYTES)))
 
 
-def _columns(table: TextTable) -> Iterator[Column]:
+def _list_columns(table: TextTable) -> Iterator[Column]:
     """Yield the columns of real numbers whose title has a meaning."""
     for text, values in zip(table.titles or (), table.numbers, strict=False):
         try:
             title = read_title(text)
             if title is not None and not np.iscomplexobj(values):
-                yield column_of(title, values)
+                yield convert_column(title, values)
         except ValueError:
             continue
 
 
 def _has_time(table: TextTable) -> bool:
-    quantities = {column.title.meaning.quantity for column in _columns(table)}
+    quantities = {column.title.meaning.quantity for column in _list_columns(table)}
     return "time" in quantities and "f" not in quantities
 
 
 def _find_transient(table: TextTable, path: Path) -> ThermalTransient:
     """Find the time and the temperature or the thermal impedance in a table."""
     by_quantity: dict[str, list[Column]] = {}
-    for column in _columns(table):
+    for column in _list_columns(table):
         by_quantity.setdefault(column.title.meaning.quantity, []).append(column)
     times = by_quantity["time"]
-    values = [column for name in TRANSIENTS for column in by_quantity.get(name, ())]
+    values = [column for name in TRANSIENT_QUANTITIES for column in by_quantity.get(name, ())]
     if not values:
         names = ", ".join(map(repr, map(str.strip, table.titles or ())))
         raise ValueError(f"a time, but neither a temperature nor a Zth, in the columns {names}")
     for label, found in (("times", times), ("columns of a thermal transient", values)):
         if any(not np.array_equal(found[0].values, other.values) for other in found[1:]):
-            raise ambiguous_file(f"{len(found)} {label}", list(map(str, found)), ONE_PART)
+            raise make_ambiguity_error(
+                f"{len(found)} {label}", list(map(str, found)), ONE_PART_HINT
+            )
     time, value = times[0], values[0]
     order = np.argsort(time.values, kind="stable")
     used = {time.title.text, value.title.text}

@@ -14,20 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from kc2spice.bodies.readers.meanings import (
-    ADDED,
-    BARE,
+    ADDED_WORDS,
+    CASE_FREE_PREFIXES,
     COLUMN_KINDS,
     COMPLEX_NAMES,
     DEFAULT_UNITS,
-    LABELS,
-    LARGE,
-    LARGEST_PHASE,
-    LOST_LETTERS,
+    MAX_PHASE,
     PASSIVE_PHASES,
     PREFIXES,
     PRIMES,
-    RADIANS,
+    QUANTITY_LABELS,
+    RADIAN_LIMITS,
+    REPLACED_LETTERS,
     UNITS,
+    UNITS_WITHOUT_PREFIX,
     ColumnKind,
     Quantity,
 )
@@ -36,18 +36,19 @@ from kc2spice.core.equality import EqualByContent
 _GREEK_OHM = str.maketrans(
     {"\u2126": "Ohm", "Ω": "Ohm", "º": "°", "−": "-", "–": "-", "′": "'", "″": "''"}
 )
-_TWICE = {"Î©": "Ω", "â„¦": "Ω", "Â°": "°", "Î¸": "θ"}  # UTF-8 that a program encoded twice
-COMMENT = "#%!*; "  # marks in front of a title
-LONGEST_TITLE = 200  # characters
-# A title with a unit behind it: f/Hz, zth_k_per_w.
-_UNIT_BEHIND = re.compile(
+# UTF-8 text that a program has encoded twice
+_DOUBLE_ENCODED = {"Î©": "Ω", "â„¦": "Ω", "Â°": "°", "Î¸": "θ"}
+COMMENT_MARKS = "#%!*; "  # characters before a title
+MAX_TITLE_LENGTH = 200  # characters
+# Title followed by a unit: f/Hz, zth_k_per_w.
+_TRAILING_UNIT = re.compile(
     r"(.*?\S)\s*(?:/|[\s_,]+)\s*(rad/s|\S{1,2}/W|K_(?:per_)?W|[^\s_/,()\[\]]+)", re.IGNORECASE
 )
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit with its spelling, the quantity that it ``measures`` and its ``value`` in SI."""
+    """Unit with its spelling, the quantity that it ``measures`` and its ``value`` in SI."""
 
     text: str
     measures: str
@@ -76,16 +77,16 @@ class Column(EqualByContent):
     def __str__(self) -> str:
         sign = "-" if self.title.sign < 0 else ""
         quantity = self.title.meaning.quantity
-        label = LABELS.get(quantity, quantity)
+        label = QUANTITY_LABELS.get(quantity, quantity)
         return f"{sign}{label} [{self.unit}] from {self.title.text.strip()!r}"
 
 
 def parse_units(text: str) -> list[Unit]:
-    """Units that ``text`` may be; ``s`` is siemens, ``f`` farad.
+    """Return the units that ``text`` may mean; ``s`` is siemens, ``f`` farad.
 
     Raises
     ------
-    ValueError : the case of ``mhz`` or ``MF`` does not tell a prefix.
+    ValueError : the letter case of ``mhz`` or ``MF`` is ambiguous.
     """
     plain = _clean_text(text).replace(" ", "")
     result = []
@@ -96,14 +97,14 @@ def parse_units(text: str) -> list[Unit]:
             if base != (spelled if cased else spelled.lower()) or (not base and plain):
                 continue
             factor = _prefix_factor(prefix, spelled, measures, text)
-            if factor is None or (prefix and base in BARE):
+            if factor is None or (prefix and base in UNITS_WITHOUT_PREFIX):
                 continue
             result.append(Unit(text.strip(), measures, factor * value))
     return result
 
 
 def _prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | None:
-    """Return the factor of a prefix; None if the text is no prefix."""
+    """Return the factor of a prefix; None for other text."""
     if len(prefix) > 1:
         return None
     small = measures in ("capacitance", "inductance", "admittance") or base == "OHM"
@@ -112,34 +113,37 @@ def _prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | 
         raise ValueError(f"the unit {text!r} may be {big}: write its prefix in the right case")
     if prefix in PREFIXES:
         return PREFIXES[prefix]
-    if prefix == "F":  # FF is no femtofarad
+    if prefix == "F":  # FF is not femtofarad
         return None
     other = prefix.swapcase()
-    known = other in PREFIXES and (other in LARGE) == (measures == "frequency" or prefix == "K")
+    known = other in PREFIXES and (other in CASE_FREE_PREFIXES) == (
+        measures == "frequency" or prefix == "K"
+    )
     return PREFIXES[other] if known else None
 
 
 def _clean_text(text: str) -> str:
     """Replace unusual letters of a title or unit, and remove quotes.
 
-    A text is cut after :data:`LONGEST_TITLE` characters.
+    A text is cut after :data:`MAX_TITLE_LENGTH` characters.
     """
-    text = text[:LONGEST_TITLE]
-    for wrong, letter in _TWICE.items():
+    text = text[:MAX_TITLE_LENGTH]
+    for wrong, letter in _DOUBLE_ENCODED.items():
         text = text.replace(wrong, letter)
     text = text.strip()
-    text = text[1:].removesuffix('"') if text.startswith('"') else text  # not Z" of Z' and Z"
+    # removes the quotes of a title, but not the primes of Z' and Z"
+    text = text[1:].removesuffix('"') if text.startswith('"') else text
     return text.translate(_GREEK_OHM).strip()
 
 
 def read_title(text: str) -> Title | None:
-    """Parse a title; None if its meaning is not known.
+    """Parse a title; return None if its meaning is unknown.
 
     Raises
     ------
     ValueError : a unit that its quantity is not measured in, or whose prefix is not clear.
     """
-    plain = _clean_text(text).lstrip(COMMENT).strip()
+    plain = _clean_text(text).lstrip(COMMENT_MARKS).strip()
     sign = -1.0 if re.match(r"-\s*[^\s\d-]", plain) else 1.0
     plain = plain.lstrip("-+ ")
     unfit = ""
@@ -151,7 +155,7 @@ def read_title(text: str) -> Title | None:
         if unit_text is None:
             first = next((m for m in meanings if not m.needs_unit), None)
             if first is None:
-                choices = list(map(_name_with_unit, meanings))
+                choices = list(map(_describe_quantity, meanings))
                 raise ValueError(f"column {text.strip()!r} has no unit: {' or '.join(choices)}")
             return Title(text, first, sign, None)
         units = parse_units(unit_text)
@@ -166,14 +170,14 @@ def read_title(text: str) -> Title | None:
     return None
 
 
-def _name_with_unit(meaning: ColumnKind) -> str:
-    """A quantity with its default unit, for messages."""
-    label = LABELS.get(meaning.quantity, meaning.quantity)
+def _describe_quantity(meaning: ColumnKind) -> str:
+    """Return a quantity with its default unit, for messages."""
+    label = QUANTITY_LABELS.get(meaning.quantity, meaning.quantity)
     return f"{label} in {DEFAULT_UNITS[meaning.measures[0]]}"
 
 
 def is_frequency(text: str) -> bool:
-    """Whether a title, or the name of a variable, means the frequency.
+    """Return whether a title, or the name of a variable, means the frequency.
 
     The title may have an ambiguous unit.
     """
@@ -185,7 +189,7 @@ def is_frequency(text: str) -> bool:
 
 
 def is_abscissa(text: str) -> bool:
-    """Whether a title means the frequency or the time, of which the other columns depend."""
+    """Return whether a title means the frequency or the time, on which other columns depend."""
     if is_frequency(text):
         return True
     try:
@@ -200,7 +204,7 @@ def complex_quantity(text: str) -> tuple[Quantity, float] | None:
 
     The unit is its value in SI. The result is None for other titles.
     """
-    for stem, unit_text in _split_unit(_clean_text(text).lstrip(COMMENT).strip()):
+    for stem, unit_text in _split_unit(_clean_text(text).lstrip(COMMENT_MARKS).strip()):
         for quantity, names in COMPLEX_NAMES.items():
             if not re.fullmatch(names, _normalise_words(stem)):
                 continue
@@ -214,16 +218,16 @@ def complex_quantity(text: str) -> tuple[Quantity, float] | None:
 
 
 def _split_unit(title: str) -> Iterator[tuple[str, str | None]]:
-    """Ways to divide a title into words and a unit; The unit is None for a title without a unit."""
+    """Yield the ways to divide a title into words and a unit."""
     for match in re.finditer(r"[\[(]([^\[\]()]*)[\])]", title):
         if parse_units(match[1]):
             yield title[: match.start()] + " " + title[match.end() :], match[1]
             return
-    tail = _UNIT_BEHIND.fullmatch(title)
+    tail = _TRAILING_UNIT.fullmatch(title)
     if tail and _units_of_word(tail[2]):
         yield tail[1], tail[2]
     bracket = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])](.*)", title)
-    if bracket:  # Re(Z) names a quantity, frequency (rpm) an unknown unit
+    if bracket:  # Re(Z) is a quantity; frequency (rpm) has an unknown unit
         yield title, None
         yield bracket[1] + bracket[3], bracket[2]
     else:
@@ -231,21 +235,21 @@ def _split_unit(title: str) -> Iterator[tuple[str, str | None]]:
 
 
 def _units_of_word(text: str) -> list[Unit]:
-    """Units of a word that may be part of a name instead."""
+    """Return the units that a word may mean, if it is not part of a name."""
     return parse_units(text) if text not in ("-", "1") else []
 
 
 def _normalise_words(stem: str) -> str:
-    """The words of a title in small letters and in one, without those of instruments."""
+    """Join the words of a title in lower case, without words that instruments add."""
     low = stem.lower()
     for mark, part in PRIMES:
         low = re.sub(rf"([zy])\s*{mark}", rf"\1{part}", low)
-    words = [w for w in re.findall(r"\|\w+\||[^\W_]+", low) if not ADDED.fullmatch(w)]
+    words = [w for w in re.findall(r"\|\w+\||[^\W_]+", low) if not ADDED_WORDS.fullmatch(w)]
     return "".join(words).replace("impedance", "z").replace("admittance", "y")
 
 
-def column_of(title: Title, values: np.ndarray) -> Column:
-    """The column of a title with its ``values`` (n,) in SI.
+def convert_column(title: Title, values: np.ndarray) -> Column:
+    """Return the column of a title with its ``values`` (n,) in SI.
 
     Raises
     ------
@@ -256,22 +260,24 @@ def column_of(title: Title, values: np.ndarray) -> Column:
         unit = _assumed_unit(title, values)
         if unit.text:
             note = f"{name}: no unit, taken as {unit.text}"
-    elif unit.text[-1:] in LOST_LETTERS:
-        note = f"{name}: unit {unit.text}, taken as {unit.text[:-1]}{LOST_LETTERS[unit.text[-1:]]}"
+    elif unit.text[-1:] in REPLACED_LETTERS:
+        note = (
+            f"{name}: unit {unit.text}, taken as {unit.text[:-1]}{REPLACED_LETTERS[unit.text[-1:]]}"
+        )
     scaled = 10 ** (values / 20) if unit.measures == "decibel" else unit.value * values
-    if title.meaning.quantity in PASSIVE_PHASES and np.abs(scaled).max(initial=0.0) > LARGEST_PHASE:
+    if title.meaning.quantity in PASSIVE_PHASES and np.abs(scaled).max(initial=0.0) > MAX_PHASE:
         largest = np.abs(values).max()
         raise ValueError(f"column {name!r}: {largest:.4g} {unit.text} is more than a turn")
     return Column(title, title.sign * scaled, note, unit.text or "1")
 
 
 def _assumed_unit(title: Title, values: np.ndarray) -> Unit:
-    """The unit of a column that states none."""
+    """Return the unit of a column without a stated unit."""
     measures = title.meaning.measures[0]
     if measures == "frequency" and re.search("ω|omega", title.text.lower()):
         return Unit("rad/s", measures, UNITS[measures]["rad/s"])
     if measures == "angle":
-        largest, spread = RADIANS
+        largest, spread = RADIAN_LIMITS
         in_rad = np.abs(values).max(initial=0.0) <= largest and np.ptp(values) > spread
         return Unit("rad", measures, 1.0) if in_rad else Unit("degrees", measures, np.pi / 180)
     return Unit(DEFAULT_UNITS[measures], measures, 1.0)

@@ -1,23 +1,23 @@
-"""Touchstone files (IBIS Open Forum, 2009) as complex responses."""
+"""Reader of Touchstone files (IBIS Open Forum, 2009)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from kc2spice.bodies.readers.complex_response import MeasuredResponse, admittance_of
+from kc2spice.bodies.readers.complex_response import MeasuredResponse, convert_to_admittance
 from kc2spice.bodies.readers.meanings import Quantity
 from kc2spice.core.errors import UsageError
 
-_HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
-_FORMS, _KINDS = ("ri", "ma", "db"), tuple("syzgh")
-_OPTIONS = {*_FORMS, *_KINDS, *_HERTZ}
+_FREQUENCY_UNITS = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
+_NUMBER_FORMS, _PARAMETER_KINDS = ("ri", "ma", "db"), tuple("syzgh")
+_OPTION_WORDS = {*_NUMBER_FORMS, *_PARAMETER_KINDS, *_FREQUENCY_UNITS}
 _QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
 
 
-def touchstone_response(text: str, ports: int) -> MeasuredResponse:
-    """Touchstone 1 and 2 (IBIS Open Forum, 2009): S, Y or Z in RI, MA or DB.
+def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
+    """Parse Touchstone 1 or 2 (IBIS Open Forum, 2009): S, Y or Z in RI, MA or DB.
 
-    The first option line counts; the standard ignores others.
+    The first option line applies; by the standard, others are ignored.
     """
     unit, kind, form, reference = "ghz", "s", "ma", [50.0]
     section = words = list[str]()
@@ -35,17 +35,17 @@ def touchstone_response(text: str, ports: int) -> MeasuredResponse:
     for option in options[:1]:
         at = option.index("r") if "r" in option else len(option)
         reference = list(map(float, option[at + 1 :])) or reference
-        unknown = [word for word in option[:at] if word not in _OPTIONS]
+        unknown = [word for word in option[:at] if word not in _OPTION_WORDS]
         if unknown:
             raise ValueError(f"the option line has the word {unknown[0]!r}, which is not known")
-        unit = _choose_word(option[:at], tuple(_HERTZ), unit)
-        kind = _choose_word(option[:at], _KINDS, kind)
-        form = _choose_word(option[:at], _FORMS, form)
+        unit = _choose_word(option[:at], tuple(_FREQUENCY_UNITS), unit)
+        kind = _choose_word(option[:at], _PARAMETER_KINDS, kind)
+        form = _choose_word(option[:at], _NUMBER_FORMS, form)
     notes = ["the first of several option lines counts"] if len(options) > 1 else []
     stated = options[0] if options else []
-    if not set(stated) & set(_HERTZ):
+    if not set(stated) & set(_FREQUENCY_UNITS):
         notes.append("the option line has no unit of frequency, taken as GHz")
-    if not set(stated) & set(_FORMS):
+    if not set(stated) & set(_NUMBER_FORMS):
         notes.append("the option line has no format, taken as MA")
     words = keys.get("network data", words)
     reference = list(map(float, keys.get("reference", ()))) or reference
@@ -57,7 +57,7 @@ def touchstone_response(text: str, ports: int) -> MeasuredResponse:
     width = 1 + (n * (n + 1) if symmetric else 2 * n * n)
     values = np.array(list(map(float, words)))
     table = values[: len(values) // width * width].reshape(-1, width)
-    back = np.flatnonzero(np.diff(table[:, 0]) < 0)  # noise parameters of version 1 come last
+    back = np.flatnonzero(np.diff(table[:, 0]) < 0)  # noise parameters of version 1 are at the end
     if len(values) % width and not back.size:
         raise ValueError(f"{len(values)} numbers, not {width} a frequency")
     table = table[: back[0] + 1] if back.size else table
@@ -78,8 +78,10 @@ def touchstone_response(text: str, ports: int) -> MeasuredResponse:
     summary = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_spell_unit(unit)}"
     summary += f", reference {' '.join(f'{R:g}' for R in reference)} Ohm" if kind == "s" else ""
     quantity = _QUANTITIES[kind]
-    Y = admittance_of(quantity, P, z0)
-    return MeasuredResponse(_HERTZ[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), summary)
+    Y = convert_to_admittance(quantity, P, z0)
+    return MeasuredResponse(
+        _FREQUENCY_UNITS[unit] * table[:, 0], quantity, P, Y, z0, tuple(notes), summary
+    )
 
 
 def _fill_triangle(entries: np.ndarray, n: int, lower: bool) -> np.ndarray:
@@ -91,7 +93,7 @@ def _fill_triangle(entries: np.ndarray, n: int, lower: bool) -> np.ndarray:
 
 
 def _require_driven(S: np.ndarray) -> None:
-    """Check that each port was driven: analysers with one source write zeros for other ports.
+    """Raise an error if a port was not driven: some analysers write zeros for such ports.
 
     Raises
     ------
@@ -113,7 +115,7 @@ def _require_driven(S: np.ndarray) -> None:
 
 
 def _choose_word(words: list[str], choices: tuple[str, ...], default: str) -> str:
-    """The word of an option line that is one of the choices.
+    """Return the word of an option line that is one of the choices.
 
     Raises
     ------

@@ -60,7 +60,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         z = measured_impedance(part, waves)
         if z is None:
             return {}
-        from kc2spice.bodies.impedance import analyse
+        from kc2spice.bodies.impedance import analyse_impedance
 
         frequency = waves["frequency"].real
         result, keys = impedance_metrics(frequency, z), varied_keys(part)
@@ -77,7 +77,9 @@ class LinearBody(BodyChecks[LinearKeysT]):
                 model = box.at(values_of_part(keys) | {key.key: float(end)})
                 H = model.select([port]).transfer(frequency)[:, 0, 0]
                 try:
-                    read.append(asdict(analyse(frequency, 1 / (2j * np.pi * frequency * H))))
+                    read.append(
+                        asdict(analyse_impedance(frequency, 1 / (2j * np.pi * frequency * H)))
+                    )
                 except UsageError:
                     warnings.warn(
                         f"{part.name}.{key.key}: no sensitivity, because {end:g} moves the "
@@ -112,7 +114,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
 
     def _is_driven_alone(self, part: Part[LinearKeysT], build: Build) -> bool:
         """Whether a source alone drives the body and its resonance is the largest conductance."""
-        from kc2spice.bodies.impedance import analyse
+        from kc2spice.bodies.impedance import analyse_impedance
 
         scene, model = build.scene, build.model(part, LinearModel)
         pins = names_of(scene.pins(part.name))
@@ -132,7 +134,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         f = space(selected.start, float(selected.stop or 0.0), selected.points)
         Y = 2j * np.pi * f * model.select([port.name]).transfer(f)[:, 0, 0]
         try:
-            resonance = analyse(f, 1 / Y).resonance_hz
+            resonance = analyse_impedance(f, 1 / Y).resonance_hz
         except UsageError:  # no resonance in the range
             return False
         largest = int(Y.real.argmax())
@@ -241,26 +243,26 @@ def impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> dict[str,
 
     Without a resonance in the range the curve is the only metric.
     """
-    from kc2spice.bodies.impedance import analyse
+    from kc2spice.bodies.impedance import analyse_impedance
 
     curve: dict[str, Any] = {
         "frequency_hz": Metric(frequency.tolist(), "Hz"),
         "impedance_ohm": Metric(np.abs(impedance).tolist(), "Ohm"),
     }
     try:
-        return curve | _with_units(asdict(analyse(frequency, impedance)))
+        return curve | _with_units(asdict(analyse_impedance(frequency, impedance)))
     except UsageError:  # no resonance in the range
         return curve
 
 
 def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
     """Values of an impedance analyser by name, with units."""
-    from kc2spice.bodies.impedance import UNITS
+    from kc2spice.bodies.impedance import METRIC_UNITS
 
     result: dict[str, Any] = {}
     for name, value in figures.items():
         nested = isinstance(value, Mapping)
-        result[name] = _with_units(value) if nested else Metric(value, UNITS.get(name, ""))
+        result[name] = _with_units(value) if nested else Metric(value, METRIC_UNITS.get(name, ""))
     return result
 
 

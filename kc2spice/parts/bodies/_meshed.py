@@ -160,11 +160,11 @@ class MeshedBody(LinearBody[FieldKeysT]):
     ) -> Iterator[Figure | FileWriter]:
         yield from super().figures(part, build, waves)
         if part.keys.fields:
-            from kc2spice.bodies.fields import lowest_modes
+            from kc2spice.bodies.fields import compute_lowest_modes
 
             device, model = self.device(part, build.scene), build.model(part, LinearModel)
             end = np.inf if model.certificate is None else model.certificate.band_hz[1]
-            hertz, columns = lowest_modes(device, MODES, end)
+            hertz, columns = compute_lowest_modes(device, MODES, end)
             if hertz.size:
                 name, title = f"{part.name}_modes", f"Modes of {part.name}"
                 caption = "Modes that its ports excite, electrodes shorted, undamped; colours are "

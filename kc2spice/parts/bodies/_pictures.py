@@ -128,10 +128,10 @@ def draw_deformed(
 
     The displacements are z (n,), the voltages (e,). Colours are the largest principal stress.
     """
-    from kc2spice.bodies.fields import evaluate_at_nodes, principal_stress
+    from kc2spice.bodies.fields import evaluate_at_nodes, largest_principal_stress
 
     result = evaluate_at_nodes(device, z, voltages)
-    stress = 1e-6 * principal_stress(result["stress"])
+    stress = 1e-6 * largest_principal_stress(result["stress"])
     moved, factor = _enlarge(device, result["displacement"])
     at_rest = draw_edges("at rest", device.solid.mesh, ":", fine=0)
     label = "largest principal stress in MPa"

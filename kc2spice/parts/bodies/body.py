@@ -44,9 +44,9 @@ from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
 from kc2spice.fem.body_keys import Damping
-from kc2spice.fem.element_poling import PolingTable, find_middles, find_parents, read_poling
+from kc2spice.fem.element_poling import PolingTable, compute_centres, find_parents, read_poling
 from kc2spice.fem.materials import CylindricalAxes, ElementAxes, Material, material, poling_rotation
-from kc2spice.fem.solid import Solid, node_shares
+from kc2spice.fem.solid import Solid, compute_node_shares
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._mesh_keys import (
     MESH_FILE,
@@ -377,7 +377,7 @@ def _read_polings(
     unit = mesh_file.length_unit(locate_file_in_folder(home, keys.mesh, "mesh"), keys.unit)
     for group, table in tables.items():
         members = groups.group(group, f"materials.{group}", 0).members
-        rows = table.select_rows(numbers, find_middles(groups.mesh) / unit, members)
+        rows = table.select_rows(numbers, compute_centres(groups.mesh) / unit, members)
         rotations = np.tile(np.eye(3), (groups.mesh.nelements, 1, 1))
         rotations[members] = np.array([*map(poling_rotation, table.directions)])[rows]
         result[group] = ElementAxes(rotations)
@@ -450,7 +450,7 @@ def _make_setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> 
         elif port.kind == "base":
             base.append((port.ports[0], port.direction))
         else:
-            force = fe.spread(_node_shares(port, groups, solid), port.direction, solid)
+            force = fe.spread_force(_node_shares(port, groups, solid), port.direction, solid)
             shapes.append(fe.ForceShape(port.ports[0], force))
     return fe.Setup(
         fixed=_clamped_components(keys, groups, solid),
@@ -524,9 +524,9 @@ def _node_shares(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) ->
         return shares
     group = groups.group(str(port.group), f"ports.{port.name}")
     if group.codimension == 0:
-        return node_shares(solid, elements=group.members)
+        return compute_node_shares(solid, elements=group.members)
     if group.codimension == 1:
-        return node_shares(solid, facets=group.members)
+        return compute_node_shares(solid, facets=group.members)
     shares[group.members] = group.shares
     return shares
 

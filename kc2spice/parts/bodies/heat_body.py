@@ -39,8 +39,8 @@ from skfem.mesh import MeshLine
 
 from kc2spice.bodies.heat_field import TemperatureField, recover_temperatures, write_temperatures
 from kc2spice.bodies.heat_model import (
-    MESH_LIMIT,
-    RESISTANCE,
+    MESH_LIMIT_NAME,
+    RESISTANCE_PREFIX,
     HeatFilm,
     HeatModel,
     HeatSetup,
@@ -62,13 +62,13 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
 from kc2spice.fem.heat_conduction import (
     HeatSolid,
-    common_faces,
-    face_nodes,
-    point_shares,
+    find_common_faces,
+    find_face_nodes,
+    find_point_shares,
     split_nodes,
 )
-from kc2spice.fem.solid import Solid, node_shares
-from kc2spice.fem.thermal_materials import ThermalMaterialTable, thermal_material
+from kc2spice.fem.solid import Solid, compute_node_shares
+from kc2spice.fem.thermal_materials import ThermalMaterialTable, find_thermal_material
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._heat_keys import HeatBodyKeys, HeatSourceKeys
@@ -120,11 +120,11 @@ class Geometry:
         if isinstance(source, str):
             source = HeatSourceKeys(group=source)
         if source.at is not None:
-            return point_shares(self.solid, np.array(source.at)[self.solid.geometry.axes])
+            return find_point_shares(self.solid, np.array(source.at)[self.solid.geometry.axes])
         group = self._group(str(source.group), where, 0, 1)
         if group.codimension == 0:
-            return node_shares(self.solid.geometry, elements=group.members)
-        return node_shares(self.solid.geometry, facets=group.members)
+            return compute_node_shares(self.solid.geometry, elements=group.members)
+        return compute_node_shares(self.solid.geometry, facets=group.members)
 
 
 def make_heat_device(keys: HeatBodyKeys, home: Path, where: str = "heat_body") -> HeatModel:
@@ -152,12 +152,12 @@ def _make_setup(
     keys: HeatBodyKeys, geometry: Geometry, interfaces: list[tuple[np.ndarray, float]]
 ) -> HeatSetup:
     solid = geometry.solid.geometry
-    fixed = [face_nodes(solid, geometry.faces(name, "fixed")) for name in keys.fixed]
+    fixed = [find_face_nodes(solid, geometry.faces(name, "fixed")) for name in keys.fixed]
     isothermal = []
     for pin, stated in keys.isothermal.items():
         names = [stated] if isinstance(stated, str) else stated
         faces = [geometry.faces(name, f"isothermal.{pin}") for name in names]
-        isothermal.append((Port(pin, THERMAL.port), face_nodes(solid, np.concatenate(faces))))
+        isothermal.append((Port(pin, THERMAL.port), find_face_nodes(solid, np.concatenate(faces))))
     sources = []
     for pin, source in keys.sources.items():
         sources.append((Port(pin, THERMAL.port), geometry.shares(source, f"sources.{pin}")))
@@ -182,7 +182,7 @@ def _read_solid(keys: HeatBodyKeys, home: Path) -> tuple[Geometry, list[tuple[np
     owner = assign_materials(keys.materials, groups)
     materials = []
     for name, stated in keys.materials.items():
-        made_of = thermal_material(stated, f"materials.{name}")
+        made_of = find_thermal_material(stated, f"materials.{name}")
         if keys.axisymmetric and made_of.conductivity[0] != made_of.conductivity[1]:
             problem = "a body of revolution conducts alike along its radius and around its axis"
             raise wrong(f"materials.{name}", problem, "x and y differ", "equal values of x and y")
@@ -191,7 +191,7 @@ def _read_solid(keys: HeatBodyKeys, home: Path) -> tuple[Geometry, list[tuple[np
     interfaces = []
     for number, item in enumerate(keys.interfaces):
         first, second = (groups.group(name, "interfaces", 0).members for name in item.between)
-        facets = common_faces(solid, first, second)
+        facets = find_common_faces(solid, first, second)
         if not facets.size:
             got = " and ".join(item.between)
             hint = "do the solids share nodes? The key merge joins those of touching solids"
@@ -226,7 +226,7 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[Geometry, list[tuple[np.ndarray, 
         solid = split_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
     materials, areas = [], np.array([layer.area for layer in layers])
     for number, layer in enumerate(keys.layers, 1):
-        made_of = thermal_material(layer.material, f"layers[{number}].material")
+        made_of = find_thermal_material(layer.material, f"layers[{number}].material")
         materials.append(replace(made_of, name=f"layer{number} ({made_of.name})"))
     heights = mesh.p[0, mesh.facets[0]]
     groups = {
@@ -314,7 +314,7 @@ dc = "1 W"
         """Limit a band that the user did not state to what the mesh resolves."""
         low, high = band
         if key["limited"]:
-            high = min(high, full().facts[MESH_LIMIT])
+            high = min(high, full().facts[MESH_LIMIT_NAME])
         return low, high
 
     def model_key(self, part: Part[HeatBodyKeys], scene: Scene) -> Mapping[str, Any]:
@@ -401,7 +401,9 @@ dc = "1 W"
         model = super().build(part, scene, clock, full)
         if full or model is None or not part.parameter_ranges:
             return model
-        known = {name: model.facts[name] for name in model.facts if name.startswith(RESISTANCE)}
+        known = {
+            name: model.facts[name] for name in model.facts if name.startswith(RESISTANCE_PREFIX)
+        }
         if not known:
             return model
         resistances = static_resistances(model)
@@ -422,7 +424,7 @@ dc = "1 W"
         """Return the thermal resistances of its ports, and the hottest spot of each material."""
         result: dict[str, object] = dict(super().metrics(part, build, waves))
         for name, value in build.facts(part).items():
-            if name.startswith(RESISTANCE):
+            if name.startswith(RESISTANCE_PREFIX):
                 result[name] = Metric(value, "K/W")
         field = self.temperatures(part, build, waves)
         for spot in field.hottest() if field else ():

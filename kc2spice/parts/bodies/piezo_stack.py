@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
-from kc2spice.bodies.stack_keys import PATCH, SECTORS, Chip
+from kc2spice.bodies.stack_keys import PATCH_PORT, SECTORS, Chip
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError
@@ -172,7 +172,7 @@ class PiezoStack(MeshedBody[Stack]):
     def ports(self, part: Part[Stack], scene: DeclaredScene) -> tuple[Port, ...]:
         names = ring_names(part.keys.mesh.rings + 1)
         if pressure_nodes(part, scene) is not None:
-            names = [PATCH]
+            names = [PATCH_PORT]
         ring_ports = (Port(name, TRANSLATION.port) for name in names)
         return (*ring_ports, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
@@ -221,7 +221,7 @@ class PiezoStack(MeshedBody[Stack]):
             return Surface(part.name, names, distance, sectors=SECTORS, modulus=modulus)
         return Surface(
             part.name,
-            (PATCH,),
+            (PATCH_PORT,),
             (0.0,),
             sectors=SECTORS,
             patch=float(shape.nodes[-1]),
@@ -313,11 +313,11 @@ class PiezoStack(MeshedBody[Stack]):
         return "" if part.keys.mounting == "roller" else describe_mounting(part.keys)
 
     def make(self, part: Part[Stack], scene: GovernedScene) -> FiniteElementModel:
-        from kc2spice.bodies.stack import stack_device
+        from kc2spice.bodies.stack import make_stack
 
         shape = pressure_nodes(part, scene)
         pressure = None if shape is None else shape.pressure(_compliance_of(part, shape).shares)
-        return stack_device(part.keys, part.keys.rated_field, pressure)
+        return make_stack(part.keys, part.keys.rated_field, pressure)
 
     def metrics(self, part: Part[Stack], build: Build, waves: Waveforms) -> Mapping[str, object]:
         result = dict(super().metrics(part, build, waves))
@@ -330,13 +330,13 @@ class PiezoStack(MeshedBody[Stack]):
         shape, scene = pressure_nodes(part, build.scene), build.scene
         # the mesh of the chip does not resolve these fields
         if part.keys.fields and shape is not None:
-            from kc2spice.bodies.pressure import UNITS, stresses_under
+            from kc2spice.bodies.pressure import UNITS, stresses_under_force
 
             contacts = scene.of_schema("contact", ContactKeys)
             name = next(c.name for c in contacts if c.keys.shape == "pressure")
             if (most := float(waves[f"{name}.force"].max())) > 0:
                 forces = make_pair(scene.parts[name], scene).basis_forces(most)
-                inside = stresses_under(part.keys, shape, forces)
+                inside = stresses_under_force(part.keys, shape, forces)
                 for key, value in inside.items():
                     result[f"{name}_{key}"] = Metric(value, UNITS[key])
         current = waves.data.get(f"{part.name}.current")
@@ -423,9 +423,9 @@ def pressure_nodes(part: Part[Stack], scene: DeclaredScene) -> PressureBasis | N
     """Pressure basis on the top, as wide as the rings, if a contact uses pressure."""
     for contact in scene.of_schema("contact", ContactKeys):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
-            from kc2spice.bodies.pressure import pressure_basis
+            from kc2spice.bodies.pressure import choose_pressure_basis
 
-            return pressure_basis(contact.keys.spacing, float(ring_radii(part.keys)[-1]))
+            return choose_pressure_basis(contact.keys.spacing, float(ring_radii(part.keys)[-1]))
     return None
 
 
@@ -487,13 +487,13 @@ def free_stroke(keys: Chip, voltage: float) -> float:
 
 
 def _compliance_of(part: Part[Stack], shape: PressureBasis) -> LocalCompliance:
-    from kc2spice.bodies.pressure import LocalCompliance, local_compliance
+    from kc2spice.bodies.pressure import LocalCompliance, compute_local_compliance
 
     chip = part.keys.model_dump(mode="json", include=CHIP - {"damping"})
     return load_or_build(
         "indented",
         {"chip": chip, "pressure_basis": shape.nodes.tolist()},
-        lambda: local_compliance(part.keys, shape),
+        lambda: compute_local_compliance(part.keys, shape),
         classes=(LocalCompliance,),
         sources=SOURCES,
     )

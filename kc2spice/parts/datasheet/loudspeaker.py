@@ -28,7 +28,7 @@ from kc2spice.core.quantities import (
     si,
 )
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.thermal_materials import resistance_coefficient
+from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import round_to_digits
@@ -165,7 +165,7 @@ def motor(params: tuple[Param, ...]) -> Declaration:
             "rms": "omega*mms/qms",
         },
         conductors=("i",),
-        temperature_coefficient=resistance_coefficient("copper"),
+        temperature_coefficient=find_resistance_coefficient("copper"),
         rating="not known; i^2 re heats the coil, and xmax limits the excursion",
         sign="um and N count along plus current; 1 A into a pin pushes it that way with 1 N",
     )

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Inductance, Ratio, Resistance, Section, Time, Voltage
-from kc2spice.fem.thermal_materials import resistance_coefficient
+from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
@@ -136,7 +136,7 @@ def relay_law(params: tuple[Param, ...], changeover: bool) -> Declaration:
         given=params,
         states={"armature": f"({operated} + (1 - {operated})*{kept} - armature)/armature_time"},
         conductors=("i",),
-        temperature_coefficient=resistance_coefficient("copper"),
+        temperature_coefficient=find_resistance_coefficient("copper"),
         rating="not known; compare contact currents and coil power with the data sheet",
     )
 

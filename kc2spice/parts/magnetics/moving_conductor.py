@@ -35,8 +35,15 @@ from kc2spice.core.quantities import (
 from kc2spice.core.spectrum import find_energy_frequency
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Ring
-from kc2spice.fem.magnet_rings import Cells, Ladder, Winding, compare_rings, divide_section, ladder
-from kc2spice.fem.thermal_materials import resistance_coefficient
+from kc2spice.fem.magnet_rings import (
+    Cells,
+    Ladder,
+    Winding,
+    compare_rings,
+    divide_section,
+    reduce_to_loops,
+)
+from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
 from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.physics.declaration import Branch
@@ -183,7 +190,7 @@ def _declare(
         sign="um from b to a are the height of its centre of mass; 1 A lifts it with 1 N",
         validity=f"heights y_min to y_max{reach}; rigid, not magnetic, at constant temperature",
         conductors=tuple(b.name for b in branches if b.flows and b.plus),
-        temperature_coefficient=resistance_coefficient("copper"),
+        temperature_coefficient=find_resistance_coefficient("copper"),
         losses_of_model=True,
         **physics,
     )
@@ -426,7 +433,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         """Couplings of its loops with its coils and with ``fixed`` currents, and their rates."""
         body, coils = _divide_body(keys, rings, frequency), windings(keys)
         settings = keys.y_min, keys.y_max, keys.conductivity, frequency, tolerance
-        return ladder(body, coils, fixed, *settings)
+        return reduce_to_loops(body, coils, fixed, *settings)
 
     def add_ring_error(
         self, ladder: Ladder, keys: MovingConductorKeys, fixed: list[Winding], rings: int
@@ -507,7 +514,7 @@ def _shortest_lag(part: Part[Moving], scene: WiredScene) -> float:
         part.keys.coils, part.keys.coils.values(), windings(part.keys), strict=True
     ):
         ohms = coil.resistance + _series_resistance(part, scene, {f"{name}_p", f"{name}_n"})
-        result.append(SCREENED * winding.with_other(winding) / ohms)
+        result.append(SCREENED * winding.couple_winding(winding) / ohms)
     return min(result, default=0.0)
 
 

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from kc2spice.core.quantities import MU_0, FluxDensity, Length, Notch, Ratio, Section
 from kc2spice.fem.magnet_keys import Ring
-from kc2spice.fem.magnet_rings import Ladder, Winding, current_body
+from kc2spice.fem.magnet_rings import Ladder, Winding, current_loop
 from kc2spice.parts.magnetics.moving_conductor import Moving, MovingBody, surface_currents, windings
 from kc2spice.scene.model import (
     Part,
@@ -60,7 +60,7 @@ def demagnetising_factor(inner: float, outer: float, height: float) -> float:
     shells = [Winding(outer, 0.0, height, 0.0, 1.0)]
     if inner:
         shells.append(Winding(inner, 0.0, height, 0.0, -1.0))
-    linked = sum(a.with_other(b) for a, b in product(shells, repeat=2))
+    linked = sum(a.couple_winding(b) for a, b in product(shells, repeat=2))
     return 1 - linked * height / (MU_0 * math.pi * (outer**2 - inner**2))
 
 
@@ -111,7 +111,7 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
         shape = keys.inner, keys.radius, keys.thickness
         share = 1 / (1 + demagnetising_factor(*shape) * (keys.mu_r - 1))
         ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=0.0)
-        return current_body(
+        return current_loop(
             surface_currents(ring, share), windings(keys), fixed, keys.y_min, keys.y_max, tolerance
         )
 

@@ -13,7 +13,7 @@ from kc2spice.core.quantities import (
     Stiffness,
     si,
 )
-from kc2spice.fem.thermal_materials import resistance_coefficient
+from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.parts.mechanics import _stop
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
 from kc2spice.physics.conductors import ConductorKeys
@@ -65,7 +65,7 @@ register(
                 _stop.NEGLECTED,
             ),
             conductors=("i",),
-            temperature_coefficient=resistance_coefficient("copper"),
+            temperature_coefficient=find_resistance_coefficient("copper"),
             rating="not known; i^2 resistance heats the coil",
             example="""
 [reluctance]

@@ -281,10 +281,10 @@ class RingMagnetCoils(TouchablePart[Coils]):
         key = {**self.model_key(part, scene), "positions": count}
 
         def build() -> EMTable:
-            from kc2spice.fem.magnet_field import catch_table
+            from kc2spice.fem.magnet_field import compute_catch_table
 
             with clock.time_stage("magnetics", "field of the catch actuator") as share:
-                return catch_table(unit, key["radius"], share)
+                return compute_catch_table(unit, key["radius"], share)
 
         table = load_or_build("catch", key, build, classes=(EMTable,), sources=SOURCES)
         return table.scale_magnets(keys.remanence, keys.shift)
@@ -361,7 +361,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         self, part: Part[Coils], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
         """Yield the changes of force and inductance with cells half as wide."""
-        from kc2spice.fem.magnet_field import catch_table, count_compared_positions
+        from kc2spice.fem.magnet_field import compute_catch_table, count_compared_positions
 
         table, keys = build.model(part, EMTable), part.keys
         unknowns = FINER**2 * table.facts["unknowns"]
@@ -378,7 +378,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
 
         def finer() -> EMTable:
             with clock.time_stage("full model", f"{part.name}: mesh half as wide") as share:
-                return catch_table(unit, key["radius"], share)
+                return compute_catch_table(unit, key["radius"], share)
 
         fine = load_or_build("catch", key, finer, classes=(EMTable,), sources=SOURCES)
         fine = fine.scale_magnets(keys.remanence, keys.shift)

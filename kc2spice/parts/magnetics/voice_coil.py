@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from kc2spice.core.quantities import Inductance, MechanicalDamping, Resistance, si
-from kc2spice.fem.thermal_materials import resistance_coefficient
+from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
 from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.physics.declaration import HEATING
@@ -61,7 +61,7 @@ register(
                 ("mass of coil and cone", "a mass at a stands for it", "none where it is there"),
             ),
             conductors=("i",),
-            temperature_coefficient=resistance_coefficient("copper"),
+            temperature_coefficient=find_resistance_coefficient("copper"),
             rating="not known; i^2 resistance is the power that heats the coil",
         )
     )

@@ -283,9 +283,9 @@ class Pair:
     @cached_property
     def shape(self) -> PressureBasis:
         """Pressure basis functions (P1) over the patch of ``a``."""
-        from kc2spice.bodies.pressure import pressure_basis
+        from kc2spice.bodies.pressure import choose_pressure_basis
 
-        return pressure_basis(self.keys.spacing, self.a.patch)
+        return choose_pressure_basis(self.keys.spacing, self.a.patch)
 
     @cached_property
     def indentation(self) -> tuple[LocalCompliance, float]:
@@ -309,13 +309,13 @@ class Pair:
 
     def basis_forces(self, force: float) -> np.ndarray:
         """Return the contact forces (n,) [N] on the basis functions, whose sum is ``force``."""
-        from kc2spice.bodies.pressure import contact_forces
+        from kc2spice.bodies.pressure import solve_contact_forces
 
         assert self.b.radius is not None
         depths = np.linspace(0.0, self.normal.depth, 1000)
         depth = np.interp(force, self.normal.force(depths), depths)
         gap = ring_gaps(self.shape.distances, self.b.radius)
-        result = contact_forces(self.indentation[0].compliance, gap, np.array([depth]))[0]
+        result = solve_contact_forces(self.indentation[0].compliance, gap, np.array([depth]))[0]
         return np.asarray(force / result.sum() * result)
 
     def basis_error(self) -> float:
@@ -324,14 +324,14 @@ class Pair:
         The error is the difference to the force of a basis half as wide, at depths from half of the
         largest depth of the scene. Both forces include the compliance of the patch.
         """
-        from kc2spice.bodies.pressure import pressure_basis
+        from kc2spice.bodies.pressure import choose_pressure_basis
 
         if self.keys.shape != "pressure":
             return 0.0
         assert self.b.radius is not None
         forces = []
         for wider in (1.0, 0.5):
-            shape = pressure_basis(wider * self.keys.spacing, self.a.patch)
+            shape = choose_pressure_basis(wider * self.keys.spacing, self.a.patch)
             result, _ = self._compliance_of(shape)
             law = _indentation_law(shape, result.compliance + result.patch, self.b.radius)
             deepest = min(self.deepest_penetration.depth or math.inf, law.depth)
@@ -374,11 +374,11 @@ def _indentation_law(shape: PressureBasis, compliance: np.ndarray, radius: float
 
 @lru_cache(maxsize=8)
 def _cached_indentation_law(nodes: bytes, compliance: bytes, radius: float) -> IndentationLaw:
-    from kc2spice.bodies.pressure import PressureBasis, indentation_law
+    from kc2spice.bodies.pressure import PressureBasis, fit_indentation_law
 
     shape = PressureBasis(np.frombuffer(nodes))
     matrix = np.frombuffer(compliance).reshape(len(shape.nodes) - 1, -1)
-    return indentation_law(shape, matrix, ring_gaps(shape.distances, radius))
+    return fit_indentation_law(shape, matrix, ring_gaps(shape.distances, radius))
 
 
 # --- how far a sphere can come --------------------------------------------------------------------

@@ -113,12 +113,12 @@ elastic = true
     def full(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, clock: Clock
     ) -> LinearModel:
-        from kc2spice.bodies.pressure import sphere
+        from kc2spice.bodies.pressure import model_sphere
 
         shape = make_pair(_contact(part, scene), scene).shape
         with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
             shares = self._compliance_of(part, scene, shape).shares
-            return sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
+            return model_sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
 
     def reduction(self, part: Part[ElasticSphereKeys], scene: Scene) -> Rom:
         """Return the reduction of the sphere.
