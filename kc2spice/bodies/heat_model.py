@@ -140,7 +140,7 @@ def _resistance_name(port: Port) -> str:
 
 
 def static_resistances(model: LinearModel) -> dict[str, float]:
-    """Return the temperature rise of each port for 1 W into this port alone, keyed by value name."""
+    """Return the temperature rise of each port for 1 W into this port, keyed by name."""
     response = model.transfer(np.zeros(1))[0].real
     pairs = zip(model.ports, np.diag(response), strict=True)
     return {_resistance_name(port): float(value) for port, value in pairs}

@@ -107,7 +107,7 @@ class Solid:
         return 2 * self.order
 
     def basis(self, order: int | None = None, **options: Any) -> skfem.Basis:
-        """Scalar finite-element basis, whose degrees of freedom are called nodes in this package."""
+        """Scalar finite-element basis; this package calls its degrees of freedom nodes."""
         if "quadrature" not in options:
             options["intorder"] = order or self.quadrature
         return skfem.Basis(self.mesh, self.element, dofs=self._nodes, **options)

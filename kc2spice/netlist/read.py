@@ -310,7 +310,7 @@ def _count_nodes(kind: str, rest: Sequence[str]) -> int:
         if words[-1:] and words[-1].lower() == THERMAL_FLAG:
             return len(words) - 2  # a VDMOS with the temperatures of junction and case
         return 3 if len(words) == 4 else 4  # a VDMOS has no bulk
-    return NODES[kind]
+    return NODE_COUNTS[kind]
 
 
 def _read_behaviour(s: Statement) -> Element:

@@ -22,7 +22,7 @@ from kc2spice.netlist.nodal import NodalCircuit
 from kc2spice.rom.entries import Entries, share_of
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import DirectResponse, Response, drop_points_near_poles, sample_band
-from kc2spice.synthesis.heat import is_heat
+from kc2spice.synthesis.heat import is_heat_model
 
 # m per volt of a displacement pin; a charge node has the same value in C
 MICRO = TRANSLATION.across.factor
@@ -70,7 +70,7 @@ def estimate_circuit_error(
     band : lowest and highest frequency [Hz].
     """
     emitted = EmittedResponse(NodalCircuit(circuit), tuple(pins), model, values or {})
-    exact = (DirectResponse if is_heat(model) else Response)(model.pencil.dense())
+    exact = (DirectResponse if is_heat_model(model) else Response)(model.pencil.dense())
     frequency = _select_frequencies(exact, band, emitted.unknowns)
     relative = _RelativeError(emitted, exact, norm)
     error = relative(frequency)

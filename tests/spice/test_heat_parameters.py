@@ -11,7 +11,7 @@ import pytest
 
 import kc2spice as kc
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.fem.thermal_materials import thermal_material
+from kc2spice.fem.thermal_materials import find_thermal_material
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.workflow.export import export_scene
 
@@ -278,7 +278,8 @@ SINK_AREA = 1e-2  # m^2
 def sink_resistance():
     """Thermal resistance of the example's layers and joint without its film."""
     k = {
-        name: thermal_material(name).conductivity[2] for name in ("silicon", "copper", "aluminium")
+        name: find_thermal_material(name).conductivity[2]
+        for name in ("silicon", "copper", "aluminium")
     }
     chip = 3e-4 / (k["silicon"] * 25e-6)
     plate = 2e-3 / (k["copper"] * 4e-4) + 1e-5 / 4e-4

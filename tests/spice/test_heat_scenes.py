@@ -9,9 +9,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve
 
 import kc2spice as kc
-from kc2spice.fem.thermal_materials import thermal_material
+from kc2spice.fem.thermal_materials import find_thermal_material
 from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.read import read
+from kc2spice.netlist.read import read_cards
 
 HEATER, BOX = 0.513631, 5.13631  # J/K
 FILM, WALL = 57.9268, 11.3740  # K/W
@@ -84,7 +84,7 @@ def sink_cells(count=40):
     """Capacities [J/K] and conductances [W/K] of a chain from the case to the room."""
     capacities, resistances = [], [0.0]
     for name, area in AREAS.items():
-        material, step = thermal_material(name), HEIGHTS[name] / count
+        material, step = find_thermal_material(name), HEIGHTS[name] / count
         half = step / (2 * material.conductivity[0] * area)
         for _ in range(count):
             resistances[-1] += half
@@ -118,7 +118,9 @@ def test_the_mosfet_heats_up_as_its_equations_and_those_of_its_sink_state():
 
 def test_a_vdmos_with_thermal_pins_has_five_nodes():
     cards = "M1 d g s tj tc chip thermal temp=0\nM2 d g s chip\n.model chip VDMOS(NCHAN)\n"
-    thermal, plain = (item for item in read(cards, "cards").items if isinstance(item, Element))
+    thermal, plain = (
+        item for item in read_cards(cards, "cards").items if isinstance(item, Element)
+    )
     assert (thermal.nodes, thermal.model) == (("d", "g", "s", "tj", "tc"), "chip")
     assert (thermal.values, dict(thermal.parameters)) == (("thermal",), {"temp": "0"})
     assert (plain.nodes, plain.model) == (("d", "g", "s"), "chip")

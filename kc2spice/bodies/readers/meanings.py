@@ -88,13 +88,13 @@ class ColumnKind:
     needs_unit: bool = False
 
 
-_PHASE_PATTERN = r"(phase|theta|th|θ|φ|phi|arg|angle|ang)"
-_MAGNITUDE_PATTERN = r"(mag|magnitude|abs|absolute|absolut|mod|modulus)"
-_REAL_PATTERN, _IMAGINARY_PATTERN = r"(re|real|realpart)", r"(im|img|imag|imaginary|imagpart)"
+_PHASE = r"(phase|theta|th|θ|φ|phi|arg|angle|ang)"
+_MAGNITUDE = r"(mag|magnitude|abs|absolute|absolut|mod|modulus)"
+_REAL, _IMAGINARY = r"(re|real|realpart)", r"(im|img|imag|imaginary|imagpart)"
 
 
-def _pattern_with_letter(of: str, word: str) -> str:
-    """Return the pattern of a word before or after the letter ``of``, as in ``magz`` and ``zmag``."""
+def _affix(of: str, word: str) -> str:
+    """Return the pattern of a word before or after a letter, as in ``magz`` and ``zmag``."""
     return rf"{of}{word}|{word}{of}|{word}\|{of}\|"
 
 
@@ -102,38 +102,28 @@ _SITE_PATTERN = r"(j|junction|c|case)"  # location of a temperature
 SOUND_QUANTITY = "sound pressure"  # quantity that does not determine an impedance
 COLUMN_KINDS = (
     ColumnKind("f", ("frequency",), r"f|freq|frequency|frequenz|frq|omega|ω"),
-    ColumnKind(
-        "z", ("impedance", "decibel"), rf"z|z?\|z\||{_pattern_with_letter('z', _MAGNITUDE_PATTERN)}"
-    ),
+    ColumnKind("z", ("impedance", "decibel"), rf"z|z?\|z\||{_affix('z', _MAGNITUDE)}"),
     ColumnKind(
         "y",
         ("admittance", "decibel"),
-        rf"y|y?\|y\||{_pattern_with_letter('y', _MAGNITUDE_PATTERN)}",
+        rf"y|y?\|y\||{_affix('y', _MAGNITUDE)}",
     ),
-    ColumnKind("z", ("impedance",), _MAGNITUDE_PATTERN, needs_unit=True),
-    ColumnKind("y", ("admittance",), _MAGNITUDE_PATTERN, needs_unit=True),
-    ColumnKind("phase", ("angle",), _PHASE_PATTERN),
-    ColumnKind("phase_z", ("angle",), _pattern_with_letter("z", _PHASE_PATTERN)),
-    ColumnKind("phase_y", ("angle",), _pattern_with_letter("y", _PHASE_PATTERN)),
+    ColumnKind("z", ("impedance",), _MAGNITUDE, needs_unit=True),
+    ColumnKind("y", ("admittance",), _MAGNITUDE, needs_unit=True),
+    ColumnKind("phase", ("angle",), _PHASE),
+    ColumnKind("phase_z", ("angle",), _affix("z", _PHASE)),
+    ColumnKind("phase_y", ("angle",), _affix("y", _PHASE)),
     ColumnKind("phase_z", ("angle",), "z", needs_unit=True),  # Impedance (Degree)
     ColumnKind("phase_y", ("angle",), "y", needs_unit=True),
-    ColumnKind(
-        "r", ("impedance",), rf"r|z?rs|esr|resistance|{_pattern_with_letter('z', _REAL_PATTERN)}"
-    ),
-    ColumnKind(
-        "x", ("impedance",), rf"x|z?xs|reactance|{_pattern_with_letter('z', _IMAGINARY_PATTERN)}"
-    ),
+    ColumnKind("r", ("impedance",), rf"r|z?rs|esr|resistance|{_affix('z', _REAL)}"),
+    ColumnKind("x", ("impedance",), rf"x|z?xs|reactance|{_affix('z', _IMAGINARY)}"),
     ColumnKind("rp", ("impedance",), r"z?rp"),
-    ColumnKind(
-        "g", ("admittance",), rf"g|y?gp|conductance|{_pattern_with_letter('y', _REAL_PATTERN)}"
-    ),
-    ColumnKind(
-        "b", ("admittance",), rf"b|y?bp|susceptance|{_pattern_with_letter('y', _IMAGINARY_PATTERN)}"
-    ),
-    ColumnKind("r", ("impedance",), _REAL_PATTERN, needs_unit=True),
-    ColumnKind("x", ("impedance",), _IMAGINARY_PATTERN, needs_unit=True),
-    ColumnKind("g", ("admittance",), _REAL_PATTERN, needs_unit=True),
-    ColumnKind("b", ("admittance",), _IMAGINARY_PATTERN, needs_unit=True),
+    ColumnKind("g", ("admittance",), rf"g|y?gp|conductance|{_affix('y', _REAL)}"),
+    ColumnKind("b", ("admittance",), rf"b|y?bp|susceptance|{_affix('y', _IMAGINARY)}"),
+    ColumnKind("r", ("impedance",), _REAL, needs_unit=True),
+    ColumnKind("x", ("impedance",), _IMAGINARY, needs_unit=True),
+    ColumnKind("g", ("admittance",), _REAL, needs_unit=True),
+    ColumnKind("b", ("admittance",), _IMAGINARY, needs_unit=True),
     ColumnKind("c", ("capacitance",), r"c|capacitance"),
     ColumnKind("cp", ("capacitance",), r"[zy]?cp"),
     ColumnKind("cs", ("capacitance",), r"[zy]?cs"),
@@ -146,34 +136,34 @@ COLUMN_KINDS = (
     ColumnKind(
         "s_size",
         ("number", "decibel"),
-        rf"{_pattern_with_letter('s', _MAGNITUDE_PATTERN)}|{_pattern_with_letter('s11', _MAGNITUDE_PATTERN)}",
+        rf"{_affix('s', _MAGNITUDE)}|{_affix('s11', _MAGNITUDE)}",
     ),
     ColumnKind(
         "s_phase",
         ("angle",),
-        rf"{_pattern_with_letter('s', _PHASE_PATTERN)}|{_pattern_with_letter('s11', _PHASE_PATTERN)}",
+        rf"{_affix('s', _PHASE)}|{_affix('s11', _PHASE)}",
     ),
     ColumnKind(
         "s_real",
         ("number",),
-        rf"{_pattern_with_letter('s', _REAL_PATTERN)}|{_pattern_with_letter('s11', _REAL_PATTERN)}",
+        rf"{_affix('s', _REAL)}|{_affix('s11', _REAL)}",
     ),
     ColumnKind(
         "s_imag",
         ("number",),
-        rf"{_pattern_with_letter('s', _IMAGINARY_PATTERN)}|{_pattern_with_letter('s11', _IMAGINARY_PATTERN)}",
+        rf"{_affix('s', _IMAGINARY)}|{_affix('s11', _IMAGINARY)}",
     ),
     ColumnKind(
         "gain",
         ("decibel", "number"),
-        rf"gain|{_pattern_with_letter('gain', _MAGNITUDE_PATTERN)}",
+        rf"gain|{_affix('gain', _MAGNITUDE)}",
         needs_unit=True,
     ),
-    ColumnKind("gain", ("decibel",), _MAGNITUDE_PATTERN, needs_unit=True),
-    ColumnKind("gain_phase", ("angle",), _pattern_with_letter("gain", _PHASE_PATTERN)),
+    ColumnKind("gain", ("decibel",), _MAGNITUDE, needs_unit=True),
+    ColumnKind("gain_phase", ("angle",), _affix("gain", _PHASE)),
     ColumnKind("gain_phase", ("angle",), "gain", needs_unit=True),
-    ColumnKind("gain_real", ("number",), _pattern_with_letter("gain", _REAL_PATTERN)),
-    ColumnKind("gain_imag", ("number",), _pattern_with_letter("gain", _IMAGINARY_PATTERN)),
+    ColumnKind("gain_real", ("number",), _affix("gain", _REAL)),
+    ColumnKind("gain_imag", ("number",), _affix("gain", _IMAGINARY)),
     ColumnKind("time", ("time",), r"t|tp|time|elapsed|elapsedtime|pulse(width|duration)"),
     ColumnKind(
         "temperature",

@@ -472,7 +472,7 @@ def _to_plain_array(name: str, matrix: Any) -> Any:
 
 
 def drop_zero_imaginary(matrix: Any) -> Any:
-    """Return the real part of an array if its imaginary part is zero, as after a complex solution."""
+    """Return the real part if the imaginary part is zero, as after a complex solution."""
     data = matrix.data if sparse.issparse(matrix) else matrix
     return matrix.real if np.iscomplexobj(data) and not data.imag.any() else matrix
 

@@ -228,7 +228,7 @@ def print_module(part: Subcircuit) -> dict[str, str]:
             spelled, value = module.identifier(key), names.value(default)
             module.declarations.append(f"parameter real {spelled} = {value};")
             params[key.lower()] = spelled
-    _expand(names)
+    _expand_circuit(names)
     ports = ", ".join(pins.values())
     inner = ", ".join(module.nodes.values())
     notes = part.circuit.items[0].notes if part.circuit.items else ()
