@@ -116,7 +116,7 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
         or the mesh needs more memory than there is.
     """
     timer = StepTimer()
-    bare, volts = constrain_device(solid, setup), _depoling_voltage(solid, setup)
+    bare, volts = constrain_solid(solid, setup), _estimate_depoling_voltage(solid, setup)
     steps = FREE_STEPS if bare.shift else SUPPORTED_STEPS
     timer.begin_step(1, steps)
     unknowns = bare.displacement.shape[1] + bare.potential.shape[1]

@@ -26,10 +26,10 @@ from scipy.sparse.csgraph import connected_components
 from kc2spice.fem.solid import CHUNK_SIZE, Solid, sum_matrices, symmetrise
 from kc2spice.fem.thermal_materials import ThermalMaterial
 
-CANDIDATES = 50  # elements that may contain a point, those with the nearest centres
-INSIDE = 1e-6  # distance outside an element, in its own coordinates, that is rounding
+MAX_CANDIDATES = 50  # elements that may contain a point, those with the nearest centres
+INSIDE_TOLERANCE = 1e-6  # distance outside an element, in its own coordinates, that is rounding
 NEWTON_STEPS = 20  # more than the coordinates of any point inside a cell need
-ON_FACE = 1e-9  # largest value of a shape function on a face that does not contain its node
+FACE_TOLERANCE = 1e-9  # largest value of a shape function on a face that does not contain its node
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +118,7 @@ def _find_local_coordinates(mesh: skfem.Mesh, cell: int, point: np.ndarray) -> n
             "ijkl,jkl->ikl", mapping.invDF(local, which), places - mapping.F(local, which)
         )
         local = local + step
-        if np.abs(step).max() < INSIDE**2:
+        if np.abs(step).max() < INSIDE_TOLERANCE**2:
             break
     return np.asarray(local[:, 0])
 

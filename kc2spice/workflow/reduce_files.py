@@ -245,12 +245,12 @@ def _reduce_matrices(
     with follow_stage(progress, "reduce", f"{model.order} equations"):
         _require_stable_full(model, band)
         result = _write_reduced_model(model.name, model.order, reduced, out, tolerance)
-    return result | {"full_form": form_of(model)}
+    return result | {"full_form": describe_order(model)}
 
 
 def _read_full_model(path: Path | str, progress: Progress) -> LinearModel | AffineModel:
     """Build the model of a scene's body, or read matrices."""
-    if (body := _scene_body(str(path), progress)) is not None:
+    if (body := _load_scene_body(str(path), progress)) is not None:
         return body
     progress("reduce", None, "reading matrices")
     return read_any_model(path)
@@ -448,7 +448,7 @@ def _fit_passive_model(
         if branches is None:
             raise
         return branches
-    if branches is not None and _pointwise_error(general, data) > LARGEST_MISFIT:
+    if branches is not None and _pointwise_error(general, data) > MAX_MISFIT:
         return branches
     if data.Y.shape[1] == 1:
         notes.append(note)
@@ -474,7 +474,7 @@ def _misfit(model: LinearModel, data: MeasuredAdmittance) -> _Misfit:
     certificate = model.certificate
     assert certificate is not None
     noise = data.relative_noise(certificate.norm)
-    return _Misfit(certificate.error_estimate, max(LARGEST_MISFIT, ABOVE_NOISE * noise), noise)
+    return _Misfit(certificate.error_estimate, max(MAX_MISFIT, MAX_NOISE_RATIO * noise), noise)
 
 
 def _pointwise_error(model: LinearModel, data: MeasuredAdmittance) -> float:
@@ -489,10 +489,10 @@ def _has_other_form(model: LinearModel, data: MeasuredAdmittance) -> bool:
     An example is a loudspeaker: its resonance is parallel, in series with a coil.
     """
     misfit = _misfit(model, data)
-    return misfit.exceeds and misfit.limit == LARGEST_MISFIT
+    return misfit.exceeds and misfit.limit == MAX_MISFIT
 
 
-def _require_near(model: LinearModel, data: MeasuredAdmittance) -> None:
+def _require_small_misfit(model: LinearModel, data: MeasuredAdmittance) -> None:
     """Refuse a model whose error exceeds the noise considerably."""
     certificate, misfit = model.certificate, _misfit(model, data)
     if certificate is None or not misfit.exceeds:
@@ -502,8 +502,8 @@ def _require_near(model: LinearModel, data: MeasuredAdmittance) -> None:
         "the circuit does not describe the measurement",
         where=data.where,
         got=f"an error of {misfit.error:.2g} {of}; {certificate.method}",
-        expected=f"at most {misfit.limit:.2g}: the larger of {LARGEST_MISFIT:g} and "
-        f"{ABOVE_NOISE:g} times {misfit.noise:.2g}, the noise of the measured "
+        expected=f"at most {misfit.limit:.2g}: the larger of {MAX_MISFIT:g} and "
+        f"{MAX_NOISE_RATIO:g} times {misfit.noise:.2g}, the noise of the measured "
         f"{data.quantity} in the admittance",
         hint="measure with more points on every resonance, with less noise, or a part of the "
         "band; no file was written",
@@ -566,7 +566,7 @@ def _describe_reduced(
     }
 
 
-def _scene_body(text: str, progress: Progress = ignore_progress) -> LinearModel | None:
+def _load_scene_body(text: str, progress: Progress = ignore_progress) -> LinearModel | None:
     """The full model of ``SCENE:PART`` with the ports that the scene needs, None for a path."""
     name, colon, part_name = text.rpartition(":")
     if not colon or Path(text).exists() or not (name in list_gallery() or name.endswith(".toml")):

@@ -26,8 +26,8 @@ from kc2spice.fem.heat_conduction import (
     HeatSolid,
     assemble_faces,
     assemble_heat,
-    common_faces,
-    face_nodes,
+    find_common_faces,
+    find_face_nodes,
     point_shares,
     split_nodes,
 )

@@ -133,7 +133,7 @@ def test_the_converter_of_the_tutorial_follows_its_equations_at_rest(tmp_path):
         (tmp_path / name).write_text(files[name])
     stop = {"solver.stop": 3000.0}  # 18 time constants of the board
     result = kc.run(tmp_path / "converter.toml", overrides=stop)
-    copper, fr4 = thermal_material("copper"), thermal_material("FR4")
+    copper, fr4 = find_thermal_material("copper"), find_thermal_material("FR4")
     board = 70e-6 / copper.conductivity[2] + 1.5e-3 / fr4.conductivity[2] + 1 / 25
     board /= 15e-4  # m2
 
