@@ -123,7 +123,7 @@ def _find_local_coordinates(mesh: skfem.Mesh, cell: int, point: np.ndarray) -> n
     return np.asarray(local[:, 0])
 
 
-def point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
+def find_point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
     """Return values (nodes,) of the shape functions at a point, or the nearest node outside."""
     geometry, result = solid.geometry, np.zeros(solid.count)
     mesh = geometry.mesh

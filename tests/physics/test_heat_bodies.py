@@ -28,7 +28,7 @@ from kc2spice.fem.heat_conduction import (
     assemble_heat,
     find_common_faces,
     find_face_nodes,
-    point_shares,
+    find_point_shares,
     split_nodes,
 )
 from kc2spice.fem.solid import Solid, compute_node_shares
@@ -651,6 +651,6 @@ def test_a_point_lies_in_the_quadrilateral_that_contains_it():
     mesh = MeshQuad.init_tensor(np.array([0.0, 1.0, 1.2, 1.4]), np.array([0.0, 1.0]))
     solid = HeatSolid(Solid(mesh, (), np.zeros(3, int)), (COPPER,))
     point = np.array([0.95, 0.3])
-    shares = point_shares(solid, point)
+    shares = find_point_shares(solid, point)
     assert shares.sum() == pytest.approx(1.0)
     assert solid.geometry.places @ shares == pytest.approx(point, abs=1e-12)
