@@ -32,6 +32,7 @@ FREQUENCIES = 20
 BANDS = {"elastic": (0.0, 140e3), "clamped": (0.0, 60e3), "free": (1e3, 90e3)}  # Hz
 SIDES = 5, 7, 9, 11  # elements of an elastic solid along its shortest half edge
 SIZES = 2.0, 1.4, 1.15  # mm, of the elements of piezoelectric bodies
+REPEATS, REPEATED = 3, 2  # runs of each of so many smallest sizes, whose medians are stated
 QUICK = {"elastic": (3, 4), "clamped": (4.0, 2.4), "free": (4.0, 2.4)}
 # As the command line sets them: threads of BLAS cost more than they save.
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -252,14 +253,23 @@ def extract_package(tag, folder):
         file.extractall(folder, filter="data")
 
 
+def median_stage(stage, kind, path, repeats, **options):
+    """Result of a stage whose CPU time and memory are medians of several runs."""
+    results = [run_stage(stage, kind, path, **options) for _ in range(repeats)]
+    keys = "cpu", "memory"
+    return results[0] | {key: float(np.median([item[key] for item in results])) for key in keys}
+
+
 def measure(kind, sizes, work, before=None):
     """Yield a table row for each size of one kind of model, with the results of all stages."""
-    for size in sizes:
+    for index, size in enumerate(sizes):
         path = work / f"{kind}_{size}.npz"
-        row = {"model": run_stage("model", kind, path, size=size)}
+        repeats = REPEATS if index < REPEATED else 1
+        row = {"model": median_stage("model", kind, path, repeats, size=size)}
         if before is not None:
-            row["before"] = run_stage("reduce", kind, path, package=before)
-        row |= {stage: run_stage(stage, kind, path) for stage in STAGES}
+            row["before"] = median_stage("reduce", kind, path, repeats, package=before)
+        row |= {stage: median_stage(stage, kind, path, repeats) for stage in ("reduce", "bound")}
+        row["error"] = run_stage("error", kind, path)
         path.unlink()
         print(f"{kind}, {row['model']['unknowns']} unknowns", file=sys.stderr, flush=True)
         yield row
