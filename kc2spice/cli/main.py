@@ -686,7 +686,7 @@ def _translate_argument_names(names: Container[str]) -> Iterator[None]:
         raise
 
 
-METHOD_COLUMNS = "method", "states", "error estimate", "CPU time"
+METHOD_COLUMNS = "method", "states", "error estimate", "of the peak", "CPU time"
 
 
 def _compare_methods(
@@ -713,8 +713,9 @@ def _format_method_row(row: dict[str, Any]) -> tuple[str, ...]:
     """Return the table row of one method; a method without a model has a reason."""
     cpu = f"{row['cpu_s']:.2g} s"
     if row["states"] is None:
-        return row["method"], "-", row["reason"], cpu
-    return row["method"], str(row["states"]), f"{row['error_estimate']:.2g}", cpu
+        return row["method"], "-", row["reason"], "", cpu
+    errors = (f"{row[key]:.2g}" for key in ("error_estimate", "peak_error"))
+    return row["method"], str(row["states"]), *errors, cpu
 
 
 @_register_command

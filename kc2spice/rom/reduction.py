@@ -32,10 +32,11 @@ from kc2spice.rom.reduce import (
     verified_first_step,
     warn_of_rounding_errors,
 )
-from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reduced_basis import LEAST_ERROR, SAFETY, ReducedBasis, Task
 from kc2spice.rom.reductors.balanced_truncation import hankel_singular_values
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.rational_krylov import RationalKrylov
+from kc2spice.rom.response import Response
 
 if TYPE_CHECKING:
     from kc2spice.rom.affine import AffineModel
@@ -393,6 +394,16 @@ class Reduction:
         require_valid(target)
         basis, order = self._basis_of_order(target)
         return basis.error(order) + self._intermediate.floor
+
+    def peak_error(self, rom: LinearModel) -> float:
+        """Return the error estimate of a reduced model relative to the peaks of its entries.
+
+        A model that misses a notch has a large error in the pointwise norm and a small one here.
+        """
+        estimator = self._intermediate.estimator(self.band, "peak")
+        difference = estimator.error(Response(rom.pencil.dense()))
+        estimate = self._intermediate.error + SAFETY * difference
+        return max(estimate, LEAST_ERROR) + self._intermediate.floor
 
     def _basis_of_order(self, target: Target) -> tuple[ReducedBasis, int]:
         """The best basis of a prescribed order, and the order."""

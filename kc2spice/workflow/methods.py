@@ -43,10 +43,10 @@ def compare_methods(
     -------
     dict[str, Any]
         What ``kc2spice reduce --method compare --json`` prints: ``methods`` contains a row for each
-        method with its ``order``, its ``states`` of first order, ``error_estimate`` and ``cpu_s``.
-        A method without a model has no states but a ``reason``. ``shared_cpu_s`` is the time of
-        the basis of the full-order model, which all methods use. ``stable`` is that of the
-        full-order model.
+        method with its ``order``, its ``states`` of first order, ``error_estimate`` in the norm,
+        ``peak_error``, which is relative to the peak of each entry, and ``cpu_s``. A method without
+        a model has no states but a ``reason``. ``shared_cpu_s`` is the time of the basis of the
+        full-order model, which all methods use. ``stable`` is that of the full-order model.
 
     Raises
     ------
@@ -113,12 +113,14 @@ def _run_method(
     except Exception as error:  # an error in a user's method must not end the comparison
         reason = f"{type(error).__name__}: {error}"
     row: dict[str, Any] = {"method": method, "order": None, "states": None, "error_estimate": None}
+    row["peak_error"] = None
     if rom is not None:
         assert rom.certificate is not None
         row |= {
             "order": rom.order,
             "states": first_order_states(rom),
             "error_estimate": rom.certificate.error_estimate,
+            "peak_error": reduction.peak_error(rom),
         }
     return row | {"cpu_s": time.process_time() - begin, "reason": reason}
 

@@ -4,6 +4,7 @@ import json
 
 import mor_families as families
 import numpy as np
+import oracle
 import pytest
 from scipy import sparse
 from scipy.linalg import solve_continuous_lyapunov
@@ -13,6 +14,7 @@ import kc2spice as kc
 from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
 from kc2spice.linalg import factor
+from kc2spice.workflow.methods import compare
 
 TOLERANCES = 1e-2, 1e-3, 1e-4, 1e-5, 1e-6
 
@@ -240,6 +242,23 @@ def test_all_methods_are_compared_in_one_table(tmp_path):
     assert wrong.exit_code == 2
     one = CliRunner().invoke(app, [*words, "--method", "IRKA", "--json", "-o", str(tmp_path / "o")])
     assert json.loads(one.stdout)["method"].startswith("IRKA; ")
+
+
+def test_a_comparison_states_the_error_relative_to_peaks():
+    """The error relative to peaks is that of dense solutions, and less than the pointwise one."""
+    matrices, band = families.damped_chain(40, 0.3), (0.0, 0.1)
+    model, full = kc.LinearModel(**matrices), oracle.system(matrices)
+    reduction = kc.Reduction(model, band=band, norm="pointwise")
+    rows = compare(model, band=band, order=16, norm="pointwise")["methods"]
+    stated = {row["method"]: row["peak_error"] for row in rows}
+    for method in ("IRKA", "response POD", "balanced truncation"):
+        rom = reduction.reduce(order=16, method=method)
+        small = oracle.system_of(rom)
+        error = oracle.largest_error(full, small, band, share=oracle.SHARES["peak"])
+        assert error <= reduction.peak_error(rom) <= 1.5 * error
+        assert reduction.peak_error(rom) < 0.5 * rom.certificate.error_estimate
+        assert stated[method] == pytest.approx(reduction.peak_error(rom), rel=1e-3)
+    assert stated["block Krylov"] is None
 
 
 def cube(n):
