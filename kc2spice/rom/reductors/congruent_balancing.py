@@ -78,5 +78,6 @@ class CongruentBalancing(Reductor):
         others = np.eye(len(rates)) - static @ static.T
         hankel, U = np.linalg.eigh(others @ gramian @ others)
         count = int((hankel > HANKEL_ROUNDING * hankel[-1]).sum())
+        count = min(count, len(rates) - static.shape[1])  # all others are rounding
         directions = np.hstack([static, U[:, ::-1][:, :count]])
         return task.project(X @ directions, fixed=static.shape[1])
