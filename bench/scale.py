@@ -293,6 +293,7 @@ def print_table(title, heads, rows, cells):
         cpu, memory = (growth(done, "reduce", key) for key in ("cpu", "memory"))
         print(f"\nCPU time of the reduction grows with the power {cpu:.2f} of the unknowns, "
               f"memory with the power {memory:.2f}.")  # fmt: skip
+    print(f"CPU times and memory of the first {REPEATED} rows are medians of {REPEATS} runs.")
     residual = max(row["error"]["residual"] for row in done)
     print(f"The reference solutions have residuals of at most {residual:.0e}.", flush=True)
 
