@@ -14,7 +14,7 @@ import kc2spice as kc
 from kc2spice.cli.main import app
 from kc2spice.core.errors import UsageError
 from kc2spice.linalg import factor
-from kc2spice.workflow.methods import compare
+from kc2spice.workflow.methods import compare_methods
 
 TOLERANCES = 1e-2, 1e-3, 1e-4, 1e-5, 1e-6
 
@@ -249,7 +249,7 @@ def test_a_comparison_states_the_error_relative_to_peaks():
     matrices, band = families.damped_chain(40, 0.3), (0.0, 0.1)
     model, full = kc.LinearModel(**matrices), oracle.system(matrices)
     reduction = kc.Reduction(model, band=band, norm="pointwise")
-    rows = compare(model, band=band, order=16, norm="pointwise")["methods"]
+    rows = compare_methods(model, band=band, order=16, norm="pointwise")["methods"]
     stated = {row["method"]: row["peak_error"] for row in rows}
     for method in ("IRKA", "response POD", "balanced truncation"):
         rom = reduction.reduce(order=16, method=method)
