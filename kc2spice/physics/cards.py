@@ -31,7 +31,7 @@ from kc2spice.netlist.expression import (
     walk_tree,
 )
 from kc2spice.netlist.spelling import LEAK_RATE, format_number
-from kc2spice.physics.declaration import Branch, Declaration
+from kc2spice.physics.declaration import TEMPERATURE, Branch, Declaration
 from kc2spice.physics.linkages import Linkages, find_linkages
 from kc2spice.physics.lookups import CELL, WEIGHT, Lookups, TableFunction, has_tables
 from kc2spice.physics.symbolic import (
@@ -236,7 +236,7 @@ def _write_linkages(
         yield from _write_lookup(name, lookups, (inverse - mean)[:, k, l])
     for k, branch in enumerate(linkages.branches):
         motion = substitute_names(plus(*lookups.split(linkages.motional[k])), nodes)
-        yield from _write_linkage(linkages.declaration, branch, henry, text(motion))
+        yield from _write_linkage(linkages.declaration, branch, henry, text(motion), nodes)
         n, base, terms = branch.name, lookups.base, []
         yield _comment("current", branch, node=n)
         for l, other in enumerate(linkages.branches):
@@ -253,20 +253,25 @@ def _inverse_node(k: int, l: int) -> str:
 
 
 def _write_linkage(
-    declaration: Declaration, b: Branch, henry: float, motion: str
+    declaration: Declaration, b: Branch, henry: float, motion: str, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
     """Write the resistance of a branch, and the flux linkage as a state."""
     n, base, inner = b.name, reference_node(declaration), f"rest_{b.name}"
     drop = declaration.direct_flow(b)
     resistance = derivative(drop, n)
-    if names(resistance) & declaration.variables:
+    varying = names(resistance) & declaration.variables
+    if varying - {TEMPERATURE}:
         raise UsageError(
             "a current with tables of inductance needs a constant resistance",
             where=declaration.name,
             got=text(drop),
         )
     yield _comment("linkage", b, node=f"l_{n}", scale=f"{henry:.6g}")
-    yield Element.of(f"R{inner}", b.plus, inner, f"{{{text(resistance)}}}")
+    if varying:
+        law = over(CircuitVariable("v", (b.plus, inner)), resistance)
+        yield Element.behaviour(f"B{inner}", b.plus, inner, "I", text(substitute_names(law, nodes)))
+    else:
+        yield Element.of(f"R{inner}", b.plus, inner, f"{{{text(resistance)}}}")
     yield Element.of(f"G{inner}", inner, b.minus, n, base, "1")
     yield Element.of(f"Cl_{n}", f"l_{n}", base, henry)
     yield Element.of(f"Gl_{n}", base, f"l_{n}", inner, b.minus, "1")

@@ -8,18 +8,24 @@ force and the flux linkages.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
 
+from kc2spice.core.domains import AMBIENT
 from kc2spice.core.magnets import CURRENT_EXPONENTS, Coenergy, EMTable, Piecewise
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import Writer, substitute_names
 from kc2spice.physics.declaration import (
+    COEFFICIENT,
+    HEAT,
+    REFERENCE,
     Branch,
     Declaration,
+    branch,
     current,
     displacement,
     measured,
@@ -67,6 +73,7 @@ def declare_coils(height: str = _RAISED) -> Declaration:
         coenergy=_write_coenergy(height),
         content="0.5*({}*i1^2 + {}*i2^2)".format(*_COILS),
         tables=_TABLES,
+        conductors=("i1", "i2"),
         **_choose_pins(height, _COILS),
     )
 
@@ -77,7 +84,21 @@ def declare_resistive_coils(height: str = _RAISED) -> Declaration:
     resistance = f"({' + '.join(_COILS)})"
     ends = voltage("v", "drive", "ret"), measured(voltage("across", "drive", "ret"))
     physics = {"signals": {"i": f"across/{resistance}"}, "content": f"0.5*v^2/{resistance}"}
-    return _declare_force("-i", "i", _COILS, height, ends, **physics)
+    return _declare_force("-i", "i", _COILS, height, ends, **physics, conductors=("v",))
+
+
+def add_heat_pin(declared: Declaration, coefficient: float, reference: float) -> Declaration:
+    """Return coils with a pin of heat, whose resistances follow its temperature.
+
+    A current that is a signal follows from the temperature too, which is then measured.
+    """
+    result = declared.with_heat_pin(coefficient, reference)
+    if not declared.signals:
+        return result
+    rise = measured(branch("temperature", "rise", HEAT, AMBIENT))
+    ratio = f"(1 + {COEFFICIENT}*(rise - {REFERENCE}))"
+    signals = {name: f"({text})/{ratio}" for name, text in declared.signals.items()}
+    return replace(result, branches=(*result.branches, rise), signals=signals)
 
 
 @cache
@@ -104,6 +125,7 @@ def _declare_force(
         Section,
         (_PLACE, *branches),
         forces={"y": Writer().write(force)},
+        ideal_work=True,
         tables=(*_TABLES, *(p + SLOPE for p in _TABLES)),
         **_choose_pins(height, names),
         **physics,
@@ -146,7 +168,8 @@ def make_law(
 
     The magnet is ``raised`` [m] above its coordinate.
     """
-    known = dict(zip(_COILS, table.resistance.tolist(), strict=True)) | given
+    known = {param.name: param.default for param in declaration.given}
+    known |= dict(zip(_COILS, table.resistance.tolist(), strict=True)) | given
     known |= {"raised": raised, "y_min": float(table.y[0]), "y_max": float(table.y[-1])}
     values = tuple(known[param.name] for param in declaration.given)
     return DeclaredLaw(name, declaration, values, tables=_table_functions(table.coenergy))

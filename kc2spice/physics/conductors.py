@@ -14,7 +14,7 @@ from pydantic import Field
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Section, si
 from kc2spice.physics.declaration import COEFFICIENT, HEAT, REFERENCE
-from kc2spice.scene.model import Part
+from kc2spice.scene.model import DeclaredScene, Part
 
 
 class ConductorKeys(Section):
@@ -51,6 +51,11 @@ def conductor_values(keys: Section) -> tuple[float | None, float]:
     if not isinstance(keys, ConductorKeys):
         return None, 0.0
     return keys.temperature_coefficient, keys.reference_temperature or 0.0
+
+
+def is_heated(part: Part, scene: DeclaredScene) -> bool:
+    """Return whether the scene joins the pin of heat of a part."""
+    return HEAT in part.pins or scene.is_target(part.name, HEAT)
 
 
 def refuse_conductor_keys(part: Part) -> Iterator[UsageError]:

@@ -217,7 +217,7 @@ def _unknown_name(
     )
 
 
-_ONE_TEMPERATURE = (
+ONE_TEMPERATURE = (
     "differences of temperature within the part",
     "all losses heat one place",
     "not estimated",
@@ -426,7 +426,7 @@ class Declaration:
             coefficient = self.temperature_coefficient
         branches = (*self.branches, branch("temperature", TEMPERATURE, HEAT, AMBIENT, HEAT))
         neglected = [row for row in self.neglected if row[0] != HEATING]
-        change: dict[str, Any] = {"neglected": (*neglected, _ONE_TEMPERATURE)}
+        change: dict[str, Any] = {"neglected": (*neglected, ONE_TEMPERATURE)}
         if self.conductors:
             ratio = f"1 + {COEFFICIENT}*({TEMPERATURE} - {REFERENCE})"
             change["limits"] = {**self.limits, "the range of resistances": ratio}

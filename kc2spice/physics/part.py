@@ -27,7 +27,7 @@ from kc2spice.physics.cards import (
     reference_node,
     subcircuit_items,
 )
-from kc2spice.physics.conductors import conductor_values, refuse_conductor_keys
+from kc2spice.physics.conductors import conductor_values, is_heated, refuse_conductor_keys
 from kc2spice.physics.declaration import HEAT, HEAT_PINS, Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.linkages import find_linkages
@@ -97,10 +97,6 @@ class DeclaredPart(PartType[KeysT]):
         """Declaration of a part whose model may be built."""
         return self.declared(part, build.scene)
 
-    def is_heated(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
-        """Return whether the scene joins the pin of heat of a part."""
-        return HEAT in part.pins or scene.is_target(part.name, HEAT)
-
     def resolved_declaration(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
         """Declaration of a part, with the pin of heat if the scene joins this pin."""
         return self._with_heat_pin(self.declared(part, scene), part, scene)
@@ -112,13 +108,13 @@ class DeclaredPart(PartType[KeysT]):
     def _with_heat_pin(
         self, declaration: Declaration, part: Part[KeysT], scene: DeclaredScene
     ) -> Declaration:
-        if not self.is_heated(part, scene) or not declaration.offers_heat_pin:
+        if not is_heated(part, scene) or not declaration.offers_heat_pin:
             return declaration
         coefficient, reference = conductor_values(part.keys)
         return declaration.with_heat_pin(coefficient, reference)
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterator[UsageError]:
-        if not self.is_heated(part, scene):
+        if not is_heated(part, scene):
             yield from refuse_conductor_keys(part)
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:

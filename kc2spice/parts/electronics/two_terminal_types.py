@@ -18,7 +18,7 @@ from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.expression import Number, Tree
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import LEAK_RATE
-from kc2spice.physics.conductors import ConductorKeys
+from kc2spice.physics.conductors import ConductorKeys, is_heated
 from kc2spice.physics.declaration import (
     Branch,
     Declaration,
@@ -151,7 +151,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return float(evaluate_tree(tree, self.declaration.values(part.keys)))
 
     def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
-        return self.is_heated(part, scene)
+        return is_heated(part, scene)
 
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
@@ -159,10 +159,10 @@ class LinearElement(DeclaredPart[KeysT]):
         return super().subcircuits(part, build, header) if self._is_heated_in(part, build) else ()
 
     def _is_heated_in(self, part: Part[KeysT], build: Build) -> bool:
-        return self.is_heated(part, build.scene)
+        return is_heated(part, build.scene)
 
     def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterator[tuple[str, ...]]:
-        if self.is_heated(part, scene):
+        if is_heated(part, scene):
             return
         n = part.name
         yield from ((f"V{n}", "meter"), (n.lower(), "metered"), (f"G{n}", "leak"))
@@ -238,7 +238,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return {f"{n}.{b.across}": difference, f"{n}.{b.through}": through}
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
-        if self.is_heated(part, scene):
+        if is_heated(part, scene):
             yield from super().notes(part, scene)
             return
         row = next(row for row in TABLE if row.name == self.name)

@@ -18,7 +18,7 @@ from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.cache import load_or_build
-from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
+from kc2spice.core.domains import AMBIENT, BASE, DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
 from kc2spice.core.magnets import (
@@ -34,14 +34,18 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.magnet_keys import Catch, Ring
 from kc2spice.netlist.circuit import Pin, positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.spelling import format_voltage
 from kc2spice.parts.bodies._pictures import plot_impedances
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics.netlist import driver
+from kc2spice.parts.magnetics import _coil_heat
 from kc2spice.parts.mechanics._touching import Penetration, TouchablePart, impact_penetration
 from kc2spice.parts.mechanics.sphere import height_offset, sphere_of
 from kc2spice.physics import coils
+from kc2spice.physics.conductors import ConductorKeys, is_heated, refuse_conductor_keys
+from kc2spice.physics.declaration import HEAT, ONE_TEMPERATURE, TEMPERATURE
 from kc2spice.physics.part import declared_subcircuit
-from kc2spice.scene.checks import Check, Gate, Metric
+from kc2spice.scene.checks import Balance, Check, Gate, Metric
 from kc2spice.scene.model import (
     GROUND,
     Build,
@@ -51,14 +55,17 @@ from kc2spice.scene.model import (
     Part,
     Scene,
     Terminal,
+    WiredScene,
 )
 from kc2spice.scene.parttype import register
 from kc2spice.scene.plausible import check_range
-from kc2spice.scene.rows import Neglected, Vector
+from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.synthesis.header import SIGN_TEXT
 
 MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 
+COLD = "coils at the temperature of their data, nothing heats up"
+HOT = "resistances linear in the temperature, which both coils have in common"
 UNRATED = "not known; compare the coils' currents with what their wire stands"
 USUAL_CURRENT = 0.1  # A, current of the shown and compared forces if a scene states no limit
 FINER = 2  # ratio of cells along each edge of the mesh in verify to cells of the table
@@ -71,7 +78,7 @@ COILS = ("lower", "upper")
 SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__)
 
 
-class Coils(Catch):
+class Coils(ConductorKeys, Catch):
     """Electromagnetic catch actuator; real coils may have a driver."""
 
     driver: dict[str, dict[str, Any]] | None = Field(
@@ -131,6 +138,7 @@ def coils_subcircuit(
     apart: bool = True,
     points: int = POINTS,
     rating: str = UNRATED,
+    wire: tuple[float, float] | None = None,
 ) -> Subcircuit:
     """The coils and the force they put on the sphere's node ``v``.
 
@@ -139,7 +147,9 @@ def coils_subcircuit(
     height instead of six, and the same force. Pins and law are those of
     :func:`kc2spice.physics.coils.declare_coils`.
 
-    ``points`` are the heights of the resampled lookups, equally spaced over the table.
+    ``points`` are the heights of the resampled lookups, equally spaced over the table. ``wire`` are
+    the temperature coefficient [1/K] and the reference temperature [K] of the wire; without both,
+    there are no pins of heat.
     """
     declared = coils.declare_coils("y") if apart else coils.declare_resistive_coils("y")
     low, high = DISPLACEMENT.per_unit * table.y[[0, -1]]
@@ -151,13 +161,15 @@ def coils_subcircuit(
             for coil, ohm in zip(COILS, table.resistance, strict=True)
         ),
         validity=f"sphere's centre from {low:g} to {high:g} {DISPLACEMENT.pin_unit}, "
-        "constant forces beyond; linear magnetics; coils at the temperature of their data, nothing "
-        "heats up",
+        f"constant forces beyond; linear magnetics; {COLD if wire is None else HOT}",
         rating=rating,
         sign=SIGN_TEXT,
         mesh=f"error estimate of the field: {errors}" if errors else "",
     )
-    pins = tuple(Pin(end.name, end.unit, end.flow) for end in (PINS if apart else SERIES_PINS))
+    ends = PINS if apart else SERIES_PINS
+    if wire is not None:
+        stated, ends = coils.add_heat_pin(stated, *wire), (*ends, *_coil_heat.PINS)
+    pins = tuple(Pin(end.name, end.unit, end.flow) for end in ends)
     tables = coils.list_tables(table, points)
     return declared_subcircuit(header, name, stated, {}, tables=tables, pins=pins)
 
@@ -180,12 +192,19 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return {f"{part.name}_driver": {**table, "pins": pins}}
 
     def pins(self, part: Part[Coils], scene: JoinedScene) -> tuple[Terminal, ...]:
+        thermal = _coil_heat.PINS if is_heated(part, scene) else ()
         if not has_real_coils(part, scene):
             rest = None if _is_driven(part, scene) else "gnd"
-            return (*(replace(end, default=rest) for end in SERIES_PINS[:2]), *PLACE)
-        return tuple(
+            return (*(replace(end, default=rest) for end in SERIES_PINS[:2]), *PLACE, *thermal)
+        ends = (
             replace(pin, default=f"{part.name}.un") if pin.name == "ln" else pin for pin in PINS
         )
+        return (*ends, *thermal)
+
+    def at_rest(self, part: Part[Coils], scene: WiredScene) -> Rest:
+        """Return the clamps of all pins with a path except the pin of heat, which has none."""
+        clamps = super().at_rest(part, scene).paths
+        return Rest(tuple(path for path in clamps if HEAT not in path))
 
     def default_joins(self, part: Part[Coils], scene: GovernedScene) -> Mapping[str, str]:
         ball = sphere_of(part, scene).name
@@ -193,6 +212,8 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return {"y": f"{ball}.y", "v": f"{ball}.v"}
 
     def problems(self, part: Part[Coils], scene: GovernedScene) -> Iterator[UsageError]:
+        if not is_heated(part, scene):
+            yield from refuse_conductor_keys(part)
         keys, name, ball = part.keys, part.name, sphere_of(part, scene)
         radius = ball.keys.radius
         if keys.y_min >= keys.y_max:
@@ -290,7 +311,9 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return table.scale_magnets(keys.remanence, keys.shift)
 
     def library(self, part: Part[Coils], scene: Scene) -> str:
-        return "coil" if _has_coil_terminals(part, scene) and part.name == "catch" else part.name
+        coil = _has_coil_terminals(part, scene) and part.name == "catch"
+        name = "coil" if coil else part.name
+        return f"heated_{name}" if is_heated(part, scene) else name
 
     def subcircuits(
         self, part: Part[Coils], build: Build, header: Header
@@ -304,6 +327,8 @@ class RingMagnetCoils(TouchablePart[Coils]):
         rating += f"warms its copper by {keys.rated_rise:g} K without cooling; steady current: not "
         rating += "known, it depends on that"
         words: dict[str, Any] = {"apart": apart, "points": keys.points, "rating": rating}
+        if is_heated(part, build.scene):
+            words["wire"] = _coil_heat.wire_values(keys)
         return (coils_subcircuit(header, build.model(part, EMTable), name, **words),)
 
     def vectors(self, part: Part[Coils], build: Build) -> Mapping[str, Vector]:
@@ -318,8 +343,19 @@ class RingMagnetCoils(TouchablePart[Coils]):
             for k, name in enumerate(result, 1):
                 result[name] = Vector(f"v({inst}.i{k})", 1.0, "A")
             up, lp = build.net(part, "up"), build.net(part, "lp")
-            result[f"{prefix}.voltage"] = Vector(f"v({up})-v({lp})", 1.0, "V")
+            across = format_voltage(up, lp) or "v(0)"
+            result[f"{prefix}.voltage"] = Vector(across, 1.0, "V")
+        if is_heated(part, build.scene):
+            result |= self._thermal_vectors(part, build)
         return result
+
+    def _thermal_vectors(self, part: Part[Coils], build: Build) -> dict[str, Vector]:
+        """Results of the pin of heat: its temperature rise [K] and the heat flow into it [W]."""
+        across = format_voltage(build.net(part, HEAT), build.net(part, AMBIENT)) or "v(0)"
+        meter = f"i(v.x{part.name}.vmeter_{TEMPERATURE})".lower()
+        flow = Vector(meter, 1.0, "W", (AMBIENT,), (HEAT,))
+        prefix = result_prefix(part)
+        return {f"{prefix}.{TEMPERATURE}": Vector(across, 1.0, "K"), f"{prefix}.{HEAT}": flow}
 
     def forces(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
@@ -339,20 +375,28 @@ class RingMagnetCoils(TouchablePart[Coils]):
         )
         if apart:
             stated, ends = coils.declare_coils(), (("i1", 1.0), ("i2", 1.0))
+        heated = is_heated(part, scene)
+        if heated:
+            stated = coils.add_heat_pin(stated, *_coil_heat.wire_values(part.keys))
         law = coils.make_law(n, stated, table, height_offset(part, "y", scene))
         results = {}
         for coil, (wave, sign) in zip(COILS, ends, strict=True):
             results[f"{prefix}.{coil}.current"] = laws.scaled_wave(f"{n}.{wave}", sign)
         if apart:
             results[f"{prefix}.voltage"] = laws.wave_difference(f"{n}.up", f"{n}.lp")
+        if heated:
+            pins = f"{n}.{HEAT}", f"{n}.{AMBIENT}"
+            results[f"{prefix}.{TEMPERATURE}"] = laws.wave_difference(*pins)
+            results[f"{prefix}.{HEAT}"] = laws.scaled_wave(f"{n}.{HEAT}.through")
         return laws.Equations((law,), law.joins, results)
 
     def metrics(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, object]:
+        result = _coil_heat.heat_metrics(part.keys, result_prefix(part), waves)
         if f"{result_prefix(part)}.voltage" not in waves:
-            return {}
+            return result
         current = waves[f"{result_prefix(part)}.upper.current"]
         voltage = float(np.abs(waves[f"{result_prefix(part)}.voltage"]).max())
-        return {
+        return result | {
             "coil_voltage_peak_v": Metric(voltage, "V"),
             "coil_current_peak_a": Metric(float(np.abs(current).max()), "A"),
         }
@@ -392,12 +436,20 @@ class RingMagnetCoils(TouchablePart[Coils]):
         changed /= np.abs(fine.inductance).max()
         yield Check(f"mesh of {part.name} half as wide, inductance", float(changed), COARSE)
 
-    def checks(self, part: Part[Coils], build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
+    def checks(
+        self, part: Part[Coils], build: Build, waves: Waveforms
+    ) -> Iterator[Check | Balance | Gate]:
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
         if y is None or "time" not in waves:
             return
         currents = _coil_currents(part, waves)
-        if currents:
+        if is_heated(part, build.scene):
+            table, prefix = build.model(part, EMTable), result_prefix(part)
+            resistance = dict(zip(COILS, table.resistance.tolist(), strict=True))
+            yield from _coil_heat.balance_heat(part.keys, prefix, resistance, currents, waves)
+            rise = part.keys.rated_rise
+            yield from _coil_heat.check_temperature(part.name, prefix, rise, waves)
+        elif currents:
             squares = np.square(list(currents.values()))
             heating = float(np.trapezoid(squares, waves["time"]).max())
             advice = "the coils overheat: less current, or thicker wire, or shorter"
@@ -464,9 +516,14 @@ class RingMagnetCoils(TouchablePart[Coils]):
             f"A = 0 at radius {keys.air_radius:g} m",
             f"compare with {part.name}.air_radius and {part.name}.air_height doubled",
         )
+        heated = is_heated(part, scene)
+        if heated:
+            yield Neglected(*ONE_TEMPERATURE)
         if _is_driven(part, scene) and not has_real_coils(part, scene):
             yield Neglected(
-                "coil voltage, inductance and self-heating",
+                "coil voltage and inductance"
+                if heated
+                else "coil voltage, inductance and self-heating",
                 "an ideal current source feeds the coils",
                 f"real coils must slew {largest_current(part, scene):g} A against L di/dt; L and R "
                 f"are in the result under model.{part.name}",

@@ -1,0 +1,93 @@
+"""Heat of the wire of two coils: pins, the heat balance of a run, and the temperature rise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from kc2spice.core.domains import AMBIENT, THERMAL
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.fem.thermal_materials import find_resistance_coefficient
+from kc2spice.physics.conductors import ConductorKeys, conductor_values
+from kc2spice.physics.declaration import HEAT, TEMPERATURE
+from kc2spice.scene.checks import Balance, Check, Metric
+from kc2spice.scene.model import GROUND, Terminal
+
+PINS = Terminal.of(HEAT, THERMAL), Terminal.of(AMBIENT, THERMAL, GROUND)
+_UNEXPLAINED = 1e-3  # fraction of the heat that the steps of a run may lose
+
+
+def wire_values(keys: ConductorKeys) -> tuple[float, float]:
+    """Return temperature coefficient [1/K] and reference temperature [K] of the wire."""
+    coefficient, reference = conductor_values(keys)
+    return find_resistance_coefficient("copper") if coefficient is None else coefficient, reference
+
+
+def resistance_ratio(keys: ConductorKeys, temperature: np.ndarray) -> np.ndarray:
+    """Resistance at a ``temperature`` [K] over ambient relative to the stated one."""
+    coefficient, reference = wire_values(keys)
+    return np.asarray(1 + coefficient * (temperature - reference))
+
+
+def balance_heat(
+    keys: ConductorKeys,
+    prefix: str,
+    resistance: Mapping[str, float],
+    currents: Mapping[str, np.ndarray],
+    waves: Waveforms,
+) -> Iterator[Balance]:
+    """Yield the balance of the heat of the wire and of the heat flow through the pin.
+
+    Parameters
+    ----------
+    keys : ConductorKeys
+        Temperature coefficient and reference temperature of the wire.
+    prefix : str
+        First word of the results of the coils.
+    resistance : mapping of str to float
+        Resistance of each coil at the reference temperature [Ohm].
+    currents : mapping of str to numpy.ndarray
+        Current of each coil [A] over time.
+    waves : Waveforms
+        Results of a transient.
+    """
+    if f"{prefix}.{HEAT}" not in waves or not currents:
+        return
+    power = np.zeros_like(waves["time"])
+    for coil, current in currents.items():
+        power += resistance[coil] * current**2
+    power *= resistance_ratio(keys, waves[f"{prefix}.{TEMPERATURE}"])
+    step, flow = np.diff(waves["time"]), -waves[f"{prefix}.{HEAT}"]
+    lost, left = ((wave[1:] + wave[:-1]) / 2 * step for wave in (power, flow))
+    missing = float(np.abs(np.cumsum(lost - left)).max(initial=0.0))
+    entries = {
+        "lost in the wire": float(lost.sum()),
+        f"given off by the pin {HEAT}": float(left.sum()),
+    }
+    yield Balance(entries, missing, float(lost.sum()), _UNEXPLAINED)
+
+
+def check_temperature(
+    name: str, prefix: str, rated_rise: float, waves: Waveforms
+) -> Iterator[Check]:
+    """Yield the check of the largest temperature rise [K] of the wire."""
+    if f"{prefix}.{TEMPERATURE}" in waves:
+        largest = float(waves[f"{prefix}.{TEMPERATURE}"].max())
+        advice = "the coils overheat: less current, or a better path for their heat"
+        yield Check(
+            f"temperature rise of {name}", max(largest, 0.0), rated_rise, "K", advice, "warn"
+        )
+
+
+def heat_metrics(keys: ConductorKeys, prefix: str, waves: Waveforms) -> dict[str, Metric]:
+    """Return rise, heat and largest resistance of the coils, none without their temperature."""
+    if f"{prefix}.{TEMPERATURE}" not in waves or "time" not in waves:
+        return {}
+    rise = waves[f"{prefix}.{TEMPERATURE}"]
+    heat = -float(np.trapezoid(waves[f"{prefix}.{HEAT}"], waves["time"]))
+    return {
+        "coil_temperature_rise_k": Metric(float(rise.max()), "K"),
+        "coil_heat_j": Metric(heat, "J"),
+        "coil_resistance_ratio": Metric(float(resistance_ratio(keys, rise).max())),
+    }
