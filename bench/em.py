@@ -50,8 +50,8 @@ def em(setup):
     points.append(Point("brute force", label, superposed.error, brute_time, errors))
     plane = Plane(
         "em", f"Table of the magnets' force, {cases.shape[0]} current pairs",
-        "force error over the largest force", "CPU time [s]", tuple(points),
-        (f"The error is that of the spline, compared with finite elements at {dense.y.size} "
+        "force error divided by the largest force", "CPU time [s]", tuple(points),
+        (f"The error is the difference between the spline and finite elements at {dense.y.size} "
          "heights",),
     )  # fmt: skip
     what = f"brute force over superposition, {count} cases; error: between the two"

@@ -41,11 +41,11 @@ class Transient:
         reference = "The reference is the same reduced model, integrated with a relative tolerance"
         notes.append(f"{reference} of 1e-9")
         notes.append(
-            "Methods without inertia at the contact are compared with the reference integration of "
+            "Methods with a massless contact node are compared with the reference solution of "
             "kc2spice"
         )
         notes.append(
-            "The time of ngspice is the CPU time of the whole process, with start-up and files"
+            "The time of ngspice is the CPU time of the whole process, including start-up and files"
         )
         notes.append(
             "The time steppers of pyMOR accept linear models only, so they cannot simulate the "

@@ -51,7 +51,7 @@ def writers(setup):
         ratios.append(speed_up(f"scikit_rf_vs_ours_{analysis[1:]}", peer.time, own, 1.0, what))
     points += _first_order(setup, ratios)
     plane = Plane(
-        "writers", "Netlists of the same poles", "largest error over the largest response",
+        "writers", "Netlists of the same poles", "largest error divided by the largest response",
         "CPU time [s]", tuple(points),
         ("In .tran the error is relative to the netlist of scikit-rf",),
     )  # fmt: skip

@@ -197,11 +197,11 @@ def run(
     """
     if out is not None and not isinstance(out, (str, Path)):
         raise UsageError(
-            "not a directory",
+            "out is not the path of a directory",
             where="out",
             got=repr(out)[:120],
             expected="a path",
-            hint='other values of keys: kc.run(SCENE, overrides={"rom.order": 10})',
+            hint='to change keys, write kc.run(SCENE, overrides={"rom.order": 10})',
         )
     loaded = load_scene(scene, overrides or {})
     edited = None if deck is None else Path(deck)
@@ -263,7 +263,12 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
     """
     if not isinstance(deck, Deck):
         got = type(deck).__name__
-        raise UsageError("not a deck", where="deck", got=got, hint="kc.run runs a scene")
+        raise UsageError(
+            "this file is not a deck",
+            where="deck",
+            got=got,
+            hint="to simulate a scene, write kc.run(SCENE)",
+        )
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
         waves = run_deck(deck, Path(work), timeout=timeout)
     record = {"scene": deck.name, "version": __version__, "netlist": deck.main}
@@ -420,7 +425,9 @@ class Result:
 
     def _over(self, scale: str) -> np.ndarray:
         if self.scale != scale:
-            raise UsageError(f"this result is not over {scale}", where=self.scene, got=self.scale)
+            raise UsageError(
+                f"this result is not a function of {scale}", where=self.scene, got=self.scale
+            )
         return self.waves[scale]
 
     def plot(self, *names: str) -> Any:
@@ -443,12 +450,17 @@ class Result:
         _, *known = self.waves
         for name in names:
             if name not in known:
-                raise unknown("no such wave or figure", name, [*self.figures, *known], self.scene)
+                raise unknown(
+                    "the result has no such waveform or figure",
+                    name,
+                    [*self.figures, *known],
+                    self.scene,
+                )
         probes = {name: Probe(of=name) for name in names or known}
         for figure in plot_probes(probes, Waveforms(dict(self.waves), {}), self.units):
             return make_notebook_figure(figure)
         raise UsageError(
-            "a plot needs at least two points",
+            "this result has fewer than two points, so it cannot be drawn",
             where=self.scene,
             got=self.scale,
             expected="a result over time, frequency or a sweep",
@@ -570,7 +582,7 @@ class Table(tuple[dict[str, Any], ...]):
         if not isinstance(column, str):
             return super().__getitem__(column)
         if column not in self.columns:
-            raise unknown("no such column", column, self.columns)
+            raise unknown("the table has no such column", column, self.columns)
         return [row[column] for row in self]
 
     def save(self, path: str | Path) -> Path:
@@ -625,11 +637,11 @@ def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
     for key, item in values.items():
         if isinstance(item, str) or not hasattr(item, "__len__"):
             hint = f"write [{item!r}] for a single value"
-            raise UsageError("not a list of values", where=f"values: {key}", got=repr(item)[:120],
-                             expected=expected, hint=hint)  # fmt: skip
+            raise UsageError("the values of a key are not a list", where=f"values: {key}",
+                             got=repr(item)[:120], expected=expected, hint=hint)  # fmt: skip
     if not values or not all(map(len, values.values())):
-        raise UsageError("nothing to sweep", where="values", got=repr(dict(values))[:120],
-                         expected=expected)  # fmt: skip
+        raise UsageError("no key has more than one value to sweep", where="values",
+                         got=repr(dict(values))[:120], expected=expected)  # fmt: skip
 
 
 def sweep(

@@ -207,7 +207,7 @@ def _find_damping_frequency(model: LinearModel, damping: Damping) -> float | Non
         raise UsageError(
             "the body has no resonance at which its damping is stated",
             where="damping.at",
-            expected='the frequency of ratio or quality, such as at = "10 kHz"',
+            expected="the frequency at which ratio or quality applies",
             hint='add  at = "10 kHz"  to the damping of this body',
         )
     return first
@@ -313,13 +313,13 @@ def _constrain_potentials(
         pins = [pin for pin, nodes in setup.electrodes.items() if np.isin(common, nodes).any()]
         got = f"{len(common)} common nodes of {', '.join(pins)}"
         expected = "a gap between any two electrodes"
-        raise wrong("electrodes", "electrodes touch each other", got, expected, hint)
+        raise wrong("electrodes", "two electrodes have common nodes", got, expected, hint)
     if setup.graded is not None:
         times_driven[setup.graded[0]] += 1
     _, piece = connected_components(K_pp, directed=False)
     if np.setdiff1d(piece[live], piece[times_driven > 0]).size:
-        problem = "a ceramic touches no electrode: its potential is undetermined"
-        hint = "every piezoelectric piece needs an electrode on one face at least"
+        problem = "a piezoelectric solid touches no electrode, so its potential is undetermined"
+        hint = "add an electrode on a face of each piezoelectric solid"
         raise wrong("electrodes", problem, hint=hint)
 
     def indicate_nodes(nodes: np.ndarray, values: float | np.ndarray = 1.0) -> sparse.csc_array:
@@ -498,7 +498,10 @@ class BondedBlocks:
             points, place = _merge_edges(edges)
             counted, alike = _merge_edges(model_edges)
             if not np.array_equal(place, alike):
-                problem = "the body's edges change their order, which no mesh that moves can follow"
+                problem = (
+                    "the order of the edges of the body changes within the ranges, which "
+                    "a moving mesh does not support"
+                )
                 expected = "sizes that keep which edge lies beyond which: narrower ranges"
                 raise wrong(self.where, problem, expected=expected)
             counts = np.ceil(np.diff(counted) / model.size - 1e-9).astype(int)

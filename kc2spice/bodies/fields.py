@@ -84,7 +84,7 @@ def recover_motion(
     for name, wave in inputs.items():
         if name not in names or np.shape(wave) != np.shape(time):
             expected = f"{len(time)} values of one of {', '.join(names)}"
-            problem = "not a port waveform of this body"
+            problem = "this waveform does not belong to a port of this body"
             raise wrong("fields", problem, f"{name} {np.shape(wave)}", expected)
         u[:, names.index(name)] = wave
     t = np.asarray(time)

@@ -85,7 +85,9 @@ def recover_temperatures(
         if name not in names or np.shape(wave) != np.shape(time):
             expected = f"{len(time)} values of one of {', '.join(names)}"
             got = f"{name} {np.shape(wave)}"
-            raise wrong("fields", "not the heat flow of a port of this body", got, expected)
+            raise wrong(
+                "fields", "this waveform is not the heat flow of a port of this body", got, expected
+            )
         q[:, names.index(name)] = wave
     t = np.asarray(time)
     K, E = model.pencil.coefficients

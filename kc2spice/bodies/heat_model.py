@@ -169,7 +169,7 @@ def _constrain_temperatures(solid: HeatSolid, setup: HeatSetup) -> sparse.csc_ar
     taken[setup.fixed] = 1
     for port, nodes in setup.isothermal:
         if taken[nodes].any():
-            problem = "this face has common nodes with another one of a given temperature"
+            problem = "this face has common nodes with another face of prescribed temperature"
             hint = "choose groups of faces without common nodes"
             raise wrong(f"isothermal.{port.name}", problem, hint=hint)
         taken[nodes] = 1

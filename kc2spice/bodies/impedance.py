@@ -78,11 +78,11 @@ def analyse_impedance(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Analy
     if f.ndim != 1 or f.shape != Z.shape or len(f) < _MIN_SAMPLES:
         expected = f"two arrays of one length, at least {_MIN_SAMPLES}"
         got = f"shapes {f.shape} and {Z.shape}"
-        raise wrong(None, "not samples of an impedance", got, expected)
+        raise wrong(None, "these arrays are not samples of an impedance", got, expected)
     good = np.isfinite(f).all() and np.isfinite(Z).all() and (Z != 0).all()
     if not good or f[0] <= 0 or not (np.diff(f) > 0).all():
         expected = "finite values at frequencies that increase from above zero"
-        raise wrong(None, "not samples of an impedance", expected=expected)
+        raise wrong(None, "these arrays are not samples of an impedance", expected=expected)
     Y = 1 / Z
     window = _select_window(f, Y)
     bvd = _fit_circuit(f[window], Y[window])
@@ -122,7 +122,7 @@ def _require_resonance(
         got = f"a circuit of Q {quality:.2g} at {resonance:.4g} Hz, which does not oscillate"
     elif np.abs(branch.real).max() > MIN_PROMINENCE * float(np.sqrt(np.mean(ripple**2))):
         return
-    raise wrong(None, "no resonance among the samples", got, hint="widen the band")
+    raise wrong(None, "the samples contain no resonance", got, hint="use a wider frequency band")
 
 
 def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
@@ -136,7 +136,9 @@ def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
     inner = inner[G[inner] > 0]
     if len(inner) == 0:
         hint = "widen the band, or add damping so that samples can see the peak"
-        raise wrong(None, "no resonance among the samples", f"{f[0]:g} to {f[-1]:g} Hz", hint=hint)
+        raise wrong(
+            None, "the samples contain no resonance", f"{f[0]:g} to {f[-1]:g} Hz", hint=hint
+        )
     peak = int(inner[G[inner] >= G[inner].max() / 20][0])
     R = (1 / Y).real
     later = np.flatnonzero((R[1:-1] >= R[:-2]) & (R[1:-1] > R[2:])) + 1
@@ -145,7 +147,7 @@ def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
     reach = max(top - peak, 4)
     low, high = max(0, peak - reach), min(len(f), top + reach // 4 + 2)
     if high - low < _MIN_SAMPLES:
-        problem = "too few samples around the resonance"
+        problem = "the data have too few samples around the resonance"
         raise wrong(
             None, problem, f"{high - low} around {f[peak]:g} Hz", f"at least {_MIN_SAMPLES}"
         )
@@ -173,7 +175,7 @@ def _fit_circuit(f: np.ndarray, Y: np.ndarray) -> BVD:
     c0 = (c3 - a * c4 / b) / b
     cm = c1 - c0
     if not min(a, b, c0, cm) > 0:
-        problem = "the samples are not those of a resonance beside a capacitor"
+        problem = "the samples do not match a resonance in parallel with a capacitor"
         hint = "take more samples between resonance and antiresonance"
         raise wrong(None, problem, f"C0 {c0:g}, C {cm:g}, R C {a:g}, L C {b:g} (scaled)", hint=hint)
     scale = 1 / (2 * math.pi * unit)

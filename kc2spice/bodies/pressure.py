@@ -165,7 +165,7 @@ def compute_local_compliance(chip: Chip, shape: PressureBasis) -> LocalComplianc
     lowest = float(np.linalg.eigvalsh(S - coarse)[0])
     if lowest < 0:
         raise SimulationError(
-            "the mesh of the stack is softer than the graded mesh under the contact pressure",
+            "under the contact pressure, the mesh of the stack is softer than its local refinement",
             where="contact.shape",
             got=f"compliance {lowest:.3g} m/N of a basis function",
             expected="above 0",

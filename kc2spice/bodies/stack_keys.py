@@ -36,7 +36,7 @@ class ChipMesh(Section):
     """
 
     refine: Count = Field(
-        1, ge=1, le=6, description="Factor by which the cells along each edge are multiplied"
+        1, ge=1, le=6, description="Factor that multiplies the number of cells along each edge"
     )
     order: Literal[1, 2] = Field(1, description="Polynomial order of the finite elements")
     sectors: Count = Field(10, ge=2, le=180, description="Number of sectors of the quarter circle")
@@ -55,7 +55,8 @@ class ChipMesh(Section):
         ge=1,
         le=100,
         description=(
-            "Largest number of layers in one element; elements grow with their depth below the top"
+            "Largest number of layers in one element; the number increases with the depth below "
+            "the top"
         ),
     )
 
@@ -63,7 +64,9 @@ class ChipMesh(Section):
     def _require_even_sectors(self) -> ChipMesh:
         """Require an even number of sectors."""
         if self.sectors % 2:
-            raise ValueError("sectors: no mesh line meets the chip's corner, give an even number")
+            raise ValueError(
+                "sectors must be an even number, so that a mesh line meets the corner of the chip"
+            )
         return self
 
 
@@ -94,7 +97,7 @@ class Cap(Section):
     material: str | dict[str, Any] | None = Field(
         None,
         description=(
-            "Material of the inactive layer, a name or a table; by default that of the chip"
+            "Material of the inactive layer, a name or a table; by default the material of the chip"
         ),
     )
 
@@ -122,16 +125,16 @@ class Chip(Section):
         None, gt=0, description="Second width of a rectangular chip; by default equal to side"
     )
     diameter: Width | None = Field(
-        None, gt=0, description="Diameter of a round stack, instead of the key `side`"
+        None, gt=0, description="Diameter of a round stack; cannot be combined with the key `side`"
     )
     layers: Count = Field(33, ge=1, le=400, description="Number of active layers")
     layer_thickness: Length | None = Field(
-        None, gt=0, description="Thickness of one layer, instead of height"
+        None, gt=0, description="Thickness of one layer; cannot be combined with height"
     )
     height: Extent = Field(
         default_factory=_default_height,
         gt=0,
-        description="Height of all layers together",
+        description="Total height of all layers",
     )
     bottom_cap: Cap | None = None
     top_cap: Cap | None = None
@@ -140,7 +143,8 @@ class Chip(Section):
         description="Ceramic poled along z: a name, or a table of changes to THP51",
     )
     poling: Literal["z", "x"] = Field(
-        "z", description="Direction of poling: z makes the stack longer, x shears it"
+        "z",
+        description="Direction of poling: z for a stack that elongates, x for a stack that shears",
     )
     mesh: ChipMesh = ChipMesh()
     damping: ChipDamping = ChipDamping()
@@ -151,17 +155,19 @@ class Chip(Section):
         ),
     )
     preload_spring: Stiffness | None = Field(
-        None, gt=0, description="Stiffness of a spring that presses evenly on the top face"
+        None, gt=0, description="Stiffness of the preload spring, which acts evenly on the top face"
     )
 
     @model_validator(mode="after")
     def _require_consistent(self) -> Chip:
         if self.diameter is not None and {"side", "depth"} & self.model_fields_set:
-            raise ValueError("give diameter, or side and depth")
+            raise ValueError("the size of the chip is missing: write diameter, or side and depth")
         if self.layer_thickness is not None:
             height = self.layers * self.layer_thickness
             if not math.isclose(height, self.height):
-                raise ValueError("give height or layer_thickness; height is layers times it")
+                raise ValueError(
+                    "write height or layer_thickness, not both: height = layers * layer_thickness"
+                )
         outermost, half = self.mesh.rings * self.mesh.ring_spacing, min(self.half)
         if outermost > half * (1 - 1e-6):
             raise ValueError(
@@ -169,7 +175,7 @@ class Chip(Section):
                 f"of whose smaller side is {half:g} m"
             )
         if self.poling == "x" and self.mounting in ("roller", "free"):
-            raise ValueError('a stack that shears needs a mounting that holds it: "glued"')
+            raise ValueError('poling = "x" needs mounting = "glued"')
         try:
             _ = self.ceramic
         except UsageError as error:
@@ -189,7 +195,7 @@ class Chip(Section):
             table = {"like": PAPER_CERAMIC, **table}
         result = material(table)
         if result.conductor or not result.isotropic_about_z:
-            raise UsageError(f"{result.name} is no ceramic poled along z (class 6mm)")
+            raise UsageError(f"{result.name} is not a ceramic with poling along z (class 6mm)")
         return replace(result, name="ceramic")
 
     @property

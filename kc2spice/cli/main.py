@@ -80,12 +80,12 @@ PARAMETERS = {
         metavar="MODEL",
         help="NAME of the files NAME.M .E .K .B .C (Matrix Market or Harwell-Boeing; first order "
         ".A .B .C .D .E); a .npz or .mat file; a file of Abaqus, CalculiX, Nastran or Ansys; "
-        "SCENE:PART for the body of a scene; a measured response (.s1p, .s2p, .csv, .txt, .zma, "
+        "SCENE:PART, a body of a scene; or a measured response (.s1p, .s2p, .csv, .txt, .zma, "
         ".mat), or the table of a thermal transient. "
-        "NAME.toml beside the matrices names ports, units and band.",
+        "NAME.toml in the same folder contains ports, units and band.",
     ),
     "target": typer.Argument(
-        metavar="SCENE:PART", help="Scene, and the body in it that is fitted."
+        metavar="SCENE:PART", help="Scene and the name of the body to fit, separated by a colon."
     ),
     "data": typer.Argument(
         metavar="DATA", help="Measured impedance: .s1p, .csv, .txt, .zma or .mat."
@@ -123,21 +123,26 @@ PARAMETERS = {
         metavar="FILE", help="Verify this edited netlist of the scene without a new export."
     ),
     "verbose": typer.Option(
-        "--verbose", "-v", help="Print every table of the report, not the answer alone."
+        "--verbose", "-v", help="Print all tables of the report, not only the main results."
     ),
-    "png": typer.Option("--png", help="Write the figures of the report as PNG files too."),
-    "keep": typer.Option("--keep", help="Keep raw file and log of the simulator."),
+    "png": typer.Option("--png", help="Also write the figures of the report as PNG files."),
+    "keep": typer.Option("--keep", help="Keep the raw file and the log file of the simulator."),
     "dialect": typer.Option(
         metavar="DIALECT",
-        help=f"Simulator to write for: {_list_dialects()}, or that of an installed package.",
+        help=f"Simulator of the netlist: {_list_dialects()}, or a dialect of an installed package.",
     ),
     "export.tolerance": typer.Option(
-        metavar="X", help="Tolerance of every reduction. Default: that of the scene."
+        metavar="X",
+        help="Error tolerance of every model reduction. Default: tolerance of the scene.",
     ),
     "count": typer.Option(metavar="N", help="Write N copies of the scene into one deck."),
-    "rom": typer.Option(metavar="FILE", help="Reduced model that 'reduce' wrote, not a scene."),
+    "rom": typer.Option(
+        metavar="FILE",
+        help="Export this reduced model, a file that 'reduce' wrote, instead of a scene.",
+    ),
     "dense": typer.Option(
-        "--dense", help="With --rom: write one dense state-space system instead of blocks."
+        "--dense",
+        help="With --rom: write one dense state-space system instead of one block for each mode.",
     ),
     "all_": typer.Option("--all", help="Verify every built-in scene."),
     "full": typer.Option(
@@ -146,28 +151,32 @@ PARAMETERS = {
         "models at all frequencies.",
     ),
     "search": typer.Argument(
-        metavar="SEARCH", help="Words in number, maker or device of a part. Default: all parts."
+        metavar="SEARCH",
+        help="Words to search for in the number, maker or device of a part. Default: all parts.",
     ),
     "keys": typer.Option("--keys", help="List every key that a scene may have."),
     "parts": typer.Option("--parts", help="List the part types with their pins and keys."),
     "band": typer.Option(
         metavar="F0 F1",
-        help="Lowest and highest frequency of the error estimate [Hz]. Default: that of NAME.toml "
-        "or of the scene, otherwise up to the fifth natural frequency.",
+        help="Lowest and highest frequency of the error estimate [Hz]. Default: the band in "
+        "NAME.toml or the scene, otherwise up to the fifth natural frequency.",
     ),
     "tolerance": typer.Option(
         metavar="X", help="Largest relative error over the band. Default: 1e-4."
     ),
-    "order": typer.Option(metavar="Q", help="Number of states, instead of a tolerance."),
+    "order": typer.Option(
+        metavar="Q",
+        help="Number of states of the reduced model; cannot be combined with --tolerance.",
+    ),
     "method": typer.Option(
         metavar="NAME",
-        help="Method of reduction, such as 'response POD', or compare for a table of all methods. "
-        "Default: response POD and balanced truncation, the fewest states win.",
+        help="Reduction method, such as 'response POD', or compare for a table of all methods. "
+        "Default: the result with fewer states of response POD and balanced truncation.",
     ),
     "solver": typer.Option(
         metavar="NAME",
-        help="Direct solver of reductions: pardiso, of pip install 'kc2spice[fast]'. "
-        "Default: CHOLMOD and SuperLU.",
+        help="Direct solver of the reduction, such as pardiso, which needs pip install "
+        "'kc2spice[fast]'. Default: CHOLMOD and SuperLU.",
     ),
     "norm": typer.Option(
         metavar="NORM",
@@ -177,17 +186,17 @@ PARAMETERS = {
     "dc": typer.Option(
         metavar="OHM",
         help="Resistance of a measured one-port at zero frequency, such as '80 mOhm', or open. "
-        "Default: extrapolated from the lowest frequencies.",
+        "Default: extrapolation from the lowest frequencies.",
     ),
     "shunt": typer.Option(
         metavar="OHM",
-        help="Resistance in series with the part through which a gain was measured, such as "
-        "'100 Ohm'. Tables of gain and phase need it.",
+        help="Resistance in series with the part during the measurement of a gain, such as '100 "
+        "Ohm'. Required for tables of gain and phase.",
     ),
     "power": typer.Option(
         metavar="W",
         help="Power that was switched on or off at the time zero of a thermal transient, such as "
-        "'2 W'. Tables of temperatures need it.",
+        "'2 W'. Required for tables of temperatures.",
     ),
     "network": typer.Option(
         metavar="FORM",
@@ -196,26 +205,34 @@ PARAMETERS = {
     "vary": typer.Option(
         metavar="KEY[=LOW:HIGH]",
         help="Key of the part that the fit varies, and its range in SI units. Default: 30 % "
-        "about the value of the scene, a factor of ten for losses. Repeatable.",
+        "below and above the value of the scene; for losses, a tenth of the value to ten times "
+        "the value. Repeatable.",
     ),
-    "error": typer.Option(metavar="X", min=1e-12, max=1.0, help="Largest error that you accept."),
+    "error": typer.Option(
+        metavar="X", min=1e-12, max=1.0, help="Largest accepted relative error of the metrics."
+    ),
     "bench.metric": typer.Option(
         metavar="NAME",
-        help="Metric by which errors are compared. Default: bench.metric of the scene, otherwise "
-        "all metrics that converge. Repeatable.",
+        help="Metric whose error is compared. Default: the key bench.metric of the scene, "
+        "otherwise all metrics that converge. Repeatable.",
     ),
     "sweep.metric": typer.Option(
         metavar="NAME",
-        help="Column of the table: a metric, or any number of result.json by its path, such as "
+        help="Column of the table: a metric, or the path of a number in result.json, such as "
         "model.kick.resonance_short_hz. Default: all metrics. Repeatable.",
     ),
-    "repeats": typer.Option(metavar="N", min=1, help="Runs of each setting; the median counts."),
-    "zipped": typer.Option(
-        "--zip", help="Step through all ranges together. Default: every combination."
+    "repeats": typer.Option(
+        metavar="N", min=1, help="Number of runs for each setting; the median CPU time is used."
     ),
-    "latin": typer.Option("--latin", help="Draw random keys by Latin hypercube."),
-    "seed": typer.Option(metavar="N", min=0, help="Seed of all random draws."),
-    "table_format": typer.Option("--format", metavar="FORMAT", help="Format: csv or parquet."),
+    "zipped": typer.Option(
+        "--zip",
+        help="Vary all keys together, point by point. Default: every combination of values.",
+    ),
+    "latin": typer.Option("--latin", help="Sample the random keys by a Latin hypercube."),
+    "seed": typer.Option(metavar="N", min=0, help="Seed of the random numbers."),
+    "table_format": typer.Option(
+        "--format", metavar="FORMAT", help="Format of the table: csv or parquet."
+    ),
     "workers": typer.Option(
         metavar="N", min=1, help="Number of points computed in parallel. Default: number of cores."
     ),
@@ -224,9 +241,9 @@ PARAMETERS = {
     ),
     "timeout": typer.Option(metavar="S", min=0.1, help="Longest time of one run of ngspice [s]."),
     "retry_failed": typer.Option(
-        "--retry-failed", help="Run failed points again. Default: only interrupted ones."
+        "--retry-failed", help="Repeat failed points. Default: repeat only interrupted points."
     ),
-    "dry_run": typer.Option("--dry-run", help="Print what would be run, and stop."),
+    "dry_run": typer.Option("--dry-run", help="Print the planned runs without running them."),
 }
 EXAMPLES = {
     "run": (
@@ -418,7 +435,7 @@ def _export(
         files, head = export_rom(rom, out, dialect=dialect, dense=dense), {"rom": str(rom)}
     elif scene is None:
         raise UsageError(
-            "nothing to export",
+            "a SCENE or --rom FILE is missing",
             where="export",
             got="neither SCENE nor --rom",
             expected="kc2spice export SCENE, or kc2spice export --rom FILE",
@@ -463,7 +480,7 @@ def _verify(
     if (scene is None) is not all_:
         got = "neither of them" if scene is None else f"{scene} and --all"
         raise UsageError(
-            "needs either a SCENE or --all",
+            "the command needs either a SCENE or --all",
             where="verify",
             got=got,
             expected="kc2spice verify SCENE, or kc2spice verify --all",
@@ -698,8 +715,13 @@ def _compare_methods(
 
     for option, value in no_effect.items():
         if value is not None:
-            expected = "nothing: --method compare prints a table and writes no files"
-            raise UsageError("is not for a comparison", where=option, got=value, expected=expected)
+            expected = "--method compare without this option"
+            raise UsageError(
+                "this option cannot be combined with --method compare",
+                where=option,
+                got=value,
+                expected=expected,
+            )
     with _translate_argument_names(options), caller.progress() as progress:
         result = compare_methods(model, **options, progress=progress)
     if caller.expects_text(result):
@@ -853,4 +875,4 @@ def _sweep(
         print_table("sweep", rows)
     if result["points"] == result["failed"]:
         hint = "read the column status of this table: it states the cause of each failure"
-        raise SimulationError("every point failed", where=result["table"], hint=hint)
+        raise SimulationError("every point of the sweep failed", where=result["table"], hint=hint)

@@ -130,12 +130,14 @@ def report_errors() -> Iterator[None]:
     except typer.Exit:
         raise
     except MemoryError:
-        text = "the memory is exhausted\n  next:     a coarser mesh, fewer points or more memory"
+        text = (
+            "the memory is exhausted\n  next:     use a coarser mesh, fewer points or more memory"
+        )
         _print_error(text, SimulationError.exit_code)
     except Exception as error:
         if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS:
             _discard_stdout()
-            text = f"cannot be written: {error.strerror}\n  next:     free some space"
+            text = f"the file cannot be written: {error.strerror}\n  next:     free some space"
             _print_error(text, UsageError.exit_code)
         if os.environ.get("KC2SPICE_DEBUG"):
             traceback.print_exc()

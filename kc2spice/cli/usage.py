@@ -66,7 +66,7 @@ class CheckedCommands(TyperGroup):
 
 def _make_unknown_command_error(name: str, commands: list[str]) -> UsageError:
     """Make the error of an unknown command."""
-    error = unknown("no such command", name, commands, command=f"{PROGRAM} --help")
+    error = unknown("this command does not exist", name, commands, command=f"{PROGRAM} --help")
     scene = resources.files("kc2spice") / "scenes" / f"{name}.toml"
     near = difflib.get_close_matches(name, commands, n=1)
     if near:
@@ -112,7 +112,9 @@ def _make_unknown_option_error(command: Any, name: str, line: str) -> UsageError
     expected = f"one of {list_candidates(name, options, f'{line} --help')}"
     hint = did_you_mean(name, options) or f"{line} --help describes all options"
     where = line.removeprefix(PROGRAM).strip() or None
-    return UsageError("no such option", where=where, got=name, expected=expected, hint=hint)
+    return UsageError(
+        "this option does not exist", where=where, got=name, expected=expected, hint=hint
+    )
 
 
 def _make_missing_value_error(param: Any, name: str, typed: list[str]) -> UsageError:
@@ -129,7 +131,8 @@ def _make_missing_value_error(param: Any, name: str, typed: list[str]) -> UsageE
         )
     expected = f"{name} {param.metavar}"
     got = " ".join([name, *words])
-    problem = "the value is missing" if param.nargs == 1 else f"needs {param.nargs} values"
+    count = param.nargs
+    problem = "the value is missing" if count == 1 else f"this option needs {count} values"
     hint = f"write {param.metavar} behind {name}, or leave out {name}"
     return UsageError(problem, where=name, got=got, expected=expected, hint=hint)
 
@@ -161,7 +164,7 @@ def _make_extra_word_error(command: Any, word: str, typed: list[str]) -> UsageEr
         hint = f"write --set {shlex.quote(word)}"
     arguments = [item.metavar for item in command.params if item.param_type_name == "argument"]
     return UsageError(
-        "one argument too many",
+        "the command line has one argument too many",
         where=command.name,
         got=word,
         expected=" ".join([PROGRAM, command.name, *arguments, "[OPTIONS]"]),
@@ -196,19 +199,21 @@ def _make_invalid_number_error(param: Any, typed: list[str], fractional: bool) -
     low, high = _find_option_limits(param)
     limits = f"{low:g} to {high:g}" if high is not None else f"at least {low or 0:g}"
     if wrong is None:
-        problem = "not a whole number" if fractional else "out of range"
+        problem = "this value is not a whole number" if fractional else "this value is out of range"
         unlimited = low is None and high is None
         expected = "a whole number" + ("" if unlimited else f", {limits}") if fractional else limits
         return UsageError(problem, where=name, got=" ".join(words), expected=expected)
     if param.name != "band":
-        return UsageError("not a number", where=name, got=wrong, expected="a number")
+        return UsageError("this value is not a number", where=name, got=wrong, expected="a number")
     hint = f"write {name} 1000 2000 for 1 to 2 kHz"
     with contextlib.suppress(UsageError):
         from kc2spice.core.quantities import quantity
 
         ends = [quantity(word if word.endswith("Hz") else f"{word}Hz", "Hz") for word in words]
         hint = " ".join(["write", name, *(f"{end:.12g}" for end in ends)])
-    return UsageError("not a number", where=name, got=wrong, expected="numbers in Hz", hint=hint)
+    return UsageError(
+        "this value is not a number", where=name, got=wrong, expected="numbers in Hz", hint=hint
+    )
 
 
 def _find_option_limits(param: Any) -> tuple[float | None, float | None]:

@@ -201,7 +201,9 @@ def _load_entry(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
         )
         result = _decode_value(json.loads(arrays["structure"].tobytes()), arrays, known)
     except Exception as error:
-        warnings.warn(f"damaged cache entry {path.name} is built again: {error}", stacklevel=3)
+        warnings.warn(
+            f"the cache entry {path.name} is damaged and is computed again: {error}", stacklevel=3
+        )
         return None
     with contextlib.suppress(OSError):  # a read-only cache is sufficient
         os.utime(path)  # marks the entry as recently used

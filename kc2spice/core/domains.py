@@ -258,7 +258,7 @@ THERMAL = Domain(
     reference=AMBIENT,
     path="a thermal_resistor or a temperature source between it and gnd, the ambient temperature",
     path_part="thermal_resistor",
-    adrift="no path leads heat from {part} to the ambient temperature",
+    adrift="heat cannot flow from {part} to the ambient temperature",
 )
 ACOUSTIC = Domain(
     "acoustic",
@@ -274,7 +274,7 @@ ACOUSTIC = Domain(
     reference=AMBIENT,
     path="an acoustic_resistor, an acoustic_mass or a pressure source between it and gnd",
     path_part="acoustic_resistor",
-    adrift="no path leads flow from {part} to the ambient pressure",
+    adrift="no flow path connects {part} to the ambient pressure",
 )
 SIGNALS = Domain(
     "signal",

@@ -42,7 +42,9 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
     UsageError : ``out`` is a file, or cannot be created or written.
     """
     if "\0" in str(out):
-        raise UsageError("has a zero byte", where=repr(str(out)), hint=_OTHER_DIRECTORY_HINT)
+        raise UsageError(
+            "this path contains a zero byte", where=repr(str(out)), hint=_OTHER_DIRECTORY_HINT
+        )
     typed = str(out)
     # resolve a link to its target, on the file system of the target; the link remains
     out = Path(os.path.realpath(out))
@@ -81,7 +83,7 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
 def _make_write_error(typed: str, directory: Path, reason: str) -> UsageError:
     """Make the error for an output path, as typed by the user, that cannot be written."""
     return UsageError(
-        "cannot be written",
+        "this path cannot be written",
         where=typed,
         got=f"{directory}: {reason}",
         expected="a path in a directory that can be written",

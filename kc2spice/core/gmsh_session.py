@@ -32,8 +32,8 @@ def gmsh_session() -> Iterator[ModuleType]:
             "gmsh cannot be loaded",
             where="mesh generation",
             got=str(error),
-            expected="the gmsh wheel and the libraries it links to",
-            hint="run `kc2spice doctor` for the packages that are missing",
+            expected="the Python package gmsh and its system libraries",
+            hint="run kc2spice doctor, which lists the missing packages",
         ) from error
     gmsh.initialize([], readConfigFiles=False, interruptible=False)
     if threading.current_thread() is threading.main_thread():

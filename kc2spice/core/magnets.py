@@ -141,11 +141,11 @@ class Coenergy:
         outside = ~((y >= low) & (y <= high))
         if np.any(outside):
             raise SimulationError(
-                "the sphere left the force table",
+                "the height of the sphere is outside of the force table",
                 where=where,
                 got=f"y = {float(y[outside].flat[0]):g} m",
                 expected=f"{low:g} to {high:g} m",
-                hint="widen the table's y_min and y_max, or check the gains and the polarity",
+                hint="lower y_min and raise y_max, or check the gains and the polarity",
             )
         return y
 

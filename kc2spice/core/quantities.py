@@ -125,7 +125,7 @@ def _explain_invalid(
             choices = re.findall(r"'?(\w+)'?(?:, | or |$)", context["expected"])
             near = did_you_mean(str(details["input"]), choices)
             listed = list_candidates(details["input"], choices, _help_command(schema))
-            return "no such choice", f"one of {listed}", near
+            return "this value is not one of the choices", f"one of {listed}", near
         case "int_type":
             return "not a whole number", "a whole number, without quotes", None
         case "dict_type" if isinstance(details["input"], (list, tuple)):
@@ -383,7 +383,7 @@ def _parse_quantity(text: str, si: str) -> float:
     if match is None:
         raise ValueError("not a quantity")
     if not match[2] and si:
-        raise ValueError("a quantity in quotes needs its unit")
+        raise ValueError("a quantity between quotes needs a unit")
     unit, target = _parse_unit(match[2]), _parse_unit(si)
     assert target is not None, f"{si!r} is not a unit"
     if unit is None:
@@ -413,14 +413,16 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
         else:
             raise ValueError("not a quantity")
         if not math.isfinite(result):
-            raise ValueError("not a finite number")
+            raise ValueError("this value is not a finite number")
     except (ValueError, OverflowError) as error:
         got = (
             repr(value)
             if len(repr(value)) <= _MAX_QUANTITY_LENGTH
             else repr(value)[:_MAX_QUANTITY_LENGTH] + " ..."
         )
-        message = "not a finite number" if isinstance(error, OverflowError) else str(error)
+        message = (
+            "this value is not a finite number" if isinstance(error, OverflowError) else str(error)
+        )
         expected = expected if si else "a plain number"
         hint = _suggest_spelling(value, si)
         raise UsageError(message, where=where, got=got, expected=expected, hint=hint) from None
@@ -458,7 +460,7 @@ def _parse_number(si: str, value: object) -> float:
 def _parse_number_with_unit(si: str, value: object) -> float:
     """Convert a quantity to the unit ``si``; a number without a unit is an error."""
     if not isinstance(value, str):
-        raise invalid_value_error("needs its unit", f'a string such as "1 {si}"')
+        raise invalid_value_error("the unit of this value is missing", f'a string such as "1 {si}"')
     return _parse_number(si, value)
 
 
@@ -466,7 +468,9 @@ def _require_ring_radii(value: object) -> object:
     """Raise an error if the radii of the contact rings are not valid."""
     if value in ("needed", "all") or (type(value) is int and value >= 1):
         return value
-    raise invalid_value_error("no such choice", "needed, all, or a whole number from 1 on")
+    raise invalid_value_error(
+        "this value is not one of the choices", "needed, all, or a whole number from 1 on"
+    )
 
 
 class ScalePlace(float):
@@ -491,7 +495,7 @@ def _parse_place(value: object) -> ScalePlace:
             continue
         result.unit = unit if isinstance(value, str) else ""
         return result
-    raise invalid_value_error("no place on the scale", 'such as "46 Hz" or "2 ms"')
+    raise invalid_value_error("this value is not a time or frequency", 'such as "46 Hz" or "2 ms"')
 
 
 def _parse_mounting(value: object) -> object:
@@ -503,7 +507,7 @@ def _parse_mounting(value: object) -> object:
     except UsageError:
         pass
     above_zero = 'or a stiffness per area above zero such as "1e14 N/m3"'
-    raise invalid_value_error("no such mounting", f"{', '.join(known)}, {above_zero}")
+    raise invalid_value_error("this mounting does not exist", f"{', '.join(known)}, {above_zero}")
 
 
 def si(unit: str) -> BeforeValidator:

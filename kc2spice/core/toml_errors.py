@@ -65,12 +65,12 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
     number = _find_line_number(text, str(error))
     if number is None:  # the text is too long or nested too deeply
         return UsageError(
-            "not valid TOML",
+            "this text is not valid TOML",
             where=label,
             got=str(error),
             expected=f"at most {MAX_TEXT_BYTES} characters, keys of at most {LONGEST_KEY} "
             f"characters, and tables and arrays nested at most {MAX_NESTING} deep",
-            hint=f"delete from {label} what exceeds these limits",
+            hint=f"shorten {label} until it is within these limits",
         )
     # Only a part of long lines is searched, because the time of the patterns grows with the square
     # of the length.
@@ -92,7 +92,7 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
                     hint=repair.action,
                 )
     return UsageError(
-        "not valid TOML",
+        "this text is not valid TOML",
         where=f"{label}, line {number}",
         got=_quote_line(lines, number),
         expected='[TABLE], or KEY = VALUE with text between double quotes, such as "1 kOhm"',
@@ -181,7 +181,7 @@ def _repair_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
         repaired = repaired[:start] + _guess_value(line[start:end]) + repaired[end:]
     if bare:
         quoted = '"' in "".join(_guess_value(match[1]) for match in bare)
-        problem = "text without quotes" if quoted else "a value that TOML does not read"
+        problem = "this text has no quotes" if quoted else "this value is not valid TOML"
         yield _Repair(problem, number, repaired, _suggest_line(repaired))
 
 
@@ -293,7 +293,7 @@ def _make_duplicate_error(
     if not header:
         action = f"delete line {number}" if first is None else f"delete line {first} or {number}"
     return UsageError(
-        f"the {kind} {name}{before}" if before else f"the {kind} {name} exists already",
+        f"the {kind} {name}{before}" if before else f"the {kind} {name} occurs twice",
         where=f"{label}, line {number}",
         got=line,
         hint=action,

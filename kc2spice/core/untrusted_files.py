@@ -76,7 +76,7 @@ def read_bounded(path: Path, limit: int) -> bytes:
             raise OSError(errno.EINVAL, "not a regular file", str(path))
         data = file.read(limit + 1)
     if len(data) > limit:
-        raise OSError(errno.EFBIG, f"too long, more than {limit} bytes", str(path))
+        raise OSError(errno.EFBIG, f"the file has more than {limit} bytes", str(path))
     return data
 
 
@@ -139,11 +139,11 @@ def locate_file_in_folder(home: Path, name: str, where: str) -> Path:
         outside = True
     if relative.is_absolute() or ".." in relative.parts or outside:
         raise UsageError(
-            "leads out of the scene's folder",
+            "the file is outside of the scene's folder",
             where=where,
             got=repr(name)[:200],
-            expected="a file beside the scene or below",
-            hint="copy it there",
+            expected="a file in the scene's folder or its subfolders",
+            hint=f"copy the file into {home} and correct the path",
         )
     return path
 
@@ -174,7 +174,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     ValueError : the text is not TOML, too long, or nested too deeply.
     """
     if len(text) > MAX_TEXT_BYTES:
-        raise ValueError(f"longer than {MAX_TEXT_BYTES} characters")
+        raise ValueError(f"the text has more than {MAX_TEXT_BYTES} characters")
     _require_simple_syntax(text)
     try:
         return tomllib.loads(text)
@@ -196,9 +196,9 @@ def _require_simple_syntax(text: str) -> None:
         elif not (first in " \t\"'_-" or first.isalnum()):
             dots = 0
         elif len(token[0]) > LONGEST_KEY and (dots or _BEHIND_KEY.match(text, token.end())):
-            raise ValueError(f"a key of more than {LONGEST_KEY} characters")
+            raise ValueError(f"a key has more than {LONGEST_KEY} characters")
         if depth > MAX_NESTING or dots > MAX_NESTING:
-            raise ValueError(f"nested more than {MAX_NESTING} deep")
+            raise ValueError(f"the tables are nested more than {MAX_NESTING} deep")
 
 
 def read_archive(
@@ -227,12 +227,12 @@ def read_archive(
             if count > entries(name):
                 raise ValueError(f"{name} has {count} entries, more than {entries(name)}")
             if kind.hasobject:
-                raise ValueError(f"{name} is a Python object, no array of numbers")
+                raise ValueError(f"{name} is a Python object, not an array of numbers")
             if kind.itemsize > _MAX_ITEM_BYTES or size > item.file_size:
                 raise ValueError(f"{name} is not a plain array of its declared size")
             declared += size
         if declared > total:
-            raise ValueError(f"{declared:.3g} bytes unpacked, more than {total:.3g}")
+            raise ValueError(f"{declared:.3g} unpacked bytes exceed the limit of {total:.3g}")
         result = {}
         for name, item in selected.items():
             with archive.open(item) as stream:
@@ -311,7 +311,7 @@ def call_in_child(
                 total=MAX_ANSWER_BYTES,
             )
         except (OSError, BadZipFile) as error:
-            raise ValueError(f"its answer cannot be read: {error}") from None
+            raise ValueError(f"the output of the reader cannot be read: {error}") from None
 
 
 def _explain_exit(path: Path, code: int, memory: int) -> Exception:
@@ -320,9 +320,9 @@ def _explain_exit(path: Path, code: int, memory: int) -> Exception:
         kind, attributes = json.loads(path.read_bytes())
     except (OSError, ValueError):
         name = signal.strsignal(-code) if code < 0 else f"exit code {code}"
-        return ValueError(f"it makes the reader crash ({name})")
+        return ValueError(f"the file makes the reader crash ({name})")
     if kind == "MemoryError":
-        return ValueError(f"it needs more than {memory / 1e9:.0f} GB of memory")
+        return ValueError(f"the file needs more than {memory / 1e9:.0f} GB of memory")
     known = getattr(errors, kind, None)
     if isinstance(known, type) and issubclass(known, Kc2spiceError):
         return known(**attributes)

@@ -146,12 +146,12 @@ class PulseKeys(Section):
     low: float | str = Field(0.0, description="Value between pulses, in the unit of the source")
     width: Time = Field(description="Width of the pulse at half of its height")
     edge: Time = Field(1e-9, description="Rise and fall time of the pulse")
-    start: Time = Field(0.0, description="Instant at which the pulse begins to rise")
+    start: Time = Field(0.0, description="Time at which the pulse begins to rise")
     period: Time | None = Field(
-        None, description="Period of a train of pulses; by default one pulse"
+        None, description="Period of a pulse train; by default there is one pulse"
     )
     count: Count | None = Field(
-        None, description="Number of pulses of a train; by default without end"
+        None, description="Number of pulses of a pulse train; by default unlimited"
     )
 
 
@@ -162,7 +162,7 @@ class SineKeys(Section):
         1.0, description="Amplitude of the sine, in the unit of the source"
     )
     frequency: Frequency = Field(gt=0, description="Frequency of the sine")
-    start: Time = Field(0.0, description="Instant at which the sine begins")
+    start: Time = Field(0.0, description="Time at which the sine begins")
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ class Waveform:
         """Raise an error if the times do not increase."""
         times = list(map(itemgetter(0), self.points))
         if not times or np.any(np.diff(times) <= 0.0):
-            raise UsageError("times of a waveform must increase strictly", got=times)
+            raise UsageError("the times of the waveform do not increase strictly", got=times)
 
     @property
     def straight(self) -> bool:
@@ -326,10 +326,10 @@ def pulse_waveform(
     UsageError : the count has no period, or is too large for a netlist.
     """
     if count is not None and period is None:
-        raise UsageError("a count of pulses without their period", expected="period and count")
+        raise UsageError("the pulse has a count, but no period", expected="period and count")
     if count is not None and not 1 <= count <= MAX_PULSES:
         expected = f"1 to {MAX_PULSES}; without a count the train has no end"
-        raise UsageError("not a number of pulses", got=count, expected=expected)
+        raise UsageError("count is not a number of pulses", got=count, expected=expected)
     edges = ((0.0, low), (edge, high), (width, high), (width + edge, low))
     one = tuple((start + t, v) for t, v in edges)
     if period is None or count is None:

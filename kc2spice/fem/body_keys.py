@@ -15,7 +15,7 @@ class Mesh(Section):
     """Keys of a mesh; ``refine`` divides every cell along each axis."""
 
     refine: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
-        1, ge=1, le=8, description="Factor by which the cells along each edge are multiplied"
+        1, ge=1, le=8, description="Factor that multiplies the number of cells along each edge"
     )
 
 
@@ -35,11 +35,14 @@ class Damping(Section):
     ratio: Ratio | tuple[Ratio, Ratio] | None = Field(
         None,
         description=(
-            "Ratio to critical damping at the frequency `at`; two ratios for two frequencies"
+            "Damping ratio (fraction of critical damping) at the frequency `at`; two ratios for "
+            "two frequencies"
         ),
     )
-    quality: Ratio | None = Field(None, gt=0, description="Q factor, 1 / (2 ratio)")
-    loss_factor: Ratio | None = Field(None, ge=0, description="Mechanical loss factor, 2 ratio")
+    quality: Ratio | None = Field(None, gt=0, description="Q factor, equal to 1 / (2 * ratio)")
+    loss_factor: Ratio | None = Field(
+        None, ge=0, description="Mechanical loss factor, equal to 2 * ratio"
+    )
     per_material: bool = Field(
         False, description="Whether the Q factors of the materials determine the damping"
     )
@@ -47,12 +50,14 @@ class Damping(Section):
         None,
         description=("Frequency at which the damping ratio holds; by default the first resonance"),
     )
-    alpha: Rate = Field(0.0, ge=0, description="Rate of damping proportional to mass")
+    alpha: Rate = Field(
+        0.0, ge=0, description="Coefficient alpha of the damping in proportion to the mass matrix"
+    )
     loss_tangent: Ratio | None = Field(
         None,
         ge=0,
         le=1,
-        description=("Dielectric loss tangent of the free body at 1 kHz, as data sheets state it"),
+        description=("Dielectric loss tangent of the free body at 1 kHz, as in data sheets"),
     )
 
     model: Literal["rayleigh", "ieee176"] = Field(
@@ -68,7 +73,9 @@ class Damping(Section):
             others["two ratios"] = isinstance(self.ratio, tuple)
             for name, value in others.items():
                 if value:
-                    raise ValueError(f'{name} is of model = "rayleigh": give one quality')
+                    raise ValueError(
+                        f'{name} applies only to model = "rayleigh"; write one quality instead'
+                    )
         return self
 
     @model_validator(mode="after")
@@ -76,22 +83,24 @@ class Damping(Section):
         """Require one of the alternative forms of damping."""
         choices = [self.ratio, self.quality, self.loss_factor]
         if sum(item is not None for item in choices) + self.per_material > 1:
-            raise ValueError("give one of ratio, quality, loss_factor, per_material")
+            raise ValueError(
+                "damping needs exactly one of ratio, quality, loss_factor, per_material"
+            )
         two = isinstance(self.ratio, tuple), isinstance(self.at, tuple)
         if two[0] != two[1]:
-            raise ValueError("two ratios belong to two frequencies 'at'")
+            raise ValueError("two values of ratio need two frequencies in at")
         values = np.atleast_1d([x for x in (self.ratio,) if x is not None]).ravel()
         if (values < 0).any() or (self.at is not None and np.min(self.at) <= 0):
-            raise ValueError("ratios are at least 0, frequencies greater than 0")
+            raise ValueError("a damping ratio is negative, or a frequency is not greater than 0")
         if (values >= 1).any() or (self.quality is not None and self.quality <= 0.5):
             raise ValueError(
-                "with a ratio of 1 or more, or a Q of one half or less, nothing oscillates: "
-                "write ratio = 0.01 for 1 %, a Q factor of 50"
+                "the damping is overcritical: the damping ratio must be below 1 and the Q "
+                "factor above 0.5; for 1 % damping, write ratio = 0.01 or quality = 50"
             )
         if two[0] and (self.at[0] == self.at[1] or min(self._solve_two_ratios()) < 0 or self.alpha):  # type: ignore[index]
             raise ValueError(
-                "no alpha and beta of at least 0 give these ratios: at two frequencies f1 < f2 "
-                "their quotient zeta2/zeta1 lies from f1/f2 to f2/f1"
+                "Rayleigh damping cannot have these two damping ratios: for frequencies f1 < "
+                "f2, zeta2/zeta1 must be between f1/f2 and f2/f1"
             )
         return self
 

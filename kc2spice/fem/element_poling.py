@@ -74,7 +74,7 @@ class PolingTable(EqualByContent):
             more = ", …" if missing.size > LISTED_ELEMENTS else ""
             got = f"{missing.size} elements without poling: {first}{more}"
             expected = "a row for each element of the group"
-            raise wrong(self.where, "elements are missing in the file", got, expected)
+            raise wrong(self.where, "the file lacks elements of the mesh", got, expected)
         return np.asarray(order[np.searchsorted(self.numbers[order], numbers[members])])
 
 
@@ -98,7 +98,7 @@ def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
     columns = tuple(map(str.lower, titles))
     if columns not in COLUMN_LAYOUTS:
         got = ", ".join(titles)[:100] or "an empty file"
-        raise wrong(where, "wrong columns in the file of polings", got, EXPECTED_COLUMNS)
+        raise wrong(where, "the file of polings has wrong columns", got, EXPECTED_COLUMNS)
     rows, values = [], []
     for row, cells in lines:
         rows.append(row)
@@ -158,11 +158,11 @@ def _require_directions(
 ) -> None:
     zero = np.flatnonzero(~directions.any(axis=1))
     if zero.size:
-        problem = f"row {rows[zero[0]]}: the poling has no length"
+        problem = f"row {rows[zero[0]]}: the poling is a zero vector"
         raise wrong(where, problem, "px = py = pz = 0", "a vector of any length except zero")
     out = np.flatnonzero(directions[:, 1])
     if axisymmetric and out.size:
-        problem = f"row {rows[out[0]]}: the poling leaves the plane of the axisymmetric mesh"
+        problem = f"row {rows[out[0]]}: the poling is not in the plane of the axisymmetric mesh"
         hint = "use a mesh in three dimensions for a poling along the hoop direction"
         raise wrong(where, problem, f"py = {directions[out[0], 1]:g}", "py = 0", hint)
 
@@ -177,6 +177,6 @@ def _require_numbers(values: np.ndarray, rows: list[int], where: str) -> np.ndar
     _, first = np.unique(numbers, return_index=True)
     twice = np.setdiff1d(np.arange(len(numbers)), first)
     if twice.size:
-        problem = f"row {rows[twice[0]]}: this element has a row already"
+        problem = f"row {rows[twice[0]]}: this element already has a row"
         raise UsageError(problem, where=where, got=f"element {numbers[twice[0]]}")
     return numbers

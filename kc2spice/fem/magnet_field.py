@@ -243,7 +243,7 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
                 "internal error: the meshes of stator and sphere do not match",
                 where="magnetic field of the coils",
                 got=f"sphere at y = {height:g} m",
-                expected="nodes of both meshes at the same places",
+                expected="nodes of both meshes with equal coordinates",
                 hint="report this error with your scene file",
             )
         keep = ~(movable & (np.abs(centres[1] - height) < bore.half))
@@ -362,7 +362,7 @@ def air_section(catch: Catch) -> tuple[float, float, float, float]:
     low, high = min(bottoms), max(tops)
     if high - low >= catch.air_height:
         expected = f"more than {high - low:g} m, several times that for a small error"
-        problem = "the air cylinder is lower than what stands in it"
+        problem = "the air cylinder is lower than the magnet and the coils inside it"
         raise wrong("catch.air_height", problem, f"{catch.air_height:g} m", expected)
     centre = (low + high) / 2
     return 0.0, centre - catch.air_height / 2, catch.air_radius, centre + catch.air_height / 2
@@ -390,7 +390,7 @@ def make_bore(catch: Catch, radius: float, pitch: float, lowest: float, highest:
     if bottom <= floor + pitch or top >= ceiling - pitch:
         expected = f"within {floor + half + pitch:g} m to {ceiling - half - pitch:g} m"
         hint = "shorten the travel or raise catch.air_height"
-        problem = "the sphere's travel leaves the air cylinder"
+        problem = "the range of the sphere extends beyond the air cylinder"
         got = f"{lowest:g} m to {highest:g} m"
         raise wrong("catch.y_min, catch.y_max", problem, got, expected, hint)
     size = radius / catch.refine

@@ -18,14 +18,16 @@ class Ring(Section):
     height: Length = Field(gt=0, description="Axial height of the ring")
     outer: Length = Field(gt=0, description="Outer radius of the ring")
     inner: Length = Field(ge=0, description="Inner radius of the ring")
-    y: Length = Field(description="Height of the middle of the ring")
+    y: Length = Field(description="Height of the centre of the ring")
 
 
 class Catch(Section):
     """Electromagnetic catch actuator (paper tables 1 and A1)."""
 
     polarity: Literal["parallel", "antiparallel"] = Field(
-        "parallel", description="Magnetisation of ring magnet and sphere, parallel or antiparallel"
+        "parallel",
+        description="Whether the magnetisations of ring magnet and sphere are "
+        "parallel or antiparallel",
     )
     remanence: FluxDensity = Field(0.2, ge=0, description="Remanence of ring magnet and sphere")
     mu_r: Ratio = Field(1.0611, ge=1, description="Recoil permeability of ring magnet and sphere")
@@ -33,18 +35,20 @@ class Catch(Section):
     lower: Ring = Ring(height=2e-3, outer=2.3e-3, inner=1.3e-3, y=1e-3)
     upper: Ring = Ring(height=2e-3, outer=2.3e-3, inner=1.3e-3, y=4e-3)
     turns: Count = Field(4074, ge=1, description="Number of turns of each coil")
-    wire_diameter: Length = Field(25e-6, gt=0, description="Diameter of the coils' wire")
-    resistivity: Resistivity = Field(1.7e-8, gt=0, description="Resistivity of the coils' wire")
+    wire_diameter: Length = Field(25e-6, gt=0, description="Diameter of the wire of the coils")
+    resistivity: Resistivity = Field(
+        1.7e-8, gt=0, description="Resistivity of the wire of the coils"
+    )
     air_radius: Length = Field(10e-3, gt=0, description="Radius of the modelled air")
     air_height: Length = Field(30e-3, gt=0, description="Height of the modelled air")
     y_min: Length = Field(-2.5e-3, description="Lowest height of the force table")
-    y_max: Length = Field(7.5e-3, description="Largest height of the force table")
+    y_max: Length = Field(7.5e-3, description="Greatest height of the force table")
     shift: Length = Field(
         0.0,
         gt=-1e-3,
         lt=1e-3,
         description=(
-            "Mounting error: height of ring, coils and field table above nominal position"
+            "Mounting error: distance of ring, coils and force table above the nominal position"
         ),
     )
     positions: Annotated[Count, Notch(2.0, spaces=True, model=True)] = Field(
@@ -54,5 +58,5 @@ class Catch(Section):
         201, ge=21, le=2001, description="Number of points of the force table in the netlist"
     )
     refine: Count = Field(
-        1, ge=1, le=8, description="Factor by which the cells along each edge are multiplied"
+        1, ge=1, le=8, description="Factor that multiplies the number of cells along each edge"
     )

@@ -520,7 +520,7 @@ def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -
             f"raise the key tolerance, now {tolerance:g}, or choose y_min and y_max further from "
             "the windings"
         )
-        problem = "couplings change too fast with the height"
+        problem = "the magnetic coupling changes too fast with the height"
         raise wrong(None, problem, got, f"{tolerance / 10:g}", hint)
     flat = c[: degree + 1].reshape(degree + 1, -1)
     series = list(map(chebyshev.cheb2poly, flat.T))

@@ -316,20 +316,20 @@ class MaterialTable(Section):
 
     like: str | None = Field(
         None,
-        description=("Built-in material that supplies every property that this table leaves out"),
+        description=("Built-in material whose properties apply where this table has no value"),
     )
     density: Density = Field(gt=0)
     symmetry: Symmetry | None = Field(
         None, description="Crystal symmetry of the components, or a point group such as 6mm or 32"
     )
     youngs_modulus: Annotated[_Modulus, _validate_components("Pa")] | None = Field(
-        None, description="Young's modulus, isotropic or one value each along x, y and z"
+        None, description="Young's modulus: one value, or three values along x, y and z"
     )
     poisson_ratio: Annotated[float | dict[str, float], _validate_components("")] | None = Field(
-        None, description="Poisson's ratio, isotropic or nu_xy, nu_yz and nu_xz"
+        None, description="Poisson's ratio: one value, or the three values nu_xy, nu_yz and nu_xz"
     )
     shear_modulus: Annotated[dict[str, float], _validate_components("Pa")] | None = Field(
-        None, description="Shear moduli g_yz, g_xz and g_xy, beside three Young's moduli"
+        None, description="Shear moduli g_yz, g_xz and g_xy, required with three Young's moduli"
     )
     stiffness: Annotated[_Tensor, _validate_components("Pa")] | None = Field(
         None, description="Stiffness components c11, c12, … at constant electric field"
@@ -338,10 +338,10 @@ class MaterialTable(Section):
         None, description="Compliance components s11, s12, … at constant electric field"
     )
     stress_coupling: Annotated[_Tensor, _validate_components("C/m2")] | None = Field(
-        None, description="Piezoelectric components e31, e33, … of stress per field"
+        None, description="Piezoelectric components e31, e33, … (stress per electric field)"
     )
     strain_coupling: Annotated[_Tensor, _validate_components("C/N")] | None = Field(
-        None, description="Piezoelectric components d31, d33, … of strain per field"
+        None, description="Piezoelectric components d31, d33, … (strain per electric field)"
     )
     permittivity: Annotated[_Tensor, _validate_components("")] | None = Field(
         None, description="Relative permittivity components eps11, eps22 and eps33"
@@ -349,37 +349,38 @@ class MaterialTable(Section):
     permittivity_at: Literal["stress", "strain"] | None = Field(
         None,
         description=(
-            "Quantity that was constant when the permittivity was measured; most data sheets say "
-            "stress (T)"
+            "Quantity that was constant when the permittivity was measured; stress (T) in most "
+            "data sheets"
         ),
     )
     conductor: bool = Field(
         False,
-        description=(
-            "Whether the material is a conductor, without field inside and with faces as electrodes"
-        ),
+        description=("Whether the material is a conductor, whose faces can be electrodes"),
     )
     quality: Ratio | None = Field(
-        None, gt=0, description="Mechanical Q factor, for damping per material"
+        None, gt=0, description="Mechanical Q factor, used if damping.per_material is true"
     )
     loss_tangent: Ratio | None = Field(
-        None, ge=0, description="Dielectric loss tangent, for damping per material"
+        None, ge=0, description="Dielectric loss tangent, used if damping.per_material is true"
     )
     tensile_strength: Pressure | None = Field(
         None, gt=0, description="Largest principal stress that the material withstands"
     )
     depoling_field: Annotated[float, si("V/m")] | None = Field(
-        None, gt=0, description="Largest field against the poling"
+        None, gt=0, description="Largest electric field in the direction opposite to the poling"
     )
     breakdown_field: Annotated[float, si("V/m")] | None = Field(
-        None, gt=0, description="Largest field in any direction"
+        None, gt=0, description="Largest electric field in any direction"
     )
     residual_stress: tuple[Pressure, Pressure, Pressure] | None = Field(
-        None, description="Stress at rest along x, y and z of the body, balanced by its supports"
+        None,
+        description="Residual stress along x, y and z of the body, in equilibrium with "
+        "the forces of its supports",
     )
-    source: str = Field("", description="Source of all numbers of this table")
+    source: str = Field("", description="Reference for all values of this table")
     sources: dict[str, str] = Field(
-        default_factory=dict, description="Sources of single properties, by their key"
+        default_factory=dict,
+        description="References for single properties, by the key of the property",
     )
 
     @model_validator(mode="before")
@@ -390,7 +391,9 @@ class MaterialTable(Section):
             return data
         base = dict(_load_tables().get(data["like"], {}))
         if not base:
-            raise ValueError(f"like: no such material: {data['like']}; {', '.join(_load_tables())}")
+            raise ValueError(
+                f"like: this material does not exist: {data['like']}; {', '.join(_load_tables())}"
+            )
         for forms in _ALTERNATIVE_KEYS:
             if set(chain.from_iterable(forms)).isdisjoint(data):
                 continue
@@ -407,9 +410,11 @@ class MaterialTable(Section):
     def _require_one_form(self) -> MaterialTable:
         elastic = [self.youngs_modulus, self.stiffness, self.compliance]
         if elastic.count(None) != 2:
-            raise ValueError("give exactly one of youngs_modulus, stiffness, compliance")
+            raise ValueError(
+                "the material needs exactly one of youngs_modulus, stiffness, compliance"
+            )
         if self.stress_coupling is not None and self.strain_coupling is not None:
-            raise ValueError("give stress_coupling or strain_coupling, not both")
+            raise ValueError("stress_coupling and strain_coupling cannot be combined")
         coupled = self.stress_coupling is not None or self.strain_coupling is not None
         if coupled and (self.permittivity is None or self.permittivity_at is None):
             raise ValueError(
@@ -417,10 +422,10 @@ class MaterialTable(Section):
                 ' ("stress" as in most data sheets, or "strain")'
             )
         if coupled and self.conductor:
-            raise ValueError("a conductor is not piezoelectric")
+            raise ValueError("a material with conductor = true cannot have piezoelectric constants")
         unknown = set(self.sources) - set(type(self).model_fields)
         if unknown:
-            raise ValueError(f"sources names no such key: {', '.join(sorted(unknown))}")
+            raise ValueError(f"sources contains unknown keys: {', '.join(sorted(unknown))}")
         return self
 
     def build(self, name: str) -> Material:
@@ -462,7 +467,7 @@ class MaterialTable(Section):
         largest = float(np.diag(C).max())
         if not 1e3 <= largest <= 2e12:  # GPa written as Pa, or pm^2/N as m^2/N
             hint = 'numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12'
-            problem = "stiffness out of any material's range"
+            problem = "the stiffness is outside of the range of all materials"
             raise wrong(None, problem, f"{largest:g} Pa", "1e3 to 2e12 Pa", hint)
         return (C + C.T) / 2
 
@@ -485,14 +490,14 @@ class MaterialTable(Section):
             expected = f"three youngs_modulus, poisson_ratio {' '.join(ratios)}, "
             expected += f"shear_modulus {' '.join(planes)}"
             raise UsageError(
-                "not the moduli of a material",
+                "these moduli do not define an elastic material",
                 got=(E_keys, nu, G),
                 expected=f"one youngs_modulus and one poisson_ratio, or {expected}",
-                hint="leave out shear_modulus of an isotropic material",
+                hint="for an isotropic material, leave out shear_modulus",
             )
         if min(E) <= 0 or not min(g) > 0:
             expected = "moduli above zero, and a poisson_ratio above -1"
-            raise UsageError("a modulus is not positive", got=[*E, *g], expected=expected)
+            raise UsageError("an elastic modulus is not positive", got=[*E, *g], expected=expected)
         s = np.diag(1 / np.array([*E, *g]))
         s[0, 1:3], s[1, 2] = -np.array(n[:2]) / E[0], -n[2] / E[1]
         return np.triu(s) + np.triu(s, 1).T
@@ -505,7 +510,7 @@ class MaterialTable(Section):
             return _require_shape(values, (3, 3), "permittivity")
         if "eps11" not in values or set(values) - set(names):
             expected = "eps11, and eps22 or eps33 where they differ from it"
-            problem = "not the components of a permittivity"
+            problem = "these keys are not the components of a permittivity"
             raise wrong("permittivity", problem, ", ".join(values), expected)
         first = values["eps11"]
         return np.diag([first, values.get("eps22", first), values.get("eps33", first)])
@@ -522,7 +527,9 @@ class MaterialTable(Section):
             return _require_shape(values, shape, key)
         if self.symmetry not in _FREE_COMPONENTS:
             expected = f"symmetry = {', '.join(_FREE_COMPONENTS)}, or a full matrix"
-            raise wrong(key, "components need a symmetry", self.symmetry, expected)
+            raise wrong(
+                key, "single components of a tensor need the key symmetry", self.symmetry, expected
+            )
         first, second, last = f"{letter}11", f"{letter}12", f"{letter}66"
         if elastic and self.symmetry in _DERIVED_66 and {first, second} <= set(values):
             factor = 0.5 if letter == "c" else 2.0
@@ -531,7 +538,10 @@ class MaterialTable(Section):
         groups = [group.split("=") for group in free.split()]
         required = {letter + group[0] for group in groups}
         if set(values) != required:
-            problem, expected = "wrong components for this symmetry", ", ".join(sorted(required))
+            problem, expected = (
+                "these components do not match the symmetry",
+                ", ".join(sorted(required)),
+            )
             raise UsageError(problem, where=key, got=", ".join(sorted(values)), expected=expected)
         matrix = np.zeros(shape)
         for group in groups:
@@ -548,7 +558,9 @@ def _require_shape(rows: list[list[float]], shape: tuple[int, int], key: str) ->
     if list(map(len, rows)) != [shape[1]] * shape[0]:
         got = f"rows of {', '.join(map(str, map(len, rows[:8])))} numbers"
         expected = f"{shape[0]} rows of {shape[1]} numbers"
-        raise UsageError("wrong number of entries", where=key, got=got, expected=expected)
+        raise UsageError(
+            "the matrix has a wrong number of entries", where=key, got=got, expected=expected
+        )
     matrix = np.array(rows)
     if shape[0] == shape[1] and not np.allclose(matrix, matrix.T, rtol=1e-6):
         expected = "equal entries on both sides of the diagonal"
@@ -564,7 +576,7 @@ def _require_definite(matrix: np.ndarray, key: str, hint: str | None = None) -> 
         scale = 1 / np.sqrt(diagonal)
         smallest = float(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0])
     if not smallest > 1e-9:
-        problem = "no such material: not positive definite"
+        problem = "the matrix of this material is not positive definite"
         raise wrong(key, problem, f"smallest eigenvalue {smallest:g}", "greater than 0", hint)
 
 
@@ -605,5 +617,5 @@ def material(
         expected = f"one of {list_candidates(name_or_table, names, 'docs/reference/materials.md')}"
         hint = did_you_mean(name_or_table, names)
         hint = hint or 'write a table: { density = …, youngs_modulus = "… GPa", poisson_ratio = … }'
-        raise wrong(where, "no such material", repr(name_or_table), expected, hint)
+        raise wrong(where, "this material does not exist", repr(name_or_table), expected, hint)
     return _load_material(_list_library_names()[name_or_table.lower()])

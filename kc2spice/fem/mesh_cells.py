@@ -127,7 +127,9 @@ def require_right_handed(points: np.ndarray, blocks: Sequence[CellBlock], where:
             got = f"{folded.size} elements, such as the one around ({centre}) mm"
             expected = "Jacobian determinants of one sign at all corners of an element"
             hint = "repair these elements in the mesher, or mesh the body with tetrahedra"
-            raise wrong(where, "the mesh has elements turned inside out", got, expected, hint)
+            raise wrong(
+                where, "some elements of the mesh have a negative volume", got, expected, hint
+            )
 
 
 def divide_faces(faces: np.ndarray) -> np.ndarray:

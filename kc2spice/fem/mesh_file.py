@@ -116,10 +116,10 @@ class GroupedMesh:
                 where=where,
                 got=repr(name),
                 expected="a physical group of the mesh for each material, electrode and port",
-                hint=f'name it in gmsh: gmsh.model.addPhysicalGroup(3, [1], name="{name}")',
+                hint=f'add the group in gmsh: gmsh.model.addPhysicalGroup(3, [1], name="{name}")',
             )
         if result is None:
-            raise unknown("no such group in the mesh", name, sorted(self.groups), where)
+            raise unknown("the mesh has no such group", name, sorted(self.groups), where)
         if not result.members.size:
             expected = "a group with elements in the mesh"
             raise UsageError("this group is empty", where=where, got=name, expected=expected)
@@ -168,11 +168,13 @@ def read_mesh(
     if cad == (size is None):
         if cad:
             expected = 'a length such as "1 mm"'
-            raise wrong("size", "a CAD file needs the size of its elements", expected=expected)
+            raise wrong(
+                "size", "the element size is missing, which a CAD file needs", expected=expected
+            )
         problem = f"size has no effect on a {path.suffix} file, which contains elements already"
         raise wrong("size", problem, f"{size:g} m", "no size", "delete the key size")
     if picks and not cad:
-        problem = "groups are picked in CAD files only"
+        problem = "the key groups applies only to CAD files"
         raise wrong("groups", problem, hint="name physical groups in the mesh")
     result = _call_gmsh(
         "extract_mesh",
@@ -235,7 +237,7 @@ def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[s
         return call_in_child(f"kc2spice.fem.mesh_file:{function}", request, write_copy)
     except ValueError as error:
         reader = "meshio" if path.suffix.lower() in MESHIO_READERS else "gmsh"
-        problem = f"{reader} cannot read or mesh this"
+        problem = f"{reader} cannot read or mesh this file"
         raise UsageError(problem, where=str(path), got=str(error)) from None
 
 
@@ -254,7 +256,7 @@ def require_format(path: Path, head: bytes | None = None) -> None:
     if known is None:
         raise wrong(
             str(path),
-            "not a mesh or CAD file",
+            "this file is not a mesh or CAD file in a supported format",
             path.suffix or "a name without suffix",
             f"a file that ends with {', '.join(FILE_FORMATS)}",
             "save the mesh as .msh with gmsh",
@@ -273,7 +275,11 @@ def require_format(path: Path, head: bytes | None = None) -> None:
         got, expected = head[:40], "a header of version 2 or 4, as text or binary"
         hint = 'gmsh.option.setNumber("Mesh.MshFileVersion", 4.1) before gmsh.write'
     raise wrong(
-        str(path), "the content does not match the file name", repr(got)[1:], expected, hint
+        str(path),
+        "the content of this file does not match its suffix",
+        repr(got)[1:],
+        expected,
+        hint,
     )
 
 
@@ -288,7 +294,7 @@ def _read_content(path: Path) -> bytes:
             hint = f"copy the file to {path}, or correct the key mesh"
             raise wrong(str(path), "this file does not exist", None, expected, hint) from None
         reason = getattr(error, "strerror", None) or str(error)
-        raise UsageError(f"cannot be read: {reason}", where=str(path)) from None
+        raise UsageError(f"this file cannot be read: {reason}", where=str(path)) from None
     require_format(path, data[:_HEAD_BYTES])
     if path.suffix.lower() == ".unv" and len(_UNV_MARK.findall(data)) % 2:
         hint = "export the file again"
@@ -300,7 +306,7 @@ def _read_content(path: Path) -> bytes:
     if path.suffix.lower() in STEP_SUFFIXES and b"DOCUMENT_FILE" in _STEP_TEXT.sub(b"", data):
         hint = "export it without external references"
         expected = "one file with all solids"
-        raise wrong(str(path), "refers to other files", "DOCUMENT_FILE", expected, hint)
+        raise wrong(str(path), "this file refers to other files", "DOCUMENT_FILE", expected, hint)
     return data
 
 
@@ -314,11 +320,11 @@ def _assemble_mesh(
     """Assemble the mesh and its groups from the arrays of :func:`extract_mesh`."""
     points = unit * arrays["points"]
     if not np.isfinite(points).all():
-        raise UsageError("a node has a coordinate that is not finite", where=where)
+        raise UsageError("a node has a coordinate that is not a finite number", where=where)
     if dimension == 2:  # radius and height; the plane is x-y (y is the axis) or x-z (z is the axis)
         flat = [axis for axis in (2, 1) if np.ptp(points[:, axis]) <= 1e-9 * np.ptp(points)]
         if not flat:
-            problem = "the axisymmetric mesh is not plane"
+            problem = "the nodes of the axisymmetric mesh are not in one plane"
             raise wrong(where, problem, expected="all nodes at z = 0, or all at y = 0")
         points = points[:, [0, 3 - flat[0]]]
     blocks = []
@@ -341,7 +347,7 @@ def _assemble_mesh(
         members = arrays[f"group{k}"] if d == dimension else same[arrays[f"group{k}"]]
         if name in groups:
             hint = "rename one of these groups in gmsh"
-            raise wrong(where, "two groups have one name", name, "a name for each group", hint)
+            raise wrong(where, "two groups have the same name", name, "a name for each group", hint)
         if d == dimension:
             groups[name] = Group(0, np.flatnonzero(np.isin(parent, members)))
         elif d == dimension - 1:
@@ -365,7 +371,7 @@ def _make_empty_mesh_error(dimension: int, grouped: int, where: str) -> UsageErr
     problem, hint = f"the mesh has no {shape}", f"mesh the {what} with "
     hint += f"gmsh.model.mesh.generate({dimension}) before gmsh.write"
     if grouped == 2 and dimension == 3:
-        problem = "the mesh has faces only, and shells are not modelled"
+        problem = "the mesh contains only faces, but shell elements are not supported"
         hint = "extrude the faces to their thickness, or set axisymmetric = true for a half plane"
     expected = f"{shape}, prisms or hexahedra in each solid of the body"
     if dimension == 2:
@@ -395,7 +401,10 @@ def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float
     if (np.diff(np.sort(same[cells], axis=1), axis=1) == 0).any():
         shortest = f"less than the shortest edge, {_shortest_edge(points, cells):.4g} m"
         raise wrong(
-            "merge", "merging nodes this far apart collapses elements", f"{distance:g} m", shortest
+            "merge",
+            "the merge distance exceeds the shortest edge of an element",
+            f"{distance:g} m",
+            shortest,
         )
     return np.asarray(same)
 
@@ -633,7 +642,13 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
                 if corners not in CORNER_COUNTS[d] or degree > 2:
                     expected = "elements of order 1 or 2: " + ELEMENT_NAMES
                     hint = "mesh with Mesh.ElementOrder = 2 in gmsh"
-                    raise wrong("mesh", "an element is not supported", shape, expected, hint)
+                    raise wrong(
+                        "mesh",
+                        "the mesh has an element type that is not supported",
+                        shape,
+                        expected,
+                        hint,
+                    )
                 at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
                 if len(ranked) == 0 or (ranked[at] != nodes).any():
                     raise UsageError("an element has a node that does not exist", where=where)
@@ -683,7 +698,7 @@ def _mesh_cad(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> No
     sides = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
     elements = float(np.prod(np.maximum(np.ptp(sides, axis=0) / size, 1.0)))
     if not elements <= MAX_ELEMENTS:
-        problem = "elements of this size are too many"
+        problem = "this element size gives too many elements"
         got, hint = f"about {elements:.1g} of them", "write a larger size"
         raise wrong("size", problem, got, f"at most {MAX_ELEMENTS}", hint)
     labels = {e: gmsh.model.getEntityName(*e).rsplit("/", 1)[-1] for e in gmsh.model.getEntities()}
@@ -740,7 +755,9 @@ def _select_entities(
         result += map(itemgetter(1), inside)
     if not result:
         expected = f"a point of, or a box around, {ENTITY_NAMES[dimension]} of the geometry"
-        raise UsageError("this group selects nothing", where=f"groups.{name}", expected=expected)
+        raise UsageError(
+            "this group selects no part of the mesh", where=f"groups.{name}", expected=expected
+        )
     return sorted(set(map(int, result)))
 
 

@@ -99,7 +99,13 @@ def require_plain_content(suffix: str, data: bytes, where: str) -> None:
     match = pattern.search(data) if pattern else None
     if match:
         got, expected = match[0].decode().strip(), "one file with nodes and elements"
-        raise wrong(where, "refers to other files", got, expected, "insert their text")
+        raise wrong(
+            where,
+            "this file refers to other files",
+            got,
+            expected,
+            "insert the text of these files",
+        )
     for line, hint in _list_ignored(reader, data):
         got = line.decode(errors="replace").strip()[:MAX_QUOTE_LENGTH]
         expected = "nodes and elements of one body in cartesian coordinates"
@@ -144,7 +150,9 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
         shape = ELEMENT_SHAPES.get(re.sub(r"\d+$", "", cells.type))
         if shape is None:
             expected = "elements of order 1 or 2"
-            raise wrong("mesh", "an element is not supported", cells.type, expected)
+            raise wrong(
+                "mesh", "the mesh has an element type that is not supported", cells.type, expected
+            )
         nodes = np.asarray(cells.data)
         if nodes.size and not 0 <= nodes.min() <= nodes.max() < len(points):
             raise UsageError("an element has a node that does not exist", where="mesh")
@@ -350,7 +358,12 @@ def _element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -> int
         if kind > 0 and gmsh.model.mesh.getElementProperties(kind)[3] == nodes:
             return kind
     expected = "elements of order 1 or 2"
-    raise wrong("mesh", "an element is not supported", f"{shape} with {nodes} nodes", expected)
+    raise wrong(
+        "mesh",
+        "the mesh has an element type that is not supported",
+        f"{shape} with {nodes} nodes",
+        expected,
+    )
 
 
 def _order_nodes(

@@ -61,12 +61,12 @@ class Solid:
         flipped = (determinant.min(axis=1) <= 0) & (determinant.max(axis=1) >= 0)
         if flipped.any():
             expected = "Jacobian determinants of one sign"
-            problem = "elements turned inside out"
+            problem = "some elements have a negative volume"
             hint = "repair or refine the mesh"
             raise wrong("mesh", problem, f"{flipped.sum()} of them", expected, hint)
         for material in self.materials if self.axisymmetric else ():
             if material.local_axes is not None and material.couples_planes:
-                problem = "a material that twists an axisymmetric body when it is driven"
+                problem = "this material twists an axisymmetric body under a voltage"
                 hint = 'use a mesh in three dimensions (part = "body" without axisymmetric)'
                 raise wrong(None, problem, material.name, "a poling in the plane of the mesh", hint)
             if material.local_axes is None and not material.isotropic_about_z:
@@ -75,7 +75,7 @@ class Solid:
                 hint += 'plane; poling = { GROUP = "radial" } is that of a ring poled radially'
                 raise wrong(None, problem, material.name, hint=hint)
         if self.axisymmetric and self.mesh.p[0].min() < -1e-9 * np.ptp(self.mesh.p):
-            problem = "axisymmetric mesh crosses its axis"
+            problem = "the axisymmetric mesh crosses the axis"
             got = f"x = {self.mesh.p[0].min():g} m"
             raise wrong("mesh", problem, got, "x (the radius) of at least 0")
 

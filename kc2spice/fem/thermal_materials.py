@@ -56,14 +56,12 @@ class ThermalMaterialTable(Section):
     """
 
     like: str | None = Field(
-        None, description="Material of the library that supplies what this table leaves out"
+        None, description="Built-in material whose properties apply where this table has no value"
     )
-    density: Density = Field(gt=0, description="Mass of a unit of volume")
-    specific_heat: SpecificHeat = Field(
-        gt=0, description="Heat that a unit of mass stores for each kelvin"
-    )
+    density: Density = Field(gt=0, description="Density")
+    specific_heat: SpecificHeat = Field(gt=0, description="Specific heat capacity")
     conductivity: Conductivity | tuple[Conductivity, Conductivity, Conductivity] = Field(
-        description="Thermal conductivity, isotropic or one value each along x, y and z"
+        description="Thermal conductivity: one value, or three values along x, y and z"
     )
     resistance_coefficient: Annotated[float, si("1/K")] | None = Field(
         None,
@@ -72,7 +70,7 @@ class ThermalMaterialTable(Section):
             "20 degrees Celsius"
         ),
     )
-    source: str = Field("", description="Source of all numbers of this table")
+    source: str = Field("", description="Reference for all values of this table")
 
     @model_validator(mode="before")
     @classmethod
@@ -83,7 +81,8 @@ class ThermalMaterialTable(Section):
         name = list_thermal_names().get(data["like"].lower())
         if name is None:
             raise ValueError(
-                f"like: no such material: {data['like']}; {', '.join(load_thermal_library())}"
+                f"like: this material does not exist: {data['like']}; "
+                f"{', '.join(load_thermal_library())}"
             )
         return dict(load_thermal_library()[name]) | dict(data)
 
@@ -162,4 +161,10 @@ def _make_unknown_material_error(name: str, where: str) -> UsageError:
     hint = did_you_mean(name, names)
     hint = hint or 'write a table: { density = …, conductivity = "… W/(m K)", specific_heat = … }'
     expected = f"one of {list_candidates(name, names, 'docs/reference/thermal_materials.md')}"
-    return wrong(where, "no material with thermal constants", repr(name), expected, hint)
+    return wrong(
+        where,
+        "this material does not exist, or has no thermal constants",
+        repr(name),
+        expected,
+        hint,
+    )

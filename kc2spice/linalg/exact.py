@@ -104,5 +104,7 @@ class RefinedSolver:
 def _make_singular_error(s: complex) -> SimulationError:
     """Return the error of a value s at a pole."""
     return SimulationError(
-        "matrix cannot be factorised", where="direct solver", got=f"singular at s = {s:.6g} 1/s"
+        "the matrix of the equations cannot be factorised",
+        where="direct solver",
+        got=f"singular at s = {s:.6g} 1/s",
     )

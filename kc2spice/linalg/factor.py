@@ -38,7 +38,7 @@ def require_bytes(need: float, purpose: str, *, where: str, hint: str) -> None:
     free = USABLE_MEMORY_SHARE * available_bytes()
     if need > free:
         raise UsageError(
-            "model too large for this machine's memory",
+            "the model needs more memory than this machine has free",
             where=where,
             got=f"about {need / 1e9:.1f} GB for {purpose}",
             expected=f"at most {free / 1e9:.1f} GB",
@@ -142,11 +142,11 @@ class Factor:
         error = self._backward_error(solution, rhs - self.matrix @ solution, rhs)
         if not error <= RESIDUAL_LIMIT:
             raise SimulationError(
-                "linear solution is inaccurate",
+                "the solution of the linear equations is inaccurate",
                 where="direct solver",
                 got=f"backward error {error:.1e}",
                 expected=f"at most {RESIDUAL_LIMIT:g}",
-                hint="the model is singular or badly scaled: check its supports and units",
+                hint="check the supports and units of the model",
             )
         return solution[:size]
 
@@ -228,11 +228,11 @@ def factorise(
 def _make_indefinite_error(got: str) -> SimulationError:
     """Return the error of a matrix without a Cholesky factor."""
     return SimulationError(
-        "matrix cannot be factorised",
+        "the matrix of the equations cannot be factorised",
         where="direct solver",
         got=got,
         expected="positive definite",
-        hint="the model may be free to move: check its supports",
+        hint="check that the supports of the model prevent all rigid-body modes",
     )
 
 
@@ -314,7 +314,9 @@ def factorise_two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> P
         except (RuntimeError, MemoryError, SimulationError) as error:
             reason = error
     text = reason.message if isinstance(reason, SimulationError) else str(reason)
-    raise SimulationError("matrix cannot be factorised", where="direct solver", got=text)
+    raise SimulationError(
+        "the matrix of the equations cannot be factorised", where="direct solver", got=text
+    )
 
 
 def _factor_banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
@@ -389,7 +391,11 @@ def _nested_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
         try:
             old, new = _order_graph(np.column_stack([key // first.size, key % first.size]))
         except MissingToolError as error:
-            warnings.warn(f"large matrices are factorised in a slower order: {error}", stacklevel=2)
+            warnings.warn(
+                f"the fast ordering of large matrices is not available, so "
+                f"factorisations take longer: {error}",
+                stacklevel=2,
+            )
             return None
         place[old] = new
     return np.argsort(place[group], kind="stable")

@@ -148,7 +148,7 @@ def _call_pardiso(
         ctypes.byref(error),
     )
     if error.value:
-        raise RuntimeError(f"PARDISO returns the error {error.value}")
+        raise RuntimeError(f"PARDISO returned the error code {error.value}")
 
 
 def _address(array: np.ndarray) -> ctypes.c_void_p:

@@ -61,7 +61,9 @@ def solving_with(solver: DirectSolver | str | None) -> Iterator[None]:
         solver = Pardiso
     if not callable(solver):
         got = repr(solver)[:120]
-        raise UsageError("not a direct solver", where="solver", got=got, expected=HOW)
+        raise UsageError(
+            "this object is not a direct solver", where="solver", got=got, expected=HOW
+        )
     token = _supplied.set(solver)
     try:
         yield
@@ -77,7 +79,7 @@ def require_solver(name: str | None, where: str) -> str | None:
     UsageError : no such solver; ``where`` is the option.
     """
     if name is not None and name not in SOLVERS:
-        raise unknown("unknown direct solver", name, SOLVERS, where)
+        raise unknown("this direct solver does not exist", name, SOLVERS, where)
     return name
 
 
@@ -97,7 +99,9 @@ def factorise_by(solver: DirectSolver, matrix: Any) -> Factorisation:
     factor = _call(solver, matrix)
     if not callable(getattr(factor, "solve", None)):
         got = f"{type(factor).__name__} without a method solve"
-        raise UsageError("not a factorised matrix", where="solver", got=got, expected=HOW)
+        raise UsageError(
+            "the solver did not return a factorised matrix", where="solver", got=got, expected=HOW
+        )
     return factor
 
 
@@ -112,7 +116,7 @@ def solve_by(factor: Factorisation, matrix: Any, rhs: np.ndarray) -> np.ndarray:
     x = np.asarray(_call(factor.solve, columns))
     if x.shape != columns.shape or x.dtype.kind not in "fc":
         raise UsageError(
-            "not a solution",
+            "the solver returned an array of a wrong type or shape",
             where="solver",
             got=f"an array of {x.dtype} and shape {x.shape}",
             expected=f"an array of {columns.dtype} and shape {columns.shape}",
@@ -130,11 +134,13 @@ def _call(function: Callable[[Any], Any], argument: Any) -> Any:
         raise
     except (RuntimeError, ArithmeticError, np.linalg.LinAlgError, MemoryError) as error:
         raise SimulationError(
-            "matrix cannot be factorised", where="solver", got=f"{type(error).__name__}: {error}"
+            "the direct solver cannot factorise the matrix",
+            where="solver",
+            got=f"{type(error).__name__}: {error}",
         ) from error
     except Exception as error:
         raise UsageError(
-            "the solver ends with an error",
+            "the direct solver ended with an error",
             where="solver",
             got=f"{type(error).__name__}: {error}",
             expected=HOW,

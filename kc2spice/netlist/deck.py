@@ -169,7 +169,9 @@ def dc_command(source: str, first: float, last: float, points: int) -> Command:
     step = (last - first) / (points - 1)
     if abs(step) < SMALLEST_SWEEP_STEP:
         got, expected = f"{step:g}", f"at least {SMALLEST_SWEEP_STEP:g} in the source's unit"
-        raise UsageError("steps too small for ngspice", where=source, got=got, expected=expected)
+        raise UsageError(
+            "the time steps are too small for ngspice", where=source, got=got, expected=expected
+        )
     return Command(
         "dc", (source, format_number(first), format_number(last + step / 4), format_number(step))
     )

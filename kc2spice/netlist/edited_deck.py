@@ -131,9 +131,9 @@ def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) ->
     analyses = [card for card in cards if card.keyword in ANALYSES]
     if list(map(attrgetter("keyword"), analyses)) != [f".{original.command.kind}"]:
         raise UsageError(
-            "another analysis than that of the scene"
+            "the analysis of this deck differs from that of the scene"
             if analyses
-            else "this file contains no analysis of the scene",
+            else "this deck contains no analysis",
             where=str(path),
             got=" and ".join(map(attrgetter("written"), analyses)) or "none",
             expected=original.command.card,
@@ -176,7 +176,7 @@ def _read_stop(original: Deck, analysis: Statement) -> float | None:
     words = analysis.words[1:]
     stop = literal_value(words[1], where=analysis.where) if len(words) > 1 else None
     if stop is None:
-        message, got = "the end of the transient is no number", " ".join(words)
+        message, got = "the end of the transient is not a number", " ".join(words)
         raise UsageError(message, where=analysis.where, got=got)
     return stop
 
@@ -239,7 +239,7 @@ def _require_instances(before: Scope, now: Scope, path: Path) -> None:
             raise UsageError(
                 f"the deck has no card {name}",
                 where=str(path),
-                expected=f"{name} of the exported deck, or cards that take its place",
+                expected=f"{name} of the exported deck, or elements that replace it",
                 hint=f"copy the line that begins with {name} from a new export",
             )
 

@@ -199,7 +199,9 @@ def evaluate_parameter(tree: Tree, names: Mapping[str, float]) -> float:
             )
         case Choice(test, yes, no):
             return evaluate_parameter(yes if evaluate_parameter(test, names) else no, names)
-    raise UsageError("not a number", where="expression", got=Writer().write(tree)[:80])
+    raise UsageError(
+        "this expression is not a number", where="expression", got=Writer().write(tree)[:80]
+    )
 
 
 def substitute_names(tree: Tree, values: Mapping[str, Tree]) -> Tree:

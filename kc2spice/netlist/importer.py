@@ -505,7 +505,7 @@ def _require_simple_switch(model: Model) -> None:
         raise model.error("a switch that opens gradually has no equal in ngspice", got)
     extra = words.keys() & {"lser", "vser", "ilimit", "level", "epsilon", "oneway"}
     if extra:
-        problem = f"{', '.join(sorted(extra))} of a switch has no equal in ngspice"
+        problem = f"{', '.join(sorted(extra))} of a switch has no equivalent in ngspice"
         raise model.error(problem)
 
 
@@ -605,7 +605,7 @@ class _Translator:
             return base if exponent == 1 else Binary("*", base, Binary("^", base, even))
         if _is_positive(base):
             return Binary("^", base, power)
-        problem = "a power of what may be negative is not the same in ngspice"
+        problem = "a power with a base that can be negative has another value in ngspice"
         expected = "abs(…) around the base, or a whole number as exponent"
         raise self.card.error(problem, Writer().write(Binary("^", base, power))[:80], expected)
 

@@ -96,7 +96,7 @@ class _Reader:
         if real in chain:
             got = " -> ".join(map(attrgetter("name"), (*chain, real)))
             raise UsageError(
-                "a file includes itself, directly or through others", where=where, got=got
+                "this file includes itself, directly or through other files", where=where, got=got
             )
         goes_on = False
         for number, raw in enumerate(self._read_text(name, real, where).split("\n"), 1):
@@ -139,7 +139,9 @@ class _Reader:
                 "more than one word" if rest and result is None else explain_unsafe_name(target)
             )
             if reason:
-                raise make_forbidden_line_error(f"includes {reason}", self.main, where, raw)
+                raise make_forbidden_line_error(
+                    f"the name of an included file is not allowed: {reason}", self.main, where, raw
+                )
         return target
 
     def _read_text(self, name: str, real: Path, where: str) -> str:
@@ -147,9 +149,11 @@ class _Reader:
         self.files += 1
         if self.files > MAX_INCLUDED_FILES:
             expected = f"at most {MAX_INCLUDED_FILES}"
-            raise UsageError("includes too many files", where=str(self.main), expected=expected)
+            raise UsageError(
+                "the netlist includes too many files", where=str(self.main), expected=expected
+            )
         if self._is_outside(real):
-            message = "the include leads out of the circuit's directory"
+            message = "the included file is outside of the directory of the netlist"
             raise UsageError(message, where=where, got=name)
         try:
             data = read_bounded(real, MAX_CIRCUIT_BYTES - self.size)
@@ -164,7 +168,9 @@ class _Reader:
             missing = isinstance(error, FileNotFoundError)
             if where == str(self.main) and (missing or isinstance(error, IsADirectoryError)):
                 raise UsageError(
-                    "this file does not exist" if missing else "is a directory",
+                    "this file does not exist"
+                    if missing
+                    else "this path is a directory, not a netlist",
                     where=where,
                     expected="the path of a netlist",
                     hint="give the path of a netlist that kc2spice export or kc2spice run wrote",
@@ -186,7 +192,7 @@ def make_forbidden_line_error(reason: str, path: Path, where: str, text: str) ->
         where=f"{path} ({where})" if where not in str(path) else str(path),
         got=text[:120],
         expected="subcircuits, models, parameters and elements only",
-        hint="read the file; if you trust every line of it, repeat with --trust",
+        hint="read the file; if you trust every line, repeat the command with --trust",
     )
 
 
@@ -271,7 +277,7 @@ def _find_deck_effects(
         )
         yield f"sets the {what} of the whole deck", _PART_FILE_CONTENT, hint
     if part and outside and (key in (".ic", ".nodeset") or (key and not key.startswith("."))):
-        what = "has a card outside of every subcircuit, which acts on nodes of the whole deck"
+        what = "has a card outside of all subcircuits, which acts on nodes of the whole deck"
         yield what, _PART_FILE_CONTENT, "put it into the .subckt or drop it"
     if not part and "interp" in options:
         hint = "drop it: events lie between the points that it keeps"
@@ -377,11 +383,12 @@ def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat
     reason = None if trust else explain_unsafe_name(name)
     if reason:
         raise UsageError(
-            f"includes {reason}",
+            f"the name of an included file is not allowed: {reason}",
             where="include",
             got=repr(name[:120]),
-            expected="names of files beside the scene: letters, digits, blanks and _ . + -",
-            hint="copy the netlist beside the scene, or repeat with --trust",
+            expected="a file in the scene's folder, with letters, digits, blanks and _ . + - in "
+            "its name",
+            hint="copy the netlist to the scene's folder, or repeat the command with --trust",
         )
     result = read_checked_circuit(home / name, trust=trust, home=home)
     check_deck_effects(result.cards(), part=True)

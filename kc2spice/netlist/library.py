@@ -192,7 +192,7 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
         raise UsageError("this library cannot be read", where=str(path), got=reason) from None
     parts = parse_subcircuits(text, path.name)
     if not parts:
-        raise UsageError("no subcircuit in this library", where=str(path), expected=".subckt")
+        raise UsageError("this library contains no subcircuit", where=str(path), expected=".subckt")
     return parts
 
 
@@ -256,7 +256,7 @@ def _make_part(circuit: Circuit, library: Circuit, text: str, file: str) -> Subc
     pins = parse_declared_pins(circuit)
     if pins and list(map(attrgetter("key"), pins)) != list(map(str.lower, circuit.pins)):
         listed = " ".join(map(attrgetter("name"), pins))
-        message = "the head does not list the pins of its subcircuit"
+        message = "the header does not list the pins of the subcircuit"
         raise circuit.error(message, listed, " ".join(circuit.pins))
     heads = {m[1].lower(): m for m in map(_PARAMETER_LINE.match, join_comments(circuit.notes)) if m}
     params = []

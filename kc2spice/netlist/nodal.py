@@ -159,7 +159,7 @@ def _parse_value(item: Element) -> Tree | float:
         return 0.0
     if item.kind not in "rclge" or item.expression or len(item.values) != 1:
         raise UsageError(
-            "not an element of a linear circuit",
+            "this element is not linear",
             where=item.where,
             got=item.written[:80] or item.name,
             expected="R, C, L, G or E with one number",

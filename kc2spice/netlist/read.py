@@ -358,7 +358,7 @@ def _read_polynomial(text: str, where: str) -> str:
     dimension, _, rest = text.removeprefix("(").partition(")")
     tokens = rest.replace("(", " ").replace(")", " ").replace(",", " ").split()
     if not dimension.strip().isdigit() or len(tokens) <= 2 * int(dimension):
-        raise UsageError("polynomial is not complete", where=where, got=text[:80])
+        raise UsageError("the polynomial is not complete", where=where, got=text[:80])
     ends, factors = tokens[: 2 * int(dimension)], tokens[2 * int(dimension) :]
     axes = [f"V({a},{b})" for a, b in zip(ends[::2], ends[1::2], strict=True)]
     if len(factors) == 1 and len(axes) == 1:

@@ -34,7 +34,9 @@ def format_number(value: float) -> str:
     """
     plain = float(value)
     if not math.isfinite(plain):
-        raise UsageError("a netlist cannot hold this number", got=plain, expected="a finite number")
+        raise UsageError(
+            "this number cannot be written to a netlist", got=plain, expected="a finite number"
+        )
     return repr(plain)
 
 
@@ -75,7 +77,12 @@ def require_name(text: str, *, where: str = "netlist") -> str:
     """
     if _VALID_NAME.fullmatch(text) is None or text.lower() in _RESERVED_NAMES:
         expected = "a letter, then letters, digits or _ (64 at most), no reserved word"
-        raise UsageError("not a netlist name", where=where, got=repr(text), expected=expected)
+        raise UsageError(
+            "this text is not a valid name in netlists",
+            where=where,
+            got=repr(text),
+            expected=expected,
+        )
     return text
 
 
@@ -93,7 +100,7 @@ def require_word(text: str) -> str:
     """
     if not text.isprintable() or len(text.split()) != 1 or len(text) > 64:
         raise UsageError(
-            "not a unit: it contains a blank, a line break or more than 64 characters",
+            "this unit contains a blank or a line break, or has more than 64 characters",
             where="netlist",
             got=repr(text[:80]),
             expected="one word, such as N/m",
@@ -115,10 +122,10 @@ def require_distinct(names: Sequence[str], inner: str, *, where: str) -> None:
     for text, plain in zip(names, low, strict=True):
         if low.count(plain) > 1 or re.fullmatch(inner, plain):
             raise UsageError(
-                "this name is taken in the subcircuit",
+                "the subcircuit already contains this name",
                 where=where,
                 got=text,
-                expected="names of ports that differ in more than case",
+                expected="names of ports that differ in more than letter case",
                 hint="rename the port",
             )
 

@@ -118,7 +118,7 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
     known, parts = parameter_defaults(deck), list(deck.parts)
     for key, value in values:
         if key not in known:
-            message = "no part of this scene has such a parameter"
+            message = "no part of this scene has a parameter of this name"
             raise unknown(message, key, known, f"param.{key}")
         library, _, name = key.partition(".")
         parts = [_change_parameter(part, library, name, value) for part in parts]
@@ -157,7 +157,12 @@ def _require_in_range(param: Param, library: str, value: float) -> None:
     if most == math.inf and least > -math.inf:
         expected = "above zero" if least == SMALLEST_POSITIVE else f"at least {least:g}"
     where, got = f"param.{library}.{param.name}", f"{value:g} {param.unit}"
-    raise UsageError("outside the range of this parameter", where=where, got=got, expected=expected)
+    raise UsageError(
+        "the value is outside of the range of this parameter",
+        where=where,
+        got=got,
+        expected=expected,
+    )
 
 
 # --- array of copies, each with its own source ---
@@ -176,10 +181,10 @@ def make_array_deck(deck: Deck, count: int) -> Deck:
     if not 1 <= count <= MAX_COPIES:
         expected = f"1 to {MAX_COPIES}"
         raise UsageError(
-            "not a possible number of copies", where="--count", got=count, expected=expected
+            "the number of copies is not valid", where="--count", got=count, expected=expected
         )
     if deck.command.kind == "dc":
-        message, got = "a dc sweep moves one source, not one of each copy", deck.command.card
+        message, got = "a dc sweep cannot vary the sources of several copies", deck.command.card
         expected = "a scene with a transient or an ac analysis"
         raise UsageError(message, where="--count", got=got, expected=expected)
     unit, numbers = f"{deck.name}_unit", range(1, count + 1)

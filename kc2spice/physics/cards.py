@@ -184,7 +184,7 @@ def _list_laws(declaration: Declaration, linkages: Linkages | None) -> tuple[Tre
     for tree in others:
         if has_tables(tree, declaration.tables):
             raise UsageError(
-                "a netlist has tables in forces and inductances alone",
+                "tables are supported only in forces and inductances",
                 where=declaration.name,
                 got=text(tree),
             )
@@ -262,7 +262,7 @@ def _write_linkage(
     varying = names(resistance) & declaration.variables
     if varying - {TEMPERATURE}:
         raise UsageError(
-            "a current with tables of inductance needs a constant resistance",
+            "the resistance in series with a tabulated inductance is not constant",
             where=declaration.name,
             got=text(drop),
         )

@@ -157,7 +157,7 @@ def branch(
     Branch(kind='temperature', name='temperature', plus='a', minus='b', through='heat', less='')
     """
     if kind not in COORDINATES:
-        raise unknown("no such coordinate of a branch", kind, COORDINATES, "branch")
+        raise unknown("this coordinate of a branch does not exist", kind, COORDINATES, "branch")
     domain, side = QUANTITIES[kind]
     name, flow = name or domain.quantity(side).symbol, domain.through_variable.symbol
     return Branch(kind, name, plus, minus, name if side == "through" else through or flow)
@@ -207,7 +207,7 @@ def _unknown_name(
     """Make the error of ``unknown`` names in the equation ``what`` of a part."""
     first, choices = unknown[0], sorted(known)
     return UsageError(
-        f"unknown name in the {what}",
+        f"the {what} contains an unknown name",
         where=part,
         got=", ".join(unknown),
         expected=f"one of {list_candidates(first, choices)}" if choices else "numbers",
@@ -356,7 +356,7 @@ class Declaration:
                 where=self.name,
                 got=self.content,
                 expected=f"an expression of {' or '.join(sorted(variables))}",
-                hint="losses follow from rates: x_rate is the velocity of a displacement x",
+                hint="use rates, such as x_rate for the velocity of the displacement x",
             )
 
     def _all_trees(self) -> Iterable[tuple[str, Tree]]:

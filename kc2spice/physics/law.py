@@ -290,7 +290,7 @@ class DeclaredLaw(Device):
                     f"{what} is exceeded",
                     where=f"{self.name} at t = {t:.6e} s",
                     got=f"{self.declaration.limits[what]} = {value:g}",
-                    expected="above zero",
+                    expected="a value above zero",
                 )
 
     def energy(self, e: np.ndarray, mode: Any) -> float:

@@ -44,7 +44,7 @@ class Linkages:
         for tree in chain.from_iterable(rows):
             if saturating := sorted(names(tree).intersection(currents)):
                 raise UsageError(
-                    "inductances with tables must not depend on currents",
+                    "a tabulated inductance depends on a current",
                     where=self.declaration.name,
                     got=", ".join(saturating),
                 )

@@ -97,9 +97,9 @@ class Lookups:
         arguments = {call.arguments[0] for calls in uses for call, _ in calls}
         if len(arguments) > 1 or (arguments and len(ranges) > 1):
             raise UsageError(
-                "tables of several arguments or ranges",
+                "the tables differ in their arguments or ranges",
                 got=", ".join(sorted(map(text, arguments))),
-                expected="one argument and one range in the netlist of a part",
+                expected="one common argument and range for all tables of a part",
             )
         if arguments:
             (self.argument,) = arguments

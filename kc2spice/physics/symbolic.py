@@ -88,7 +88,7 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
             case Call(name, _):
                 functions = (*_SPECIAL, *_CHAIN, *tables)
                 raise UsageError(
-                    "no such function in a declaration",
+                    "declarations do not support this function",
                     where=where,
                     got=name,
                     expected="one of " + list_candidates(name, functions, _PAGE),
@@ -96,10 +96,10 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
                 )
             case Choice() | CircuitVariable():
                 raise UsageError(
-                    "an expression contains names, numbers and functions only",
+                    "this text is not an expression of names, numbers and functions",
                     where=where,
                     got=text,
-                    hint="write max(0, x) for a condition x > 0",
+                    hint="replace a condition such as x > 0 by max(0, x)",
                 )
     try:
         return simplify(_replace_above(tree))
@@ -140,9 +140,9 @@ def text(tree: Tree) -> str:
     for node in walk_tree(tree):
         if isinstance(node, Call) and node.function == "integral":
             raise UsageError(
-                "a netlist has no integrals",
+                "an integral cannot be written to a netlist",
                 got=Writer().write(node),
-                hint="write its closed form",
+                hint="write the closed form of the integral",
             )
     return _Card().write(tree)
 
@@ -283,7 +283,7 @@ class _Product:
 
     def inverse(self) -> _Product:
         if not self.size:
-            raise UsageError("the equations of a part divide by zero")
+            raise UsageError("the equations of the part contain a division by zero")
         return _Product(1 / self.size, self.below, self.above)
 
     def tree(self) -> Tree:
@@ -353,7 +353,7 @@ def _terms(tree: Tree) -> list[_Product]:
             raise UsageError(
                 "the exponent is not a whole number",
                 got=Writer().write(tree),
-                expected="a whole number behind ^",
+                expected="a whole number after ^",
                 hint=f"write {Writer().write(_as_exponential(base, power))} for a positive base",
             )
     if not _may_differ_from_zero(tree):
@@ -430,7 +430,7 @@ def split_calls(
         inner = (node.function for node in walk_tree(factor) if isinstance(node, Call))
         if len(calls) > 1 or any(name in functions for name in inner):
             raise UsageError(
-                "a netlist has no functions and no products of tables",
+                "a netlist cannot contain a function or product of tables",
                 got=Writer().write(term.tree()),
                 expected="each table as a factor of a term",
             )

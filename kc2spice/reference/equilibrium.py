@@ -258,9 +258,9 @@ def equilibrium(system: System, guess: np.ndarray | None = None) -> tuple[np.nda
             return _set_initial_speeds(system, z), interval.modes
         pace = min(10.0 * pace, 1e13)
     raise SimulationError(
-        "no equilibrium was reached",
+        "the search for an equilibrium does not converge",
         where="operating point",
-        hint="support every part, or give a mass a position to start it in flight",
+        hint="support every part, or set the key position of a mass that starts in flight",
     )
 
 
@@ -292,9 +292,9 @@ def _newton_step(
         level = np.maximum(np.abs(add).max(axis=1), 1e-300)
         if short.any() and np.abs(right).max() > 1e-12:
             raise SimulationError(
-                "a part has no support: there is no equilibrium",
+                "a part has no support, so it has no equilibrium",
                 where="operating point",
-                hint="give a mass a position to start it in flight, or a support",
+                hint="add a support, or set the key position of a mass that starts in flight",
             )
         full = np.vstack((full, add / level[:, None]))
         right = np.concatenate((right, drop / level))

@@ -167,7 +167,7 @@ class Radau:
         self.h_lu = h
         if any(map(itemgetter(2), self.lu)):
             raise SimulationError(
-                "the equations are singular",
+                "the circuit equations are singular",
                 where=f"t = {self.t:.6e} s",
                 hint="look for a net without a path to ground, or an inductor in series with a "
                 "current source",
@@ -359,7 +359,7 @@ def solve_transient(
         while t < end:
             if len(segments) > _MAX_SEGMENTS:
                 raise SimulationError(
-                    "contact opens and closes without end", where=f"t = {t:.9e} s"
+                    "a contact opens and closes infinitely often", where=f"t = {t:.9e} s"
                 )
             interval = Interval(system, modes, within)
             if (jumped := _find_jump(interval, t, z, left)) is not None:

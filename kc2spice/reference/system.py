@@ -293,9 +293,9 @@ class _Assembly:
         rank = int((sing > 1e-11 * sing[0]).sum())
         if rank < len(pairs) and np.any(np.abs(u[:, rank:].T @ drive) > 1e-9):
             raise UsageError(
-                "ideal sources prescribe the same quantity",
+                "several ideal sources prescribe the same quantity",
                 got=", ".join(self.sources[k].name for k in np.flatnonzero(drive.any(axis=0))),
-                hint="join them through a resistance, or leave one out",
+                hint="add a resistance between the sources, or delete one source",
             )
         R[mixed] = (vt[:rank].T / sing[:rank]) @ (u[:, :rank].T @ drive)
         free = np.zeros((sizes.size, sizes.size - rank))

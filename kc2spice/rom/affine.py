@@ -53,7 +53,9 @@ class ModelParameter:
     def __post_init__(self) -> None:
         if not self.name.isidentifier() or not self.name.isascii():
             expected = "letters, digits and _, a letter first"
-            raise UsageError("is no name of a parameter", where=self.name, expected=expected)
+            raise UsageError(
+                "this text is not a valid name of a parameter", where=self.name, expected=expected
+            )
         if not self.axis.low <= self.default <= self.axis.high:
             raise UsageError(
                 "the default is outside of the range",
@@ -157,7 +159,7 @@ class AffineModel:
         names = [item.name.lower() for item in self.parameters]
         if not 1 <= len(names) <= MOST_PARAMETERS or len(set(names)) < len(names):
             raise UsageError(
-                "not the parameters of a model",
+                "the list of parameters is not valid",
                 where=f"{self.model.name}: parameters",
                 got=", ".join(names) or "no parameter",
                 expected=f"1 to {MOST_PARAMETERS} parameters whose names differ in more than case",
@@ -190,7 +192,7 @@ class AffineModel:
         """
         for name in values:
             if name not in self.defaults:
-                raise unknown("no such parameter", name, self.defaults, self.name)
+                raise unknown("the model has no such parameter", name, self.defaults, self.name)
         point = self.defaults | dict(values)
         if self.assemble is not None:
             return self.assemble(point)
@@ -310,7 +312,7 @@ def _proportional(model: LinearModel) -> LinearModel:
     """
     if model.structural:
         raise UsageError(
-            "parameters in the netlist need damping in proportion to mass and stiffness",
+            "a model with parameters needs damping in proportion to mass and stiffness",
             where=model.name,
             got="structural damping",
             expected="alpha and beta, or ratio and at",

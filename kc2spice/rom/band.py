@@ -49,9 +49,10 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
     rates = np.sort(rates[rates > 0])[:MODES] ** (1 / pencil.degree)
     if not rates.size:
         raise UsageError(
-            "no natural frequency suggests a band",
+            "the frequency band is missing, and the model has no natural frequency to derive it "
+            "from",
             where="band",
-            hint="name the frequencies of interest: --band 0 2e4",
+            hint="add a frequency band, such as --band 0 2e4",
         )
     return 0.0, float(BEYOND * rates[-1] / (2 * np.pi))
 
@@ -153,7 +154,7 @@ def frequency_band(
         return None
     if isinstance(band, (str, float, int)) or len(band) != 2:
         raise UsageError(
-            "not a frequency band",
+            "this value is not a frequency band",
             where="band",
             got=repr(band),
             expected='two frequencies, such as (0, 20e3) or (0, "20 kHz")',

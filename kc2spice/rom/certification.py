@@ -35,8 +35,8 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
         raise SimulationError(
             "the reduced model has a state without stiffness, damping or inertia",
             where=task.fom.name,
-            got="entries of the matrices that rounding errors exceed",
-            hint="reduce to a tolerance instead of an order: --tolerance 1e-4",
+            got="matrix entries that are smaller than their rounding errors",
+            hint="replace the order by a tolerance: --tolerance 1e-4",
         )
     sharpest = max(estimator.exact.select_visible(task.band)[1].min(initial=1.0), SHARPEST)
     rounding = ROUNDING_AT_RESONANCE * float(np.finfo(float).eps) / sharpest

@@ -157,11 +157,11 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
     sudden = amplitude[0] * (clamped + motional) - chi.instantaneous_factor * motional
     if ports.size and np.linalg.eigvalsh(sudden)[0] < 0:
         raise UsageError(
-            "losses too large for the coupling of the body",
+            "the losses are too large for the piezoelectric coupling of the body",
             where="damping",
             got=f"1 / Q of {losses.loss_factor:g}, loss tangent of {losses.tangent:g}",
-            expected="losses with which the sudden capacitance stays positive",
-            hint='lower them, or set model = "rayleigh"',
+            expected="losses for which the high-frequency capacitance is positive",
+            hint='reduce the losses, or set model = "rayleigh"',
         )
     D[np.ix_(ports, ports)] = sudden
     lossless = replace(model, damp=np.zeros(n), certificate=None).linear()

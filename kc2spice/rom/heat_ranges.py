@@ -166,7 +166,7 @@ def reduce_heat_over_ranges(
         if error <= tolerance:
             return _finish(ranges, result, error, facts)
         samples += fresh
-    problem = "the error cannot be certified over the box of the parameters"
+    problem = "the error cannot be estimated over the ranges of the parameters"
     got = f"{error:.2g} at a point that nothing was made from"
     raise range_error(problem, frame.name, got, tolerance)
 

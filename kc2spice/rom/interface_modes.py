@@ -84,7 +84,9 @@ def reduce_with_interfaces(model: LinearModel, given: Sequence[str], **aims: Any
 
 def no_congruence_error(model: LinearModel) -> UsageError:
     """Return the error of a model of heat that no congruence reduces."""
-    return wrong(model.name, "no congruence reduces this model of heat", hint="set rom.order")
+    return wrong(
+        model.name, "this heat model cannot be reduced to a tolerance", hint="set rom.order"
+    )
 
 
 def keeps_all_heat(K: sparse.csc_array) -> bool:

@@ -50,7 +50,7 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
     end = data.find(b"\n", 0, 1000)
     banner = data[: max(end, 0)].decode("ascii", "replace").lower().split()
     if banner[:2] != ["%%matrixmarket", "matrix"] or len(banner) != 5:
-        raise ValueError("the first line is not that of a Matrix Market file")
+        raise ValueError("the first line is not the header of a Matrix Market file")
     form, field, symmetry = banner[2:]
     if form not in _FORMS or symmetry not in _SYMMETRIES:
         raise ValueError(f"'{form} {symmetry}' is not supported")
@@ -58,7 +58,7 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
         raise ValueError(f"it is a {field} matrix")
     sizes, start = _read_sizes(data, end + 1)
     if len(sizes) != (3 if form == "coordinate" else 2) or min(sizes) < 0:
-        raise ValueError("the line of sizes is damaged")
+        raise ValueError("the line with the matrix size is damaged")
     rows, columns = sizes[:2]
     if symmetry != "general" and rows != columns:
         raise ValueError(f"{symmetry}, but {rows} x {columns}")
@@ -67,10 +67,12 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
     width = _FIELDS[field] + (2 if form == "coordinate" else 0)
     count = width * entries
     if 2 * count > len(data) - start + 2:
-        raise ValueError(f"{len(data)} bytes cannot hold {entries} entries: it is cut off")
+        raise ValueError(
+            f"{len(data)} bytes are too few for {entries} entries; the file may be truncated"
+        )
     values = parse_numbers(data[start:])
     if values.size != count:
-        raise ValueError(f"{values.size} numbers instead of {count}: is it cut off?")
+        raise ValueError(f"{values.size} numbers instead of {count}; the file may be truncated")
     table = values.reshape(-1, width)
     value = table[:, -1] if field != "complex" else table[:, -2] + 1j * table[:, -1]
     if form == "array":
@@ -87,7 +89,7 @@ def _read_sizes(data: bytes, start: int) -> tuple[list[int], int]:
         start = end + 1
         if line and not line.startswith(b"%"):
             return list(map(int, line[:200].split())), start
-    raise ValueError("the line of sizes is missing")
+    raise ValueError("the line with the matrix size is missing")
 
 
 def _read_symmetry(rows: int, columns: int, symmetry: str) -> int:
@@ -137,7 +139,7 @@ def parse_numbers(text: bytes) -> np.ndarray:
         try:
             return np.fromstring(text.translate(_FORTRAN), dtype=float, sep=" ")
         except (DeprecationWarning, ValueError):
-            raise ValueError("an entry of it is not a number") from None
+            raise ValueError("an entry of the matrix is not a number") from None
 
 
 def parse_indices(values: np.ndarray, size: int) -> np.ndarray:
@@ -149,7 +151,7 @@ def parse_indices(values: np.ndarray, size: int) -> np.ndarray:
     """
     sound = (values >= 1) & (values <= size) & (values == np.floor(values))
     if not sound.all():
-        raise ValueError(f"an index is {values[~sound][0]:g}, the matrix has {size} rows")
+        raise ValueError(f"the index {values[~sound][0]:g} exceeds the {size} rows of the matrix")
     return values.astype(np.int64) - 1
 
 
@@ -201,15 +203,15 @@ def read_rom(path: Path | str) -> LinearModel:
             "this file does not exist",
             where=str(path),
             expected=_ROM_FILES,
-            hint="kc2spice reduce MODEL writes one, NAME_rom/NAME_rom.npz",
+            hint="run kc2spice reduce MODEL, which writes NAME_rom/NAME_rom.npz",
         )
     if path.suffix not in (".npz", ".json", ".M", ".E", ".K", ".A", ".B", ".C", ".D"):
         raise UsageError(
-            "is not a reduced model",
+            "this file is not a reduced model",
             where=str(path),
             got=f"a file that ends with {path.suffix or 'no suffix'}",
             expected=_ROM_FILES,
-            hint="kc2spice reduce MODEL writes one, NAME_rom/NAME_rom.npz",
+            hint="run kc2spice reduce MODEL, which writes NAME_rom/NAME_rom.npz",
         )
     try:
         if path.suffix == ".npz":
@@ -251,7 +253,7 @@ def require_certificate(certificate: Certificate | None, name: str) -> Certifica
     """
     if certificate is None:
         expected = "a model that 'kc2spice reduce' wrote"
-        raise UsageError("is not a reduced model", where=name, expected=expected)
+        raise UsageError("this file is not a reduced model", where=name, expected=expected)
     return certificate
 
 
@@ -281,7 +283,7 @@ def read_arrays(path: Path, names: Iterable[str]) -> tuple[dict[str, np.ndarray]
 def damage_error(path: Path, error: Exception) -> UsageError:
     """Make the error of a file that is no reduced model from that of its parser."""
     return UsageError(
-        "is not a reduced model",
+        "this file is not a reduced model",
         where=str(path),
         got=" ".join(str(error).split())[:120] or type(error).__name__,
         expected="a file that 'kc2spice reduce' wrote",
@@ -291,7 +293,9 @@ def damage_error(path: Path, error: Exception) -> UsageError:
 def require_single_line(text: str, longest: int) -> str:
     """Require a text without a line break, which would begin a card in the header of a netlist."""
     if not text.isprintable() or len(text) > longest:
-        raise ValueError(f"not plain text: {text[:40]!r}")
+        raise ValueError(
+            f"a text has a line break, or more than {longest} characters: {text[:40]!r}"
+        )
     return text
 
 
@@ -328,7 +332,7 @@ def parse_certificate(record: object) -> Certificate:
     if not 0 <= low <= high < np.inf:
         raise ValueError(f"band {low} … {high} Hz")
     if not np.isfinite([certificate.error_estimate, *chain(*certificate.above)]).all():
-        raise ValueError("the certificate is not finite")
+        raise ValueError("the certificate contains a number that is not finite")
     return certificate
 
 
@@ -339,7 +343,7 @@ def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearMode
     letters = _matrix_letters("A" in matrices)
     arrays: dict[str, Any] = {letter: np.asarray(matrices[letter]) for letter in letters}
     if any(array.dtype.kind != "f" for array in arrays.values()):
-        raise ValueError("a matrix that is not of real numbers")
+        raise ValueError("a matrix contains values that are not real numbers")
     facts = select_mesh_values(
         TypeAdapter(dict[str, float]).validate_python(record.get("facts", {}))
     )

@@ -61,7 +61,7 @@ class Port:
 
     def __post_init__(self) -> None:
         if self.kind not in PORT_KINDS:
-            raise unknown("unknown kind of port", self.kind, PORT_KINDS, self.name)
+            raise unknown("this kind of port does not exist", self.kind, PORT_KINDS, self.name)
         across, flow = ("-", "-") if self.domain is None else self.domain.units
         object.__setattr__(self, "across", self.across or across)
         object.__setattr__(self, "flow", self.flow or flow)
@@ -213,7 +213,7 @@ class LinearModel:
         if first in (self.K is not None, self.M is not None) or self.B is None:
             got = "matrices " + ", ".join(k for k in "MEKA" if getattr(self, k) is not None)
             raise UsageError(
-                "is not a complete model",
+                "the model lacks matrices",
                 where=self.name,
                 got=got,
                 expected="M, K, B and as needed E, C, D; E, K, B and as needed C, D; or A, B "
@@ -236,7 +236,9 @@ class LinearModel:
             reference = self.A if first else self.K
             put(self, "E", zero.toarray() if isinstance(reference, np.ndarray) else zero)
         elif (self.E is not None and self.rayleigh is not None) or (first and self.rayleigh):
-            raise UsageError("damping is given twice", where=self.name, expected="E or rayleigh")
+            raise UsageError(
+                "damping is defined twice", where=self.name, expected="either E or rayleigh"
+            )
         shapes = dict.fromkeys(("M", "E", "K", "A", "loss"), (n, n)) | {
             "B": (n, m),
             "C": (p, n),
@@ -246,11 +248,11 @@ class LinearModel:
             matrix = getattr(self, letter)
             if matrix is not None and (matrix.shape != shape or 0 in shape):
                 raise UsageError(
-                    f"matrix {letter} does not fit",
+                    f"matrix {letter} has a wrong size",
                     where=self.name,
                     got=" x ".join(map(str, matrix.shape)),
                     expected=" x ".join(map(str, shape)) + ", at least one row and column",
-                    hint="damping is E: a damping matrix is called E, D is the feedthrough"
+                    hint="pass a damping matrix as E; D is the feedthrough matrix"
                     if letter == "D" and matrix.shape == (n, n)
                     else None,
                 )
@@ -350,7 +352,7 @@ class LinearModel:
         states = np.asarray(states)
         if self.basis is None:
             raise UsageError(
-                "no basis to reconstruct unknowns of the full-order model from",
+                "this model has no basis from which to reconstruct the unknowns of the full model",
                 where=self.name,
                 expected="a result of kc.reduce for a model without constraints",
                 hint="reduce the model by a congruence, such as method='response POD'",
@@ -358,7 +360,10 @@ class LinearModel:
         if not states.ndim or len(states) != self.order:
             expected = f"{self.order} states along the first axis"
             raise UsageError(
-                "states do not fit", where="states", got=states.shape, expected=expected
+                "the array of states does not match the model",
+                where="states",
+                got=states.shape,
+                expected=expected,
             )
         return np.asarray(np.tensordot(self.basis, states, axes=1))
 
@@ -380,10 +385,10 @@ class LinearModel:
 
     def _without_states(self) -> UsageError:
         return UsageError(
-            "structural damping has no state-space form",
+            "a model with structural damping has no state-space form",
             where=self.name,
             got=f"a loss factor of {self.loss_factor:g}" if self.loss is None else "a complex K",
-            hint="reduce the model: kc2spice.reduce finds the nearest passive one",
+            hint="reduce the model by kc.reduce, which finds the nearest passive model",
         )
 
     def to_statespace(self) -> StateSpace:
@@ -418,7 +423,7 @@ class LinearModel:
         known = [p.name for p in self.ports]
         for name in names:
             if name not in known:
-                raise unknown("no such port", name, known, self.name)
+                raise unknown("the model has no such port", name, known, self.name)
         columns = [self.inputs.index(n) for n in self.inputs if n in names]
         rows = [self.outputs.index(n) for n in self.outputs if n in names]
         ports = tuple(p for p in self.ports if p.name in names)
@@ -509,10 +514,10 @@ def with_potentials(
     is_electrode = np.array([p.electrical for p in ports])
     if is_electrode.sum() != electrodes or (~is_electrode).sum() != B.shape[1]:
         raise UsageError(
-            "ports do not fit",
+            "the ports do not match the matrices",
             where=others.get("name"),
             got=[p.name for p in ports],
-            expected=f"{electrodes} electrical and {B.shape[1]} others",
+            expected=f"{electrodes} electrical ports and {B.shape[1]} other ports",
         )
     count = len(ports)
     drive, D = np.empty((len(B), count)), np.zeros((count, count))
@@ -552,7 +557,7 @@ def _set_structural(model: LinearModel) -> None:
     if K is not None and not isinstance(K, Schur) and np.iscomplexobj(K):
         if model.structural:
             expected = "a complex K, or loss_factor"
-            raise UsageError("structural damping is given twice", where=where, expected=expected)
+            raise UsageError("structural damping is defined twice", where=where, expected=expected)
         put(model, "K", _require_matrix(K.real, "K", where))
         put(model, "loss", K.imag)
     try:
@@ -566,7 +571,7 @@ def _set_structural(model: LinearModel) -> None:
         put(model, "loss", loss)
     put(model, "loss_factor", eta)
     if model.structural and model.M is None:
-        raise UsageError("only second-order models have structural damping", where=where)
+        raise UsageError("structural damping applies only to second-order models", where=where)
 
 
 def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
@@ -600,11 +605,11 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
 def _structural_loss_error(where: str, got: str, what: str = "matrix K") -> UsageError:
     """Error for invalid structural damping."""
     return UsageError(
-        f"{what} cannot be used",
+        f"{what} is not a valid structural damping",
         where=where,
         got=got,
         expected="K (1 + j eta), eta >= 0, or K + j H, H symmetric and positive semi-definite",
-        hint="a complex response exp(+j w t); state viscous damping as matrix E",
+        hint="use the time convention exp(+j w t), and pass viscous damping as matrix E",
     )
 
 
@@ -617,12 +622,12 @@ def _require_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) ->
         return
     if (np.count_nonzero(C, axis=1) > 1).any():
         raise UsageError(
-            "matrix C may be the damping or the outputs",
+            "matrix C can be the damping matrix or the output matrix",
             where=where,
             got=f"a square C of {n} rows beside M and K",
-            expected="damping as matrix E; as many rows of C as there are outputs",
-            hint="pass the damping matrix as E; if C is meant, state that there is no damping: "
-            "rayleigh=(0, 0)",
+            expected="a damping matrix with the name E, or one row of C for each output",
+            hint="pass the damping matrix as E; if C is the output matrix, pass rayleigh=(0, 0) "
+            "or a damping matrix as well",
         )
 
 
@@ -643,11 +648,11 @@ def _require_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
         alpha, beta = map(float, pair)
     except (TypeError, ValueError):
         raise UsageError(
-            "not the pair of Rayleigh's damping",
+            "rayleigh is not a pair of numbers",
             where=f"{where}: rayleigh",
             got=repr(pair),
             expected="(alpha, beta) in 1/s and s: E = alpha M + beta K",
-            hint="a damping ratio z at f Hz is rayleigh = (0, z / (pi f))",
+            hint="for a damping ratio z at f [Hz], write rayleigh=(0, z / (pi * f))",
         ) from None
     return alpha, beta
 
@@ -656,7 +661,7 @@ def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tupl
     strange = next((port for port in ports if not isinstance(port, Port)), None)
     if strange is not None:
         raise UsageError(
-            "not a port",
+            "this object is not a port",
             where=f"{where}: ports",
             got=repr(strange),
             expected='kc2spice.Port(NAME, KIND), such as Port("tip", "mechanical")',
@@ -670,10 +675,10 @@ def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tupl
     low = [port.name.lower() for port in ports]
     if (columns, rows) != (m, p) or len(set(low)) < len(low):
         raise UsageError(
-            "ports do not fit",
+            "the ports do not match the matrices",
             where=where,
             got=", ".join(f"{port.name} ({port.kind})" for port in ports),
-            expected=f"{m} columns of B and {p} rows of C, each name once",
+            expected=f"{m} columns of B, {p} rows of C, and distinct names",
         )
     return ports
 
@@ -683,12 +688,12 @@ def _require_heat(model: LinearModel) -> None:
     of_heat = [port.domain is THERMAL for port in model.ports]
     if any(of_heat) and not (all(of_heat) and model.first_order):
         raise UsageError(
-            "thermal ports belong to models of heat alone",
+            "thermal ports apply only to heat models",
             where=model.name,
             got=", ".join(f"{port.name} ({port.kind})" for port in model.ports)
             + f", {'first' if model.first_order else 'second'} order",
             expected="E x' + K x = B q with thermal ports only",
-            hint="the matrix of heat capacities is E, that of conductivities is K; M is left out",
+            hint="pass the heat capacities as E and the conductances as K, and leave out M",
         )
 
 
@@ -716,7 +721,7 @@ def _require_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = T
     data = matrix if full else matrix.data
     if data.dtype.kind not in "fiub" or not np.isfinite(data).all():
         raise UsageError(
-            f"matrix {letter} cannot be used",
+            f"matrix {letter} contains entries that are not real, finite numbers",
             where=where,
             got="complex numbers" if data.dtype.kind == "c" else f"{data.dtype}, NaN or infinity",
             expected="real, finite numbers",
@@ -726,7 +731,7 @@ def _require_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = T
             f"matrix {letter} has {matrix.ndim} dimensions",
             where=where,
             expected="2 dimensions",
-            hint="rayleigh = (alpha, beta) damps by two numbers"
+            hint="for Rayleigh damping, write rayleigh=(alpha, beta)"
             if letter == "E"
             else f"write {letter} as a table of rows, such as {letter}.reshape(-1, 1)",
         )

@@ -292,7 +292,7 @@ def _remove_inertia(model: Resonators, count: int) -> Resonators:
     for port, capacitance in zip(model.ports, np.diag(model.D), strict=True):
         if port.charged and capacitance <= 0:
             raise UsageError(
-                "an electrode without capacitance of its own on a body with a massless contact",
+                "the body has a massless contact and an electrode without capacitance",
                 where=port.name,
                 hint='set contact.inertia = "lumped"',
             )
@@ -462,10 +462,10 @@ def clamped_tangent(tangent: float, ratio: float) -> float:
     """
     if not tangent * ratio < 1:  # theta would reach the quarter turn of a resistor
         raise UsageError(
-            "the clamped capacitance is too small for so much loss",
+            "the loss tangent is too large for the clamped capacitance",
             where="damping.loss_tangent",
             got=f"{tangent:g}",
-            expected=f"less than {1 / ratio:.3g}, clamped by motional capacitance",
+            expected=f"less than {1 / ratio:.3g}, the ratio of clamped to motional capacitance",
         )
     delta = math.atan(tangent)
     return math.tan(delta + math.asin(ratio * math.sin(delta)))
@@ -514,7 +514,7 @@ def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
     electrical = [k for k, port in enumerate(model.ports) if port.electrical]
     if known is None or not electrical:
         raise UsageError(
-            "the body has no dielectric, so it has no dielectric loss", where="damping.loss_tangent"
+            "a loss tangent needs a dielectric, which this body lacks", where="damping.loss_tangent"
         )
     D = model.D[np.ix_(electrical, electrical)]
     motional = np.sum((model.gain[:, electrical] / model.omega[:, None]) ** 2)

@@ -115,11 +115,11 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
             break
     if result is None or least > POOR:
         raise UsageError(
-            "no passive model agrees with the measurement",
+            "no passive model matches the measurement",
             where=where,
-            got=f"{100 * least:.2g} % deviation of the best of {len(fits)} models"
+            got=f"{100 * least:.2g} % deviation for the most accurate of {len(fits)} models"
             if result
-            else f"{len(fits)} models, none of them passive",
+            else f"{len(fits)} models that are not passive",
             expected=f"less than {100 * POOR:g} %",
             hint="check the units of frequency and impedance, and the sign of the phase",
         )

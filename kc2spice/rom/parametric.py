@@ -53,7 +53,7 @@ class ParameterAxis:
 
     Raises
     ------
-    UsageError : the ends are not two different numbers of one sign.
+    UsageError : the ends are not two different numbers of the same sign.
     """
 
     name: str
@@ -65,10 +65,10 @@ class ParameterAxis:
         begins_at_zero = self.from_zero and 0 == self.low < self.high
         if not (self.low * self.high > 0 or begins_at_zero) or self.low == self.high:
             raise UsageError(
-                "not the range of a parameter",
+                "this entry is not a valid range of a parameter",
                 where=self.name,
                 got=f"{self.low:g} to {self.high:g}",
-                expected="two different numbers of one sign",
+                expected="two different numbers of the same sign",
             )
 
     @property
@@ -104,11 +104,11 @@ def require_within(axes: Iterable[ParameterAxis], values: Values) -> None:
     for axis in axes:
         if axis.name not in values or not abs(axis.coordinate(values[axis.name])) <= 1 + 1e-9:
             raise UsageError(
-                "outside of the box of a parametric model",
+                "the value is outside of the range of the parameter",
                 where=axis.name,
                 got=values.get(axis.name),
                 expected=f"{axis.low:g} to {axis.high:g}",
-                hint="nothing is extrapolated: widen its range in rom.parameters",
+                hint="widen the range of the parameter in rom.parameters",
             )
 
 
@@ -312,13 +312,15 @@ def natural_modes(
 def _require_symmetric(model: LinearModel, frame: LinearModel | None) -> LinearModel:
     if model.first_order or not model.symmetric:
         expected = "a symmetric model of second order with collocated ports"
-        raise UsageError("has no parametric model", where=model.name, expected=expected)
+        raise UsageError(
+            "this part has no model with parameters", where=model.name, expected=expected
+        )
     if frame is not None and model.order != frame.order:
         raise UsageError(
-            "the mesh changes its cells within the ranges of the parameters",
+            "the number of mesh cells changes within the ranges of the parameters",
             where=model.name,
-            got=f"{model.order} unknowns beside {frame.order}",
-            expected="one mesh for all: narrower ranges",
+            got=f"{model.order} and {frame.order} unknowns",
+            expected="ranges with the same mesh at all values",
         )
     return model
 

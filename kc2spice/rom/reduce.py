@@ -189,16 +189,16 @@ def choose_band(
 ) -> tuple[float, float]:
     """Return the prescribed band [Hz], that of the model, or the default, in this order."""
     if not pencil.B.any() or not pencil.C.any():
-        raise UsageError("has no effective input or output", where=fom.name)
+        raise UsageError("no input acts on the model, or no output depends on it", where=fom.name)
     band = band or fom.band or natural_band(pencil)
     if not 0 <= band[0] < band[1] <= HIGHEST:
         expected = f"0 <= f0 < f1 <= {HIGHEST:g} in Hz"
         raise UsageError(
-            "not a frequency band",
+            "this value is not a frequency band",
             where="band",
             got=f"{band[0]:g} to {band[1]:g} Hz",
             expected=expected,
-            hint="name the lower frequency first, such as 0 and 20000",
+            hint="write the lower frequency first, such as 0 and 20000",
         )
     return float(band[0]), float(band[1])
 
@@ -228,8 +228,9 @@ def verified_first_step(
         proof = prove_stability(pencil, band, result.poles if result else None)
         if proof.stable is False:
             warnings.warn(
-                "the full model is unstable: some motions grow without any drive, and the "
-                "frequency response does not include them; check signs and halves of the matrices",
+                "the full model is unstable: the frequency response neglects modes that grow "
+                "without excitation; check the signs of the matrices, and that both triangles "
+                "are present",
                 stacklevel=3,
             )
     return result, proof
@@ -298,11 +299,11 @@ def _prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
             basis = require_basis(reductor, reductor.basis(task))
     if basis is None:
         raise UsageError(
-            f"this method does not apply to the model: {reason}",
+            f"this reduction method does not apply to the model: {reason}",
             where="method",
             got=reductor.name,
-            expected="a method for the structure of the model, or none",
-            hint="leave method out: kc2spice then selects the method",
+            expected="a method that supports the structure of the model",
+            hint="leave method out, so that kc2spice selects a method",
         )
     return replace(basis, origin=f"{reductor.name}; ")
 
@@ -315,15 +316,15 @@ def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | N
     estimate = rom.certificate.error_estimate
     if floor > tolerance:
         warnings.warn(
-            f"the response of the full model is accurate to {floor:.1e} only, because the entries "
-            "of its matrices are rounded; other units or fewer elements may reduce this error",
+            f"the response of the full model has an error of {floor:.1e}, because its matrix "
+            f"entries are rounded; other units or fewer elements may reduce this error",
             stacklevel=4,
         )
     elif tolerance < estimate:
         warnings.warn(
             f"the error estimate of the reduced model is {estimate:.2g}, more than the tolerance "
-            f"{tolerance:g}: rounding of the full model's entries changes its response by "
-            f"{floor:.1e}",
+            f"{tolerance:g}: rounding errors of the matrix entries change the response of the "
+            f"full model by {floor:.1e}",
             stacklevel=4,
         )
 
@@ -345,11 +346,11 @@ def _with_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
     """A causal, passive model next to one with structural damping."""
     if target.tolerance is None:
         raise UsageError(
-            "structural damping is reduced within a tolerance",
+            "a model with structural damping cannot be reduced to an order",
             where="order",
             got=target.order,
-            expected="a tolerance, no order",
-            hint="give the tolerance 1e-4 instead of the order",
+            expected="a tolerance instead of the order",
+            hint="replace the order by the tolerance 1e-4",
         )
     if target.method is not None and not reductor_named(target.method).congruence:
         problem = "structural damping needs a method that preserves the form of the matrices"
@@ -364,24 +365,27 @@ def require_valid(target: Target) -> None:
     tolerance, order = target.tolerance, target.order
     if (tolerance is None) == (order is None):
         raise UsageError(
-            "needs either a tolerance or an order",
+            "the reduction needs either a tolerance or an order",
             where="reduce",
             got="neither of them" if order is None else f"tolerance {tolerance}, order {order}",
             expected="tolerance, the largest relative error, or order, the number of states",
-            hint="leave one of them out" if order is not None else "add tolerance=1e-4",
+            hint="delete the tolerance or the order" if order is not None else "add tolerance=1e-4",
         )
     if tolerance is not None and not LOWEST <= tolerance < 1:
         raise UsageError(
-            "out of range",
+            "the tolerance is out of range",
             where="tolerance",
             got=tolerance,
             expected=f"at least {LOWEST:g}, the limit of double precision, and below 1",
         )
     if order is not None and order < 1:
         raise UsageError(
-            "not a number of states", where="order", got=order, expected="a whole number from 1 on"
+            "the order is not a number of states",
+            where="order",
+            got=order,
+            expected="a whole number from 1 on",
         )
     if target.norm not in get_args(Norm):
-        raise unknown("unknown norm", target.norm, get_args(Norm), "norm")
+        raise unknown("this norm does not exist", target.norm, get_args(Norm), "norm")
     if target.method is not None:
         reductor_named(target.method)

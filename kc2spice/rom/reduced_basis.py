@@ -154,7 +154,10 @@ class Task:
         if not isinstance(fixed, int | np.integer) or not 0 <= fixed <= V.shape[1]:
             expected = f"a whole number from 0 to {V.shape[1]}, the columns of V"
             raise UsageError(
-                "not a number of vectors", where="fixed", got=repr(fixed), expected=expected
+                "this value is not a number of vectors",
+                where="fixed",
+                got=repr(fixed),
+                expected=expected,
             )
         if free := self.core.free:  # rigid-body modes that damping couples to other motions
             others = _select_independent(V, free)

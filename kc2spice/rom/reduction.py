@@ -158,7 +158,7 @@ def reduce(
     if isinstance(model, LinearModel):
         if parameters:
             raise UsageError(
-                "matrices have no parameters to vary",
+                "constant matrices cannot have parameters",
                 where="parameters",
                 got=", ".join(parameters),
                 expected="a kc.AffineModel, or keys of a body in a scene, under its rom.parameters",
@@ -186,20 +186,20 @@ def reduce(
         )
         if tolerance is None:
             raise UsageError(
-                "a model with parameters is reduced within a tolerance",
+                "the tolerance is missing, which a model with parameters needs",
                 where="tolerance",
-                expected="the largest relative error over the ranges",
+                expected="a relative error between 0 and 1",
                 hint="add tolerance=1e-4",
             )
         tolerance = quantity(tolerance, "", where="tolerance")
         with solving_with(solver):
             return reduce_affine(model, tolerance=tolerance, band=band, norm=norm)
     raise UsageError(
-        "not a linear model",
+        "this object is not a linear model",
         where="model",
         got=f"{type(model).__name__} {model!r}"[:120],
         expected="a kc.LinearModel",
-        hint="kc.read_model(PATH) reads one, kc.LinearModel(M=M, K=K, B=B) makes one",
+        hint="read a model by kc.read_model(PATH), or build one by kc.LinearModel(M=M, K=K, B=B)",
     )
 
 
@@ -208,10 +208,10 @@ def _refuse_with_parameters(**options: object) -> None:
     for name, value in options.items():
         if value is not None:
             raise UsageError(
-                "does not apply to a model with parameters",
+                "this argument does not apply to a model with parameters",
                 where=name,
                 got=value,
-                expected="a tolerance alone, which determines order and method",
+                expected="a tolerance without this argument",
                 hint=f"leave {name} out",
             )
 
@@ -279,13 +279,13 @@ class Reduction:
     ) -> None:
         if points is not None:
             if method is not None:
-                raise UsageError("give either a method or points", where="points", got=method)
+                raise UsageError("method and points cannot be combined", where="points", got=method)
             method = RationalKrylov(points)
         if model.structural:
             raise UsageError(
-                "structural damping has no basis of its own",
+                "a model with structural damping cannot be projected on a basis",
                 where=model.name,
-                hint="kc.reduce(model, tolerance=...) makes the nearest causal model",
+                hint="use kc.reduce(model, tolerance=...), which finds the nearest causal model",
             )
         self._target = Target(
             tolerance, None, None, norm or default_norm(model), False, method, exact=False
@@ -342,7 +342,7 @@ class Reduction:
         values = hankel_singular_values(self._task)
         if values is None:
             raise UsageError(
-                "has no Hankel singular values",
+                "this model has no Hankel singular values",
                 where=self.model.name,
                 expected="a model whose poles all decay, with a static response",
             )

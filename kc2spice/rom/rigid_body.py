@@ -192,9 +192,9 @@ def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
     frequency = float(np.sqrt((size / mass)[support].max(initial=0.0)) / (2 * np.pi))
     if support.any() and low < FAR * frequency:
         warnings.warn(
-            "a support is so soft that rounding of the stiffness matrix hides it: its resonance "
-            f"at about {frequency:.2g} Hz is left out, and the body is free to move; state the "
-            "support as a part of the circuit",
+            "the stiffness of a support is below the rounding errors of the stiffness matrix: "
+            "the model neglects the support and its resonance at about {frequency:.2g} Hz; "
+            "model the support as a part of the circuit",
             stacklevel=2,
         )
     return float(np.sqrt((RANDOM * random / mass).max()) / (2 * np.pi))

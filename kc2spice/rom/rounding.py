@@ -118,8 +118,8 @@ def uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
     text = f"its own response is uncertain to {size[worst]:.1e} at {at[worst]:.5g} Hz"
     if size[worst] > tolerance:
         warnings.warn(
-            f"{text}, because the entries of the given matrices are rounded; they are reduced "
-            "unchanged",
+            f"{text}, because the matrix entries of the model are rounded; the reduction uses "
+            f"the matrices without change",
             stacklevel=2,
         )
     return f", {text} by the last digits of its matrices" if size[worst] > UNCERTAIN else ""

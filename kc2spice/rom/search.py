@@ -43,7 +43,7 @@ def select_basis(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
     if order > most:
         expected = f"1 to {most}"
         raise UsageError(
-            "no model of this order",
+            "the full model has fewer states than this order",
             where="order",
             got=order,
             expected=expected,

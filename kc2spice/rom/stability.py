@@ -62,8 +62,8 @@ def prove_stability(
         dissipates = is_dissipative(pencil)
     except MemoryError:
         warnings.warn(
-            "the memory is too small for the factor that proves stability and passivity: both are "
-            "unknown; the error estimate remains valid",
+            "the free memory is too small to prove stability and passivity, so both are "
+            "unknown; the error estimate is valid",
             stacklevel=2,
         )
         return StabilityProof(None, False, "nothing: memory does not hold another factor")

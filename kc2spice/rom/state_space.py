@@ -166,10 +166,10 @@ def _is_singular(matrix: np.ndarray, reference: np.ndarray) -> bool:
 
 def _improper_error(why: str) -> UsageError:
     return UsageError(
-        f"has no state-space form: {why}",
+        f"the model has no state-space form: {why}",
         where="state space",
-        expected="a model whose outputs follow from inputs, not from their derivatives",
-        hint="give the coordinates in question a little mass, or fix them",
+        expected="a model whose outputs depend on inputs, not on derivatives of inputs",
+        hint="add a small mass to these coordinates, or fix them",
     )
 
 

@@ -97,8 +97,9 @@ def approximate_causally(
     estimate = max(error, SAFETY * search.verified_error(result))
     if estimate > tolerance:
         warnings.warn(
-            f"no causal model has a structural damping{_loss_text(model)} at all frequencies: the "
-            f"passive one differs by {apart:.2g}, more than the tolerance of {tolerance:g}",
+            f"structural damping{_loss_text(model)} at all frequencies is not causal: the "
+            f"nearest passive model differs by {apart:.2g}, more than the tolerance of "
+            f"{tolerance:g}",
             stacklevel=4,
         )
     certificate = replace(
@@ -146,7 +147,7 @@ class _Search:
             raise UsageError(
                 "structural damping needs symmetric matrices and a definite mass",
                 where=self.full.name,
-                hint="fix unknowns without mass, or state viscous damping E",
+                hint="fix unknowns without mass, or pass viscous damping as matrix E",
             ) from None
         eta = self.full.loss_factor
         if self.full.loss is None:
@@ -290,25 +291,26 @@ def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tup
     The results are the model, and the shares of M and K in its other damping.
     """
     if model.first_order:
-        raise UsageError("only second-order models have structural damping", where=model.name)
+        raise UsageError("structural damping applies only to second-order models", where=model.name)
     plain = replace(model, loss_factor=0.0, loss=None)
     alpha, beta_share = model.rayleigh or (0.0, 0.0)
     undamped = model.rayleigh is not None or not largest_entry(model.E)
     if model.loss is not None:
         if not undamped:
             raise UsageError(
-                "structural damping of several materials beside a damping matrix",
+                "structural damping of several materials cannot be combined with a damping matrix",
                 where=model.name,
                 expected="one of them",
-                hint="state the key rayleigh instead of matrix E, or one loss factor",
+                hint="replace matrix E by the key rayleigh, or use one loss factor",
             )
         E = beta * model.loss + alpha * model.M
         if beta_share and isinstance(model.K, Schur):
             raise UsageError(
-                "structural damping of several materials beside damping in proportion to stiffness",
+                "structural damping of several materials cannot be combined with damping in "
+                "proportion to stiffness",
                 where=model.name,
                 got=f"beta = {beta_share:g} s and potentials",
-                expected="alpha alone",
+                expected="alpha without beta",
                 hint="leave out beta",
             )
         E = E + beta_share * model.K if beta_share else E
@@ -318,10 +320,10 @@ def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tup
         return replace(plain, rayleigh=(alpha, beta_share + added), E=None), (alpha, beta_share)
     if isinstance(model.K, Schur):
         problem = (
-            "structural damping beside a damping matrix needs potentials that are not eliminated"
+            "structural damping with a damping matrix needs potentials that are not eliminated"
         )
         raise UsageError(
-            problem, where=model.name, hint="state the key rayleigh instead of the damping matrix E"
+            problem, where=model.name, hint="replace the damping matrix E by the key rayleigh"
         )
     return replace(plain, E=model.E + added * model.K), (alpha, beta_share)
 

@@ -132,9 +132,10 @@ def relaxing_stiffness(
     """
     if not (loss_factor >= 0 and at > 0 and 0 <= band[0] < band[1]):
         raise UsageError(
-            "not a loss factor over a band",
+            "the loss factor, its frequency or the band is not valid",
             got=f"loss factor {loss_factor:g}, at {at:g} Hz, band {band[0]:g} to {band[1]:g} Hz",
-            expected="a loss factor of 0 at least, a frequency above 0, two increasing ends",
+            expected="a loss factor of at least 0, a frequency above 0, and a band with the "
+            "lower frequency first",
         )
     if loss_factor == 0:
         return RelaxingStiffness(1.0, np.empty(0), np.empty(0), 0.0)
@@ -195,7 +196,9 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
     """
     if model.first_order:
         raise UsageError(
-            "has no structural damping", where=model.name, expected="a model with M and K"
+            "structural damping does not apply to this model",
+            where=model.name,
+            expected="a model with M and K",
         )
     K, E, M = model.pencil.dense().coefficients
     inner = len(stiffness.rates)

@@ -163,9 +163,9 @@ def reduce_over_ranges(
         facts.append((dict(values), model.facts))
         if model.rayleigh is None:
             raise UsageError(
-                "parameters in the netlist need damping in proportion to mass and stiffness",
+                "a model with parameters needs damping in proportion to mass and stiffness",
                 where=model.name,
-                expected="one damping for the whole body",
+                expected="the same damping for all materials of the body",
             )
         return model
 
@@ -221,7 +221,7 @@ def _certify(
         if error <= tolerance:
             return result, error
         if degree is None:
-            problem = "the error cannot be certified over the box of the parameters"
+            problem = "the error cannot be estimated over the ranges of the parameters"
             got = f"{error:.2g} at a point that nothing was made from"
             raise range_error(problem, dense_model.frame.name, got, tolerance)
 
@@ -293,7 +293,7 @@ def make_resonators(
                 best = min(best, max(error, exact))
                 if error <= tolerance:
                     return result, error
-    problem = "the box of the parameters is too wide for polynomials of its modes"
+    problem = "the ranges of the parameters are too wide for polynomials of the modes"
     raise range_error(problem, dense_model.frame.name, f"an error of {best:.2g}", tolerance)
 
 
@@ -364,9 +364,9 @@ class _ModesOverRanges:
             share = np.abs(p.V.T @ p.model.B)
             if (share[: self.free].max(axis=0, initial=0.0) > MOVED * share.max(axis=0)).any():
                 raise UsageError(
-                    "netlist parameters need a body with a support",
+                    "a model with parameters needs a body with a support",
                     where=dense_model.frame.name,
-                    got="parameters of a body that a port can move without any stiffness",
+                    got="a body that a port can move as a rigid body",
                     expected="a body with a support, or with electrical ports only",
                     hint="remove the parameters of this body (rom.parameters in a scene)",
                 )

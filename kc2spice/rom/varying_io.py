@@ -97,9 +97,9 @@ def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> 
             raise ValueError(f"{key} of shape {array.shape} instead of {shape}, or not finite")
     exponents = arrays["exponents"]
     if exponents.dtype.kind != "i" or (exponents.size and not exponents.min() >= 0):
-        raise ValueError("exponents that are no whole numbers from 0 on")
+        raise ValueError("an exponent is not a whole number of at least 0")
     if exponents.max(initial=0) > _HIGHEST or sum(blocks) != states or min(blocks) < 1:
-        raise ValueError("exponents or blocks that are out of range")
+        raise ValueError("an exponent or block number is out of range")
     return Varying(
         ports=ports,
         axes=axes,

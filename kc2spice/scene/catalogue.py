@@ -124,10 +124,10 @@ def search_parts(words: str = "") -> list[CataloguePart]:
     if not result:
         makers = sorted({part.maker for part in parts.values()})
         raise UsageError(
-            "no part matches",
+            "no part matches these words",
             where="parts",
             got=repr(words),
             expected=f"words of a number, maker or device, such as {', '.join(makers[:5])}",
-            hint="kc2spice parts lists all parts",
+            hint="run kc2spice parts, which lists all parts",
         )
     return result

@@ -131,7 +131,7 @@ def _find_target(target: str, scene: Scene, where: str) -> Pin:
         expected = f"gnd or PART.PIN with a part of the scene: {listed}"
     near = did_you_mean(target, pins) if pins else did_you_mean(name, scene.parts)
     raise UsageError(
-        "no such pin to join", where=where, got=repr(target), expected=expected, hint=near
+        "this pin does not exist", where=where, got=repr(target), expected=expected, hint=near
     )
 
 
@@ -142,7 +142,7 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
     first, second = scene.terminals[a], scene.terminals[b]
     if not _are_compatible(first, second):
         raise UsageError(
-            "joins pins of different kinds",
+            "this connection joins pins of different kinds",
             where=where,
             got=f"{'.'.join(a)} is a pin in {first.kind}, {'.'.join(b)} a pin in {second.kind}",
             expected=f"another pin in {first.kind}, or gnd",
@@ -168,10 +168,10 @@ def _require_distinct_pins(terminals: Mapping[Pin, Terminal]) -> None:
         first = spellings.setdefault((name, pin.lower()), pin)
         if first != pin:
             raise UsageError(
-                "two pins whose names differ in case only",
+                "the names of two pins differ in letter case only",
                 where=name,
                 got=f"{first} and {pin}",
-                expected="names that differ: netlists do not tell case apart",
+                expected="names that differ in more than letter case",
             )
 
 
@@ -305,7 +305,7 @@ def _make_unjoined_error(
     kind = "an electrical pin" if terminal.domain is ELECTRICAL else f"a pin of {terminal.kind}"
     what = "a pin of displacement" if terminal.moving else kind
     return UsageError(
-        f"pin {pin} of {name} is not joined",
+        f"pin {pin} of {name} is not connected",
         where=f"{name}.pins.{pin}",
         expected=f"{what}: {', '.join([*names[:LISTED_PINS], *ground]) or 'none is here'}{more}",
         hint=hint,
@@ -320,7 +320,7 @@ def _require_one_output(scene: Scene) -> None:
         if terminal.signal_out and net in drivers:
             got = f"{name}.{pin} and {drivers[net]}"
             where = f"{name}.pins.{pin}"
-            message = "two outputs set one net"
+            message = "two outputs prescribe the same net"
             raise UsageError(message, where=where, got=got, expected="one output")
         if terminal.signal_out:
             drivers[net] = f"{name}.{pin}"
@@ -337,10 +337,10 @@ def _require_distinct_ends(scene: Scene) -> None:
         if net == other:
             raise part.wrong(
                 f"pins.{a}",
-                "both ends are on one net",
+                "both pins of this part are connected to the same net",
                 f"{part.name}.{a} and {part.name}.{b} on {'gnd' if net == '0' else net}",
-                "two nets",
-                f'join one of them elsewhere: pins = {{ {a} = "part.pin" }}',
+                "two pins on different nets",
+                f'connect one of the pins to another net: pins = {{ {a} = "part.pin" }}',
             )
 
 
@@ -353,10 +353,11 @@ def _require_no_source_loop(scene: Scene) -> None:
             if union.are_joined(a, b):
                 raise part.wrong(
                     "",
-                    "closes a loop of ideal sources",
-                    f"{part.name}.{plus} and {part.name}.{minus} are already held apart",
+                    "this ideal source closes a loop of ideal sources",
+                    f"{part.name}.{plus} and {part.name}.{minus} are already connected by ideal "
+                    f"sources",
                     "one ideal source between two nets",
-                    "put a resistor (or a spring) in between, or drop one source",
+                    "add a resistor or a spring between the sources, or delete one source",
                 )
             union.join(a, b)
 
@@ -370,10 +371,10 @@ def _require_ground(scene: Scene) -> None:
     floating = [pin for pin, net in scene.nets.items() if not union.are_joined(net, "0")]
     if floating:
         raise UsageError(
-            "nothing of this circuit is on ground",
+            "no pin of this circuit is connected to ground",
             where=floating[0][0],
             got=", ".join(map(".".join, floating)),
-            expected='one of these pins at "gnd"',
+            expected='at least one of these pins connected to "gnd"',
         )
 
 

@@ -101,12 +101,13 @@ def _set_frame(known: dict[str, ShakenFrame], net: str, frame: ShakenFrame, wher
     first = known.setdefault(net, frame)
     if first.acts != frame.acts:
         raise UsageError(
-            "joins displacements in different frames",
+            "this connection joins displacements in different frames of reference",
             where=where,
-            got=f"relative to a frame that {first.words} shakes, and to one that {frame.words} "
-            "shakes",
-            expected="bodies that one acceleration shakes along the same axis",
-            hint="join the acceleration pins of both bodies to one source, or separate the bodies",
+            got=f"relative to a frame that {first.words} shakes, and to a frame that "
+            f"{frame.words} shakes",
+            expected="bodies with the same acceleration along the same axis",
+            hint="connect the acceleration pins of both bodies to one source, or separate the "
+            "bodies",
         )
 
 
@@ -133,11 +134,11 @@ def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, ShakenFrame
             frames.append(f"{part.name}.{pin} in {_name_frame(frame)}")
     if len(acts) > 1:
         raise UsageError(
-            "compares displacements in different frames",
+            "this part compares displacements in different frames of reference",
             where=part.name,
             got=", ".join(frames),
             expected="pins in one frame; gnd is in every frame",
-            hint="join the pin that is in another frame to gnd or to a part of the same frame",
+            hint="connect the pin of the other frame to gnd or to a part of the same frame",
         )
 
 
@@ -166,15 +167,19 @@ def _require_inertial_force(
             cure = "join its acceleration pin to the same source"
             other = 'use part = "mass", or drive the body by a force instead of its acceleration'
             raise UsageError(
-                "has inertia, but the acceleration of the frame does not act on it",
+                "this part has inertia, but no port for the acceleration of the frame it is "
+                "attached to",
                 where=f"{part.name}.{pin}",
                 got=f"joined to {_name_frame(frame)}",
-                expected="a body with a port of kind base" if body else "a part that follows it",
+                expected="a body with a port of kind base"
+                if body
+                else "a part type that accepts the acceleration of its frame",
                 hint=f'add a port of kind "base" to {part.name} and {cure}' if body else other,
             )
         elif any(shake.along is None for shake in frame.shakes):
             raise UsageError(
-                "is in a frame whose acceleration has no known direction at this net",
+                "this part is attached to a frame whose acceleration has no known direction at "
+                "this net",
                 where=f"{part.name}.{pin}",
                 got=f"joined to {_name_frame(frame)}",
                 expected="ports and accelerations whose directions the body states",

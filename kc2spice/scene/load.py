@@ -76,7 +76,7 @@ def load_scene(
         return scene
     if not isinstance(scene, (Scene, str, Path, Mapping)):
         raise UsageError(
-            "not a scene",
+            "this object is not a scene",
             where="scene",
             got=f"{type(scene).__name__} {scene!r}"[:120],
             expected="a name or path, a mapping with its tables, or a kc.Scene",
@@ -92,7 +92,7 @@ def load_scene(
     data.setdefault("name", make_identifier(source.stem, "scene"))
     if isinstance(overrides, str):
         raise UsageError(
-            "overrides is a text, not a list of texts",
+            "overrides is a string, not a list of strings",
             where="overrides",
             got=repr(clip_text(overrides)),
             expected='a list such as ["KEY=VALUE"], or a mapping such as {"KEY": VALUE}',
@@ -185,7 +185,9 @@ def _make_parts(
                 continue
             if name.lower() in map(str.lower, parts):
                 expected = f"another name: {part.name} brings a part of this one along"
-                raise UsageError("this name is taken", where=name, got=name, expected=expected)
+                raise UsageError(
+                    "this name is already used", where=name, got=name, expected=expected
+                )
             keys = dict(table)
             at = keys.pop("at", None)
             place = at if isinstance(at, tuple) else (name,)
@@ -213,11 +215,11 @@ def _with_default_drive(scene: Scene) -> Scene:
     if len(ports) != 1 or ports[0][1] in parts[ports[0][0]].pins or scene.is_target(*ports[0]):
         at = f" at {', '.join(map('.'.join, ports))}" if ports else ""
         raise UsageError(
-            "nothing drives this analysis",
+            "the ac analysis has no source",
             where="analysis.type",
             got="ac, and no source with an ac value",
             expected=f'a source with ac = "1 V"{at}',
-            hint="a body whose electrical port nothing is joined to is driven by 1 V",
+            hint="leave the electrical port of a body open, which then is driven by 1 V",
         )
     driven = ports[0][0]
     name = Names(parts).name(driven, f"{driven}_drive")
@@ -234,12 +236,14 @@ def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[st
             continue
         if not isinstance(table, Mapping) and name in DEFAULT_TYPES:
             expected = f"a table, [{name}]"
-            raise UsageError("not a table", where=name, got=display_text(table), expected=expected)
+            raise UsageError(
+                "this value is not a table", where=name, got=display_text(table), expected=expected
+            )
         if not isinstance(table, Mapping):
             raise _make_unknown_key_error(name, data)
         if not _NAME.fullmatch(name) or name.lower() == GROUND:
             raise UsageError(
-                "not a name for a part",
+                "this name of a part is not valid",
                 where=name,
                 got=repr(clip_text(name)),
                 expected="a letter, then letters, digits and _, at most 48 in all; not gnd",
@@ -248,10 +252,10 @@ def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[st
         first = spellings.setdefault(name.lower(), name)
         if first != name:
             raise UsageError(
-                "two parts whose names differ in case only, which netlists ignore",
+                "the names of two parts differ in letter case only",
                 where=name,
                 got=f"{first} and {name}",
-                expected="names that differ in more than case",
+                expected="names that differ in more than letter case",
                 hint=f"rename one of them, such as {name}_2",
             )
         yield name, table
@@ -288,7 +292,7 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
     if selected is None:
         near = did_you_mean(name, [*Frame.model_fields, *DEFAULT_TYPES])
         raise UsageError(
-            "this table states no part type",
+            "this table has no key part",
             where=name,
             expected=f"part = one of {list_candidates(name, type_names(), _PARTS_COMMAND)}",
             hint=near
@@ -296,7 +300,9 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
         )
     result = find_part_type(selected) if isinstance(selected, str) else None
     if result is None:
-        error = unknown("unknown part type", selected, type_names(), f"{name}.part", _PARTS_COMMAND)
+        error = unknown(
+            "this part type does not exist", selected, type_names(), f"{name}.part", _PARTS_COMMAND
+        )
         error.hint = error.hint or (
             "a part type of your own needs kc.register_part in Python, or an installed package "
             "with an entry point in the group kc2spice.parts"
@@ -324,7 +330,7 @@ def _make_part(
             "pins is not a table",
             where=f"{name}.pins",
             got=clip_text(repr(pins)),
-            expected="a table of pins, each with the pin that it joins, or gnd",
+            expected="a table that connects each pin to another pin or to gnd",
             hint='write  pins = { PIN = "PART.PIN" }',
         )
     keys = _complete_tables(table, kind.schema)

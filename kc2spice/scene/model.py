@@ -158,7 +158,10 @@ class Part(Generic[KeysT]):
         TypeError : the keys are of another class.
         """
         if not isinstance(self.keys, schema):
-            raise TypeError(f"the keys of {self.name} are no {schema.__name__}: {self.keys!r:.80}")
+            raise TypeError(
+                f"the keys of {self.name} must be an instance of {schema.__name__}, "
+                f"not {self.keys!r:.80}"
+            )
         return cast("Part[S]", self)
 
     @property
@@ -367,7 +370,7 @@ class DeclaredScene:
         UsageError : there is none.
         """
         if name not in self.parts:
-            raise unknown("no such part", name, self.parts, where)
+            raise unknown("the scene has no such part", name, self.parts, where)
         return self.parts[name]
 
     def partner(self, part: Part, kind: str, key: str = "") -> Part:
@@ -383,13 +386,13 @@ class DeclaredScene:
         result = self.of(kind)
         if not result:
             raise UsageError(
-                f"{part.name} needs this part",
+                f"{part.name} needs a part that the scene does not have",
                 where=table,
-                hint=f"add [{table}]; an empty table takes the defaults",
+                hint=f"add [{table}]; an empty table uses the defaults",
             )
         if len(result) > 1:
             raise UsageError(
-                f"{part.name} needs to know which {kind} is meant",
+                f"{part.name} does not state which {kind} it uses",
                 where=f"{part.name}.{key}",
                 got=", ".join(map(attrgetter("name"), result)),
                 expected=f"{key or 'one'} = NAME",
@@ -592,7 +595,10 @@ class Build:
         """
         result = self.models.get(part.name)
         if not isinstance(result, kind):
-            raise TypeError(f"the model of {part.name} is no {kind.__name__}: {result!r:.80}")
+            raise TypeError(
+                f"the model of {part.name} must be an instance of {kind.__name__}, "
+                f"not {result!r:.80}"
+            )
         return result
 
     def models_of(self, kind: type[M]) -> dict[str, M]:

@@ -101,7 +101,10 @@ def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[st
     long = len(steps) > MAX_NESTING or max(map(len, steps), default=0) > LONGEST_KEY
     if long or not _DOTTED_KEY.fullmatch(name):
         raise UsageError(
-            "not the name of a key", where=where, got=repr(clip_text(name)), expected=_EXAMPLES
+            "this text is not the name of a key",
+            where=where,
+            got=repr(clip_text(name)),
+            expected=_EXAMPLES,
         )
     path: list[str] = []
     so_far = ""
@@ -133,11 +136,13 @@ def _find_key(holder: Any, step: str, so_far: str, where: str) -> str | int:
         raise UsageError(f"{so_far} is a value, not a table", where=where, hint=entries)
     if not isinstance(holder, list):
         hint = f"give all of it: {so_far} = [ … ]"
-        raise UsageError(f"{so_far} is no list in this scene", where=where, hint=hint)
+        raise UsageError(f"{so_far} is not a list in this scene", where=where, hint=hint)
     index, count = int(step[1:-1]), len(holder)
     if not -count <= index < count:
         expected = f"{so_far}[0] … {so_far}[{count - 1}]" if count else "a list with entries"
-        raise UsageError("no such entry", where=where, got=so_far + step, expected=expected)
+        raise UsageError(
+            "the list has no such entry", where=where, got=so_far + step, expected=expected
+        )
     return index % count
 
 

@@ -99,14 +99,14 @@ def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
             hint = fitting and f"did you mean {fitting}?"
             if peak > BREAKDOWN_RATIO * limit:
                 yield UsageError(
-                    "the ceramic depolarises or breaks down",
+                    "this voltage depolarises the ceramic or causes a breakdown",
                     where=name,
                     got=state,
                     expected=f"at most {limit:.4g} V",
                     hint=hint,
                 )
             elif peak > limit:
-                warnings.warn(f"{name}: {state}: it may depolarise", stacklevel=2)
+                warnings.warn(f"{name}: {state}: the ceramic may depolarise", stacklevel=2)
             elif 0.0 < peak < LOWEST_DRIVE_RATIO * limit:
                 warnings.warn(f"{name}: {state}: {hint or 'is the unit right?'}", stacklevel=2)
 

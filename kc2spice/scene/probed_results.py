@@ -55,7 +55,7 @@ def _make_unknown_result_error(
     if owner in parts:
         choices = _select_prefixed(_list_results(build, waiting), f"{owner}.")
         suggestion = _suggest_result(name, choices)
-        error = unknown("no such result", name, choices, where)
+        error = unknown("the scene has no such result", name, choices, where)
         error.hint = error.hint or suggestion
         return error
     return unknown(f"this scene has no part {owner!r}", name, parts, where)

@@ -23,11 +23,11 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
     """Yield an error for every violated condition, with the dotted key in ``where``."""
     if not scene.parts:
         yield UsageError(
-            "a scene without parts",
+            "the scene has no parts",
             where="name",
             got=scene.name,
             expected="at least one table with part = TYPE",
-            hint="kc2spice scenes lists scenes to start from",
+            hint="copy one of the scenes that kc2spice scenes lists",
         )
         return
     yield from _check_parts(scene)
@@ -60,10 +60,10 @@ def _check_includes(scene: Scene) -> Iterator[UsageError]:
     """Yield an error of included netlists that no part uses."""
     if scene.include and not any(part.netlist for part in scene.parts.values()):
         yield UsageError(
-            "nothing uses these netlists",
+            "no part uses these included netlists",
             where="include",
             got=", ".join(scene.include),
-            expected="a part that names a subcircuit out of them",
+            expected="a netlist part with a subcircuit of these files",
         )
 
 
@@ -74,19 +74,19 @@ def _check_largest_step(scene: Scene) -> Iterator[UsageError]:
         return
     if step > scene.stop:
         yield UsageError(
-            "longer than the whole simulation",
+            "the time step is longer than the simulation",
             where="solver.max_step",
             got=f"{step:g} s",
-            expected=f"at most the end of the simulation, {scene.stop:g} s",
+            expected=f"at most the duration of the simulation, {scene.stop:g} s",
         )
     points = scene.stop / step
     if points > MAX_TIME_POINTS:
         yield UsageError(
-            "more time points than a run may have",
+            "the run has too many time points",
             where="solver.max_step",
             got=f"{scene.stop:g} s in steps of {step:g} s: {points:.2g} points",
             expected=f"at most {MAX_TIME_POINTS:g}",
-            hint="raise solver.max_step, or end earlier (analysis.stop or solver.stop)",
+            hint="raise solver.max_step, or lower analysis.stop or solver.stop",
         )
 
 
@@ -95,7 +95,7 @@ def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
     selected = scene.analysis
     if selected.type != "dc" and selected.sweep is not None:
         yield UsageError(
-            "only dc sweeps a key",
+            "analysis.sweep needs a dc analysis",
             where="analysis.sweep",
             got=f"{selected.type} and a sweep",
             expected='type = "dc", or no sweep',
@@ -105,7 +105,7 @@ def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
         source = scene.parts.get((selected.sweep or "").removesuffix(".dc"))
         if selected.type != "dc" or source is None or source.type.name != "source":
             yield UsageError(
-                "only a sweep of the dc value of a source can return",
+                "the key back needs a dc sweep of a source",
                 where="analysis.back",
                 got=f"{selected.type} of {selected.sweep}",
                 expected='type = "dc" and sweep = "SOURCE.dc", or back = false',
@@ -120,7 +120,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
     start, stop = selected.start, selected.stop or 0.0
     if selected.stop is None:
         yield UsageError(
-            f"analysis.stop is missing in {selected.type}",
+            f"the key analysis.stop of the {selected.type} analysis is missing",
             where="analysis",
             got=f'type = "{selected.type}" without stop',
             expected='the last frequency, such as stop = "100 kHz"',
@@ -128,7 +128,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
         )
     elif not stop - start > SMALLEST_STEP_RATIO * selected.points * stop:
         yield UsageError(
-            "empty frequency range",
+            "the frequency range is empty",
             where=scene.overridden("analysis.start", "analysis.stop"),
             got=f"{start:g} … {stop:g} Hz",
             expected=f"a stop above the start, {start:g} Hz, and points that differ by "
@@ -146,7 +146,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
         )
     elif math.isinf(stop / start):
         yield UsageError(
-            "a frequency range of too many decades",
+            "the frequency range has too many decades",
             where="analysis.start",
             got=f"{start:g} … {stop:g} Hz",
             expected="at most 308 decades",
@@ -158,7 +158,7 @@ def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
     expected = 'output = "PART.RESULT" or "PART.PIN" with type = "noise"'
     if selected.type == "noise" and selected.output is None:
         yield UsageError(
-            "a noise analysis needs an output",
+            "the key analysis.output of the noise analysis is missing",
             where="analysis",
             got='type = "noise" without output',
             expected=expected,
@@ -166,7 +166,7 @@ def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
         )
     elif selected.type != "noise" and selected.output is not None:
         yield UsageError(
-            f"output has no effect in {selected.type}",
+            f"the key output has no effect in the {selected.type} analysis",
             where="analysis.output",
             got=f'type = "{selected.type}", output = "{selected.output}"',
             expected=expected,
@@ -182,7 +182,9 @@ def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
         sources = [part.name for part in scene.of("source")] or list(scene.parts)
         missing = selected.sweep is None
         yield UsageError(
-            "analysis.sweep is missing in dc" if missing else f"this scene has no part {name!r}",
+            "the key analysis.sweep of the dc analysis is missing"
+            if missing
+            else f"this scene has no part {name!r}",
             where="analysis" if missing else "analysis.sweep",
             got='type = "dc" without sweep' if missing else repr(selected.sweep),
             expected=f"PART.dc of a source of the scene: {list_candidates(name, sources)}",
@@ -213,7 +215,7 @@ def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
             continue
         key = name.rstrip("_")
         yield UsageError(
-            f"{key} has no effect in {selected.type}",
+            f"the key {key} has no effect in the {selected.type} analysis",
             where=f"analysis.{key}",
             got=f"{key} with type = {selected.type}",
             expected=f"{key} with type = {' or '.join(types)}",
@@ -232,7 +234,9 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
     """Yield an error if an analysis has no window of its last ``count`` periods."""
     if scene.analysis.type != "transient":
         got, expected = f"{scene.analysis.type} analysis", "a transient, or from and to"
-        yield UsageError("only a transient has periods", where=where, got=got, expected=expected)
+        yield UsageError(
+            "the key periods needs a transient analysis", where=where, got=got, expected=expected
+        )
         return
     period = scene.period
     if period is None:
@@ -243,7 +247,7 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
             where=where,
             got=f"periods {periods}" if periods else "no source with a period",
             expected="sines and pulse trains whose periods divide the longest one",
-            hint='give the window by from and to, such as from = "8 ms"',
+            hint='write the window with from and to, such as from = "8 ms"',
         )
     elif count * period > scene.stop * (1 + PERIOD_TOLERANCE):
         got = f"{count} periods of {period:.4g} s"
@@ -261,7 +265,7 @@ def _check_place(where: str, place: float, scene: Scene) -> Iterator[UsageError]
         expected = f"a value in {unit}, such as {examples.get(unit, repr(f'1 {unit}'))}"
         got = f"a value in {part_unit}"
         article = "an" if selected.type in ("ac", "op") else "a"
-        words = f"not on the scale of {article} {selected.type} analysis"
+        words = f"the unit of this value does not match {article} {selected.type} analysis"
         yield UsageError(words, where=where, got=got, expected=expected)
         return
     band = (selected.start, selected.stop or 0.0)
@@ -270,7 +274,12 @@ def _check_place(where: str, place: float, scene: Scene) -> Iterator[UsageError]
     if not first <= place <= last:
         expected = f"{first:g} … {last:g} {unit or ''}".rstrip()
         got = f"{place:g}"
-        yield UsageError("outside the analysis", where=where, got=got, expected=expected)
+        yield UsageError(
+            "this value is outside of the range of the analysis",
+            where=where,
+            got=got,
+            expected=expected,
+        )
 
 
 def _scale_unit(scene: Scene) -> str | None:

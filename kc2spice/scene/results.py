@@ -49,7 +49,7 @@ def find_noise_output(build: Build) -> Vector | None:
         if result.voltage is not None:
             voltages[item] = result
     if name not in voltages:
-        message = "noise is that of a voltage or a motion"
+        message = "the output of a noise analysis is not a voltage or a displacement"
         raise unknown(message, name, voltages, build.scene.where("analysis.output"))
     return voltages[name]
 
@@ -192,7 +192,7 @@ def resolve_dc_sweep(build: Build) -> DcSweep | None:
             where=scene.where("analysis.sweep"),
             got=str(selected.sweep),
             expected="the dc value of a source, such as push.dc",
-            hint=f"kc2spice sweep SCENE --set {selected.sweep}=FROM:TO:POINTS sweeps any key",
+            hint=f"kc2spice sweep SCENE --set {selected.sweep}=FROM:TO:POINTS sweeps this key",
         )
     unit = _unit_of_key(part, key)
     first, last = ends = moved.range or _sweep_ends(selected, unit)
@@ -213,5 +213,7 @@ def _sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
     first, last = quantity(selected.from_, unit), quantity(selected.to, unit)
     if first == last:  # otherwise a simulator would never end the sweep
         got, expected = f"{first:g} … {last:g} {unit}", "two values"
-        raise UsageError("empty range", where="analysis.to", got=got, expected=expected)
+        raise UsageError(
+            "the range of the sweep is empty", where="analysis.to", got=got, expected=expected
+        )
     return first, last

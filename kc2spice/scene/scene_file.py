@@ -77,12 +77,14 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
     try:
         text = decode_text(read_bounded(path, MAX_TEXT_BYTES))
     except UnicodeDecodeError:
-        raise UsageError("not a text file", where=name, expected="TOML in UTF-8") from None
+        raise UsageError(
+            "this file is not a text file", where=name, expected="TOML in UTF-8"
+        ) from None
     except (FileNotFoundError, IsADirectoryError):
         raise _missing_file_error(name, path, scenes) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise UsageError(f"cannot be read: {reason}", where=name) from None
+        raise UsageError(f"this file cannot be read: {reason}", where=name) from None
     folder = Path.cwd() if path.parent == Path() else path.parent  # Path() is: no folder
     return SceneFile(name, path.stem, text, folder)
 
@@ -96,11 +98,11 @@ def _missing_file_error(name: str, path: Path, scenes: Iterable[str]) -> UsageEr
         )
         near = did_you_mean(name, scenes) or did_you_mean(name, read_catalogue())
         hint = near or f"{listing}, kc2spice parts the part numbers"
-        return UsageError("no such scene", got=repr(name), expected=expected, hint=hint)
+        return UsageError("this scene does not exist", got=repr(name), expected=expected, hint=hint)
     with contextlib.suppress(OSError):
         near = did_you_mean(path.stem, map(attrgetter("stem"), path.parent.glob("*.toml")))
         listing = near or listing
-    message = "is a directory" if path.is_dir() else "this file does not exist"
+    message = "this path is a directory" if path.is_dir() else "this file does not exist"
     return UsageError(message, where=name, expected="the path of a TOML file", hint=listing)
 
 

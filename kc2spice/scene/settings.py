@@ -44,7 +44,10 @@ class Rom(Section):
     }
 
     order: Annotated[Count | None, Notch(2.0)] = Field(
-        None, ge=1, le=2000, description="Number of states, instead of a tolerance"
+        None,
+        ge=1,
+        le=2000,
+        description="Number of states of the reduced model; cannot be combined with tolerance",
     )
     # below 1e-10, rounding errors of double precision exceed the tolerance
     tolerance: Annotated[Ratio | None, Notch(0.1, finest=1e-10)] = Field(
@@ -52,7 +55,9 @@ class Rom(Section):
         ge=1e-10,
         lt=1,
         validate_default=True,
-        description=("Largest relative error over the band; by default 1e-4 unless order is set"),
+        description=(
+            "Largest relative error over the band; 1e-4 by default, if order has no value"
+        ),
     )
     band: tuple[Frequency, Frequency] = Field(
         (0.0, 500e3), description="Lowest and highest frequency at which the error estimate holds"
@@ -67,7 +72,7 @@ class Rom(Section):
     parameters: dict[str, tuple[float | str, float | str]] | None = Field(
         None,
         description=(
-            "Parameters of the netlist: up to four keys of the body with their ranges, over which "
+            "Parameters of the subcircuit: up to four keys of the body, with ranges over which "
             "the error estimate holds"
         ),
     )
@@ -93,7 +98,7 @@ class Rom(Section):
     @classmethod
     def _require_band(cls, band: tuple[float, float]) -> tuple[float, float]:
         if not 0 <= band[0] < band[1]:
-            raise invalid_value_error("empty band", "0 <= low < high")
+            raise invalid_value_error("the frequency band is empty", "0 <= low < high")
         return band
 
     @property
@@ -112,19 +117,20 @@ class Solver(Section):
     chgtol: Annotated[Charge, Notch(0.1, finest=1e-14)] = Field(
         1e-8,
         gt=0,
-        description="Charge tolerance; for fast modes, a charge of 1 uC is a displacement of 1 um",
+        description="Charge tolerance of ngspice; in mode capacitors, a charge of 1 uC is a "
+        "displacement of 1 um",
     )
     trtol: Ratio = Field(
         1.0,
         ge=1,
         le=10,
-        description="Factor by which ngspice divides its estimate of the truncation error (TRTOL)",
+        description="Factor TRTOL, by which ngspice divides its estimate of the truncation error",
     )
     ringing: Literal["followed", "coarse"] | None = Field(
         None,
         description=(
-            "Resolution of ringing bodies; coarse takes fewer steps where only the motion of "
-            "other parts counts"
+            "Time resolution of body vibrations; coarse needs fewer steps, if only the motion "
+            "of other parts is of interest"
         ),
     )
     method: Literal["trap", "gear"] = Field(
@@ -134,8 +140,8 @@ class Solver(Section):
         None,
         gt=0,
         description=(
-            "Largest time step; by default it follows from drives and resonances, which explain "
-            "lists"
+            "Largest time step; by default computed from sources and resonances (kc2spice "
+            "explain prints them)"
         ),
     )
     stop: Time = Field(5e-3, gt=0, description="End of the transient")
@@ -148,29 +154,35 @@ class Checks(Section):
     """Action on a violated check: the run fails (exit 5), warns, or neither."""
 
     energy: Action = Field(
-        "fail", description="Action if an energy balance of sphere, contact or chip fails"
+        "fail", description="Action if the energy balance of a sphere, contact or chip fails"
     )
     touches: Action = Field(
         "fail",
         description=(
-            "Action if there are too many contact events before the launch for this reltol"
+            "Action if the number of contact events before the launch is too high for the value "
+            "of reltol"
         ),
     )
     range: Action = Field(
         "fail",
-        description=("Action if the sphere leaves the field table or the contact leaves its rings"),
+        description=(
+            "Action if the sphere leaves the range of the force table or the contact "
+            "extends beyond its rings"
+        ),
     )
     penetration: Action = Field(
-        "warn", description="Action if a contact is too soft or its basis too coarse"
+        "warn",
+        description="Action if the penalty stiffness of a contact is too low or its "
+        "pressure basis too coarse",
     )
     saturation: Action = Field(
-        "warn", description="Action if the controller spends too long at its current limit"
+        "warn", description="Action if the controller is at its current limit for too long"
     )
-    plausible: Action = Field("fail", description="Action if a key has a value that no device has")
+    plausible: Action = Field("fail", description="Action if a key has an implausible value")
     reduction: Action | None = Field(
         None,
         description=(
-            "Action if the error estimate of a metric by a refined run is too large; by default "
+            "Action if a refined run shows that the error of a metric is too large; by default "
             "off, or warn with an error_budget"
         ),
     )
@@ -196,31 +208,32 @@ class ErrorLimits(Section):
         None,
         gt=0,
         description=(
-            "Relative error of the launch velocity, ngspice against the equations; follows reltol "
-            "and chgtol"
+            "Largest relative difference of the launch velocity between ngspice and the "
+            "reference solution; by default computed from reltol and chgtol"
         ),
     )
     trajectory: GateLength | None = Field(
         None,
         gt=0,
         description=(
-            "Largest error of the trajectory, ngspice against the equations; by default "
-            "launch_velocity times the distance"
+            "Largest difference of the trajectory between ngspice and the reference solution; "
+            "by default launch_velocity * distance"
         ),
     )
     launch_full_model: Ratio | None = Field(
         None,
         gt=0,
         description=(
-            "Relative error of the launch velocity against the full model; follows the error of "
-            "the reduction"
+            "Largest relative difference of the launch velocity between reduced and full model; "
+            "by default computed from the error of the reduction"
         ),
     )
     position: Ratio = Field(
         1e-4,
         gt=0,
         description=(
-            "Error of the position in an impact relative to the travel, between any two solutions"
+            "Largest difference of the position in an impact between any two solutions, "
+            "relative to the travel"
         ),
     )
     rebound_velocity: Ratio = Field(
@@ -237,45 +250,57 @@ class ErrorLimits(Section):
         1e-7,
         gt=0,
         description=(
-            "Fraction of the exchanged energy that the integration of the equations loses"
+            "Largest energy error of the reference solution, relative to the exchanged energy"
         ),
     )
     imprint_rom: Ratio = Field(
-        1e-12, gt=0, description="Relative error of the static force, reduced against full model"
+        1e-12,
+        gt=0,
+        description="Largest relative difference of the static force between "
+        "reduced and full model",
     )
     imprint_ngspice: Ratio = Field(
         1e-11,
         gt=0,
-        description="Relative error of the static force, ngspice against the full model",
+        description="Largest relative difference of the static force between ngspice and the "
+        "full model",
     )
     harmonic_rom: Ratio = Field(
         1e-4,
         gt=0,
-        description=("Relative error of the response over the band, reduced against full model"),
+        description=(
+            "Largest relative difference of the frequency response between reduced and "
+            "full model over the band"
+        ),
     )
     harmonic_low: Ratio = Field(
         5e-9,
         gt=0,
         description=(
-            "Relative error of the response below a fifth of the band, reduced against full model"
+            "Largest relative difference of the frequency response between reduced and full "
+            "model below a fifth of the highest frequency"
         ),
     )
     harmonic_ngspice: Ratio = Field(
-        5e-9, gt=0, description="Relative error of the response, ngspice against the reduced model"
+        5e-9,
+        gt=0,
+        description="Largest relative difference of the frequency response between "
+        "ngspice and the reduced model",
     )
     metrics: Ratio | None = Field(
         None,
         gt=0,
         description=(
-            "Relative error of any metric, ngspice against the equations; by default 10 "
-            "solver.reltol"
+            "Largest relative difference of a metric between ngspice and the reference "
+            "solution; by default 10 * solver.reltol"
         ),
     )
     waves: Ratio | None = Field(
         None,
         gt=0,
         description=(
-            "Rms error of any wave, ngspice against the equations; by default 200 solver.reltol"
+            "Largest relative rms difference of a waveform between ngspice and the reference "
+            "solution; by default 200 * solver.reltol"
         ),
     )
     lookup_slope: Ratio = Field(
@@ -286,14 +311,15 @@ class ErrorLimits(Section):
     lookup: Ratio = Field(
         3e-5,
         gt=0,
-        description="Error of the magnetic force, table of the netlist against splines",
+        description="Largest relative difference of the magnetic force between the table in the "
+        "netlist and a spline",
     )
     field: Ratio = Field(
         3e-4,
         gt=0,
         description=(
-            "Error of the table of magnetic forces, compared with a denser table, relative to the "
-            "largest force"
+            "Largest difference of the magnetic force between the table and a denser table, "
+            "relative to the largest force"
         ),
     )
 
@@ -313,29 +339,33 @@ class Analysis(Section):
     """Analysis that the simulator runs."""
 
     type: Literal["transient", "ac", "dc", "op", "noise"] = Field(
-        "transient", description="Kind of analysis"
+        "transient", description="Type of analysis"
     )
     stop: Time | Frequency | None = Field(
-        None, gt=0, description="End of a transient [s], or highest frequency of ac and noise [Hz]"
+        None,
+        gt=0,
+        description="End of a transient [s], or highest frequency of an ac or noise analysis [Hz]",
     )
-    start: Frequency = Field(0.0, ge=0, description="Lowest frequency of ac and noise")
+    start: Frequency = Field(0.0, ge=0, description="Lowest frequency of an ac or noise analysis")
     points: Annotated[Count, Notch(2.0, spaces=True)] = Field(
         200, ge=2, le=200_000, description="Least number of frequencies or of swept values"
     )
     scale: Literal["log", "linear"] = Field(
         default_factory=_default_scale,
-        description="Spacing of the frequencies of ac and noise; linear may begin at 0 Hz",
+        description="Spacing of the frequencies of an ac or noise analysis; a linear range can "
+        "begin at 0 Hz",
     )
     output: str | None = Field(
         None, description="Output of a noise analysis: a result such as disc.u, or PART.PIN"
     )
-    sweep: str | None = Field(None, description="Key that a dc analysis varies, PART.KEY")
+    sweep: str | None = Field(None, description="Key that a dc analysis varies, such as PART.dc")
     from_: Any = Field(0.0, alias="from", description="First value of a dc analysis")
     to: Any = Field(1.0, description="Last value of a dc analysis")
     back: bool | None = Field(
         None,
         description=(
-            "Whether a dc analysis returns to its first value; its scale continues to grow"
+            "Whether a dc sweep returns to its first value; the points are numbered in the "
+            "order of computation"
         ),
     )
 
@@ -368,8 +398,8 @@ class Probe(Section):
 
     of: str = Field(
         description=(
-            "Result that the probe reads: disc.x, NETLIST.NODE, or PART.current, PART.PIN.current, "
-            "PART.power and PART.PIN.power; force, heat_flow or volume_velocity instead of current"
+            "Result that the probe reads, such as disc.x, NETLIST.NODE, PART.current, "
+            "PART.PIN.force or PART.power"
         )
     )
     take: Literal[
@@ -386,28 +416,34 @@ class Probe(Section):
     ] = Field(
         "max",
         description=(
-            "Quantity that the probe computes from the result; `value` reads the result at the key "
-            "`at`"
+            "Value that the probe computes from the result; `value` is the result at the place `at`"
         ),
     )
     at: Place | None = Field(
-        None, description="Frequency, time or swept value at which take = value reads the result"
+        None,
+        description="Frequency, time or swept value at which the probe reads the result; "
+        "requires take = value",
     )
     level: Ratio | None = Field(
         None, description="Level of a crossing, in the SI unit of the result"
     )
     from_: Place | None = Field(
-        None, alias="from", description="First frequency, time or swept value that the probe reads"
+        None,
+        alias="from",
+        description="Lower end of the window of frequency, time or swept "
+        "value that the probe reads",
     )
     to: Place | None = Field(
-        None, description="Last frequency, time or swept value that the probe reads"
+        None,
+        description="Upper end of the window of frequency, time or swept value that the "
+        "probe reads",
     )
     periods: Count | None = Field(
         None,
         ge=1,
         description=(
-            "Number of the last periods of the scene's sources that the probe reads, instead of "
-            "from and to"
+            "Number of source periods at the end of the run that the probe reads; cannot be "
+            "combined with from and to"
         ),
     )
 
@@ -438,14 +474,18 @@ class Probe(Section):
         window = (self.from_, self.to, self.periods)
         if self.at is not None and any(item is not None for item in window):
             expected = "at, or from and to, or periods"
-            raise invalid_value_error("at beside a window", expected, hint="delete the key at")
+            raise invalid_value_error(
+                "at cannot be combined with a window", expected, hint="delete the key at"
+            )
         if self.periods is not None and (self.from_ is not None or self.to is not None):
             expected = "periods, or from and to"
             raise invalid_value_error(
-                "periods beside from or to", expected, hint="delete the key periods"
+                "periods cannot be combined with from or to",
+                expected,
+                hint="delete the key periods",
             )
         if self.from_ is not None and self.to is not None and self.from_ >= self.to:
-            raise invalid_value_error("empty window", "from < to")
+            raise invalid_value_error("the window is empty", "from < to")
         return self
 
 
@@ -454,22 +494,24 @@ class Frame(Section):
 
     name: str = Field(
         pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$",
-        description="Name of the scene; by default that of its file",
+        description="Name of the scene; by default the name of its file",
     )
     title: str = Field(
         "",
         max_length=200,
         pattern=rf"^{_ONE_LINE_PATTERN}*$",
-        description="Title of the scene, one line",
+        description="Title of the scene, a text of one line",
     )
-    gravity: Acceleration = Field(9.81, description="Gravity, positive downwards")
+    gravity: Acceleration = Field(
+        9.81, description="Gravitational acceleration, positive downwards"
+    )
     error_budget: Ratio | None = Field(
         None,
         gt=0,
         lt=1,
         description=(
-            "Relative error of every metric that the run must reach by refining the settings that "
-            "the scene leaves open"
+            "Largest relative error of every metric; the run refines the numerical settings "
+            "without a value in the scene until it is reached"
         ),
     )
     analysis: Analysis = Analysis()
@@ -480,5 +522,5 @@ class Frame(Section):
     gates: ErrorLimits = ErrorLimits()
     bench: Bench = Bench()
     include: tuple[FileName, ...] = Field(
-        (), max_length=16, description="Netlist files beside the scene that its deck includes"
+        (), max_length=16, description="Netlist files in the scene's folder that the deck includes"
     )

@@ -83,25 +83,25 @@ def _position_errors(
     by = "pushed by " + ", ".join(pushed) if pushed else ""
     if kind in ("op", "dc"):
         yield UsageError(
-            f"nothing holds {part_name}: it has no operating point",
+            f"{part_name} has no support, so it has no operating point",
             where=part_name,
             got=", ".join(filter(None, (f"analysis {kind}", by))),
             expected=path,
-            hint='analysis.type = "transient" lets it move',
+            hint='add a support, or use analysis.type = "transient"',
         )
     elif by and scene.analysis.small:
         yield UsageError(
-            f"nothing holds {part_name} against a constant force: there is no point at rest to "
-            "linearise about",
+            f"{part_name} has no support against a constant force, so it has no operating point "
+            f"for the linear analysis",
             where=part_name,
             got=by,
             expected=f"no constant force, or {path}",
-            hint="ac = … without dc; weight = false",
+            hint="delete the key dc of the source, or set weight = false",
         )
     elif by and result.bodies:
         yield UsageError(
-            f"nothing holds {part_name} against a constant force at t = 0: a transient cannot "
-            "begin at rest",
+            f"{part_name} has no support against the force at t = 0, so the transient cannot "
+            f"begin at rest",
             where=part_name,
             got=by,
             expected="a force that is zero at t = 0, such as a pulse, or a support",
@@ -160,10 +160,10 @@ def _list_velocity_jump_errors(scene: Scene, rests: Mapping[str, Rest]) -> Itera
         if driven and len(sides) > 1 and all(map({"0", *inert}.intersection, sides)):
             yield part.wrong(
                 rest.kinked,
-                f"the velocity of {driven[0]} jumps with this displacement, which takes an "
-                "infinite force",
+                f"the velocity of {driven[0]} jumps with this displacement, which needs an "
+                f"infinite force",
                 f"{driven[0]} fixed to {part.name}",
-                "a spring or a body that yields between both",
+                "a spring or an elastic body between both parts",
                 f'kind = "force" pushes {driven[0]}; a spring as stiff as the joint follows a '
                 "displacement",
             )

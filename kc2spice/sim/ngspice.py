@@ -81,15 +81,15 @@ def find_ngspice() -> Simulator:
     except (OSError, subprocess.TimeoutExpired) as error:
         hangs = isinstance(error, subprocess.TimeoutExpired)
         raise MissingToolError(
-            "this ngspice does not run",
+            "the installed ngspice does not start",
             where=path,
             got=f"no answer within {VERSION_TIMEOUT:g} s" if hangs else str(error),
-            hint="install it again; kc2spice doctor checks it",
+            hint="install ngspice again, then run kc2spice doctor",
         ) from None
     text = answer.decode(errors="replace")
     version = re.search(r"ngspice-(\S+)", text)
     if version is None:
-        message, got = "this ngspice does not tell its version", text.strip()[:80]
+        message, got = "this ngspice does not print its version", text.strip()[:80]
         raise MissingToolError(message, where=path, got=got)
     return Simulator("ngspice", version.group(1), path)
 
@@ -112,7 +112,11 @@ def write_files(files: Mapping[str, str], directory: Path) -> None:
     """
     for filename in files:
         if reason := explain_unsafe_name(filename):
-            raise UsageError(f"is {reason}", where="file name", got=repr(filename[:120]))
+            raise UsageError(
+                f"this file name is not allowed: {reason}",
+                where="file name",
+                got=repr(filename[:120]),
+            )
     directory.mkdir(parents=True, exist_ok=True)
     for filename, text in files.items():
         path = directory / filename
@@ -173,7 +177,7 @@ def run_deck(
                 "the disk is full",
                 where=str(directory),
                 got=f"{free} bytes left",
-                hint="make room, or set TMPDIR or --out to another disk",
+                hint="delete files, or set TMPDIR or --out to another disk",
             ) from error
         raise
     finally:
@@ -189,12 +193,12 @@ def _require_size(deck: Deck) -> None:
     size = 8.0 * (1 + len(deck.saved_vectors)) * deck.stop / step
     if size > MAX_RAW_BYTES:
         raise UsageError(
-            "the run would write more than its limit",
+            "the waveforms of this run exceed the size limit",
             where=deck.main,
             got=f"about {size:.2g} bytes: {1 + len(deck.saved_vectors)} vectors at "
             f"{deck.stop / step:.2g} points",
             expected=f"at most {MAX_RAW_BYTES:.2g}",
-            hint="raise solver.max_step, end earlier, or save fewer vectors",
+            hint="raise solver.max_step, lower the end time, or save fewer vectors",
         )
 
 
@@ -287,7 +291,9 @@ def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np
             # raw files enclose the names of devices in "i(…)"
             result = vectors.get(name, vectors.get(f"i({name})"))
             if result is None:
-                raise SimulationError("ngspice did not save a vector", where=deck.main, got=name)
+                raise SimulationError(
+                    "the output of ngspice lacks a vector", where=deck.main, got=name
+                )
             parts.append(sign * result)
         data[key] = factor * np.sum(parts, axis=0)
     return data

@@ -310,7 +310,10 @@ def _read_plots(path: Path) -> Iterator[_Plot]:
             raise _make_corrupt_file_error(path, "its header is cut off")
         points = len(plot.table)
         if points < 1 or (points, plot.left) != (plot.promised, 0):
-            what = f"it promises {plot.promised} points and holds {points} and {plot.left} bytes"
+            what = (
+                f"its header states {plot.promised} points, but it contains {points} points "
+                f"and {plot.left} bytes"
+            )
             raise _make_corrupt_file_error(path, what)
         yield plot
         begin = plot.end

@@ -122,7 +122,11 @@ def run_shared(
     SimulationError : a function failed.
     """
     if deck.stop is None:
-        raise UsageError("no transient", where=deck.name, expected="a deck with its last time")
+        raise UsageError(
+            "the deck has no transient analysis",
+            where=deck.name,
+            expected="a deck with a .tran line",
+        )
     global _library
     if _library is None or _library.dead:  # ngspice has unloaded the library after a fatal error
         _library = Library()
@@ -132,7 +136,9 @@ def run_shared(
         ran = library.load(_flatten_deck(deck, deck.main)) and library.run(loop)
         if library.broken is not None:
             raise SimulationError(
-                "the function in the loop failed", where=deck.name, got=repr(library.broken)
+                "the Python function of the controller failed",
+                where=deck.name,
+                got=repr(library.broken),
             ) from library.broken
         log = library.log
         vectors = library.vectors()

@@ -241,16 +241,17 @@ def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> N
     got = f"{total}, of which {share:.2g} at {frequency:.6g} Hz by its elements"
     if share <= PERTURBATION_SPREAD * rounding_effect(model, frequency):
         message = (
-            f"{part.name}: error estimate {got}: rounding of the given matrices changes as much"
+            f"{part.name}: error estimate {got}: rounding errors of the original matrices cause "
+            f"an error of the same size"
         )
         warnings.warn(message, stacklevel=2)
         return
     raise GateMissedError(
-        "the emitted circuit is less accurate than the tolerance",
+        "the error of the written circuit exceeds the tolerance",
         where=part.name,
         got=got,
         expected=f"at most {tolerance:.2g}",
-        hint="ask for a larger tolerance, or a band that begins at a higher frequency",
+        hint="raise the tolerance, or the lower frequency of the band",
     )
 
 

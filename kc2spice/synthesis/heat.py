@@ -169,7 +169,7 @@ def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.
 
 def _make_not_passive_error(model: LinearModel, got: str) -> UsageError:
     return UsageError(
-        "is no passive heat model",
+        "this model is not a passive heat model",
         where=model.name,
         got=got,
         expected="E x' + K x = B q, y = B' x + D q with symmetric E, K and D without negative "

@@ -159,10 +159,10 @@ def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], na
     unsupported = [port.name for port in ports if port.domain not in _DOMAINS]
     if unsupported:
         raise UsageError(
-            "parameters in the netlist need electrical, mechanical or rotational ports",
+            "a model with parameters has ports that are not electrical, mechanical or rotational",
             where=name,
             got=", ".join(unsupported),
-            hint="leave rom.parameters out, or leave that port open",
+            hint="delete rom.parameters, or leave these ports open",
         )
     for parameter in parameters:
         checked_name(parameter, where=f"{name}: parameters")

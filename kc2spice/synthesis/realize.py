@@ -385,11 +385,11 @@ def subcircuit(
     """
     if not isinstance(rom, LinearModel):
         raise UsageError(
-            "not a linear model",
+            "this object is not a linear model",
             where=name,
             got=type(rom).__name__,
             expected="a kc.LinearModel, such as kc.reduce returns",
-            hint="kc.read_model(PATH) reads a model from a file",
+            hint="read a model from a file by kc.read_model(PATH)",
         )
     if header is None:
         digest = hashlib.sha256(rom.B.tobytes() + rom.C.tobytes() + rom.D.tobytes())
@@ -594,7 +594,7 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
         pins = tuple(map(checked_name, port.terminals))
         if len(pins) != (2 if port.paired else 1):
             raise UsageError(
-                "wrong number of pins",
+                "the port has a wrong number of pins",
                 where=where,
                 got=port.name,
                 expected="two pins of an electrical port, otherwise one pin",
@@ -609,7 +609,7 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
                 "the clamped capacitance of a port is negative",
                 where=where,
                 got=f"{clamped:.3g} F at port {port.name}",
-                expected="a positive capacitance: a positive entry of D",
+                expected="a positive entry of D, the clamped capacitance",
             )
         tag = f"_{checked_name(port.name)}" if port.charged and several else ""
         leak = INPUT_LEAK if clamped or not port.charged else _leak_conductance(rom, port)
@@ -739,10 +739,10 @@ class _OutputLaws:
         at_once = np.abs(self.D[t.row] - self.rom.D[t.row]) > CROSS_ROUNDING * np.abs(self.D).max()
         if jump.any() or at_once.any():
             raise UsageError(
-                "an acceleration port drives states without inertia: its force depends on the time "
-                "derivatives of inputs, which the netlist does not contain",
+                "an acceleration port acts on states without inertia, so its force depends on "
+                "derivatives of inputs, which netlists do not support",
                 where=t.label,
-                got="C B not zero in its row",
+                got="C B not zero in the row of the port",
                 expected="C B = 0 in the row of an acceleration port",
                 hint="set the rows of B and C of the states without inertia to zero",
             )
@@ -757,7 +757,7 @@ class _OutputLaws:
         """Return an unclamped electrode with the sources of its current."""
         if direct.any():
             raise UsageError(
-                "an electrode without capacitance of its own shares charge with other ports",
+                "an electrode without clamped capacitance is coupled to other ports through D",
                 where=t.label,
                 expected="a positive semi-definite D",
             )

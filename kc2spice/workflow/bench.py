@@ -103,7 +103,7 @@ class _Plane:
         self.known: dict[tuple[str, float], Errors] = {}
         if not self.axes:
             where = f"bench {run.build.scene.name}"
-            raise UsageError("has no setting that trades time for error", where=where)
+            raise UsageError("this scene has no numerical setting to vary", where=where)
 
     def notches(self, place: Place) -> dict[str, float]:
         """Notches of each axis, keyed by its name."""
@@ -345,7 +345,7 @@ def _require_convergence(plane: _Plane, selected: Sequence[str], *, keep_all: bo
             where=f"bench {start.build.scene.name}",
             got=", ".join(f"{n} changes by {v:.1e}" for n, v in check.items()) or None,
             expected=f"at most {MAX_METRIC_CHANGE:g} between the two finest settings",
-            hint="name a steadier one with --metric",
+            hint="select another metric with --metric",
         )
     return check
 
@@ -360,11 +360,13 @@ def run_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
     for name, value in exact.values.items():
         ours = run.values.get(name)
         if value.dtype.kind == "b" and not np.array_equal(np.nan if ours is None else ours, value):
-            raise SimulationError(f"{name} is {ours}, but {value} with the finest settings")
+            raise SimulationError(
+                f"the metric {name} is {ours}, but {value} with the finest settings"
+            )
     result = metric_changes(run, exact)
     for name in names:
         if result[name] == np.inf:
-            raise SimulationError(f"has no {name}")
+            raise SimulationError(f"the result has no metric {name}")
     return {name: result[name] for name in names}
 
 

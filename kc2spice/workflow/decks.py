@@ -145,11 +145,11 @@ def _list_libraries(build: Build, header: Header) -> Iterator[Subcircuit]:
                 yield result
             elif same.text != result.text:
                 raise UsageError(
-                    f"{first} and {part.name} write different libraries with the same name",
+                    f"{first} and {part.name} have different libraries with the same file name",
                     where=part.name,
                     got=result.filename,
                     expected="names that differ",
-                    hint=f"rename the file of {part.name} and the subcircuit in it",
+                    hint=f"rename the file and the subcircuit of {part.name}",
                 )
 
 
@@ -258,8 +258,8 @@ def protect_other_decks(out: Path, files: Mapping[str, str]) -> None:
                 continue
             if _card_texts(text(out / name), name) != _card_texts(files[name], name):
                 raise UsageError(
-                    f"this deck there includes another {name}",
+                    f"an existing deck in this directory includes another version of {name}",
                     where=str(others[key]),
-                    got=f"{name} with other cards",
+                    got=f"{name} with other elements",
                     hint=f"write to another directory, such as --out {out.name}_2",
                 )

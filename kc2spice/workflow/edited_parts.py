@@ -37,7 +37,9 @@ def with_edited_parameters(build: Build, edits: DeckEdits, path: Path) -> Build:
             parts[name] = other or part
     if reasons:
         lines = "; ".join(map(": ".join, reasons.items()))
-        warnings.warn(f"{path}: parts without checks and energy balance: {lines}", stacklevel=2)
+        warnings.warn(
+            f"{path}: these parts have no checks and no energy balance: {lines}", stacklevel=2
+        )
     return replace_parts(build, parts, {*edits.cards, *reasons})
 
 

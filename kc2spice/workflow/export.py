@@ -49,7 +49,11 @@ def export_scene(
     """
     known = dialect_names() if count is None else deck_dialects()
     if dialect not in known:
-        message = "unknown dialect" if count is None else "no array of copies in this dialect"
+        message = (
+            "this dialect does not exist"
+            if count is None
+            else "this dialect does not support an array of copies"
+        )
         raise unknown(message, dialect, known, "--dialect")
     clock, selected = Clock(progress), require_solver(solver, "--solver")
     with stage_directory(out) as work, solving_with(selected):

@@ -165,8 +165,10 @@ def fit(
     _require_linear(loaded.part(part, "SCENE:PART"))
     resistance = parse_shunt_resistance(shunt)
     if isinstance(data, MeasuredAdmittance) and resistance is not None:
-        problem = "applies to a file of gain and phase"
-        raise UsageError(problem, where="shunt", got=shunt, expected="the path of a file as data")
+        problem = "this argument applies only to a file of gain and phase"
+        raise UsageError(
+            problem, where="shunt", got=shunt, expected="a shunt with the path of a file"
+        )
     measured = (
         data if isinstance(data, MeasuredAdmittance) else read_measured(Path(data), resistance)
     )
@@ -174,7 +176,7 @@ def fit(
         got = f"{measured.Y.shape[1]} ports"
         hint = "measure the impedance between the electrodes, or save one port alone"
         raise UsageError(
-            "a fit needs the impedance of one port",
+            "the data does not contain the impedance of one port",
             where=measured.where,
             got=got,
             expected="one port",
@@ -182,7 +184,7 @@ def fit(
         )
     if not vary:
         raise UsageError(
-            "no key to vary",
+            "the option --vary is missing",
             where=part,
             got="no --vary",
             expected="--vary KEY, or --vary KEY=LOW:HIGH",
@@ -238,7 +240,9 @@ def _varied_keys(
         if span is not None and not (isinstance(span, (tuple, list)) and len(span) == 2):
             expected = "two numbers in SI units, or None for the default range"
             hint = f'write {{"{key}": (LOW, HIGH)}}'
-            raise UsageError("not a range", where=key, got=repr(span), expected=expected, hint=hint)
+            raise UsageError(
+                "this text is not a range", where=key, got=repr(span), expected=expected, hint=hint
+            )
     result = []
     for text, span in ends.items():
         key, _, limits = text.partition("=")
@@ -249,7 +253,7 @@ def _varied_keys(
     for name, count in Counter(map(attrgetter("key"), result)).items():
         if count > 1:
             raise UsageError(
-                "a key is varied twice",
+                "the same key is varied twice",
                 where=part,
                 got=name,
                 expected="each key once",
@@ -263,11 +267,11 @@ def _parse_range(key: str, text: str) -> tuple[float, float]:
     ends = text.split(":")
     if len(ends) != 2:
         raise UsageError(
-            "not a range",
+            "this text is not a range",
             where=key,
             got=text,
             expected="LOW:HIGH in SI units",
-            hint=f"write {key}=LOW:HIGH with a colon between two numbers",
+            hint=f"write {key}=LOW:HIGH, two numbers with a colon between them",
         )
     low, high = (parse_value(end, "", key) for end in ends)
     return low, high
@@ -321,7 +325,7 @@ class _Body:
                 where=", ".join(map(attrgetter("key"), self.keys)),
                 got=error.message if error.got is None else f"{error.message}: {error.got}",
                 expected="ranges of possible parts",
-                hint="give a narrower one: --vary KEY=low:high",
+                hint="write a narrower range: --vary KEY=LOW:HIGH",
             ) from None
         part = loaded.part(self.part, where=self.part)
         assert isinstance(part.type, LinearBody)  # required before the fit
@@ -339,7 +343,7 @@ class _Body:
         electrical = [port.name for port in model.ports if port.electrical]
         if not electrical:
             raise UsageError(
-                "this part has no electrodes, thus no impedance",
+                "this part has no electrodes, so it has no impedance",
                 where=self.part,
                 expected="a piezoelectric part",
             )
@@ -661,9 +665,9 @@ def _record(
     unimportant = np.linalg.norm(J, axis=0) * widths < 1.0
     if unimportant.any():
         raise UsageError(
-            "does not change the impedance",
+            "this key does not change the impedance",
             where=", ".join(compress(names, unimportant)),
-            got="less than the noise of the data over its range",
+            got="a change below the noise of the data",
             expected="a key that changes the impedance",
         )
     relative = np.abs(end.exact / body.Y - 1)
@@ -673,10 +677,10 @@ def _record(
         raise UsageError(
             "no values in the ranges give the measured impedance",
             where=body.data.where,
-            got=f"{rms:.2g} of |Y| left over, rms, from {len(ends)} starts",
+            got=f"{rms:.2g} of |Y| as the rms misfit after {len(ends)} fits",
             expected=f"less than {MAX_MISFIT:g}",
-            hint="is it the same part, the unit of the frequency right, the range wide enough? "
-            "vary one key alone first, such as a thickness",
+            hint="check the part and the unit of the frequency, then vary one key, such as a "
+            "thickness",
         )
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
     scatter = estimate_covariance(J, solved.fun, widths)
@@ -729,7 +733,10 @@ def _explain_misfit(
         end.solved.jac, end.solved.fun, body.log_admittance_changes(end.values, end.exact)
     )
     if cause is None and any(None in (row["measured_hz"], row["fitted_hz"]) for row in resonances):
-        cause = "resonances of one that the other lacks: vary sizes, or check mounting and mesh"
+        cause = (
+            "model and data differ in their number of resonances: vary sizes, or check "
+            "mounting and mesh"
+        )
     return f"{text}; likely cause: {cause or UNKNOWN_CAUSE}"
 
 

@@ -97,7 +97,12 @@ def _load_model(path: Path | str) -> LinearModel:
     """Return the full model of a file or of a scene's body."""
     if is_measured(Path(path)):
         expected = "matrices; a measured response is fitted by one method"
-        raise UsageError("is a measurement", where="--method", got=path, expected=expected)
+        raise UsageError(
+            "this file is a measurement, to which reduction methods do not apply",
+            where="--method",
+            got=path,
+            expected=expected,
+        )
     return load_full_model(path)
 
 

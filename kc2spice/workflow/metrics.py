@@ -210,7 +210,7 @@ def evaluate_probe(
     if probe.of in waves:
         return _evaluate_wave(probe, waves.scale.real, waves[probe.of], name, window)
     known = list(waves.data)[1:]
-    raise unknown("no such result", probe.of, known, f"key probes.{name}.of")
+    raise unknown("the run has no such result", probe.of, known, f"key probes.{name}.of")
 
 
 def _evaluate_wave(
@@ -335,7 +335,8 @@ def _is_on_scale(scale: np.ndarray, place: float) -> bool:
 def _make_outside_error(name: str, key: str, place: float, scale: np.ndarray) -> UsageError:
     """Return the error of a position outside of the scale."""
     expected = f"{scale.min():g} … {scale.max():g}"
-    return UsageError("outside the analysis", where=f"probes.{name}.{key}", got=f"{place:g}",
+    return UsageError("this place is outside of the range of the analysis", where=
+        f"probes.{name}.{key}", got=f"{place:g}",
                       expected=expected)  # fmt: skip
 
 

@@ -178,19 +178,19 @@ def reduce_file(
 
 # Problem and expectation of options that do not apply.
 _FROM_DATA = (
-    "has no effect on a measured response",
-    "the order follows from the noise, the band from the file",
+    "this option does not apply to a measured response",
+    "a measured response without this option",
 )
 _OF_IMPEDANCE = (
-    "applies to a measured impedance only",
+    "this option applies only to a measured impedance",
     "no such option with a thermal transient",
 )
 _OF_TRANSIENT = (
-    "applies to a thermal transient only",
+    "this option applies only to a thermal transient",
     "a table with the columns  time_s,temperature_k",
 )
 _OF_MEASUREMENT = (
-    "applies to a measured response only",
+    "this option applies only to a measured response",
     "no such option with matrices, which determine the response",
 )
 
@@ -267,10 +267,10 @@ def _reduce_affine(
     for option, value in options.items():
         if value is not None:
             raise UsageError(
-                "does not apply to a model with parameters",
+                "this option does not apply to a model with parameters",
                 where=option,
                 got=value,
-                expected="a tolerance, which determines order and method",
+                expected="a tolerance without this option",
                 hint=f"leave out {option}",
             )
     name, names = f"{model.name}_rom", list(model.defaults)
@@ -348,7 +348,8 @@ def _require_stable_full(model: LinearModel, band: tuple[float, float] | None) -
             where=model.name,
             got=got,
             expected="poles that do not grow",
-            hint="check signs and halves of the matrices; nothing was reduced or written",
+            hint="check the signs of the matrices, and that both triangles are present; nothing "
+            "was reduced or written",
         )
 
 
@@ -367,7 +368,7 @@ def _reduce_measured(
     ports = data.Y.shape[1]
     if ports > 1 and dc is not None:
         raise UsageError(
-            "applies to a response of one port only",
+            "this option applies only to a response of one port",
             where="--dc",
             got=f"{ports} ports in {path.name}",
             expected="one port",
@@ -433,11 +434,11 @@ def _fit_passive_model(
             return branches
         if conductance is not None:
             raise UsageError(
-                "parallel branches do not describe this part",
+                "parallel branches do not match the measurement of this part",
                 where=data.where,
                 got=f"an rms deviation of {left:.2g}",
-                expected="a part whose resistance at zero frequency can be stated",
-                hint="leave out --dc: a general fit of poles then extrapolates this resistance",
+                expected="a measurement that parallel branches match",
+                hint="leave out --dc, so that a general fit extrapolates this resistance",
             )
         note = f"parallel branches leave a deviation of {left:.2g}: poles of any kind"
     from kc2spice.rom.multiport import fit_multiport  # imported here, because few commands need it
@@ -505,8 +506,7 @@ def _require_small_misfit(model: LinearModel, data: MeasuredAdmittance) -> None:
         expected=f"at most {misfit.limit:.2g}: the larger of {MAX_MISFIT:g} and "
         f"{MAX_NOISE_RATIO:g} times {misfit.noise:.2g}, the noise of the measured "
         f"{data.quantity} in the admittance",
-        hint="measure with more points on every resonance, with less noise, or a part of the "
-        "band; no file was written",
+        hint="measure more points at each resonance or a narrower band; no file was written",
     )
 
 
@@ -517,7 +517,7 @@ def _conductance(dc: str | float) -> float:
     resistance = quantity(dc, "Ohm", where="--dc")
     if not 0 < resistance < math.inf:
         expected = 'a positive resistance, such as "80 mOhm", or open'
-        raise UsageError("is not a resistance", where="--dc", got=dc, expected=expected)
+        raise UsageError("this value is not a resistance", where="--dc", got=dc, expected=expected)
     return 1 / resistance
 
 
@@ -602,7 +602,7 @@ def require_stable(record: dict[str, Any]) -> None:
             where=record["model"],
             got="a pole in the right half plane",
             expected="poles that do not grow",
-            hint=f"check signs and halves of the matrices{written}",
+            hint=f"check the signs of the matrices, and that both triangles are present{written}",
         )
 
 
@@ -617,7 +617,7 @@ def export_rom(
         be written, or see :func:`kc2spice.workflow.decks.protect_other_decks`; nothing was written.
     """
     if dialect not in dialect_names():
-        raise unknown("unknown dialect", dialect, dialect_names(), "--dialect")
+        raise unknown("this dialect does not exist", dialect, dialect_names(), "--dialect")
     path = Path(path)
     reduced, part = _read_part(path, dense)
     deck = first_deck(reduced, part)
@@ -642,7 +642,7 @@ def _read_part(path: Path, dense: bool) -> tuple[LinearModel, Subcircuit]:
         return reduced, subcircuit(reduced, name, header, dense=dense)
     if dense:
         raise UsageError(
-            "a model with parameters consists of resonators",
+            "--dense does not apply to a model with parameters",
             where="--dense",
             got=str(path),
             expected="a model without parameters",

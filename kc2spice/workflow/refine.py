@@ -134,7 +134,9 @@ class Runs:
             if unknowns > most or need > memory:
                 got = f"about {_format_size(unknowns, need)}"
                 expected = f"at most {_format_size(most, memory)}"
-                self.refused = wrong(axis.name, "a finer mesh is too large", got, expected)
+                self.refused = wrong(
+                    axis.name, "the finer mesh for the error estimate is too large", got, expected
+                )
                 raise self.refused
 
     def _body_of_axis(self, axis: Axis) -> Part | None:

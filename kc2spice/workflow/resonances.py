@@ -128,8 +128,8 @@ def _compute_poles(laws: SceneLaws) -> np.ndarray:
     if models and (missing or len(result) < len(solved)):
         cause = f"{', '.join(missing)} without equations" if missing else "a large circuit"
         warnings.warn(
-            f"{cause}: maxima over frequency are resolved at the natural frequencies of the "
-            "reduced models, which the circuit around them may shift",
+            f"{cause}: maxima are searched only near the natural frequencies of the reduced "
+            f"models, but the circuit may shift the resonances",
             stacklevel=2,
         )
         result += [model.poles() for model in models]
@@ -152,8 +152,8 @@ def _compute_zeros(laws: SceneLaws) -> np.ndarray:
         pass
     if unknown := sorted(of if laws.missing else of - result.keys()):
         warnings.warn(
-            f"{', '.join(unknown)}: the least value is read at the scene's frequencies, since a "
-            "part of its circuit has no equations: raise analysis.points",
+            f"{', '.join(unknown)}: the minimum is taken at the frequencies of the scene only, "
+            f"because a part of the circuit has no equations; raise analysis.points",
             stacklevel=2,
         )
     return np.concatenate([np.zeros(0, complex), *result.values()])

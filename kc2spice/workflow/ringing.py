@@ -108,9 +108,9 @@ def warn_of_long_run(build: Build, deck: Deck) -> None:
         seconds = points * time_per_point(sum(model.order for model in models))
         step = format_quantity(build.largest.step, "s", 3)
         warnings.warn(
-            f"this run takes at least {points:.2g} time points, {seconds:.2g} s of CPU: its "
-            f"largest time step is {step} ({build.largest.why}). A larger solver.max_step or an "
-            "earlier solver.stop takes fewer",
+            f"this run needs at least {points:.2g} time points and {seconds:.2g} s of CPU time, "
+            f"because its largest time step is {step} ({build.largest.why}). A larger "
+            f"solver.max_step or a smaller solver.stop reduces the number of points",
             stacklevel=3,
         )
 

@@ -190,7 +190,9 @@ def complete_run(
                 if not suggested:
                     raise
                 keys = ", ".join(f"{key} = {value}" for key, value in suggested.items())
-                warnings.warn(f"{error.message}, {error.got}: run again with {keys}", stacklevel=2)
+                warnings.warn(
+                    f"{error.message}, {error.got}; the run is repeated with {keys}", stacklevel=2
+                )
                 automatic |= suggested
                 scene = load_scene(scene, suggested)
         if deck is None and scene.error_budget is None:  # the error budget refines orders itself

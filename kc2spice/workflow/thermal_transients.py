@@ -49,7 +49,7 @@ def step_power(power: str | float | None, data: ThermalTransient) -> float | Non
     if data.quantity == "zth":
         if power is not None:
             raise UsageError(
-                "applies to a temperature",
+                "this option applies only to temperatures",
                 where="--power",
                 got=f"{power} beside a thermal impedance, which is per watt",
                 expected="a column of the temperature",
@@ -161,7 +161,7 @@ def require_one_heat_port(model: LinearModel) -> None:
         return
     names = ", ".join(f"{port.name} ({port.kind})" for port in model.ports[:5])
     raise UsageError(
-        "applies to a model with one thermal port",
+        "this option applies only to a model with one thermal port",
         where="--network",
         got=f"{len(model.ports)} ports: {names}",
         expected='one port with kind = "thermal"',

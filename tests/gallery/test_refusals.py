@@ -34,7 +34,7 @@ ENDS = [
 
 @pytest.mark.parametrize("parts", ENDS)
 def test_a_part_of_two_ends_lies_between_two_nets(parts):
-    with pytest.raises(UsageError, match="both ends are on one net") as caught:
+    with pytest.raises(UsageError, match="connected to the same net") as caught:
         kc.load_scene(changed(**parts))
     assert "r2" in str(caught.value)
 
@@ -44,7 +44,7 @@ def test_a_sweep_stands_beside_dc_alone(kind):
     analysis = {"type": kind, "sweep": "drive.dc"} | {
         "transient": {"stop": 1e-3}, "ac": {"start": 1.0, "stop": 2.0}, "op": {},
     }[kind]  # fmt: skip
-    with pytest.raises(UsageError, match="only dc sweeps"):
+    with pytest.raises(UsageError, match=r"analysis\.sweep needs a dc"):
         kc.load_scene(changed(analysis=analysis))
 
 
@@ -65,7 +65,7 @@ def test_a_number_in_a_unit_is_not_a_unit(text):
     ],
 )
 def test_more_than_ten_million_points_are_told_before_the_run(keys):
-    with pytest.raises(UsageError, match="more time points") as caught:
+    with pytest.raises(UsageError, match="too many time points") as caught:
         kc.load_scene(changed(**keys))
     assert "1e+07" in str(caught.value)
     assert kc.load_scene(changed(solver={"max_step": 1.1e-10}))

@@ -323,7 +323,7 @@ def test_solids_that_share_no_nodes_are_refused_or_merged(tmp_path):
     merged, joined = plates(tmp_path, merge="1 um"), plates(tmp_path / "joined")
     for name in ("unknowns", "capacitance_free_f", "resonance_short_hz"):
         assert merged.model.facts[name] == pytest.approx(joined.model.facts[name], rel=1e-9), name
-    with pytest.raises(UsageError, match="merging nodes this far apart collapses elements"):
+    with pytest.raises(UsageError, match="the merge distance exceeds the shortest edge"):
         plates(tmp_path, merge="1.2 mm")
 
 
@@ -431,9 +431,9 @@ def test_pick_that_misses_names_its_point(tmp_path):
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"electrodes": {"anode": "level2"}}, "single electrode"),
+    ({"electrodes": {"anode": "level2"}}, "at least two electrodes"),
     ({"poling": {"layer7": [0, 0, 1]}}, "without material"),
-    ({"ports": [{"name": "a", "group": "end", "axis": "rx"}]}, "needs an axis"),
+    ({"ports": [{"name": "a", "group": "end", "axis": "rx"}]}, "needs the key axis"),
     ({"ports": [{"name": "a", "axis": "x"}]}, "needs group"),
     ({"ports": [{"name": "a b", "group": "end", "axis": "x"}]}, "pattern"),
     ({"electrodes": {}, "ports": []}, "electrodes or ports"),

@@ -488,18 +488,19 @@ DIE = {
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"fixed": []}, "no path leads heat away"),
-        ({"sources": {"junction": "lid"}}, "no such group of layers"),
+        ({"fixed": []}, "heat cannot leave the body"),
+        ({"sources": {"junction": "lid"}}, "layers have no such group"),
         ({"sources": {"ambient": "top"}}, "pin of the surroundings"),
-        ({"sources": {"bottom": "top"}, "isothermal": {"bottom": "bottom"}}, "pins of one name"),
+        ({"sources": {"bottom": "top"}, "isothermal": {"bottom": "bottom"}},
+         "pins have the same name"),
         ({"isothermal": {"case": "bottom"}}, "common nodes"),
-        ({"isothermal": {"case": "layer1"}}, "no face"),
+        ({"isothermal": {"case": "layer1"}}, "not a face"),
         ({"films": [{"group": "top", "coefficient": "-1 W/(m2 K)"}]}, "out of range"),
         ({"films": [{"group": "top", "coefficient": "5 W/m2"}]}, "wrong unit"),
-        ({"materials": {"a": "copper"}}, "layers state their own"),
+        ({"materials": {"a": "copper"}}, "cannot be combined with layers"),
         ({"mesh": "a.msh"}, "mesh or layers"),
         ({"layers": [{"material": "unobtainium", "thickness": "1 mm", "area": "1 mm2"}]},
-         "no material with thermal constants"),
+         "has no thermal constants"),
         ({"layers": [{"material": substance(-1.0, 1.0, 1.0), "thickness": 1, "area": 1}]},
          "conductivity"),
     ],
@@ -635,10 +636,10 @@ def test_a_body_starts_in_equilibrium_with_the_first_heat_flow():
 
 
 @pytest.mark.parametrize(("changes", "words"), [
-    ({"solver": {"stop": 1.0}}, "instant outside the run"),
+    ({"solver": {"stop": 1.0}}, "outside of the run"),
     ({"analysis": {"type": "ac", "start": 1.0, "stop": 2.0, "points": 2},
       "fire": {"part": "source", "kind": "heat_flow", "ac": 1.0}},
-     "fields are recovered from waveforms over time"),
+     "needs a transient analysis"),
 ], ids=["instant", "analysis"])  # fmt: skip
 def test_fields_that_a_run_cannot_have_are_refused(changes, words):
     with pytest.raises(UsageError, match=words) as error:

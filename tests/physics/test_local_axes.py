@@ -244,11 +244,11 @@ def test_parts_of_an_element_fill_it(kind):
     ([COLUMNS, "1,0,0"], "row 2 has the wrong number of columns"),
     ([COLUMNS, "1,0,up,1"], "row 2, column py: not a finite number"),
     ([COLUMNS, "1,0,0,nan"], "row 2, column pz: not a finite number"),
-    ([COLUMNS, "# none", "1,0,0,0"], "row 3: the poling has no length"),
+    ([COLUMNS, "# none", "1,0,0,0"], "row 3: the poling is a zero vector"),
     ([COLUMNS, "1.5,0,0,1"], "row 2, column element: not an element number"),
-    ([COLUMNS, "700,0,0,1", "700,0,0,1"], "row 3: this element has a row already"),
+    ([COLUMNS, "700,0,0,1", "700,0,0,1"], "row 3: this element already has a row"),
     ([COLUMNS, "99999999,0,0,1"], "row 2: this element is not in the mesh"),
-    ([COLUMNS, "FIRST,0,0,1"], "elements are missing"),
+    ([COLUMNS, "FIRST,0,0,1"], "lacks elements"),
 ])  # fmt: skip
 def test_bad_files_are_refused_by_row(bender, lines, message):
     home, numbers, _ = bender
@@ -278,12 +278,12 @@ def test_hoop_poling_of_a_section_is_refused(tmp_path):
 @pytest.mark.parametrize(("axes", "message"), [
     ({"b0": {"z": [0, 0, 0]}}, "z has no length"),
     ({"b0": {"x": [0, 0, 0]}}, "x has no length"),
-    ({"b0": {"x": [0, 1, 1]}}, "not at a right angle"),
+    ({"b0": {"x": [0, 1, 1]}}, "not perpendicular"),
     ({"b0": {"z": [1, 0, 0]}}, "state x beside z"),
     ({"b0": {"origin": [0, 0, 0]}}, "origin needs"),
     ({"b0": {"kind": "cylindrical", "x": [1, 0, 0]}}, "delete x"),
-    ({"b7": {"z": [0, 0, 1]}}, "axes of groups without material"),
-    ({"b1": {"z": [0, 0, 1]}}, "poling and axes of one group"),
+    ({"b7": {"z": [0, 0, 1]}}, "axes contains groups without a material"),
+    ({"b1": {"z": [0, 0, 1]}}, "cannot apply to the same group"),
 ])  # fmt: skip
 def test_bad_axes_are_refused(bender, axes, message):
     with pytest.raises(ValidationError, match=message):

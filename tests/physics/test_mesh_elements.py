@@ -271,5 +271,5 @@ def test_folded_elements_are_refused(kind):
 
 def test_mesh_of_shells_is_refused(tmp_path):
     annulus(tmp_path / "ring.msh")
-    with pytest.raises(UsageError, match="shells are not modelled"):
+    with pytest.raises(UsageError, match="shell elements are not supported"):
         read_mesh(tmp_path / "ring.msh", unit=1e-3)

@@ -65,7 +65,7 @@ def test_the_usual_chip_glued_down():
 
 @pytest.mark.parametrize("mounting", ["nailed", 0.0, -1.0, "1 N/m"])
 def test_other_mountings_are_refused(mounting):
-    with pytest.raises(UsageError, match="no such mounting"):
+    with pytest.raises(UsageError, match="this mounting does not exist"):
         load_scene("kick_and_catch", {"kick.mounting": mounting})
 
 

@@ -85,7 +85,7 @@ def test_a_run_says_that_it_was_within_this_process_and_can_be_timed_again(tmp_p
 
 def test_files_that_are_no_function_are_refused(tmp_path):
     for text, words in (
-        ("1 / 0\n", "law.py stops with an error"),
+        ("1 / 0\n", "law.py ends with an error"),
         ("x = 1\n", "defines no function of this name"),
     ):
         (tmp_path / "law.py").write_text(text)
@@ -96,7 +96,7 @@ def test_files_that_are_no_function_are_refused(tmp_path):
 
 
 def test_impossible_controllers_are_refused():
-    for keys, words in (({"delay": PERIOD}, "the delay reaches the next sample"),
+    for keys, words in (({"delay": PERIOD}, "not shorter than the sampling period"),
                         ({"inputs": [], "pins": {}}, "has no inputs"),
                         ({"analysis": {"type": "op"}}, "needs a transient")):  # fmt: skip
         with pytest.raises(UsageError, match=words):

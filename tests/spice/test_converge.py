@@ -125,7 +125,10 @@ def test_a_mesh_at_its_limit_ends_the_refinement_with_its_reason(monkeypatch):
     done, _ = refined_disc(monkeypatch, 1000, 1e-4)
     assert len(done.tried) == 1
     assert not done.check.passed
-    assert "disc.mesh.refine: a finer mesh is too large: about 1 632 unknowns" in done.check.advice
+    assert (
+        "disc.mesh.refine: the finer mesh for the error estimate is too large: "
+        "about 1 632 unknowns" in done.check.advice
+    )
     assert "at most 1 000 unknowns" in done.check.advice
 
 

@@ -121,13 +121,16 @@ def test_a_contradiction_names_both_values_and_what_each_implies():
         ({"fs": FS, "keff": 0.2, "c0": C0}, "these values do not determine the circuit"),
         ({}, "these values do not determine the circuit"),
         ({"fs": 7e3, "fp": 6e3, "c0": C0, "rm": 1.0}, "parallel resonance is not above"),
-        ({"fs": FS, "keff": 0.2, "c0": C0, "zs": 1e6}, "exceeds that of the capacitance"),
-        ({"fs": FS, "rm": 1.0, "c0": 2e-9, "c_low": 1e-9}, "is not above the clamped one"),
+        ({"fs": FS, "keff": 0.2, "c0": C0, "zs": 1e6}, "exceeds the impedance of the capacitance"),
+        (
+            {"fs": FS, "rm": 1.0, "c0": 2e-9, "c_low": 1e-9},
+            "is not greater than the clamped capacitance",
+        ),
         ({"fs": [1e3, 2e3], "keff": 0.2, "c0": C0, "rm": 1.0}, "lists of modes differ in length"),
         ({"fs": 500.0, "keff": 0.2, "c_low": C0, "rm": 1.0}, "above the lowest resonance"),
-        ({"fs": FS, "keff": 0.2, "c0": C0, "rm": 1.0, "tolerance": {"qm": 0.1}}, "not stated"),
-        ({"fs": FS, "keff": 0.2, "c0": C0, "rm": 1e300}, "beyond what can be computed"),
-        ({"fs": [], "keff": 0.2, "c0": C0, "rm": 1.0}, "an empty list"),
+        ({"fs": FS, "keff": 0.2, "c0": C0, "rm": 1.0, "tolerance": {"qm": 0.1}}, "that is missing"),
+        ({"fs": FS, "keff": 0.2, "c0": C0, "rm": 1e300}, "too small or too large"),
+        ({"fs": [], "keff": 0.2, "c0": C0, "rm": 1.0}, "the list is empty"),
     ],
 )
 def test_sheets_that_no_circuit_has_are_errors(keys, message):

@@ -95,7 +95,7 @@ def test_the_head_states_the_error_of_the_elements(monkeypatch):
     assert part.reduction.error_estimate == pytest.approx(1e-6 + leaked, rel=1e-3)
     stated = float(re.search(r"norm=\w+ error=(\S+)", part.text)[1])
     assert leaked < stated < 1.02 * leaked
-    with pytest.raises(GateMissedError, match="less accurate than the tolerance"):
+    with pytest.raises(GateMissedError, match="exceeds the tolerance"):
         require_circuit(part, sensor(), 1e-3)
     require_circuit(part, sensor(), 0.1)
 

@@ -153,13 +153,13 @@ def test_a_branch_that_nothing_rests_on_fails_a_sweep():
 
 
 def test_bad_keys_say_what_they_are():
-    with pytest.raises(UsageError, match="stop lies beyond"):
+    with pytest.raises(UsageError, match="stop is behind"):
         load_scene(loop(travel=GAP))
-    with pytest.raises(UsageError, match="shares of the area differ"):
+    with pytest.raises(UsageError, match="area shares differ"):
         load_scene(loop(shares=[0.5, 0.5]))
     with pytest.raises(UsageError, match="has no patches"):
         load_scene(loop(a="spring"))
-    with pytest.raises(UsageError, match="only a sweep of the dc value of a source can return"):
+    with pytest.raises(UsageError, match="the key back needs a dc sweep"):
         load_scene(loop() | {"analysis": {"type": "op", "back": True}})
 
 
@@ -231,7 +231,7 @@ def test_a_quarter_bends_as_a_quarter_of_a_plate():
 
 def test_rows_of_a_plate_have_a_width_and_patches_alike():
     for keys, what in (
-        ({"rows": 2, "width": 1.0}, "do not fill the rows"),
+        ({"rows": 2, "width": 1.0}, "not a multiple of the number of rows"),
         ({"rows": 3}, "a width"),
     ):
         scene = {

@@ -250,11 +250,11 @@ ONE = np.ones((1, 1))
 @pytest.mark.parametrize(
     ("model", "words"),
     [
-        ({"M": ONE, "K": ONE}, "models of heat alone"),
-        ({"E": ONE, "K": -ONE}, "no passive heat model"),
-        ({"E": -ONE, "K": ONE}, "no passive heat model"),
-        ({"E": 0 * ONE, "K": 0 * ONE}, "no passive heat model"),
-        ({"E": ONE, "K": ONE, "D": -ONE}, "no passive heat model"),
+        ({"M": ONE, "K": ONE}, "apply only to heat models"),
+        ({"E": ONE, "K": -ONE}, "not a passive heat model"),
+        ({"E": -ONE, "K": ONE}, "not a passive heat model"),
+        ({"E": 0 * ONE, "K": 0 * ONE}, "not a passive heat model"),
+        ({"E": ONE, "K": ONE, "D": -ONE}, "not a passive heat model"),
     ],
 )
 def test_models_that_are_no_heat_are_refused(model, words):
@@ -264,5 +264,5 @@ def test_models_that_are_no_heat_are_refused(model, words):
 
 def test_heat_and_electrical_ports_do_not_mix():
     ports = (kc.Port("top", "thermal"), kc.Port("anode", "electrical"))
-    with pytest.raises(kc.errors.UsageError, match="models of heat alone"):
+    with pytest.raises(kc.errors.UsageError, match="apply only to heat models"):
         kc.LinearModel(E=np.eye(2), K=np.eye(2), B=np.eye(2), ports=ports)

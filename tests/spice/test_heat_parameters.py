@@ -247,15 +247,15 @@ TWO = [{"group": "bottom", "coefficient": 5.0}, {"group": "top", "coefficient": 
 @pytest.mark.parametrize(
     ("change", "ranges", "words"),
     [
-        ({}, {"films[0].coefficient": [0.0, 200.0]}, "no path leads heat away"),
+        ({}, {"films[0].coefficient": [0.0, 200.0]}, "heat cannot leave the body"),
         ({"films": TWO}, {f"films[{k}].coefficient": [0.0, 9.0] for k in (0, 1)},
-         "no path leads heat away"),
+         "heat cannot leave the body"),
         ({"films": [{**TWO[0], "pin": "air"}]}, {"films[0].coefficient": [0.0, 9.0]},
          "a film with a pin"),
         ({}, {"films[0].coefficient": [-1.0, 200.0]}, "cannot have"),
-        ({}, {"films[0].coefficient": [200.0, 300.0]}, "not the range of a parameter"),
+        ({}, {"films[0].coefficient": [200.0, 300.0]}, "not a valid range of a parameter"),
         ({}, {"layers[0].thickness": [0.0, 1.0]}, "cannot have"),
-        ({}, {"films[1].coefficient": [1.0, 2.0]}, "has no number there"),
+        ({}, {"films[1].coefficient": [1.0, 2.0]}, "is not a number"),
     ],
 )  # fmt: skip
 def test_bad_ranges_are_refused_before_any_mesh(change, ranges, words, monkeypatch):
@@ -267,7 +267,7 @@ def test_bad_ranges_are_refused_before_any_mesh(change, ranges, words, monkeypat
 
 def test_a_film_of_zero_is_no_path_of_heat():
     body = {**WALL, "films": [{"group": "bottom", "coefficient": 0.0}]}
-    with pytest.raises(UsageError, match="no path leads heat away"):
+    with pytest.raises(UsageError, match="heat cannot leave the body"):
         scene_of(body, {"type": "op"})
 
 

@@ -103,7 +103,7 @@ def test_every_other_file_lies_beside_its_scene(table, name, home):
     (home / "hostile.toml").write_text(f'name = "hostile"\n{load}[bar]\n{text}\n')
     code, said = ask("explain", home)
     assert code == 2, said
-    assert "leads out of the scene's folder" in said
+    assert "outside of the scene's folder" in said
 
 
 @pytest.mark.parametrize("name", sorted(meshes.good()))

@@ -35,7 +35,7 @@ def test_two_parts_whose_pins_read_alike_keep_their_voltages(tmp_path, monkeypat
 def test_pins_that_differ_in_case_only_are_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "one.lib").write_text(".subckt one A a\nR1 A a 1k\n.ends\n")
-    with pytest.raises(UsageError, match="differ in case only"):
+    with pytest.raises(UsageError, match="differ in letter case only"):
         load_scene({"name": "one", "n": {"part": "netlist", "file": "one.lib", "subckt": "one",
                     "pins": {"A": "gnd"}}})  # fmt: skip
 
@@ -146,4 +146,4 @@ def test_one_name_of_two_libraries_is_refused_with_both_parts(tmp_path, monkeypa
         UsageError, match="n and m write different libraries with the same name"
     ) as told:
         make_deck(built(scene))
-    assert "rename the file of m" in told.value.hint
+    assert "rename the file and the subcircuit of m" in told.value.hint

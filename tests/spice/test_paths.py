@@ -32,8 +32,8 @@ def slab(folder, to_ambient):
 @pytest.mark.parametrize(
     ("stored", "drive", "part", "words"),
     [
-        (CAPACITY, HEATER, "thermal_resistor", "no path leads heat from store"),
-        (CAVITY, PUMP, "acoustic_resistor", "no path leads flow from store"),
+        (CAPACITY, HEATER, "thermal_resistor", "heat cannot flow from store"),
+        (CAVITY, PUMP, "acoustic_resistor", "no flow path connects store"),
     ],
 )
 def test_a_store_without_a_path_is_refused_with_the_repair(analysis, stored, drive, part, words):
@@ -68,7 +68,7 @@ def test_a_pulse_of_heat_is_stored_without_a_path():
 
 
 def test_a_model_that_leads_no_heat_away_is_refused(tmp_path):
-    with pytest.raises(UsageError, match="no path leads heat from slab"):
+    with pytest.raises(UsageError, match="heat cannot flow from slab"):
         kc.run(slab(tmp_path, 0.0))
     result = kc.run(slab(tmp_path, 0.05))
     assert result.waves["slab.temperature.top"][-1] == pytest.approx(2.0 * 25.0, rel=1e-6)

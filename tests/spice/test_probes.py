@@ -67,10 +67,15 @@ SECOND = {"part": "source", "sine": {"amplitude": 1.0, "frequency": 333.0}}
 LOAD = {"part": "resistor", "resistance": 1.0, "pins": {"a": "h.out"}}
 BAD_WINDOWS = (
     ({"periods": 20}, {}, "longer than the run", None),
-    ({"periods": 2, "from": "1 ms"}, {}, "periods beside from or to", None),
-    ({"from": "5 ms", "to": "1 ms"}, {}, "empty window", None),
-    ({"from": "5 ms", "at": "6 ms", "take": "value"}, {}, "at beside a window", None),
-    ({"to": "70 ms"}, {}, "outside the analysis", None),
+    ({"periods": 2, "from": "1 ms"}, {}, "periods cannot be combined with from or to", None),
+    ({"from": "5 ms", "to": "1 ms"}, {}, "the window is empty", None),
+    (
+        {"from": "5 ms", "at": "6 ms", "take": "value"},
+        {},
+        "at cannot be combined with a window",
+        None,
+    ),
+    ({"to": "70 ms"}, {}, "outside of the range of the analysis", None),
     ({"periods": 2}, {"h": SECOND, "load": LOAD}, "no common period", "from and to"),
     ({"periods": 2}, {"g": {"part": "source", "dc": 1.0}}, "no common period", "from and to"),
 )
@@ -235,7 +240,7 @@ def test_windows_off_a_sweep_are_refused(window):
         "analysis": {"type": "dc", "sweep": "g.dc", "from": 1, "to": 0, "points": 5},
         "probes": {"x": {"of": "r.i", "take": "mean", **window}},
     }
-    with pytest.raises(UsageError, match="outside the analysis") as caught:
+    with pytest.raises(UsageError, match="outside of the range of the analysis") as caught:
         kc.run(load_scene(scene))
     assert "0 … 1" in str(caught.value.expected)
 

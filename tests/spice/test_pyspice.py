@@ -53,7 +53,7 @@ def test_failing_function_is_reported():
     def broken(time, values):
         raise ZeroDivisionError("no answer")
 
-    with pytest.raises(SimulationError, match="the function in the loop failed"):
+    with pytest.raises(SimulationError, match="the Python function of the controller failed"):
         run_shared(rc(), sampled(broken))
 
 

@@ -132,13 +132,13 @@ def _ngspice_responses(lines, folder, more=()):
 def test_a_parameter_of_the_wrong_kind_is_refused():
     with pytest.raises(UsageError, match="outside of the range"):
         kc.ModelParameter("k", 3.0, 1.0, 2.0)
-    with pytest.raises(UsageError, match="not the range"):
+    with pytest.raises(UsageError, match="not a valid range"):
         kc.ModelParameter("k", 0.0, -1.0, 2.0)
     with pytest.raises(UsageError, match="no name"):
         kc.ModelParameter("2k", 1.0, 1.0, 2.0)
-    with pytest.raises(UsageError, match="not the parameters"):
+    with pytest.raises(UsageError, match="list of parameters is not valid"):
         loaded_beam(parameters=())
-    with pytest.raises(UsageError, match="not the parameters"):
+    with pytest.raises(UsageError, match="list of parameters is not valid"):
         loaded_beam(parameters=(PARAMETERS[0], PARAMETERS[0]))
     with pytest.raises(UsageError, match="no such parameter"):
         loaded_beam().at({"thick": 1.0})
@@ -242,10 +242,10 @@ def test_files_without_parameters_are_no_affine_model(folder):
         ('"thickness^3"', '"1/(thickness-1)"', "is not a number"),
         ('"M_tip"', '"M_top"', "cannot be read"),
         ('name = "M_tip"', 'file = "other.mtx"', "does not exist"),
-        ('name = "M_tip"', 'file = "../beam.npz"', "not beside"),
+        ('name = "M_tip"', 'file = "../beam.npz"', "not in the folder of"),
         ('matrix = "K"', 'matrix = "E"', "terms"),
         ("default = 0.2", "default = 0.5", "outside of the range"),
-        ("low = 0.1", "low = -0.1", "not the range"),
+        ("low = 0.1", "low = -0.1", "not a valid range"),
         ("tip_mass = {", "'tip mass' = {", "no such parameter|no name"),
     ],
 )
@@ -292,7 +292,7 @@ def test_every_dialect_has_the_parameters(written, tmp_path):
         text = library.read_text()
         assert "tip_mass" in text
         assert "0.1..0.4" in text
-    with pytest.raises(UsageError, match="consists of resonators"):
+    with pytest.raises(UsageError, match="--dense does not apply"):
         export_rom(written["rom"], tmp_path / "dense", dense=True)
 
 
@@ -340,7 +340,7 @@ def test_records_with_commands_are_refused(written, tmp_path):
     record = str(np.load(written["rom"])["record"]).replace('"kg"', '"kg\\n.control"')
     path.write_bytes(Path(written["rom"]).read_bytes())
     _damage(path, record=np.array(record))
-    with pytest.raises(UsageError, match="not plain text"):
+    with pytest.raises(UsageError, match="a text has a line break"):
         export_rom(path, tmp_path / "out")
 
 
@@ -348,5 +348,5 @@ def test_options_of_other_models_are_refused(folder):
     with pytest.raises(UsageError, match="does not apply"):
         reduce_file(folder / "beam", folder / "out", order=4)
     (folder / "beam.toml").write_text(SIDECAR.partition("[[ports]]")[0])
-    with pytest.raises(UsageError, match="mechanical or rotational ports"):
+    with pytest.raises(UsageError, match="not electrical, mechanical or rotational"):
         reduce_file(folder / "beam", folder / "out")

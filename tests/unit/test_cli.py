@@ -146,7 +146,7 @@ def test_failures_have_a_code_one_message_and_no_files(cli, monkeypatch, tmp_pat
         (["explain", "kick_and_catch", "--set", "oops"], "the value of the key is missing"),
         (["run"], "run: the argument SCENE is missing"),
         (["rum"], "did you mean 'run'?"),
-        (["run", "kick_and_catch", "--nope"], "run: no such option got: --nope"),
+        (["run", "kick_and_catch", "--nope"], "run: this option does not exist got: --nope"),
         (["export", "kick_and_catch", "--tolerance", "x"], "tolerance"),
     ],
 )

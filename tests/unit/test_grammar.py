@@ -72,12 +72,12 @@ MASS = '\n[weight]\npart = "mass"\nmass = 1e-3\n'
 SECOND = '\n[second]\npart = "source"\ndc = 9.0\n'
 # Text of the file, the line and the key that the message names, and what else it says.
 MISTAKES = {
-    "unknown part type": (
+    "this part type does not exist": (
         _changed('"resistor"\nresistance = 3e3', '"resitor"\nresistance = 3e3'),
-        12, "lower.part", ["unknown part type", "'resitor'", "did you mean 'resistor'"],
+        12, "lower.part", ["this part type does not exist", "'resitor'", "did you mean 'resistor'"],
     ),
-    "no part type": (
-        _changed('part = "source"\n', ""), 1, "supply", ["states no part type", "part = one of"],
+    "no key part": (
+        _changed('part = "source"\n', ""), 1, "supply", ["has no key part", "part = one of"],
     ),
     "unknown key": (
         _changed("resistance = 3e3", "resistence = 3e3"),
@@ -88,7 +88,7 @@ MISTAKES = {
     ),
     "a required pin that is not joined": (
         _changed('pins = { out = "upper.a" }\n', ""),
-        1, "supply.pins.out", ["pin out of supply is not joined", "upper.a", "pins = { out ="],
+        1, "supply.pins.out", ["pin out of supply is not connected", "upper.a", "pins = { out ="],
     ),
     "no such pin": (
         _changed("{ b = ", "{ bb = "), 9, "upper.pins.bb",
@@ -96,15 +96,15 @@ MISTAKES = {
     ),
     "no such part to join": (
         _changed('"lower.a"', '"lowr.a"'),
-        9, "upper.pins.b", ["no such pin to join", "'lowr.a'", "did you mean 'lower'"],
+        9, "upper.pins.b", ["this pin does not exist", "'lowr.a'", "did you mean 'lower'"],
     ),
     "no such pin of the other part": (
         _changed('"lower.a"', '"lower.c"'),
-        9, "upper.pins.b", ["no such pin to join", "a pin of lower: lower.a, lower.b"],
+        9, "upper.pins.b", ["this pin does not exist", "a pin of lower: lower.a, lower.b"],
     ),
     "a part without its pin": (
         _changed('"lower.a"', '"lower"'),
-        9, "upper.pins.b", ["no such pin to join", "lower.a, lower.b"],
+        9, "upper.pins.b", ["this pin does not exist", "lower.a, lower.b"],
     ),
     "pins of different kinds": (
         DIVIDER + MASS + 'pins = { a = "upper.b" }\n',
@@ -121,30 +121,31 @@ MISTAKES = {
     ),
     "a source on itself": (
         '[supply]\npart = "source"\ndc = 1.0\npins = { out = "gnd" }\n',
-        4, "supply.pins.out", ["both ends are on one net"],
+        4, "supply.pins.out", ["connected to the same net"],
     ),
     "a circuit without ground": (
         _changed("resistance = 3e3", 'resistance = 3e3\npins = { b = "supply.ret" }'),
-        1, "supply", ["nothing of this circuit is on ground", "supply.out, supply.ret, upper.a"],
+        1, "supply", ["no pin of this circuit is connected to ground",
+                       "supply.out, supply.ret, upper.a"],
     ),
     "two bodies that say where they are": (
         '[one]\npart = "sphere"\n[two]\npart = "sphere"\npins = { y = "one.y" }\n',
-        5, "two.pins.y", ["two outputs set one net"],
+        5, "two.pins.y", ["two outputs prescribe the same net"],
     ),
     "a body that says where ground is": (
         '[one]\npart = "sphere"\npins = { y = "gnd" }\n',
-        3, "one.pins.y", ["two outputs set one net"],
+        3, "one.pins.y", ["two outputs prescribe the same net"],
     ),
-    "names that differ in case only": (
+    "names that differ in letter case only": (
         DIVIDER + '\n[Lower]\npart = "resistor"\nresistance = 1.0\npins = { a = "lower.a" }\n',
-        18, "Lower", ["differ in case only", "lower and Lower"],
+        18, "Lower", ["differ in letter case only", "lower and Lower"],
     ),
     "a name that another part brings along": (
         '[kick]\n[kick_drive]\npart = "resistor"\nresistance = 1.0\npins = { a = "kick.anode" }\n',
-        2, "kick_drive", ["this name is taken", "kick brings a part of this one along"],
+        2, "kick_drive", ["this name is already used", "kick brings a part of this one along"],
     ),
     "a part called ground": (
-        DIVIDER + '\n[gnd]\npart = "resistor"\n', 18, "gnd", ["not a name for a part"],
+        DIVIDER + '\n[gnd]\npart = "resistor"\n', 18, "gnd", ["name of a part is not valid"],
     ),
     "pins that are no table": (
         _changed('pins = { b = "lower.a" }', "pins = 3"),
@@ -156,7 +157,7 @@ MISTAKES = {
     ),
     "an ac range upside down": (
         _changed('type = "op"', 'type = "ac"\nstart = 100.0\nstop = 10.0'),
-        18, "analysis.stop", ["empty frequency range"],
+        18, "analysis.stop", ["frequency range is empty"],
     ),
     "a level without a crossing": (
         DIVIDER + '\n[probes]\ntop = { of = "lower.v", level = 1.0 }\n',

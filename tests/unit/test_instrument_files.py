@@ -109,18 +109,18 @@ def test_the_commands_accept_a_shunt(tmp_path):
         assert message in done.output
     impedance = written(tmp_path, "z.csv", LAYOUTS["Hioki"].text)
     for case in (impedance, written(tmp_path, "a.s1p", LAYOUTS["NanoVNA"].text)):
-        with pytest.raises(REFUSED, match="--shunt: applies to a table of gain"):
+        with pytest.raises(REFUSED, match="--shunt: this option applies only to a table of gain"):
             reduce_file(case, tmp_path / "no", shunt="330 Ohm")
     words = ["fit", "buzzer_7bb_20_3:disc", str(impedance), "--vary", "damping.quality"]
     done = CliRunner().invoke(app, [*words, "--shunt", "330 Ohm", "-o", str(tmp_path / "no")])
     assert done.exit_code == 2
-    assert "--shunt: applies to a table of gain" in done.output
-    with pytest.raises(REFUSED, match="shunt: applies to a file"):
+    assert "--shunt: this option applies only to a table of gain" in done.output
+    with pytest.raises(REFUSED, match="shunt: this argument applies only to a file"):
         kc.fit(
             "buzzer_7bb_20_3", "disc", read_measured(impedance), {"damping.quality": None}, shunt=3
         )
     np.savez(tmp_path / "chain.npz", M=np.eye(2), K=np.eye(2) * 4.0, B=np.eye(2)[:, :1])
-    with pytest.raises(REFUSED, match="--shunt: applies to a measured response"):
+    with pytest.raises(REFUSED, match="--shunt: this option applies only to a measured response"):
         reduce_file(tmp_path / "chain.npz", tmp_path / "no", shunt=330.0)
 
 
@@ -174,12 +174,12 @@ AMBIGUOUS = {
         + rows(F, abs(Z), DEG, separator=" "), ("'SPL (dB)'", "sound pressure")),
     "trace that is not zero": (
         "a.txt", TRACE_A + rows(F, abs(Z), 1e3 * DEG, separator="\t"),
-        ("'Data Trace Imag'", "FORMAT: |Z|")),
+        ("'Data Trace Imag'", "the format |Z|")),
     "commas of both kinds": (
         "a.csv", "f_hz,R,X\n" + "".join(f"{k},5,{k},25,{k},125\n" for k in range(10, 40)),
         ("separators of the 6 columns",)),
     "radians that are degrees": (
-        "a.csv", "FREQ[Hz],Z[ohm],PHASE[rad]\n" + rows(F, abs(Z), DEG), ("more than a turn",)),
+        "a.csv", "FREQ[Hz],Z[ohm],PHASE[rad]\n" + rows(F, abs(Z), DEG), ("exceeds a full turn",)),
     "farad squared": (
         "a.csv", "Freq(Hz),Cp(FF),D\n" + rows(F, Y.imag, Y.real), ("'FF' is no unit",)),
     "milli or mega": ("a.csv", "FREQ(HZ),R(MOHM),X(MOHM)\n" + rows(F, Z.real, Z.imag),
@@ -205,7 +205,10 @@ def test_an_ambiguous_file_is_refused_with_its_readings(tmp_path, case):
 
 def test_a_touchstone_file_with_two_kinds_or_negative_magnitudes_is_refused(tmp_path):
     body = rows(F, -S.real, S.imag, separator=" ")
-    for option, words in (("# z S RI R 50", "both 'z' and 's'"), ("# Hz S R 50", "below zero")):
+    for option, words in (
+        ("# z S RI R 50", "both 'z' and 's'"),
+        ("# Hz S R 50", "a magnitude is negative"),
+    ):
         path = written(tmp_path, "a.s1p", option + "\n" + body)
         with pytest.raises(REFUSED, match=words):
             read_measured(path)
@@ -258,7 +261,9 @@ def test_rows_that_contain_a_word_are_left_out_with_a_note(tmp_path):
     path = written(tmp_path, "a.csv", "f_hz,R (Ohm),X (Ohm)\n" + "\n".join(lines) + "\n")
     data = read_measured(path)
     assert len(data.f) == len(F) - 1
-    assert "line 42: 'nan' in column 'X (Ohm)' is no number: 1 of 101 rows left out" in data.notes
+    assert (
+        "line 42: 'nan' in column 'X (Ohm)' is not a number: 1 of 101 rows left out" in data.notes
+    )
 
 
 def test_a_column_that_is_not_needed_does_no_harm(tmp_path):

@@ -98,14 +98,14 @@ def test_commas_between_thousands_and_before_decimals(tmp_path):
     assert read_measured(decimal).Y[:, 0, 0] == pytest.approx(Y, rel=1e-7)
     doubtful = tmp_path / "doubtful.csv"
     doubtful.write_text("f;R;X\n" + "".join(f"{k},125;{k},250;{k},375\n" for k in range(1, 30)))
-    with pytest.raises(kc.errors.UsageError, match=r"column 'f': '1,125' may have thousands"):
+    with pytest.raises(kc.errors.UsageError, match=r"column 'f': '1,125' has a comma that can"):
         read_measured(doubtful)
 
 
 @pytest.mark.parametrize(
     ("header", "words"),
     [
-        ("freq (mhz),R (Ohm),X (Ohm)", "'mhz' may be MHz or mHz"),
+        ("freq (mhz),R (Ohm),X (Ohm)", "'mhz' may mean MHz or mHz"),
         ("freq (rpm),R (Ohm),X (Ohm)", "'freq .rpm.'|'rpm' is no unit"),
         ("freq (Hz),R (deg),X (Ohm)", r"column 'R \(deg\)': 'deg' is no unit of impedance"),
         ("freq (Hz),Trace A Real,Trace A Imag", "unknown: 'Trace A Real', 'Trace A Imag'"),
@@ -124,7 +124,7 @@ def test_what_is_not_clear_is_refused_by_name(tmp_path, header, words):
 def test_words_of_an_option_line_are_known_or_refused(tmp_path):
     path = tmp_path / "unit.s1p"
     path.write_text("# DHz S RI R 50\n" + lines(F, S.real, S.imag, separator=" "))
-    with pytest.raises(kc.errors.UsageError, match="'dhz', which is not known"):
+    with pytest.raises(kc.errors.UsageError, match="'dhz', which is unknown"):
         read_measured(path)
 
 

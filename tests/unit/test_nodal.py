@@ -49,7 +49,7 @@ def test_a_ladder_answers_as_its_impedances(stages):
 
 def test_what_is_not_linear_is_refused():
     (circuit,) = read_cards(".subckt d a b\nD1 a b x\n.ends d\n", "d").subcircuits
-    with pytest.raises(UsageError, match="not an element of a linear circuit"):
+    with pytest.raises(UsageError, match="this element is not linear"):
         NodalCircuit(circuit).equations({}, ["b"], {})
     with pytest.raises(UsageError, match="not a number"):
         evaluate_parameter(parse_expression("2*V(a)"), {})

@@ -220,7 +220,7 @@ def test_an_export_spares_what_another_deck_there_includes(tmp_path):
     exported("fall", 1e-3)
     exported("drop", 1e-3)  # the same design: both decks run
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(UsageError, match=r"this deck there includes another sphere\.lib"):
+    with pytest.raises(UsageError, match=r"includes another version of sphere\.lib"):
         exported("fall", 2e-3)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     (tmp_path / "drop.cir").unlink()
@@ -244,7 +244,7 @@ def test_so_do_a_run_a_saved_result_and_a_reduced_model(tmp_path):
         (lambda: other.save(tmp_path), "sphere"),
         (lambda: export_rom(lump, tmp_path), "lump"),
     ):
-        with pytest.raises(UsageError, match=rf"deck there includes another {library}\.lib") as e:
+        with pytest.raises(UsageError, match=rf"includes another version of {library}\.lib") as e:
             write()
         assert str(own) in str(e.value)
     assert {p.name: p.read_bytes() for p in tmp_path.glob("*.*") if p.is_file()} == before

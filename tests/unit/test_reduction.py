@@ -177,9 +177,9 @@ def test_given_points_are_interpolated_with_their_slopes():
         slope = np.abs(exact[1] - exact[0]).max()
         assert np.abs((ours[1] - ours[0]) - (exact[1] - exact[0])).max() < 1e-2 * slope
     for wrong in ([], [-1.0], [np.nan], "near", [[1], [2, 3]]):
-        with pytest.raises(UsageError, match="not expansion points"):
+        with pytest.raises(UsageError, match="not a list of expansion points"):
             kc.RationalKrylov(wrong)
-    with pytest.raises(UsageError, match="either a method or points"):
+    with pytest.raises(UsageError, match="method and points cannot be combined"):
         kc.Reduction(model, points=points, method="IRKA")
 
 

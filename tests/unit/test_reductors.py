@@ -176,9 +176,9 @@ def test_a_method_that_does_not_apply_or_exist_is_an_error_that_says_so():
     heat = kc.LinearModel(A=-np.diag([1.0, 2.0]), B=np.ones((2, 1)), C=np.ones((1, 2)))
     with pytest.raises(UsageError, match="does not apply"):
         kc.reduce(heat, tolerance=1e-3, band=(0, 1), method="modal truncation")
-    with pytest.raises(UsageError, match="unknown method of reduction"):
+    with pytest.raises(UsageError, match="this reduction method does not exist"):
         kc.reduce(heat, tolerance=1e-3, band=(0, 1), method="modal truncatoin")
-    with pytest.raises(UsageError, match="not a method of reduction"):
+    with pytest.raises(UsageError, match="not a reduction method"):
         kc.register_reductor(ModalTruncation)
 
 

@@ -119,7 +119,7 @@ def test_reading_is_bounded(tmp_path):
     path = tmp_path / "file"
     path.write_bytes(b"x" * 10)
     assert read_bounded(path, 10) == b"x" * 10
-    with pytest.raises(OSError, match="too long"):
+    with pytest.raises(OSError, match="more than 9 bytes"):
         read_bounded(path, 9)
 
 
@@ -170,7 +170,7 @@ def test_every_text_of_a_record_is_checked(place, evil, tmp_path):
 
 
 def test_a_header_takes_no_line_break():
-    with pytest.raises(UsageError, match="not a unit"):
+    with pytest.raises(UsageError, match="this unit contains a blank or a line break"):
         part_header(Header("s", "h"), "t", (Pin("a", EVIL, "A"),), rating="none")
     params = (Param("k", 2.0, "N/m", EVIL), positive_parameter("c", 1e-9, "F", "size"))
     lines = part_header(Header(EVIL, "h"), "t", (Pin("a", "V", "A"),), params, rating="none")
@@ -196,6 +196,6 @@ def test_an_archive_is_refused_by_what_it_declares(letter, read, tmp_path):
     begin = time.process_time()
     with pytest.raises(UsageError) as caught:
         read(path)
-    declared = ("900000000 entries, more than", "7.2e+09 bytes unpacked")
-    assert any(words in str(caught.value.got) for words in declared)
+    declared = ("900000000 entries, more than", "7.2e+09 unpacked bytes")
+    assert any(words in str(caught.value) for words in declared)
     assert time.process_time() - begin < 1.0

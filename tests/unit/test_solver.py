@@ -127,7 +127,7 @@ def hermitian(matrix):
     [
         ("mumps", "not a direct solver"),
         (no_solve, "without a method solve"),
-        (wrong_shape, "not a solution"),
+        (wrong_shape, "array of a wrong type or shape"),
         (broken, "no_such_attribute"),
     ],
 )
@@ -181,5 +181,5 @@ def test_an_unknown_name_of_a_solver_is_refused(matrices, command):
     words = [str(matrices / "chain.npz")] if command == "reduce" else ["impact"]
     result = CliRunner().invoke(app, [command, *words, "--solver", "paradiso"])
     assert result.exit_code == UsageError.exit_code
-    assert "--solver: unknown direct solver" in result.output
+    assert "--solver: this direct solver does not exist" in result.output
     assert "expected: one of pardiso" in result.output

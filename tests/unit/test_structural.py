@@ -19,7 +19,9 @@ def test_one_oscillator_has_its_loss_at_resonance():
     model = LinearModel(M=np.eye(1) * m, K=np.eye(1) * k * (1 + 1j * eta), B=np.eye(1))
     resonance = np.sqrt(k / m) / (2 * np.pi)
     assert model.transfer([resonance])[0, 0, 0] == pytest.approx(1 / (1j * eta * k))
-    with pytest.warns(UserWarning, match="no causal model has a structural damping of 0.03"):
+    with pytest.warns(
+        UserWarning, match="structural damping of 0.03 at all frequencies is not causal"
+    ):
         rom = reduce_model(model, tolerance=1e-4, band=(0.0, 2 * resonance), norm="pointwise")
     assert rom.transfer([resonance])[0, 0, 0] == pytest.approx(1 / (1j * eta * k), rel=1e-6)
     frequency = np.linspace(0.01, 1.99, 199) * resonance
@@ -39,7 +41,7 @@ def test_an_imaginary_part_that_is_no_loss_is_refused():
     for bad in (-0.1, np.nan, "much"):
         with pytest.raises(UsageError, match="the loss factor cannot be used"):
             LinearModel(M=np.eye(2), K=K, B=np.eye(2), loss_factor=bad)
-    with pytest.raises(UsageError, match="given twice"):
+    with pytest.raises(UsageError, match="defined twice"):
         LinearModel(M=np.eye(2), K=K * (1 + 0.1j), B=np.eye(2), loss_factor=0.1)
     with pytest.raises(UsageError, match="second-order models"):
         LinearModel(E=np.eye(2), K=K * (1 + 0.1j), B=np.eye(2))
@@ -50,7 +52,9 @@ def test_an_imaginary_part_that_is_no_loss_is_refused():
         with pytest.raises(UsageError, match="within a tolerance"):
             reduce_model(model, order=1, band=(0.0, 1.0))
     model = LinearModel(M=np.eye(2), E=np.diag([0.1, 0.3]), K=K + 0.1j * np.eye(2), B=np.eye(2))
-    with pytest.raises(UsageError, match="several materials beside a damping matrix"):
+    with pytest.raises(
+        UsageError, match="several materials cannot be combined with a damping matrix"
+    ):
         reduce_model(model, tolerance=1e-3, band=(0.0, 1.0))
 
 
@@ -284,7 +288,7 @@ def test_a_support_that_rounding_hides_is_left_out_with_a_warning(support, where
     """Rounding of all entries at random is a tenth of its stiffness: the response far below its
     resonance is not known. The warning has the resonance, and above it the response is right."""
     model, exact, resonance = supported_chain(40, support, where)
-    with pytest.warns(UserWarning, match="a support is so soft that rounding") as caught:
+    with pytest.warns(UserWarning, match="the stiffness of a support is below") as caught:
         rom = reduce_model(model, tolerance=1e-4, band=(0.0, 20.0), norm="peak")
     text = next(str(w.message) for w in caught if "so soft" in str(w.message))
     stated = float(text.split("at about ")[1].split(" Hz")[0])

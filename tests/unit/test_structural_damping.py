@@ -76,8 +76,8 @@ def test_a_structurally_damped_chain_is_k_times_one_plus_j_eta():
 
 def test_values_that_are_no_loss_are_refused():
     for arguments in ((-0.1, 1e3, (0, 1e4)), (0.1, 0.0, (0, 1e4)), (0.1, 1e3, (1e4, 1e3))):
-        with pytest.raises(UsageError, match="not a loss factor"):
+        with pytest.raises(UsageError, match="the loss factor, its frequency"):
             relaxing_stiffness(*arguments, 1e-3)
     first = LinearModel(A=-np.eye(2), B=np.ones((2, 1)))
-    with pytest.raises(UsageError, match="no structural damping"):
+    with pytest.raises(UsageError, match="does not apply to this model"):
         add_structural_damping(first, relaxing_stiffness(0.1, 1e3, (0, 1e4), 1e-2))

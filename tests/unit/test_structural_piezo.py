@@ -108,11 +108,11 @@ def test_its_reduction_is_passive_with_an_error_estimate_that_holds(tmp_path, lo
 def test_losses_of_potentials_are_refused(tmp_path):
     K, M = matrices(TWO_MATERIALS)
     K[-1, -1] *= 1 + 0.01j
-    with pytest.raises(UsageError, match="rows of the potentials have losses"):
+    with pytest.raises(UsageError, match="damping in the rows of the potentials"):
         model_of(tmp_path, K, M)
 
 
 def test_two_statements_of_structural_damping_are_refused(tmp_path):
     K, M = matrices(TWO_MATERIALS)
-    with pytest.raises(UsageError, match="stated twice"):
+    with pytest.raises(UsageError, match="defined twice"):
         model_of(tmp_path, K, M, "damping = { loss_factor = 0.02 }\n")

@@ -88,12 +88,16 @@ def test_bad_ranges_name_the_option(text):
 @pytest.mark.parametrize(
     ("sets", "options", "word"),
     [
-        (("control.kd=10",), {}, "nothing to sweep"),
+        (("control.kd=10",), {}, "--set is missing"),
         (("control.kd=10,20", "control.kd=30,40"), {}, "twice"),
         (("control.kd=10,20", "control.setpoint=50 mm"), {}, "force table"),
         (("sphere.density=7e3:-1:3",), {}, "out of range"),
-        (("control.kp=normal(1,1,5)", "control.kd=normal(1,1,6)"), {}, "unequal"),
-        (("control.kp=1,2,3", "control.kd=4,5"), {"zipped": True}, "unequal"),
+        (
+            ("control.kp=normal(1,1,5)", "control.kd=normal(1,1,6)"),
+            {},
+            "different numbers of values",
+        ),
+        (("control.kp=1,2,3", "control.kd=4,5"), {"zipped": True}, "different numbers of values"),
         (tuple(f"{k}=1:2:1000" for k in ("control.kp", "control.kd", "control.ki")), {}, "many"),
     ],
 )
@@ -149,6 +153,6 @@ def test_a_study_of_your_own_is_a_file(tmp_path):
     both = load_named_sweep(str(path), ["control.kp=1e4,2e4,3e4", "control.kd=1,2,3"])
     assert both.plan.values(1) == {"control.kd": 2.0, "control.kp": 2e4}
     path.write_text('scene = "kick_and_catch"\nsets = 3\n')
-    with pytest.raises(UsageError, match="not a key of a study") as caught:
+    with pytest.raises(UsageError, match="key of the study is not valid") as caught:
         load_named_sweep(str(path))
     assert "key sets" in caught.value.where

@@ -189,7 +189,13 @@ RISE = 300 + 2 * ZTH.step_response(TIME)
         ("time_s,temperature_k", TIME, RISE, {}, "depends on the power"),
         ("time_s,temperature_k", TIME, RISE, {"power": "-2 W"}, "is no power"),
         ("time_s,temperature_k", TIME, RISE, {"power": "2 V"}, "--power"),
-        ("time_s,temperature_k", TIME, RISE, {"power": 2, "dc": "open"}, "impedance only"),
+        (
+            "time_s,temperature_k",
+            TIME,
+            RISE,
+            {"power": 2, "dc": "open"},
+            "only to a measured impedance",
+        ),
         ("time_s,temperature_k", TIME, RISE, {"power": 2, "order": 3}, "no effect"),
         ("time_s,temperature_k", TIME, RISE, {"power": 2, "network": "x"}, "no such form"),
         ("time_s,temperature_k", TIME - 10, RISE, {"power": 2}, "0 times after zero"),
@@ -227,7 +233,7 @@ def test_two_temperatures_are_ambiguous(tmp_path):
 def test_options_of_transients_do_not_apply_to_impedances(tmp_path, option):
     path = tmp_path / "part.csv"
     path.write_text("frequency_hz,real_ohm,imag_ohm\n" + "1000,1,2\n2000,1,4\n" * 10)
-    with pytest.raises(kc.errors.UsageError, match="thermal transient only"):
+    with pytest.raises(kc.errors.UsageError, match="only to a thermal transient"):
         reduce_file(path, tmp_path / "out", **{option: "foster"})
 
 

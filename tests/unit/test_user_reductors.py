@@ -109,17 +109,19 @@ def vectors(task):
 
 
 BAD = {
-    "wrong number of rows": (lambda t: t.project(vectors(t)[:-1]), "another shape", "39 rows"),
+    "wrong number of rows": (lambda t: t.project(vectors(t)[:-1]), "a wrong shape", "39 rows"),
     "one dimension": (lambda t: t.project(vectors(t)[:, 0]), "not a matrix", r"shape \(40,\)"),
     "no projection": (vectors, "does not return a basis", r"shape \(40, 5\)"),
     "text": (lambda t: "V", "does not return a basis", "str"),
     "test vectors of another shape": (
         lambda t: t.project(vectors(t), vectors(t)[:, :4]),
-        "W: the vectors have another",
+        "W: the vectors have a wrong",
         "4 columns",
     ),
-    "too many fixed vectors": (lambda t: t.project(vectors(t), fixed=9), "fixed: not a n", "9"),
-    "fixed text": (lambda t: t.project(vectors(t), fixed="all"), "fixed: not a number", "all"),
+    "too many fixed vectors": (
+        lambda t: t.project(vectors(t), fixed=9), "not a number of vectors", "9"
+    ),
+    "fixed text": (lambda t: t.project(vectors(t), fixed="all"), "not a number of vectors", "all"),
     "NaN": (lambda t: t.project(vectors(t) * np.nan), "not finite", "200 entries"),
     "infinity": (lambda t: t.project(vectors(t) / 0.0), "not finite", "200 entries"),
     "duplicate": (
@@ -130,14 +132,14 @@ BAD = {
         lambda t: t.project(np.hstack([np.eye(N), vectors(t)])), "linearly dependent", "column 40"
     ),
     "dependent test vectors": (
-        lambda t: t.project(vectors(t), np.ones((N, 5))), "W: vectors are linearly", "column 1"
+        lambda t: t.project(vectors(t), np.ones((N, 5))), "W: the vectors are linearly", "column 1"
     ),
     "complex": (lambda t: t.project(vectors(t) * 1j), "complex", "complex128"),
     "ragged": (lambda t: t.project([[1.0], [1.0, 2.0]]), "not an array of numbers", "list"),
     "nothing": (lambda t: t.project(None), "not an array of numbers", "NoneType"),
     "no columns": (lambda t: t.project(vectors(t)[:, :0]), "no vectors", "0 columns"),
     "oblique congruence": (
-        lambda t: t.project(vectors(t), vectors(t)), "without congruence", "congruence = True"
+        lambda t: t.project(vectors(t), vectors(t)), "combined with congruence", "congruence = True"
     ),
 }  # fmt: skip
 
@@ -156,9 +158,9 @@ def test_what_is_no_basis_is_an_error_that_names_the_method(case):
 
 @pytest.mark.parametrize("method", [np.eye(3), UserMethod, 3, UserMethod.basis])
 def test_what_is_no_method_is_an_error(method):
-    with pytest.raises(UsageError, match="not a method of reduction"):
+    with pytest.raises(UsageError, match="not a reduction method"):
         kc.reduce(chain(), tolerance=1e-3, band=(0, 1e6), method=method)
-    with pytest.raises(UsageError, match="not a method of reduction"):
+    with pytest.raises(UsageError, match="not a reduction method"):
         kc.Reduction(chain(), band=(0, 1e6)).reduce(tolerance=1e-3, method=method)
 
 

@@ -145,7 +145,7 @@ def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list
         raw.require_file(path)  # raises the error of a missing file
     if not path.name:
         expected = "the name of a model, such as FOLDER/NAME"
-        raise UsageError("is a folder, not a model", where=str(path), expected=expected)
+        raise UsageError("this path is a folder, not a model", where=str(path), expected=expected)
     base, files, _, settings = locate_model(path, sidecar)
     path = files.pop(_SINGLE_FILE, path)  # NAME may mean NAME.npz
     result = _read_files(path, {**files, **settings.files}, settings.matrices)
@@ -181,7 +181,9 @@ def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matr
     if entry.name is not None and file.suffix.lower() not in NAMED_FORMATS:
         expected = f"a file whose name ends with {', '.join(NAMED_FORMATS)}"
         hint = "write the matrix into a file of its own, and give file alone"
-        raise wrong(where, "this file has no names of matrices", file.name, expected, hint)
+        raise wrong(
+            where, "this file format does not contain names of matrices", file.name, expected, hint
+        )
     if file.suffix.lower() in READERS:
         term = _read_files(file, {}, {letter: entry.name} if entry.name else {})
     else:
@@ -192,7 +194,10 @@ def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matr
     if rows and others and not np.array_equal(rows.keys(), others.keys()):
         expected = "the degrees of freedom of the model, in the same order"
         raise wrong(
-            where, "the rows of this term differ from those of the model", file.name, expected
+            where,
+            "the nodes and degrees of freedom of this term differ from those of the model",
+            file.name,
+            expected,
         )
     return raw.require_matrix(term.matrices[letter], letter, file)
 
@@ -300,7 +305,7 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
             candidates.remove(f"{base.name}_{letter}")
         fits = list(filter(raw.is_file, map(base.with_name, candidates)))
         if len(fits) > 1:
-            problem = f"two files for matrix {letter}"
+            problem = f"matrix {letter} is in two files"
             names = ", ".join(map(attrgetter("name"), fits))
             hint = f"delete or rename one of these files: {names}"
             raise wrong(str(base), problem, names, "one file for each matrix", hint)
@@ -313,7 +318,7 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
     if len(archives) > 1:
         got = ", ".join(map(attrgetter("name"), archives))
         hint = f"give the full name, such as {archives[0].name}"
-        raise wrong(str(path), "several files have this name", got, "one file", hint)
+        raise wrong(str(path), "several model files have this name", got, "one file", hint)
     archive = dict.fromkeys([_SINGLE_FILE], archives[0]) if archives else {}
     return (path.with_suffix("") if raw.is_file(path) else path), archive
 
@@ -331,13 +336,13 @@ def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]
         if path.is_dir():
             raise wrong(
                 str(path),
-                "is a directory",
-                expected="the path of a model",
-                hint="name a file in it",
+                "this path is a directory, not a file",
+                expected="the path of a model file",
+                hint="write the path of a file in this directory",
             )
         expected = f"{path.name}.M and {path.name}.K, or {path.name}.npz or .mat"
         hint = "kc2spice reduce --help lists the kinds of files"
-        raise wrong(str(path), "no such model", expected=expected, hint=hint)
+        raise wrong(str(path), "this model does not exist", expected=expected, hint=hint)
     if suffix not in READERS:
         hint = 'or name the files in NAME.toml: files = { K = "...", M = "..." }'
         got = "a file whose name does not end with the letter of a matrix"

@@ -65,7 +65,12 @@ def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
         where = f"{settings.where}: damping_matrix"
         if C is None or not {"M", "K"} <= set(matrices) or "E" in matrices:
             got = f"matrices {', '.join(sorted(matrices))}"
-            raise wrong(where, "no damping matrix of this name", got, "M, C, K and B, without E")
+            raise wrong(
+                where,
+                "the model has no damping matrix of this name",
+                got,
+                "M, C, K and B, without E",
+            )
         renamed = dict(matrices)
         renamed["E"] = renamed.pop("C")
         return renamed
@@ -73,16 +78,19 @@ def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
     if square and "M" in matrices and "E" not in matrices and settings.outputs is None:
         raise wrong(
             rows.where,
-            "matrix C may be the damping or the outputs",
+            "matrix C can be the damping matrix or the output matrix",
             f"a square C of {K.shape[0]} rows beside M and K",  # type: ignore[union-attr]
-            "damping as matrix E; as many rows of C as there are outputs",
+            "a damping matrix with the name E, or one row of C for each output",
             f'write damping_matrix = "C" into {rows.name}.toml, or outputs = "C" if every unknown '
             "is an output; or call the damping matrix E",
         )
     if square and C.shape[0] ** 2 > MAX_NARROW_ENTRIES:  # type: ignore[union-attr]
         got = f"{C.shape[0]} outputs"  # type: ignore[union-attr]
         raise wrong(
-            rows.where, "too many outputs", got, f"at most {MAX_NARROW_ENTRIES} numbers in C"
+            rows.where,
+            "the model has too many outputs",
+            got,
+            f"at most {MAX_NARROW_ENTRIES} numbers in C",
         )
     # output matrix of a model without damping
     if square and "M" in matrices and "E" not in matrices:
@@ -118,7 +126,7 @@ def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
     halves = [k for k, matrix in square.items() if is_half_stored(matrix)]
     if symmetric is None and halves:
         hint = f"in {rows.name}.toml: symmetric = true for halves, false if it is triangular"
-        problem = "only one triangle is stored, but the file says 'general'"
+        problem = "the file contains only one triangle, but its header states 'general'"
         raise wrong(rows.where, problem, f"matrix {', '.join(halves)}", "the whole matrix", hint)
     if symmetric:
         for letter in halves:
@@ -173,13 +181,13 @@ class Rows:
         dofs = self.raw.dofs
         if dofs is None:
             raise UsageError(
-                "the matrices do not contain the nodes of their rows",
+                "the files do not state which node belongs to each row of the matrices",
                 where=where,
                 expected="a column of B, or a file with node,dof of each row",
                 hint='write  column = 1  instead of nodes, or add  dofs = "rows.csv"',
             )
         if len(dofs) != self.size:
-            problem = "the list of nodes does not fit the matrices"
+            problem = "the list of nodes does not match the rows of the matrices"
             raise wrong(where, problem, f"{len(dofs)} rows with node,dof", f"{self.size} rows")
         return dofs
 
@@ -210,7 +218,7 @@ class Rows:
             got = f"node {', '.join(map(str, missing[:5]))}"
             expected = f"one of {len(np.unique(dofs.node))} nodes from {low} to {high}, which the "
             expected += "tool has not constrained itself"
-            raise wrong(where, "no such node in the matrices", got, expected)
+            raise wrong(where, "the matrices have no such node", got, expected)
         rows = [np.flatnonzero(here & (dofs.kind == kind)) for kind in kinds]
         for kind, result in zip(kinds, rows, strict=True):
             if not len(result):
@@ -218,7 +226,7 @@ class Rows:
                 expected = ", ".join(map(DOFS.__getitem__, kinds_here))
                 hint = "the tool may have removed it because it is constrained"
                 raise wrong(
-                    where, "no such degree of freedom at these nodes", DOFS[kind], expected, hint
+                    where, "these nodes have no such degree of freedom", DOFS[kind], expected, hint
                 )
         return rows if kinds else [np.flatnonzero(here)]
 
@@ -234,7 +242,12 @@ class Rows:
         if strange.size or "A" in self.matrices or "B" in self.matrices:
             got = DOFS[int(strange[0])] if strange.size else "A or B"
             expected = "displacements and rotations only, M and K"
-            raise UsageError("cannot be converted", where=where, got=got, expected=expected)
+            raise UsageError(
+                "this value cannot be converted to SI units",
+                where=where,
+                got=got,
+                expected=expected,
+            )
         t = sparse.diags_array(np.where(np.isin(kind, TRANSLATIONS), 1 / length, 1.0))
         return {k: sparse.csc_array(force * length * (t @ m @ t)) for k, m in self.matrices.items()}
 
@@ -267,10 +280,10 @@ class Rows:
             load[rows] += weight / len(rows)
         if not load[~self.fixed()].any():
             raise UsageError(
-                "the port is on fixed degrees of freedom",
+                "the port acts on fixed degrees of freedom",
                 where=where,
                 expected="a node that is free to move",
-                hint="name another node, or delete the [[fixed]] entry of this one",
+                hint="use another node, or delete the [[fixed]] entry of this node",
             )
         return load
 
@@ -289,7 +302,7 @@ class Rows:
         if entry.kind in ("input", "output"):
             return load
         if place > len(C) or not np.allclose(C[place - 1], load, rtol=1e-9, atol=0):
-            problem = "is not conservative: its row of C is not its column of B"
+            problem = "this port is not conservative: its row of C differs from its column of B"
             hint = "make it an input and an output"
             raise wrong(where, problem, f"column {place}", "C = B'", hint)
         return load
@@ -302,7 +315,9 @@ class Rows:
         if self.size * len(settings.ports) > MAX_NARROW_ENTRIES:
             got = f"{len(settings.ports)} ports of {self.size} rows"
             expected = f"at most {MAX_NARROW_ENTRIES // self.size} ports of this model"
-            raise UsageError("too many ports", where=settings.where, got=got, expected=expected)
+            raise UsageError(
+                "the model has too many ports", where=settings.where, got=got, expected=expected
+            )
         loads = np.array([*map(self.load, settings.ports)])
         kinds = np.array([entry.kind for entry in settings.ports])
         inputs, outputs = np.flatnonzero(kinds != "output"), np.flatnonzero(kinds != "input")
@@ -310,7 +325,7 @@ class Rows:
             expected = "ports of the kinds input and output, or a port of another kind"
             lacking = "output" if inputs.size else "input"
             hint = f'add a port with  kind = "{lacking}"'
-            raise wrong(settings.where, f"no port is an {lacking}", None, expected, hint)
+            raise wrong(settings.where, f"the model has no {lacking} port", None, expected, hint)
         scales = np.array([entry.scale for entry in settings.ports])  # 1 for conservative ports
         into, out = scales[inputs], 1 / scales[outputs][:, None]
         D = np.zeros((len(outputs), len(inputs)))
@@ -332,13 +347,15 @@ def _assemble_mechanical(rows: Rows) -> LinearModel:
     keep = np.flatnonzero(~rows.fixed())
     if not keep.size:
         cure = "delete one of the [[fixed]] entries"
-        raise UsageError("every degree of freedom is fixed", where=settings.where, hint=cure)
+        raise UsageError(
+            "all degrees of freedom of the model are fixed", where=settings.where, hint=cure
+        )
     square = _square_matrices(rows.matrices)
     operators = {letter: _select_entries(matrix, keep) for letter, matrix in square.items()}
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
     if empty.size:  # an unknown that no matrix determines is a gap in the numbering
-        problem, expected = "an equation is empty in all matrices", "no gaps in the numbering"
+        problem, expected = "a row is zero in all matrices", "no gaps in the numbering"
         got = f"row {empty[0] + 1} of the free ones, {empty.size} such in all"
         hint = None if rows.raw.dofs is None else "fix the degree of freedom in [[fixed]]"
         raise wrong(rows.where, problem, got, expected, hint)
@@ -346,12 +363,18 @@ def _assemble_mechanical(rows: Rows) -> LinearModel:
     if not B[keep].any() or not C[:, keep].any():
         expected = "B, C not zero, on degrees of freedom that are not fixed"
         cure = "apply the ports at free nodes, or delete the [[fixed]] entries there"
-        raise wrong(rows.where, "has no effective input or output", None, expected, cure)
+        raise wrong(
+            rows.where,
+            "no input acts on the model, or no output depends on it",
+            None,
+            expected,
+            cure,
+        )
     alpha, beta = settings.damping.rayleigh
     damping: dict[str, Any] = {"rayleigh": (alpha, beta)} if alpha or beta else {}
     if damping and "A" in operators:
         hint = "delete the key damping"
-        problem = "a first-order model has no Rayleigh damping"
+        problem = "Rayleigh damping does not apply to a first-order model"
         raise wrong(f"{settings.where}: damping", problem, None, "no damping", hint)
     if damping and "E" in operators:
         damping = {}
@@ -385,7 +408,7 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
         raise wrong(settings.where, problem, None, expected)
     K, M, E = rows.matrices["K"], rows.matrices["M"], rows.matrices.get("E")
     if E is not None and any(settings.damping.rayleigh):
-        problem, hint = "damping is stated twice", "delete alpha and beta of the key damping"
+        problem, hint = "damping is defined twice", "delete alpha and beta of the key damping"
         raise wrong(settings.where, problem, None, "matrix E or damping", hint)
     potential = rows.dofs(rows.where).kind == VOLT
     K, loss = _split_loss(rows, K, potential)
@@ -406,7 +429,7 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
     if M[:, potential].count_nonzero() or (np.diag(c) <= 0).any():
         expected = "K = [[K_uu, K_up], [K_up', -K_pp]] with K_pp positive definite"
         got = "mass on a potential, or a positive dielectric block"
-        raise wrong(rows.where, "the rows of the potentials have another form", got, expected)
+        raise wrong(rows.where, "the rows of the potentials have an unexpected form", got, expected)
     loads = [rows.load(entry)[u] for entry in settings.ports if entry.kind != ELECTRICAL.port]
     damping = {"rayleigh": settings.damping.rayleigh} if E is None else {"E": _select_entries(E, u)}
     if loss is not None:
@@ -443,11 +466,17 @@ def _split_loss(
     if rows.sidecar.damping.loss_factor:
         hint = "delete the key loss_factor"
         got = "a complex K and loss_factor"
-        raise wrong(rows.where, "structural damping is stated twice", got, "one of them", hint)
+        raise wrong(rows.where, "structural damping is defined twice", got, "one of them", hint)
     real, loss = (sparse.csc_array(part) for part in (K.real, K.imag))
     if abs(loss[potential]).max() > IMAGINARY_ROUNDING * abs(real[potential]).max():
         expected = "an imaginary part in the rows of displacements alone"
         hint = "leave out dielectric losses, or give their real part"
-        raise wrong(rows.where, "the rows of the potentials have losses", None, expected, hint)
+        raise wrong(
+            rows.where,
+            "the damping in the rows of the potentials is not zero",
+            None,
+            expected,
+            hint,
+        )
     loss.eliminate_zeros()
     return real, loss

@@ -105,7 +105,9 @@ def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
         return result
     K = result.get("K")
     if K is None or K.shape != loss.shape or np.iscomplexobj(K) or np.iscomplexobj(loss):
-        raise ValueError("a matrix of structural damping does not belong to the stiffness")
+        raise ValueError(
+            "the structural damping matrix and the stiffness matrix differ in their rows"
+        )
     return result | {"K": sparse.csc_array(K + 1j * loss)}
 
 
@@ -166,18 +168,20 @@ def _parse_dofs(data: bytes) -> raw.Dofs:
     pairs = [word.partition(b".")[::2] for word in words]
     node, kind = np.array(pairs).astype(np.int64).T
     if not ((kind >= 0) & (kind <= 6)).all():
-        raise ValueError(f"unknown direction {kind[(kind < 0) | (kind > 6)][0]}")
+        raise ValueError(f"the file has the unknown direction {kind[(kind < 0) | (kind > 6)][0]}")
     return raw.Dofs(node, np.where(kind == 0, raw.DOF_NUMBERS["temp"], kind))
 
 
 def _parse_triangle(data: bytes, n: int) -> sparse.csc_array:
     values = parse_numbers(data)
     if values.size == 0 or values.size % 3:
-        raise ValueError(f"{values.size} numbers in 3 columns: is it cut off?")
+        raise ValueError(f"{values.size} numbers do not fill 3 columns; the file may be truncated")
     row, column = parse_indices(values[0::3], n), parse_indices(values[1::3], n)
     bare = np.bincount(row[row == column], minlength=n) == 0
     if bare.any():  # CalculiX writes every diagonal entry, including zeros
-        raise ValueError(f"row {bare.argmax() + 1} has no diagonal entry: is it cut off?")
+        raise ValueError(
+            f"row {bare.argmax() + 1} has no diagonal entry; the file may be truncated"
+        )
     return raw.both_triangles(sparse.csc_array((values[2::3], (row, column)), shape=(n, n)))
 
 
@@ -252,7 +256,7 @@ def read_harwell_boeing(
         raise ValueError("the header is damaged")
     formats = _FORTRAN_FORMAT.findall(lines[3])
     if len(formats) < 3:
-        raise ValueError("the line of formats is damaged")
+        raise ValueError("the line with the number formats cannot be read")
     sides = lines[1].split()[4:]  # right-hand sides have a separate line
     parts, start = [], 5 if sides and int(sides[0]) > 0 else 4
     numbers_of = (columns + 1, entries, 2 * entries if kind[0] == "C" else entries)
@@ -263,7 +267,7 @@ def read_harwell_boeing(
     pointer, row = parts[0], parse_indices(parts[1], rows)
     sound = pointer[0] == 1 and pointer[-1] == entries + 1 and (np.diff(pointer) >= 0).all()
     if not sound:
-        raise ValueError("column pointers do not rise from 1 to the number of entries")
+        raise ValueError("the column pointers do not increase from 1 to the number of entries")
     value = parts[2][0::2] + 1j * parts[2][1::2] if kind[0] == "C" else parts[2]
     inner = (value, row, pointer.astype(np.int64) - 1)
     matrix = sparse.csc_array(inner, shape=(rows, columns))
@@ -283,7 +287,7 @@ def _parse_fixed_width(lines: list[bytes], repeat: int, width: int, number: int)
             f"{number} numbers; it may be truncated"
         )
     if not 0 < repeat * width <= _MAX_LINE_LENGTH:
-        raise ValueError(f"unusual line format: {repeat} fields of {width} characters")
+        raise ValueError(f"the line format is not supported: {repeat} fields of {width} characters")
     text = b"".join(line[: repeat * width].ljust(repeat * width) for line in lines)
     text = text.translate(bytes.maketrans(b"Dd", b"EE"))
     values = np.frombuffer(text, dtype=f"S{width}")[:number]
@@ -305,10 +309,10 @@ def read_mapping(data: bytes, size: int) -> raw.Dofs:
     names = [_ANSYS_NAMES.get(name.upper(), name.lower()) for name in freedoms]
     unknown = sorted(set(names) - set(raw.DOF_NUMBERS))
     if unknown:
-        raise ValueError(f"unknown degree of freedom {unknown[0]}")
+        raise ValueError(f"the file has the unknown degree of freedom {unknown[0]}")
     place = parse_indices(np.array(list(map(float, equations))), size)
     if len(np.unique(place)) < size:
-        raise ValueError("an equation occurs twice")
+        raise ValueError("an equation number occurs twice")
     node, kind = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     node[place] = list(map(int, nodes))
     kind[place] = list(map(raw.DOF_NUMBERS.__getitem__, names))
@@ -384,7 +388,7 @@ def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
     values: dict[str, Callable[[str, str], complex]] = {}
     entries: dict[str, list[tuple[complex, ...]]] = {}
     if data and not data.endswith(b"\n"):
-        raise ValueError("the last line has no end: is it cut off?")
+        raise ValueError("the last line is not complete; the file may be truncated")
     for cells in bulk_data_cards(data, "DMIG"):
         name = cells[0].strip().upper()
         if cells[1].strip() == "0":

@@ -92,8 +92,10 @@ def convert_to_admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> 
 def make_ambiguity_error(got: str, readings: Sequence[str], hint: str) -> UsageError:
     """The error of a file that allows more than one reading."""
     listed = " or ".join(f"({k}) {text}" for k, text in enumerate(readings, 1))
-    expected = f"one reading; this file allows {listed}"
-    return UsageError("is ambiguous", got=got, expected=expected, hint=hint)
+    expected = f"a file with one meaning, not {listed}"
+    return UsageError(
+        "this file has more than one possible meaning", got=got, expected=expected, hint=hint
+    )
 
 
 def find_response(
@@ -247,7 +249,7 @@ def _require_one_sweep(f: np.ndarray) -> None:
         return
     starts = rows[np.flatnonzero(steps * np.median(steps) < 0) + 1]
     if not starts.size or len(starts) > MAX_REVERSAL_SHARE * len(steps):
-        raise ValueError("the frequency column goes up and down: is it another one?")
+        raise ValueError("the frequencies in the frequency column increase and decrease")
     ends = [*starts[:3], len(f)][:3]
     sweeps = [f"rows {a + 1} to {b}" for a, b in zip((0, *starts), ends, strict=False)]
     raise make_ambiguity_error(f"{len(starts) + 1} sweeps in one table", sweeps, ONE_PART_HINT)
@@ -284,11 +286,11 @@ def _require_complete(titles: Sequence[str], columns: _Columns, shunt: float | N
     gains = list(filter(attrgetter("shunt"), complete))
     if shunt is not None and not gains:
         raise UsageError(
-            "applies to a table of gain and phase",
+            "this option applies only to a table of gain and phase",
             where="--shunt",
             got=f"columns {', '.join(t.strip() for t in titles[:5])}",
             expected="columns such as  Frequency (Hz), Gain (dB), Phase (deg)",
-            hint="leave out --shunt: the file has no gain",
+            hint="leave out --shunt",
         )
     usable = columns.complex_columns or shunt is not None or len(complete) > len(gains)
     if "f" in names and usable:
@@ -296,9 +298,9 @@ def _require_complete(titles: Sequence[str], columns: _Columns, shunt: float | N
     if "f" in names and gains:
         column = columns.by_quantity[gains[0].columns[0]][0]
         raise UsageError(
-            "contains a gain, whose impedance depends on the shunt",
+            "this file contains a gain, and its shunt resistance is missing",
             got=str(column),
-            expected="the resistance in series with the part, or columns of an impedance",
+            expected="the resistance of the resistor in series with the part",
             hint="add for example  --shunt '100 Ohm'",
         )
     raise _make_incomplete_error(titles, columns)
@@ -315,7 +317,7 @@ def _make_incomplete_error(titles: Sequence[str], columns: _Columns) -> Exceptio
             return make_ambiguity_error(got, meaning.split("; or "), NAME_COLUMNS_HINT)
     if SOUND_QUANTITY in columns.by_quantity:
         title = columns.by_quantity[SOUND_QUANTITY][0].title.text
-        return ValueError(f"column {title!r} is a sound pressure")
+        return ValueError(f"column {title!r} is a sound pressure, not an electrical quantity")
     missing = "no complete impedance" if "f" in columns.by_quantity else "no frequency"
     listed = ", ".join(map(repr, columns.unknown[:5]))
     strange = f"; unknown: {listed}" if listed else ""

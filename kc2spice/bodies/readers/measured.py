@@ -234,7 +234,12 @@ def parse_shunt_resistance(shunt: str | float | None) -> float | None:
     resistance = parse_quantity(shunt, "Ohm", where="--shunt")
     if resistance <= 0:
         expected = 'a positive resistance, such as "100 Ohm"'
-        raise UsageError("is not a resistance", where="--shunt", got=shunt, expected=expected)
+        raise UsageError(
+            "this value is not a resistance",
+            where="--shunt",
+            got=shunt,
+            expected=expected,
+        )
     return resistance
 
 
@@ -252,7 +257,7 @@ def _require_no_shunt(shunt: float | None, content: str) -> None:
     if shunt is None:
         return
     raise UsageError(
-        "applies to a table of gain and phase",
+        "this option applies only to a table of gain and phase",
         where="--shunt",
         got=content,
         expected="columns such as  Frequency (Hz), Gain (dB), Phase (deg)",
@@ -275,7 +280,13 @@ def _require_conducting(data: MeasuredAdmittance) -> None:
     got = f"no current at {of} frequencies, first at {data.f[first]:g} Hz"
     got = got if one else f"no current into {of} ports, first into port {first + 1}"
     hint = "delete these frequencies from the file, or measure with the part connected"
-    raise wrong(data.where, "is an open circuit", got, "admittances that are not zero", hint)
+    raise wrong(
+        data.where,
+        "the measured part is an open circuit",
+        got,
+        "admittances that are not zero",
+        hint,
+    )
 
 
 def _require_passive(data: MeasuredAdmittance) -> None:
@@ -293,7 +304,7 @@ def _require_passive(data: MeasuredAdmittance) -> None:
         hint = "swap the columns of real and imaginary part, which seem to be interchanged"
     got = f"a real part below zero at {bad.sum()} of {len(bad)} frequencies, "
     got += f"first at {data.f[bad][0]:g} Hz"
-    problem = "the measured part gives power, which no passive part does"
+    problem = "the measured part delivers power, so it is not passive"
     raise wrong(data.where, problem, got, "Re Z >= 0, except for noise", hint)
 
 
@@ -307,7 +318,7 @@ def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> Measu
     """Read real vectors as columns, or a complex array as a response."""
     first = next(filter(is_frequency, variables), None)
     if first is None:
-        raise ValueError(f"variables {', '.join(variables)}, none of them the frequency")
+        raise ValueError(f"variables {', '.join(variables)}, and no variable is the frequency")
     n, names = variables[first].size, ", ".join(variables)
     columns = {
         name: a.ravel() for name, a in variables.items() if a.size == n and a.dtype.kind in "fiu"
@@ -325,7 +336,7 @@ def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> Measu
     elif P.size == n:
         P = P.reshape(n, 1, 1)
     if P.ndim != 3 or P.shape[0] != n or P.shape[1] != P.shape[2]:
-        raise ValueError(f"{name} of {P.shape} beside {n} frequencies in {names}")
+        raise ValueError(f"{name} of {P.shape} does not match {n} frequencies in {names}")
     title = read_title(first)
     assert title is not None  # title of the frequency
     frequency = convert_column(title, variables[first].ravel())

@@ -44,7 +44,7 @@ class NodeMesh:
         """
         result = self.sets.get(name.upper())
         if result is None or not len(result):
-            raise unknown(f"no such node set in {self.where}", name, sorted(self.sets), where)
+            raise unknown(f"{self.where} has no such node set", name, sorted(self.sets), where)
         return result
 
     def nearest(self, place: tuple[float, ...], within: float | None, where: str) -> int:
@@ -63,7 +63,7 @@ class NodeMesh:
             x, y, z = self.at[best]
             expected = f"within {distance[best]:.4g} of node {self.node[best]} at "
             expected += f"[{x:g}, {y:g}, {z:g}]: raise 'within' or correct 'at'"
-            raise wrong(where, "no node is there", list(place), expected)
+            raise wrong(where, "the mesh has no node at this point", list(place), expected)
         return int(self.node[best])
 
 
@@ -76,7 +76,12 @@ def read_nodes(path: Path) -> NodeMesh:
     """
     read = _READERS.get(path.suffix.lower())
     if read is None:
-        raise UsageError("is no mesh", where=str(path), got=path.suffix, expected=_EXPECTED)
+        raise UsageError(
+            "this file is not a mesh in a supported format",
+            where=str(path),
+            got=path.suffix,
+            expected=_EXPECTED,
+        )
 
     def parse_nodes(data: bytes) -> NodeMesh:
         nodes, sets = read(data)
@@ -85,7 +90,7 @@ def read_nodes(path: Path) -> NodeMesh:
         node = np.fromiter(nodes, dtype=np.int64, count=len(nodes))
         at = np.array(list(nodes.values()), dtype=float)
         if not np.isfinite(at).all():
-            raise ValueError("a coordinate is not finite")
+            raise ValueError("a node coordinate is not a finite number")
         node_sets = {name: np.unique(np.array(item, np.int64)) for name, item in sets.items()}
         return NodeMesh(str(path), node, at, node_sets)
 
@@ -142,13 +147,13 @@ def _parse_keywords(data: bytes) -> Content:
             instances += keyword == "INSTANCE"
             if instances > 1:
                 raise ValueError(
-                    "more than one *INSTANCE: its node numbers are not those of the mtx"
+                    "with more than one *INSTANCE, node numbers differ from those of the .mtx file"
                 )
             continue
         cells = _split_cells(line)
         filled, name = list(filter(None, cells)), options.get("NSET", "")
         if keyword == "INSTANCE" and any(map(float, filled)):
-            raise ValueError("a moved *INSTANCE is not supported")
+            raise ValueError("an *INSTANCE with a translation or rotation is not supported")
         if keyword == "NODE":
             nodes[int(cells[0])] = _parse_point(cells[1:4])
             if name:

@@ -47,12 +47,17 @@ def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
     try:
         tree = parse_expression(entry.factor, where=where)
     except RecursionError:
-        raise wrong(where, "too deep an expression", entry.factor, "fewer parentheses") from None
+        raise wrong(
+            where,
+            "the expression has too many nested parentheses",
+            entry.factor,
+            "fewer parentheses",
+        ) from None
     known = {name.lower() for name in settings.parameters}
     for node in walk_tree(tree):
         if isinstance(node, Name) and node.text.lower() not in known:
             expected = f"one of {', '.join(settings.parameters)}"
-            raise wrong(where, "no such parameter", node.text, expected)
+            raise wrong(where, "the model has no such parameter", node.text, expected)
 
     def evaluate_factor(values: Mapping[str, float]) -> float:
         return _evaluate_factor(tree, values, where)

@@ -70,7 +70,9 @@ def make_unusable_error(
     path: Path, got: object, expected: str, hint: str = REDO_HINT
 ) -> UsageError:
     """The error for a file that cannot be used."""
-    return UsageError("cannot be used", where=str(path), got=got, expected=expected, hint=hint)
+    return UsageError(
+        "this file cannot be used", where=str(path), got=got, expected=expected, hint=hint
+    )
 
 
 def is_file(path: Path) -> bool:
@@ -126,12 +128,12 @@ def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = 
     except Kc2spiceError:
         raise
     except NotImplementedError:
-        message, got = "is in a format that is not supported", None
+        message = "the format of this file is not supported"
         hint = "in MATLAB: save(..., '-v7')"
     except Exception as error:  # damaged bytes cause nearly any exception in the parsers
-        got = " ".join(str(error).split())[:160] or type(error).__name__
-        message, hint = "cannot be read", advice
-    raise UsageError(message, where=str(path), got=got, expected=expected, hint=hint)
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        message, hint = f"this file cannot be read: {reason}", advice
+    raise UsageError(message, where=str(path), expected=expected, hint=hint)
 
 
 def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int | None) -> None:
@@ -314,7 +316,7 @@ def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> Raw:
     )
     for name in letters:
         if not any(key.partition(".")[0] == name for key in arrays):
-            raise ValueError(f"it contains no matrix {name}")
+            raise ValueError(f"the file contains no matrix {name}")
     result = {}
     for key, array in arrays.items():
         name, dot, part = key.partition(".")
@@ -392,7 +394,7 @@ def _unpack_dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
     if not present_arrays:
         return None
     if len(present_arrays) == 1 or any(array.dtype.kind not in "iu" for array in present_arrays):
-        raise ValueError("nodes and dofs are not integers, one of each for every row")
+        raise ValueError("nodes and dofs do not contain one integer for each row")
     return Dofs(*present_arrays)
 
 
@@ -456,7 +458,7 @@ def _load_variables(path: str, names: list[str], full: list[tuple[int, ...]]) ->
     """Load the variables of these names, whose full arrays have the shapes ``full``."""
     size = sum(8 * np.prod(shape, dtype=float) for shape in full)
     if size > limit_unpacked_bytes(Path(path)):
-        raise ValueError(f"its variables take {size:g} bytes, which is too much")
+        raise ValueError(f"its variables need {size:g} bytes, which exceeds the limit")
     return io.loadmat(path, appendmat=False, variable_names=names) if names else {}
 
 
@@ -496,10 +498,12 @@ def _select_fields(value: Any, name: str) -> dict[str, Any]:
         raise ValueError(f"struct {name} has fields {', '.join(fields)}; K or Kc is needed")
     result = pick_fields(_SECOND_ORDER_FIELDS)
     if "Kc" not in fields and "N" in fields and _count_entries(fields["N"]):
-        raise ValueError(f"struct {name} has constraints N that are not eliminated: ask for Kc, Ec")
+        raise ValueError(
+            f"struct {name} has constraints N that are not eliminated; export Kc and Ec"
+        )
     if "Kc" in fields and "uscale" in fields and (np.asarray(fields["uscale"]) != 1).any():
         raise ValueError(
-            f"struct {name} has scaled unknowns (uscale): set the scaling in the solver to None"
+            f"struct {name} has scaled unknowns (uscale): set the scaling of the solver to None"
         )
     # A problem without mass is of first order and retains its E; without a load, the TOML file
     # defines the ports.

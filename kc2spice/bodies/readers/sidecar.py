@@ -110,14 +110,16 @@ _AXIS_VECTORS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0
 def _require_printable(value: str) -> str:
     """Require printable characters, because netlists contain these names."""
     if not value.isprintable():
-        raise invalid_value_error("is no name", "printable characters in one line")
+        raise invalid_value_error(
+            "this text is not a valid name", "printable characters in one line"
+        )
     return value
 
 
 def _require_word(value: str) -> str:
     """Require a single word, because the header of a netlist contains the unit."""
     if value and len(value.split()) != 1:
-        raise invalid_value_error("is no unit", "one word")
+        raise invalid_value_error("this text is not a unit", "one word")
     return value
 
 
@@ -127,7 +129,7 @@ def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
     if value.is_absolute() or ".." in value.parts:
         hint = "copy the file beside the TOML file and write its name alone"
         raise invalid_value_error(
-            "this file is not beside the TOML file", "a relative path", hint=hint
+            "this file is not in the folder of the TOML file", "a relative path", hint=hint
         )
     folder: Path = (info.context or {}).get("folder", Path())
     return folder / value
@@ -138,7 +140,7 @@ def _parse_dof(value: object) -> int:
     if type(code) is not int or code not in DOFS:
         expected = f"one of {list_candidates(value, DOF_NUMBERS, 'docs/reference/matrices.md')}"
         hint = did_you_mean(str(value), DOF_NUMBERS)
-        raise invalid_value_error("no such degree of freedom", expected, hint=hint)
+        raise invalid_value_error("this degree of freedom does not exist", expected, hint=hint)
     return code
 
 
@@ -149,7 +151,9 @@ def _parse_axis(value: object) -> object:
 def _normalise_axis(value: tuple[float, float, float]) -> tuple[float, float, float]:
     length = math.hypot(*value)
     if length == 0.0:
-        raise invalid_value_error("is no axis", "'x', 'y', 'z' or a direction [x, y, z]")
+        raise invalid_value_error(
+            "this value is not an axis", "'x', 'y', 'z' or a direction [x, y, z]"
+        )
     x, y, z = (item / length for item in value)
     return x, y, z
 
@@ -189,7 +193,7 @@ class NodeSelection(Section):
         if len(selectors) > 1:
             hint = f"delete {selectors[0]} or {selectors[1]}"
             raise invalid_value_error(
-                f"nodes are stated twice: {', '.join(selectors)}", "one of them", hint=hint
+                f"the nodes are defined twice: {', '.join(selectors)}", "one of them", hint=hint
             )
         if self.within is not None and self.at is None:
             raise invalid_value_error(
@@ -258,16 +262,18 @@ class PortEntry(NodeSelection):
             if self.placed or directed:
                 expected = "column or row alone, or nodes with dof or axis"
                 raise invalid_value_error(
-                    "a column or row beside nodes", expected, hint="delete one of them"
+                    "this port has both a column or row and nodes",
+                    expected,
+                    hint="delete one of them",
                 )
         elif self.kind in COLUMN_KINDS_ONLY:
-            problem = f"a port of kind {self.kind} has a column of B and nothing else"
+            problem = f"a port of kind {self.kind} can only have the key column"
             raise invalid_value_error(
                 problem, "column", hint="write  column = 1  and neither node nor axis"
             )
         elif self.kind == ACCELERATION.port:
             if self.axis is None or self.placed or self.dof is not None:
-                problem = "a port of kind acceleration has an axis and nothing else"
+                problem = "a port of kind acceleration can only have the key axis"
                 raise invalid_value_error(
                     problem, "axis", hint='write  axis = "z"  and neither node nor dof'
                 )
@@ -290,7 +296,7 @@ class PortEntry(NodeSelection):
         elif self.kind in DIRECTED_KINDS and not self.weights.keys() <= {*self._directions}:
             expected = ", ".join(DOFS[k] for k in self._directions)
             raise invalid_value_error(
-                f"{DOFS[self.dof or 0]} is no degree of freedom of a {self.kind} port", expected
+                f"{DOFS[self.dof or 0]} is not a degree of freedom of a {self.kind} port", expected
             )
         return self
 
@@ -332,7 +338,7 @@ class MatrixDamping(Section):
         if keys & {"ratio", "at"} and keys != {"ratio", "at"}:
             expected = "alpha and beta, or ratio and at [Hz]"
             raise invalid_value_error(
-                "ratio and at need each other, without alpha and beta", expected
+                "ratio and at must be used together, without alpha and beta", expected
             )
         return self
 
@@ -407,7 +413,7 @@ class Sidecar(Section):
         if self.band is not None and not self.band[0] < self.band[1]:
             hint = "write the lower frequency first, such as band = [0, 20000]"
             raise invalid_value_error(
-                "not a frequency band", "[f0, f1] with 0 <= f0 < f1, Hz", "band", hint
+                "this value is not a frequency band", "[f0, f1] with 0 <= f0 < f1, Hz", "band", hint
             )
         if self.outputs == self.damping_matrix == "C":
             expected = 'outputs = "C" or damping_matrix = "C"'
@@ -423,7 +429,7 @@ class Sidecar(Section):
         names = [port.name.lower() for port in self.ports]
         twice = [name for name, times in Counter(names).items() if times > 1]
         if twice:
-            problem = f"two ports have one name: {', '.join(twice[:5])}"
+            problem = f"two ports have the same name: {', '.join(twice[:5])}"
             raise invalid_value_error(
                 problem, "a name for each port", hint="rename one of these ports"
             )

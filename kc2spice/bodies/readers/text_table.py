@@ -186,7 +186,7 @@ def _describe_word(lines: list[str]) -> str:
             width, numeric = _measure_line(line, separator)
             if width > 0 and not numeric:
                 word = next(filterfalse(_is_number, _split_fields(line, separator)))
-                return f"; line {k + 1}, {line.strip()[:40]!r}: {word[:20]!r} is no number"
+                return f"; line {k + 1}, {line.strip()[:40]!r}: {word[:20]!r} is not a number"
     return ""
 
 
@@ -232,9 +232,9 @@ def _describe_omitted_rows(
     column = list(map(_is_number, rows[first])).index(False)
     count, word = complete.count(False), rows[first][column]
     name = names[column].strip()
-    text = f"line {lines[first] + 1}: {word[:20]!r} in column {name!r} is no number"
+    text = f"line {lines[first] + 1}: {word[:20]!r} in column {name!r} is not a number"
     if count > max(1, MAX_OMITTED_SHARE * len(rows)):
-        raise ValueError(f"{text}; {count} of {len(rows)} rows are like this")
+        raise ValueError(f"{text}; {count} of {len(rows)} rows have this fault")
     return [f"{text}: {count} of {len(rows)} rows left out"]
 
 
@@ -346,9 +346,12 @@ def _apply_format(
             or np.abs(numbers[k]).max() > MAX_PHASE_DEGREES
         ):
             raise ValueError(
-                f"column {titles[k].strip()!r}: FORMAT: {stated} has one number, but it is not zero"
+                f"column {titles[k].strip()!r}: the format {stated} has real values, but this "
+                "column is not zero"
             )
-        notes.append(f"{titles[k].strip()}: not zero beside FORMAT: {stated}, taken as the phase")
+        notes.append(
+            f"{titles[k].strip()}: not zero although the format is {stated}; read as the phase"
+        )
         names[k] = "Phase"
     return tuple(names), numbers, notes
 
@@ -426,14 +429,16 @@ def _parse_column(words: Sequence[str], rows: list[list[str]], title: str) -> np
         table = "\n".join(chain.from_iterable(rows))
         if "." in table or re.search(",.*,", text):
             if not all(map(_GROUPED_PATTERN.fullmatch, with_comma)):
-                raise ValueError(f"column {title!r}: commas and points in one table")
+                raise ValueError(
+                    f"column {title!r}: the table mixes decimal commas and decimal points"
+                )
             text = text.replace(",", "")
         else:
             thousands = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
             if all(map(thousands.fullmatch, _LINE_WITH_COMMA.findall(table))):
                 raise ValueError(
-                    f"column {title!r}: {with_comma[0]!r} may have thousands or decimals behind "
-                    "its comma: write a decimal point"
+                    f"column {title!r}: {with_comma[0]!r} has a comma that can separate "
+                    f"thousands or decimals; write a decimal point"
                 )
             text = text.replace(",", ".")
     text = text.translate(str.maketrans("dD", "ee", "()"))

@@ -110,7 +110,9 @@ def _prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | 
     small = measures in ("capacitance", "inductance", "admittance") or base == "OHM"
     if (prefix == "m" and base == "hz") or (prefix == "M" and small):
         big = "MHz or mHz" if base == "hz" else f"milli or mega {measures}"
-        raise ValueError(f"the unit {text!r} may be {big}: write its prefix in the right case")
+        raise ValueError(
+            f"the unit {text!r} may mean {big}; write the prefix in the correct letter case"
+        )
     if prefix in PREFIXES:
         return PREFIXES[prefix]
     if prefix == "F":  # FF is not femtofarad
@@ -267,7 +269,7 @@ def convert_column(title: Title, values: np.ndarray) -> Column:
     scaled = 10 ** (values / 20) if unit.measures == "decibel" else unit.value * values
     if title.meaning.quantity in PASSIVE_PHASES and np.abs(scaled).max(initial=0.0) > MAX_PHASE:
         largest = np.abs(values).max()
-        raise ValueError(f"column {name!r}: {largest:.4g} {unit.text} is more than a turn")
+        raise ValueError(f"column {name!r}: {largest:.4g} {unit.text} exceeds a full turn")
     return Column(title, title.sign * scaled, note, unit.text or "1")
 
 

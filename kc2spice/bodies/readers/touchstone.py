@@ -37,7 +37,7 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
         reference = list(map(float, option[at + 1 :])) or reference
         unknown = [word for word in option[:at] if word not in _OPTION_WORDS]
         if unknown:
-            raise ValueError(f"the option line has the word {unknown[0]!r}, which is not known")
+            raise ValueError(f"the option line has the word {unknown[0]!r}, which is unknown")
         unit = _choose_word(option[:at], tuple(_FREQUENCY_UNITS), unit)
         kind = _choose_word(option[:at], _PARAMETER_KINDS, kind)
         form = _choose_word(option[:at], _NUMBER_FORMS, form)
@@ -59,13 +59,17 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     table = values[: len(values) // width * width].reshape(-1, width)
     back = np.flatnonzero(np.diff(table[:, 0]) < 0)  # noise parameters of version 1 are at the end
     if len(values) % width and not back.size:
-        raise ValueError(f"{len(values)} numbers, not {width} a frequency")
+        raise ValueError(
+            f"{len(values)} numbers are not a multiple of {width}, the count for each frequency"
+        )
     table = table[: back[0] + 1] if back.size else table
     a, b = table[:, 1::2], table[:, 2::2]
     polar = np.deg2rad(b)
     size = 10 ** (a / 20) if form == "db" else a
     if form == "ma" and (a < 0).any():
-        raise ValueError("a magnitude below zero: the option line states MA, are the data in RI?")
+        raise ValueError(
+            "a magnitude is negative: the option line states MA, but the data may be in RI"
+        )
     P = a + 1j * b if form == "ri" else size * np.exp(1j * polar)
     P = _fill_triangle(P, n, shape == ["lower"]) if symmetric else P.reshape(-1, n, n)
     if n == 2 and order in (None, ["21_12"]):

@@ -321,10 +321,10 @@ class Dialect(Printer, ABC):
             flat = len(values) >= 4 and values[1] == values[3] and values[-1] == values[-3]
             if len(values) % 2 or not flat:  # pwl extrapolates its outer segments, table does not
                 raise UsageError(
-                    f"{self.title} ends every table flat",
+                    f"{self.title} cannot extrapolate a table with a slope",
                     where=self.where,
-                    got="a pwl() whose outer segments slope",
-                    expected="two equal values at both ends",
+                    got="a pwl() with a slope in the first or last segment",
+                    expected="two equal values at each end of the table",
                 )
             head, *pairs = map(self.write, arguments)
             rows = [f"\n+ {x},{y}" for x, y in zip(pairs[::2], pairs[1::2], strict=True)]

@@ -80,10 +80,10 @@ def _require_dialect(value: object) -> None:
         got = f"{value.__name__} with the name {value.dialect!r}"
         hint = f"define {missing}" if missing else f"set dialect = 'NAME' in {value.__name__}"
     raise UsageError(
-        "not a dialect of netlists",
+        "this object is not a netlist dialect",
         where="register_dialect",
         got=got,
-        expected="a subclass of kc.Dialect with a name of its own and all methods",
+        expected="a subclass of kc.Dialect with a new name and all methods",
         hint=hint,
     )
 
@@ -125,5 +125,5 @@ def find_dialect(name: str) -> type[Dialect]:
         if name not in _dialects and entry.name == name:
             register_dialect(entry.load())
     if name not in _dialects:
-        raise unknown("unknown dialect", name, dialect_names(), "--dialect")
+        raise unknown("this dialect does not exist", name, dialect_names(), "--dialect")
     return _dialects[name]

@@ -121,7 +121,9 @@ class VerilogNames(Writer):
         if key in self.pins:
             return self.pins[key]
         if key in GROUND_NAMES:
-            raise UsageError("a module has no global ground", where=self.where, got=name)
+            raise UsageError(
+                "a Verilog-A module cannot use the global ground node", where=self.where, got=name
+            )
         local = self.prefix + key
         if local not in nodes:
             nodes[local] = self.module.identifier(local)
@@ -163,7 +165,7 @@ class VerilogNames(Writer):
     def name(self, text: str) -> str:
         """Return the spelling of a parameter or keyword."""
         if text.lower() not in self.params:
-            raise UsageError("Verilog-A has no equivalent of this word", where=self.where, got=text)
+            raise UsageError("Verilog-A has no equivalent of this name", where=self.where, got=text)
         return self.params[text.lower()]
 
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
@@ -174,7 +176,10 @@ class VerilogNames(Writer):
             points = [value for value in numbers if value is not None]
             at, f = points[::2], points[1::2]
             if len(points) < max(4, len(numbers)) or len(at) != len(f) or at != sorted(set(at)):
-                message = "a table of a module has two rising numbers or more, each with its value"
+                message = (
+                    "a table in a Verilog-A module needs at least two increasing "
+                    "arguments, each with a value"
+                )
                 raise UsageError(message, where=self.where, got=self.part)
             self.module.functions.append(_table_expression(name, at, f))
             return f"{name}({self.write(arguments[0])})"
@@ -207,7 +212,7 @@ def print_module(part: Subcircuit) -> dict[str, str]:
     """
     if part.no_module:
         raise UsageError(
-            f"cannot be written as a Verilog-A module: {part.no_module}",
+            f"this part cannot be written as a Verilog-A module: {part.no_module}",
             where=part.filename,
             got="--dialect verilog-a",
             expected="ngspice, xyce or ltspice",

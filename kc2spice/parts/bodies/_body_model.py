@@ -161,19 +161,19 @@ class BodyModel(BodyPorts[LinearKeysT]):
         target, key = reduction_target(part, scene), self.model_key(middle, scene)
         specified = part.keys.rom
         if loss_tangent(part):
-            problem = "a netlist with parameters has no loss of its dielectric"
+            problem = "a netlist with parameters cannot contain a dielectric loss"
             raise wrong(f"{part.name}.damping.loss_tangent", problem, loss_tangent(part), "0")
         if has_complex_constants(part):
-            problem = "a netlist with parameters has viscous damping"
+            problem = "a netlist with parameters can only have viscous damping"
             raise wrong(f"{part.name}.damping.model", problem, "ieee176", "rayleigh")
         if scene.analysis.type == "noise":
-            problem = "a netlist with parameters has no thermal noise of its losses"
+            problem = "a netlist with parameters has no thermal noise"
             raise wrong(
                 f"{part.name}.{PARAMETERS}", problem, ", ".join(i.key for i in keys), "none"
             )
         ordered = target.order is not None and "order" in target.model_fields_set
         if ordered and specified is not None and specified.order:
-            problem = "a netlist with parameters has as many states as its tolerance takes"
+            problem = "rom.order cannot be combined with rom.parameters"
             raise wrong(f"{part.name}.rom.order", problem, target.order, "rom.tolerance")
         key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
 
@@ -262,9 +262,9 @@ class BodyModel(BodyPorts[LinearKeysT]):
             modal = resonators(small)  # later uses of these resonators need no eigenvalues
             if modal is None and (tangent or constants):
                 got = "damping that couples its modes, or a motion that nothing holds"
-                problem, key = "a loss tangent needs a body of resonators", "loss_tangent"
+                problem, key = "a loss tangent applies only to models of resonators", "loss_tangent"
                 if constants:
-                    problem, key = "complex constants need a body of resonators", "model"
+                    problem, key = "complex constants apply only to models of resonators", "model"
                 expected = "ratio, quality or loss_factor"
                 raise wrong(f"{part.name}.damping.{key}", problem, got, expected)
             if modal is None:
@@ -363,7 +363,12 @@ def losses_of(part: Part, model: LinearModel) -> ComplexConstants:
     at = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if at is None:
         where = f"{part.name}.damping.at"
-        raise wrong(where, "no resonance at which stiffness is stated", None, "a frequency")
+        raise wrong(
+            where,
+            "the body has no resonance at which its stiffness is defined",
+            None,
+            "a frequency",
+        )
     return ComplexConstants(2 * damping.zeta, loss_tangent(part), at)
 
 
@@ -388,14 +393,16 @@ def full_model_alone(part: Part, scene: GovernedScene, clock: Clock) -> LinearMo
     """Build the full model of a body outside its scene, with a warning of neglected losses."""
     if tangent := loss_tangent(part):
         warnings.warn(
-            f"{part.name}.damping.loss_tangent: {tangent:g}: matrices have no constant loss of a "
-            "dielectric: this model is without it; run and export the scene to have it",
+            f"{part.name}.damping.loss_tangent: {tangent:g}: matrices cannot contain a constant "
+            f"dielectric loss, so this model neglects it; use run or export of the scene to "
+            f"include it",
             stacklevel=3,
         )
     if has_complex_constants(part):
         warnings.warn(
-            f"{part.name}.damping.model: ieee176: matrices have no loss that is constant over "
-            "frequency: this model has viscous damping; run and export the scene to have it",
+            f"{part.name}.damping.model: ieee176: matrices cannot contain a loss that is "
+            f"constant over frequency, so this model has viscous damping; use run or export of "
+            f"the scene to include the constant loss",
             stacklevel=3,
         )
     kind = part.type

@@ -59,7 +59,12 @@ def varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
     ranges = part.parameter_ranges
     where = f"{part.name}.{PARAMETERS}"
     if len(ranges) > MOST_PARAMETERS:
-        raise wrong(where, "too many parameters", f"{len(ranges)}", f"at most {MOST_PARAMETERS}")
+        raise wrong(
+            where,
+            "rom.parameters contains too many parameters",
+            f"{len(ranges)}",
+            f"at most {MOST_PARAMETERS}",
+        )
     result = []
     for key, ends in ranges.items():
         value, unit = number_of(part, key, where)
@@ -99,7 +104,12 @@ def make_varied(
     signed = low * high > 0 or (from_zero and low == 0)
     if not signed or high - low < LEAST * abs(high) or not low <= value <= high:
         expected = f"two different numbers of one sign, the part's value {value:g} between"
-        raise wrong(where or key, "not the range of a parameter", f"{low:g} to {high:g}", expected)
+        raise wrong(
+            where or key,
+            "this entry is not a valid range of a parameter",
+            f"{low:g} to {high:g}",
+            expected,
+        )
     return VariedKey(key, unit, value, low, high)
 
 
@@ -140,7 +150,7 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
         return replace(part, keys=keys.model_copy(update={"rom": part.keys.rom}))
     except UsageError as error:
         got = error.message if error.got is None else f"{error.message}: {error.got}"
-        problem = "the ranges of the parameters hold values that the part cannot have"
+        problem = "the ranges of the parameters contain values that the part cannot have"
         expected = "narrower ranges of possible parts in rom.parameters"
         raise wrong(error.where, problem, got, expected) from None
 
@@ -157,15 +167,17 @@ def _unknown_key(part: Part, key: str, where: str) -> UsageError:
     expected = "a number below the part, such as layers[1].thickness or damping.ratio"
     if "material" in plain.split("."):
         hint = 'write the material as a table, such as { like = "PZT-5A" }, and vary its constants'
-        return wrong(where, "a material by its name has no numbers", key, expected, hint)
+        return wrong(
+            where, "a material that is given by its name has no keys to vary", key, expected, hint
+        )
     if plain in known:
         hint = f"write a number for {key} into the scene first, or vary another key"
-        return wrong(where, f"{part.name} has no number there", key, expected, hint)
+        return wrong(where, f"this key of {part.name} is not a number", key, expected, hint)
     above = key.rpartition(".")[0] + "." if "." in key else ""
     below = plain.rpartition(".")[0] + "." if "." in plain else ""
     leaves = [above + name.removeprefix(below) for name in known if name.startswith(below)]
     near = did_you_mean(key, leaves) or did_you_mean(plain, known)
-    return wrong(where, f"{part.name} has no such number", key, expected, near)
+    return wrong(where, f"{part.name} has no numeric key of this name", key, expected, near)
 
 
 def _read_material(part: Part, table: Mapping[str, Any], key: str) -> BaseModel:

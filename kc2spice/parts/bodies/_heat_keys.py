@@ -21,16 +21,18 @@ InterfaceResistance = Annotated[float, si("m2 K/W")]
 class FilmKeys(Section):
     """Heat that faces give off in proportion to their temperature rise."""
 
-    group: str = Field(description="Group of faces that give off heat; top or bottom of layers")
+    group: str = Field(
+        description="Group of faces that transfer heat to the fluid; top or bottom for layers"
+    )
     coefficient: FilmCoefficient = Field(
         ge=0,
         description=(
-            "Heat flow for each unit of area and kelvin; a range of it in rom.parameters makes it "
+            "Heat transfer coefficient of the film; a range of it in rom.parameters makes it "
             "a parameter of the netlist"
         ),
     )
     pin: Name | None = Field(
-        None, description="Pin whose temperature the faces give off heat to; by default ambient"
+        None, description="Pin whose voltage is the fluid temperature; by default ambient"
     )
 
     @model_validator(mode="after")
@@ -44,10 +46,11 @@ class InterfaceKeys(Section):
     """Joint between two materials whose temperatures differ by its resistance."""
 
     between: tuple[str, str] = Field(
-        description="The two groups of elements on both sides, as the key materials names them"
+        description="The two groups of elements on both sides of the interface, with their "
+        "names in the key materials"
     )
     resistance: InterfaceResistance = Field(
-        gt=0, description="Temperature difference for each unit of heat flow and area"
+        gt=0, description="Thermal resistance of the joint, multiplied by its area"
     )
 
 
@@ -56,9 +59,12 @@ class LayerKeys(Section):
 
     material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
     thickness: Length = Field(gt=0, description="Thickness of the layer")
-    area: Area = Field(gt=0, description="Cross-section through which the heat flows")
+    area: Area = Field(gt=0, description="Cross-sectional area through which the heat flows")
     resistance: InterfaceResistance | None = Field(
-        None, gt=0, description="Resistance of the joint below the layer, by default none"
+        None,
+        gt=0,
+        description="Thermal resistance of the joint below the layer, multiplied by "
+        "its area; by default 0",
     )
 
 
@@ -66,14 +72,15 @@ class HeatSourceKeys(Section):
     """Place where heat enters, and whose mean temperature the pin has."""
 
     group: str | None = Field(
-        None, description="Group of elements or faces over which the heat is spread evenly"
+        None,
+        description="Group of elements or faces over which the heat source is distributed evenly",
     )
-    at: Point | None = Field(None, description="Point whose nearest node of the mesh is the pin")
+    at: Point | None = Field(None, description="Point whose nearest mesh node is the pin")
 
     @model_validator(mode="after")
     def _require_place(self) -> HeatSourceKeys:
         if (self.group is None) == (self.at is None):
-            raise ValueError("needs group or at")
+            raise ValueError("this entry needs group or at")
         return self
 
 
@@ -85,18 +92,21 @@ class HeatBodyKeys(MeshKeys):
     """
 
     layers: tuple[LayerKeys, ...] = Field(
-        (), max_length=50, description="Layers from the top down, in place of a mesh"
+        (), max_length=50, description="Layers from top to bottom, instead of a mesh"
     )
     sources: dict[Name, str | HeatSourceKeys] = Field(
         default_factory=dict,
-        description="Group in which the heat of each pin is set free, or a table with a point",
+        description="Group of each heat source by the name of its pin, or a table with a point",
     )
     isothermal: dict[Name, str | tuple[str, ...]] = Field(
-        default_factory=dict, description="Group or groups of faces with the temperature of a pin"
+        default_factory=dict,
+        description="Group or groups of isothermal faces, by the name of their pin",
     )
     fixed: tuple[str, ...] = Field((), description="Groups of faces at the ambient temperature")
-    films: tuple[FilmKeys, ...] = Field((), description="Faces that give off heat to a fluid")
-    interfaces: tuple[InterfaceKeys, ...] = Field((), description="Joints with a resistance")
+    films: tuple[FilmKeys, ...] = Field((), description="Faces that transfer heat to a fluid")
+    interfaces: tuple[InterfaceKeys, ...] = Field(
+        (), description="Joints between groups with a thermal resistance"
+    )
 
     @property
     def every_port(self) -> tuple[Port, ...]:
@@ -118,22 +128,24 @@ class HeatBodyKeys(MeshKeys):
     @model_validator(mode="after")
     def _require_complete(self) -> HeatBodyKeys:
         if bool(self.layers) == bool(self.mesh):
-            raise ValueError("needs mesh or layers, not both")
+            raise ValueError("a heat_body needs either mesh or layers")
         if self.layers and (self.materials or self.interfaces or self.axisymmetric or self.groups):
-            raise ValueError("layers state their own material and resistance")
+            raise ValueError("the keys materials and interfaces cannot be combined with layers")
         if self.mesh and not self.materials:
             raise ValueError("a mesh needs materials")
         stray = {name for item in self.interfaces for name in item.between} - set(self.materials)
         if stray:
-            raise ValueError(f"interfaces of groups without material: {', '.join(sorted(stray))}")
+            raise ValueError(
+                f"interfaces contains groups without a material: {', '.join(sorted(stray))}"
+            )
         names = Counter(port.name for port in self.every_port)
         twice = [name for name, count in names.items() if count > 1]
         if twice:
-            raise ValueError(f"pins of one name: {', '.join(sorted(twice))}")
+            raise ValueError(f"several pins have the same name: {', '.join(sorted(twice))}")
         if THERMAL.reference in names:
-            raise ValueError(f"{THERMAL.reference} is the pin of the surroundings")
+            raise ValueError(f"{THERMAL.reference} is a reserved name: the pin of the surroundings")
         if not names:
-            raise ValueError("needs sources, isothermal faces or a film with a pin")
+            raise ValueError("a heat_body needs a source, an isothermal face or a film with a pin")
         if not (self.leads_away or self.isothermal or [*self.film_pins]):
-            raise ValueError("no path leads heat away: add fixed, films or isothermal")
+            raise ValueError("heat cannot leave the body: add fixed, films or isothermal")
         return self

@@ -82,8 +82,9 @@ class LinearBody(BodyChecks[LinearKeysT]):
                     )
                 except UsageError:
                     warnings.warn(
-                        f"{part.name}.{key.key}: no sensitivity, because {end:g} moves the "
-                        "resonance out of the band: widen the range of the analysis",
+                        f"{part.name}.{key.key}: the sensitivity is not computed, because the "
+                        f"value {end:g} moves the resonance out of the band; use a wider "
+                        f"frequency range",
                         stacklevel=2,
                     )
                     break

@@ -18,12 +18,14 @@ class LinearKeys(Section):
 
     rom: Rom | None = None
     number: PartNumber | None = Field(
-        None, description="Part number, the name of the exported library; SCENE_PART by default"
+        None,
+        description="Part number, which is the name of the exported library; by default SCENE_PART",
     )
     rated_voltage: Voltage | None = Field(
         None,
         gt=0,
-        description="Largest voltage between electrodes; by default that of the materials",
+        description="Largest voltage between electrodes; by default computed from the limits of "
+        "the materials",
     )
 
 
@@ -36,7 +38,7 @@ class FieldKeys(LinearKeys):
     fields: bool | Annotated[tuple[Time, ...], Field(min_length=1, max_length=MOST)] | None = Field(
         None,
         description=(
-            "Whether fields are computed, or a list of instants for which VTU files are written"
+            "Whether fields are computed, or a list of times for which VTU files are written"
         ),
     )
 

@@ -32,7 +32,7 @@ class GroupKeys(Section):
     solids: tuple[Point, ...] = Field((), description="Solids that contain one of these points")
     faces: tuple[Point, ...] = Field((), description="Faces that contain one of these points")
     curves: tuple[Point, ...] = Field((), description="Curves that contain one of these points")
-    points: tuple[Point, ...] = Field((), description="Geometric points at one of these places")
+    points: tuple[Point, ...] = Field((), description="Geometric points at these coordinates")
     solids_in: tuple[Point, Point] | None = Field(
         None, description="Solids inside a box, given by two of its corners"
     )
@@ -49,7 +49,9 @@ class GroupKeys(Section):
     @model_validator(mode="after")
     def _require_one_selector(self) -> GroupKeys:
         if len({key.removesuffix("_in") for key in self.model_fields_set}) != 1:
-            raise ValueError("pick solids, faces, curves or points: one of them")
+            raise ValueError(
+                "a group needs exactly one of the keys solids, faces, curves and points"
+            )
         return self
 
     def pick(self, unit: float) -> dict[str, Any]:
@@ -67,25 +69,26 @@ class MeshKeys(FieldKeys):
     mesh: MeshFile | None = Field(None, description=MESH_FILE)
     unit: str | None = Field(
         None,
-        description=("Length unit of the file's coordinates, required where the file states none"),
+        description=(
+            "Length unit of the coordinates in the file; required if the file contains no unit"
+        ),
     )
-    size: Length | None = Field(
-        None, gt=0, description="Size of the elements that a CAD file is divided into"
-    )
+    size: Length | None = Field(None, gt=0, description="Element size for the mesh of a CAD file")
     refine: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
-        1, ge=1, le=8, description="Factor by which the size of all elements is divided"
+        1, ge=1, le=8, description="Factor that divides the size of all elements"
     )
     merge: Length | None = Field(
         None,
         ge=0,
         description=(
-            "Distance up to which two nodes are merged; 0 leaves solids that touch unconnected"
+            "Largest distance between nodes that are merged; with 0, solids that touch are not "
+            "connected"
         ),
     )
     axisymmetric: bool = Field(
         False,
         description=(
-            "Whether the mesh is the half plane of a body of revolution, with x as radius"
+            "Whether the mesh is the half section of a body of revolution, with x as the radius"
         ),
     )
     groups: dict[str, GroupKeys] = Field(default_factory=dict)

@@ -212,7 +212,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
             if unknown := [*filterfalse(loads.__contains__, port_names)]:
                 got = f"a force on {unknown[0]} that its part does not record"
                 expected = "contacts, springs, dampers, masses and sources"
-                problem = "fields need every load of the body"
+                problem = "fields cannot be computed, because some loads of the body are unknown"
                 raise wrong(f"{part.name}.fields", problem, got, expected)
             motion = recover_motion(self.device(part, build.scene), waves["time"], loads)
             return waves, RecoveredFields(motion, tuple(find_extremes(motion)))
@@ -236,13 +236,13 @@ def find_field_problems(
         expected = "a transient, or false"
         if shapes:
             expected = "a transient, fields = true in ac for the shapes of modes, or false"
-        problem = "fields are recovered from waveforms over time"
+        problem = "a list of times in fields needs a transient analysis"
         yield wrong(f"{part.name}.fields", problem, f"analysis {kind}", expected)
         return
     outside = [t for t in instants if not 0 <= t <= scene.stop]
     if outside:
         expected = f"0 to {scene.stop:g} s"
-        problem = "instant outside the run"
+        problem = "a time in fields is outside of the run"
         yield wrong(f"{part.name}.fields", problem, f"{outside[0]:g} s", expected)
 
 

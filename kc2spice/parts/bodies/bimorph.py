@@ -67,7 +67,7 @@ class BimorphKeys(FieldKeys):
     wiring: Literal["series", "parallel"] | None = Field(
         None, description="Electrical connection of two ceramic layers"
     )
-    tip_mass: Mass = Field(0.0, ge=0, description="Mass that is spread evenly over the end face")
+    tip_mass: Mass = Field(0.0, ge=0, description="Tip mass, distributed evenly over the end face")
     support: Literal["cantilever", "clamped", "simply_supported", "free", "quarter"] = Field(
         "cantilever", description="Mechanical support of the beam"
     )
@@ -75,14 +75,16 @@ class BimorphKeys(FieldKeys):
         Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")], Length
     ] = Field(
         default_factory=dict,
-        description="Further ports on the top face, by their distance from the clamp",
+        description="Further ports on the top face: a name and the distance from the clamp for "
+        "each",
     )
     patches: Count | None = Field(
         None,
         ge=1,
         le=64,
         description=(
-            "Number of ports patch1, patch2, … on equal strips of the bottom face, in each row"
+            "Number of patches in each row: equal strips of the bottom face with the ports "
+            "patch1, patch2, …"
         ),
     )
     rows: Count | None = Field(
@@ -94,10 +96,10 @@ class BimorphKeys(FieldKeys):
     @model_validator(mode="after")
     def _check_consistency(self) -> BimorphKeys:
         if self.rows and self.patches is None:
-            raise ValueError("rows: there are no patches")
+            raise ValueError("rows needs the key patches")
         for name, x in self.points.items():
             if name in ("tip", "base", "anode", "cathode") or name.startswith("patch"):
-                raise ValueError(f"points: {name} is a port already")
+                raise ValueError(f"points: {name} is already the name of a port")
             if not 0 <= x <= self.length:
                 raise ValueError(f"points.{name} is not on the beam")
         return self
@@ -122,7 +124,7 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
     spans = [*pairwise(heights)]
     active = [k for k, one in enumerate(materials) if one.piezoelectric]
     if beam.wiring is not None and not active:
-        raise wrong("wiring", "wiring without a piezoelectric layer", beam.wiring)
+        raise wrong("wiring", "the key wiring needs a piezoelectric layer", beam.wiring)
     length, width, top = beam.length, beam.width, heights[-1]
 
     def plane(height: float) -> Box:

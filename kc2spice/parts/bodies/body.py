@@ -109,7 +109,9 @@ class PortKeys(Section):
         None, description="Direction of the displacement, or axis of the rotation"
     )
     kind: Literal["mean", "rigid", "base"] = Field(
-        "mean", description="Kind of port: mean displacement of a group, rigid face, or shaken base"
+        "mean",
+        description="Kind of port: mean (mean displacement of a group), rigid (rigid "
+        "face) or base (acceleration of the base)",
     )
 
     @model_validator(mode="after")
@@ -120,7 +122,7 @@ class PortKeys(Section):
             raise ValueError(f'kind = "{self.kind}" {needs[self.kind]}')
         turning = isinstance(self.axis, str) and self.axis.startswith("r")
         if self.kind != "rigid" and (self.axis is None or turning):
-            raise ValueError("needs an axis: x, y, z or three numbers")
+            raise ValueError("this port needs the key axis: x, y, z or three numbers")
         if self.kind == "rigid" and isinstance(self.axis, tuple):
             raise ValueError("a rigid face moves along x, y, z, rx, ry or rz")
         if isinstance(self.axis, tuple) and not any(self.axis):
@@ -162,12 +164,12 @@ class PolingKeys(Section):
     """
 
     direction: Vector | None = Field(
-        None, description="Radial, hoop and axial component of the poling"
+        None, description="Radial, circumferential and axial component of the poling vector"
     )
     axis: Vector = Field((0.0, 0.0, 1.0), description="Direction of the cylinder's axis")
     through: Point = Field((0.0, 0.0, 0.0), description="Point on the cylinder's axis")
     file: Annotated[str, StringConstraints(min_length=1, max_length=255)] | None = Field(
-        None, description="CSV file beside the scene with the poling of elements or of points"
+        None, description="CSV file in the scene's folder with the poling of elements or points"
     )
 
     @property
@@ -189,14 +191,14 @@ class AxesKeys(Section):
         (0.0, 0.0, 1.0), description="Direction of the third material axis, or axis of a cylinder"
     )
     x: Vector | None = Field(
-        None, description="Direction of the first material axis at a right angle to z (default x)"
+        None, description="Direction of the first material axis, perpendicular to z; by default x"
     )
     origin: Point | None = Field(None, description="Point on the axis of a cylinder")
     kind: Literal["cartesian", "cylindrical"] = Field(
         "cartesian",
         description=(
-            "Kind of the axes: cartesian ones, or cylindrical ones, whose first, second and third "
-            "material axis are radial, hoop and axial"
+            "Kind of the axes: cartesian, or cylindrical with a radial, circumferential and "
+            "axial direction as the first, second and third material axis"
         ),
     )
 
@@ -214,7 +216,7 @@ class AxesKeys(Section):
         if not first.any():
             raise ValueError("x has no length")
         if abs(first @ self.z) > 1e-6 * np.linalg.norm(first) * np.linalg.norm(self.z):
-            problem = "x and z are not at a right angle"
+            problem = "x and z are not perpendicular"
             raise ValueError(problem if self.x else f"{problem}: state x beside z")
         return self
 
@@ -248,16 +250,15 @@ class BodyKeys(MeshKeys):
     poling: dict[str, Vector | Literal["radial", "tangential"] | PolingKeys] = Field(
         default_factory=dict,
         description=(
-            "Direction of the third material axis of each mesh group: a vector (default z), "
+            "Direction of the third material axis of each mesh group: a vector (by default z), "
             '"radial" or "tangential" about z, a table with direction, axis and through, or a '
-            "table with a CSV file of elements or points"
+            "table with a CSV file"
         ),
     )
     axes: dict[str, AxesKeys] = Field(
         default_factory=dict,
         description=(
-            "Axes of all tensors of the material of each mesh group: x and z, or the z and origin "
-            "of cylindrical axes"
+            "Material axes of each mesh group: x and z, or z and origin of cylindrical axes"
         ),
     )
     fixed: tuple[str | FixedKeys, ...] = Field(
@@ -303,27 +304,35 @@ class BodyKeys(MeshKeys):
     def _check_consistency(self) -> BodyKeys:
         stray = set(self.poling) - set(self.materials)
         if stray:
-            raise ValueError(f"poling of groups without material: {', '.join(sorted(stray))}")
+            raise ValueError(
+                f"poling contains groups without a material: {', '.join(sorted(stray))}"
+            )
         stray = set(self.axes) - set(self.materials)
         if stray:
-            raise ValueError(f"axes of groups without material: {', '.join(sorted(stray))}")
+            raise ValueError(f"axes contains groups without a material: {', '.join(sorted(stray))}")
         both = set(self.axes) & set(self.poling)
         if both:
-            raise ValueError(f"poling and axes of one group: {', '.join(sorted(both))}")
+            raise ValueError(
+                f"poling and axes cannot apply to the same group: {', '.join(sorted(both))}"
+            )
         for group, item in self.poling.items():
             if isinstance(item, PolingKeys) and item.contradiction:
                 raise ValueError(f"poling of {group}: {item.contradiction}")
         vectors = (item for item in self.poling.values() if isinstance(item, tuple))
         if not all(map(any, vectors)):
-            raise ValueError("poling without a direction")
+            raise ValueError("poling has no direction")
         if len(self.electrodes) == 1:
-            raise ValueError("a single electrode has no voltage: name the reference electrode")
+            raise ValueError(
+                "the reference electrode is missing: a body needs at least two electrodes"
+            )
         if not self.electrodes and not self.ports:
-            raise ValueError("needs electrodes or ports")
+            raise ValueError("a body needs electrodes or ports")
         names = Counter([*names_of(self.ports), *self.electrodes])
         twice = [name for name, count in names.items() if count > 1]
         if twice:
-            raise ValueError(f"ports or electrodes of one name: {', '.join(sorted(twice))}")
+            raise ValueError(
+                f"several ports or electrodes have the same name: {', '.join(sorted(twice))}"
+            )
         return self
 
 
@@ -432,7 +441,7 @@ def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
 def _require_axis_of_revolution(keys: BodyKeys, about: CylindricalAxes, where: str) -> None:
     """Check that cylindrical axes of an axisymmetric mesh are those of the mesh."""
     if keys.axisymmetric and (any(about.axis[:2]) or any(about.point[:2])):
-        problem = "an axisymmetric mesh has one axis, z through the origin"
+        problem = "the axis of an axisymmetric mesh must be z through the origin"
         hint = "leave out axis and through, or z and origin"
         raise wrong(where, problem, hint=hint)
 
@@ -467,7 +476,7 @@ def _make_setup(keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> 
 def _rigid_face(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.RigidFace:
     where = f"ports.{port.name}"
     if solid.axisymmetric:
-        problem = "an axisymmetric body has no rigid faces"
+        problem = "an axisymmetric body cannot have rigid faces"
         raise wrong(where, problem, "rigid", "mean or base", 'write  kind = "mean"')
     nodes = _facet_nodes(solid, groups.group(str(port.group), where, 1).members)
     unit = dict(zip(_MOTIONS, np.eye(6), strict=True))
@@ -488,7 +497,7 @@ def _electrode_nodes(
     sides = solid.mesh.f2t[:, facets]
     if not (active[sides] & (sides >= 0)).any():
         made_of = {solid.materials[k].name for k in solid.owner[sides[sides >= 0]]}
-        problem = "electrode on a material that is not piezoelectric"
+        problem = "this electrode is on a material that is not piezoelectric"
         got = f"{name} on {', '.join(sorted(made_of))}"
         hint = 'give its group a piezoelectric material, such as "PZT-5A"'
         raise wrong(where, problem, got, "a face of a piezoelectric group", hint)

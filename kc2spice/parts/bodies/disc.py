@@ -42,11 +42,11 @@ class Feedback(Section):
     """
 
     inner: Length = Field(
-        0.0, ge=0, description="Inner radius of the feedback electrode; 0 makes it a disc"
+        0.0, ge=0, description="Inner radius of the feedback electrode; 0 for a circular electrode"
     )
     outer: Width = Field(gt=0, description="Outer radius of the feedback electrode")
     gap: Length = Field(
-        0.5e-3, gt=0, description="Width of bare ceramic between feedback and main electrode"
+        0.5e-3, gt=0, description="Width of the gap between feedback and main electrode"
     )
 
 
@@ -57,7 +57,9 @@ class DiscLayer(Section):
     diameter: Width = Field(gt=0, description="Outer diameter of the layer")
     thickness: Thickness = Field(gt=0, description="Thickness of the layer")
     electrodes: Length | None = Field(
-        None, gt=0, description="Diameter of the layer's electrodes; by default the whole face"
+        None,
+        gt=0,
+        description="Diameter of the electrodes of the layer; by default the diameter of the layer",
     )
     feedback: Feedback | None = None
     poling: Literal["up", "down"] = Field(
@@ -76,14 +78,16 @@ class DiscLayer(Section):
     def _require_possible(self) -> DiscLayer:
         largest, ring = self.electrode_diameter, self.feedback
         if largest > self.diameter * (1 + 1e-9):
-            raise ValueError(f"electrodes larger than the layer of {self.diameter:g} m")
+            raise ValueError(
+                f"an electrode is larger than its layer, whose diameter is {self.diameter:g} m"
+            )
         if ring is not None:
             inner, outer = ring.inner / 2 - ring.gap, ring.outer / 2 + ring.gap
             filled = inner <= 0 and outer >= largest / 2
             if filled or not ring.inner < ring.outer <= largest:
                 raise ValueError(
-                    "no room for the feedback electrode: inner must be less than outer, outer at "
-                    f"most {largest:g} m, and a part of the main electrode must remain"
+                    "the feedback electrode does not fit: inner must be less than outer, and "
+                    "outer at most {largest:g} m, and a part of the main electrode must remain"
                 )
         return self
 
@@ -124,9 +128,13 @@ class DiscKeys(FieldKeys):
     def _require_possible(self) -> DiscKeys:
         widest, top = self.largest_diameter, self.layers[-1].diameter
         if isinstance(self.support, Node) and self.support.node > widest:
-            raise ValueError(f"support: the node lies outside the body of {widest:g} m")
+            raise ValueError(
+                f"support: the nodal circle is outside of the body, whose diameter is {widest:g} m"
+            )
         if self.centre is not None and self.centre > top * (1 + 1e-9):
-            raise ValueError(f"centre: the port is wider than the top layer of {top:g} m")
+            raise ValueError(
+                f"centre: the port is wider than the top layer, whose diameter is {top:g} m"
+            )
         return self
 
 
@@ -183,7 +191,7 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
     materials = [block.material for block in result]
     if not any(one.piezoelectric for one in materials):
         raise UsageError(
-            "no layer is piezoelectric",
+            "the disc has no piezoelectric layer",
             where=f"{where}.layers",
             got=", ".join(names_of(materials)),
             expected='a layer of a piezoelectric material, such as "PZT-5A"',

@@ -239,10 +239,10 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[Geometry, list[tuple[np.ndarray, 
 
     def find_group(name: str, where: str, *codimensions: int) -> mesh_file.Group:
         if name not in groups:
-            raise unknown("no such group of layers", name, list(groups), where)
+            raise unknown("the layers have no such group", name, list(groups), where)
         result = groups[name]
         if codimensions and result.codimension not in codimensions:
-            raise wrong(where, "this group is no face", name, "top or bottom")
+            raise wrong(where, "this group is not a face", name, "top or bottom")
         return result
 
     heat_solid = HeatSolid(solid, tuple(materials[::-1]), areas=areas[owner])
@@ -507,8 +507,8 @@ def _given_ports(part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
 
 def _warn_of_cold_pins(part: Part[HeatBodyKeys]) -> None:
     warnings.warn(
-        f"{part.name}: rounding exceeds the tolerance where pins stay cold; the error estimate is "
-        "relative to the largest temperature of each pin",
+        f"{part.name}: rounding errors exceed the tolerance at pins with small temperatures; "
+        f"the error estimate is relative to the largest temperature of each pin",
         stacklevel=3,
     )
 

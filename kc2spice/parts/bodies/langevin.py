@@ -65,14 +65,16 @@ class Rings(Piece):
     outer: Width = Field(gt=0, description="Outer diameter of the ceramic rings")
     inner: Length = Field(gt=0, description="Diameter of the bore of the ceramic rings")
     thickness: Thickness = Field(gt=0, description="Thickness of one ceramic ring")
-    count: Count = Field(2, ge=2, le=20, description="Number of ceramic rings, even")
+    count: Count = Field(2, ge=2, le=20, description="Number of ceramic rings, which must be even")
 
     @model_validator(mode="after")
     def _require_possible(self) -> Rings:
         if self.count % 2:
-            raise ValueError("an odd number of rings puts the anode on a mass that the bolt shorts")
+            raise ValueError(
+                "the number of rings is odd, so that the bolt connects the anode to the cathode"
+            )
         if self.inner >= self.outer:
-            raise ValueError("inner must be smaller than outer")
+            raise ValueError("the inner diameter is not smaller than the outer diameter")
         return self
 
 
@@ -80,7 +82,7 @@ class Bolt(Piece):
     """The bolt along the axis; it reaches ``depth`` into the front mass and through the whole back
     mass. Its head, if any, lies on the end of the back mass."""
 
-    diameter: Width = Field(gt=0, description="Diameter of the bolt's shank")
+    diameter: Width = Field(gt=0, description="Diameter of the shank of the bolt")
     depth: Width | None = Field(
         None,
         gt=0,
@@ -89,16 +91,16 @@ class Bolt(Piece):
         ),
     )
     head_diameter: Length | None = Field(
-        None, gt=0, description="Diameter of the bolt's head, together with head_length"
+        None, gt=0, description="Diameter of the head of the bolt; requires head_length"
     )
     head_length: Length | None = Field(
-        None, gt=0, description="Length of the bolt's head, together with head_diameter"
+        None, gt=0, description="Length of the head of the bolt; requires head_diameter"
     )
 
     @model_validator(mode="after")
     def _require_possible_head(self) -> Bolt:
         if (self.head_diameter is None) != (self.head_length is None):
-            raise ValueError("a head needs head_diameter and head_length")
+            raise ValueError("head_diameter and head_length must be used together")
         return self
 
 

@@ -36,7 +36,7 @@ class MatricesKeys(LinearKeys):
     """Files beside the scene; the TOML file of the matrices names the ports."""
 
     file: FileName = Field(
-        description="Matrix file beside the scene, or the NAME of a family of files"
+        description="Matrix file in the scene's folder, or the common NAME of several matrix files"
     )
     sidecar: FileName | None = Field(
         None, description="TOML file that describes the ports; by default NAME.toml"

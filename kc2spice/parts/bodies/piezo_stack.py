@@ -86,16 +86,16 @@ class Drive(Section):
     voltage: Voltage = Field(100.0, description="Voltage of the pulse")
     width: Time = Field(25e-6, gt=0, description="Width of the pulse at half of its height")
     edge: Time = Field(0.1e-6, gt=0, description="Rise and fall time of the pulse")
-    start: Time = Field(0.5e-3, ge=0, description="Instant at which the pulse begins to rise")
-    period: Time | None = Field(None, gt=0, description="Period of a train of pulses")
+    start: Time = Field(0.5e-3, ge=0, description="Time at which the pulse begins to rise")
+    period: Time | None = Field(None, gt=0, description="Period of the pulse train")
     count: Count | None = Field(
-        None, ge=1, description="Number of pulses of a train; by default without end"
+        None, ge=1, description="Number of pulses of the pulse train; by default unlimited"
     )
 
     @model_validator(mode="after")
     def _require_visible_edges(self) -> Drive:
         if self.edge > self.width:
-            raise ValueError("the edges of the pulse are longer than the pulse: edge above width")
+            raise ValueError("the pulse has an edge that is longer than its width")
         return self
 
 
@@ -103,14 +103,15 @@ class Stack(Chip, FieldKeys):
     """Piezoelectric chip actuator, with its own drive if nothing is joined to the anode."""
 
     electrical: Literal["open", "short", "driven"] = Field(
-        "driven", description="Electrical condition of an anode that no part is connected to"
+        "driven",
+        description="Electrical condition of an anode without a connection to another part",
     )
     rated_field: Annotated[float, si("V/m")] = Field(
         2e6,
         gt=0,
         description=(
-            "Largest field in a layer along its poling; the default assumes 120 V at 60 um, so set "
-            "the value of the maker"
+            "Largest electric field in a layer in the direction of poling; the default is 120 V "
+            "across 60 um, which the value in the data sheet should replace"
         ),
     )
     drive: Drive | None = Field(None, description="Voltage pulse of an ideal source at the anode")
@@ -188,7 +189,7 @@ class PiezoStack(MeshedBody[Stack]):
         keys, name, drive = part.keys, part.name, part.keys.drive
         transient = scene.analysis.type == "transient"
         if keys.mounting == "free" and scene.of("contact") and transient:
-            problem = "nothing holds the chip under what rests on it"
+            problem = "the mounting of the chip is free, but another part rests on the chip"
             yield part.wrong("mounting", problem, "free", "roller, glued or a stiffness per area")
         if drive and keys.electrical == "driven" and transient and drive.start >= scene.stop:
             expected = f"before the end of the simulation, {scene.stop:g} s"
@@ -210,8 +211,8 @@ class PiezoStack(MeshedBody[Stack]):
         self, part: Part[Stack], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> Surface:
         if part.keys.poling == "x":
-            problem = "the top of a stack that shears moves sideways: nothing can press on it"
-            raise part.wrong("poling", problem, "x", "z under a contact")
+            problem = 'a stack with poling = "x" moves sideways and cannot have a contact'
+            raise part.wrong("poling", problem, "x", "poling = z for a stack with a contact")
         shape, radii = pressure_nodes(part, scene), ring_radii(part.keys)
         modulus = self.indentation_modulus(part)
         if shape is None:
@@ -459,7 +460,9 @@ def ring_names(count: int) -> list[str]:
 def _ring_number(part: Part[Stack], name: str) -> int:
     match, last = re.fullmatch(r"ring(\d{1,3})", name), part.keys.mesh.rings
     if match is None or int(match[1]) > last:
-        raise part.wrong("", f"{part.name} has no such port", repr(name), f"ring0 to ring{last}")
+        raise part.wrong(
+            "", f"{part.name} has no port of this name", repr(name), f"ring0 to ring{last}"
+        )
     return int(match[1])
 
 

@@ -42,7 +42,9 @@ class StretchKeys(Section):
     a: str | tuple[str, ...] = Field(
         description="Name of the body with surface patches, or a list of its ports"
     )
-    length: Length = Field(gt=0, description="Length of the beam, all patches of a row together")
+    length: Length = Field(
+        gt=0, description="Length of the beam, equal to the total length of the patches in a row"
+    )
     stiffness: Stiffness = Field(
         gt=0,
         description=(
@@ -50,10 +52,12 @@ class StretchKeys(Section):
         ),
     )
     tension: Annotated[float, si("N")] = Field(
-        0.0, description="Tension at rest, in addition to a residual_stress of the body"
+        0.0, description="Axial tension at rest, in addition to a residual_stress of the body"
     )
     rows: Count = Field(1, ge=1, description="Number of equal rows of patches across a plate")
-    width: Length = Field(0.0, ge=0, description="Width of a plate, all its rows together")
+    width: Length = Field(
+        0.0, ge=0, description="Width of the plate, equal to the total width of all rows"
+    )
 
 
 class Stretch(PatchedPart[StretchKeys]):
@@ -65,11 +69,17 @@ class Stretch(PatchedPart[StretchKeys]):
     def problems(self, part: Part[StretchKeys], scene: GovernedScene) -> Iterator[UsageError]:
         keys, count = part.keys, len(patch_ports(part, scene))
         if count % keys.rows:
-            problem, got = "patches do not fill the rows", f"{count} patches, {keys.rows} rows"
-            yield part.wrong("rows", problem, got, "as many patches in each row")
+            problem = "the number of patches is not a multiple of the number of rows"
+            got = f"{count} patches, {keys.rows} rows"
+            yield part.wrong("rows", problem, got, "an equal number of patches in each row")
         if (keys.rows > 1) != (keys.width > 0):
             got = f"rows = {keys.rows}, width = {keys.width:g} m"
-            yield part.wrong("width", "a plate has rows and a width", got, "both, or none: a beam")
+            yield part.wrong(
+                "width",
+                "rows and width must be used together",
+                got,
+                "both keys for a plate, or neither for a beam",
+            )
 
 
 @lru_cache(maxsize=32)

@@ -26,22 +26,25 @@ class Control(Section):
     rolloff: Time = Field(100e-9, gt=0, description="Time constant of the differentiator's pole")
     current_limit: Current = Field(0.1, gt=0, description="Largest current of each coil")
     form: Literal["opamps", "ideal"] | None = Field(
-        None, description="Form of the netlist: op-amps, or the ideal law, which is faster"
+        None,
+        description="Form of the netlist: a circuit of op-amps, or ideal controlled "
+        "sources, which simulate faster",
     )
     enable_at: Time | tuple[Time, ...] = Field(
-        0.5e-3, description="Instant at which the controller is enabled, or a list of instants"
+        0.5e-3, description="Time at which the controller is enabled, or a list of times"
     )
     disable_at: tuple[Time, ...] = Field(
         (),
         description=(
-            "Instants at which the controller is disabled, one after each enable_at except the last"
+            "Times at which the controller is disabled, one after each enable_at except the last"
         ),
     )
     of: str | None = Field(
-        None, description="Sphere whose height is controlled; by default the only one"
+        None,
+        description="Sphere whose height is controlled; by default the only sphere of the scene",
     )
     coils: str | None = Field(
-        None, description="Coils that the controller drives; by default the only ones"
+        None, description="Coils that the controller drives; by default the only coils of the scene"
     )
 
     @property

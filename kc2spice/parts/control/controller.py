@@ -44,7 +44,7 @@ class ControllerKeys(Section):
 
     kind: Literal["python"] = Field("python", description="Kind of controller: a Python function")
     file: FileName | None = Field(
-        None, description="Python file beside the scene; it runs only with --trust"
+        None, description="Python file in the scene's folder, which runs only with --trust"
     )
     function: str = Field(
         "control", pattern=r"^[A-Za-z_]\w{0,63}$", description="Name of the function in the file"
@@ -98,9 +98,16 @@ wiring = "parallel"
         keys = part.keys
         if keys.delay >= keys.period:
             got, expected = f"{keys.delay:g} s", f"less than the period, {keys.period:g} s"
-            yield part.wrong("delay", "the delay reaches the next sample", got, expected)
+            yield part.wrong(
+                "delay", "the delay is not shorter than the sampling period", got, expected
+            )
         if (kind := scene.analysis.type) != "transient":
-            yield part.wrong("", "a function needs a transient", kind, "the analysis transient")
+            yield part.wrong(
+                "",
+                "a controller in Python needs a transient analysis",
+                kind,
+                'analysis.type = "transient"',
+            )
         if not keys.inputs:
             expected = 'names of its input pins, such as inputs = ["y"]'
             yield part.wrong("inputs", "the controller has no inputs", "no input", expected)
@@ -149,10 +156,12 @@ wiring = "parallel"
                 f"file = \"NAME.py\", or kc.run(scene, functions={{'{part.name}': FUNCTION}})"
             )
             hint = f'add  file = "NAME.py"  to [{part.name}], a file beside the scene'
-            raise part.wrong("file", "the controller has no function", expected=expected, hint=hint)
+            raise part.wrong(
+                "file", "the file of the controller has no function", expected=expected, hint=hint
+            )
         if not build.trust:
             hint = "read the file; if you trust every line of it, repeat with --trust"
-            problem = "runs a Python file of the scene"
+            problem = "this scene runs a Python file, which needs --trust"
             raise part.wrong("file", problem, keys.file, hint=hint)
         path = build.scene.home / keys.file
         if not path.is_file():
@@ -161,7 +170,7 @@ wiring = "parallel"
         try:
             result = runpy.run_path(str(path), run_name=f"kc2spice_{part.name}").get(keys.function)
         except Exception as error:
-            problem = f"{keys.file} stops with an error"
+            problem = f"{keys.file} ends with an error"
             hint = f"run  python {path}  and correct the file"
             raise part.wrong("file", problem, repr(error), hint=hint) from error
         if not callable(result):

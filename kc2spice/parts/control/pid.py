@@ -216,9 +216,16 @@ class Pid(PartType[Control]):
         if not low < keys.setpoint < high:
             got, expected = f"height {keys.setpoint:g} m", f"between {low:g} and {high:g} m"
             hint = f"{coils.name}.y_min and {coils.name}.y_max set the table's range"
-            yield part.wrong("setpoint", "outside the force table", got, expected, hint)
+            yield part.wrong(
+                "setpoint", "the setpoint is outside of the force table", got, expected, hint
+            )
         if not max(keys.kp, keys.ki, keys.kd):
-            yield part.wrong("kp", "no gain at all", "kp = ki = kd = 0", "one of them above zero")
+            yield part.wrong(
+                "kp",
+                "all gains of the controller are zero",
+                "kp = ki = kd = 0",
+                "at least one gain above zero",
+            )
         times, states = zip(*keys.switching, strict=True)
         if min(times) < 0 or states != ((1.0, 0.0) * len(states))[: len(states)]:
             problem = "enable and disable times do not alternate"

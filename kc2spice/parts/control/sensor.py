@@ -41,13 +41,13 @@ class SensorKeys(Section):
     """Reads a position: one pole, an offset, white noise."""
 
     bandwidth: Frequency = Field(
-        1e6, gt=0, description="Bandwidth of the sensor, a first-order low-pass filter"
+        1e6, gt=0, description="Bandwidth of the sensor, which is a first-order low-pass filter"
     )
     offset: Length = Field(0.0, description="Constant error of the measured position")
     noise: Length = Field(
         0.0,
         ge=0,
-        description="Noise of each sample, rms; the sample rate is twice the bandwidth",
+        description="Rms noise of each sample; the sample rate is twice the bandwidth",
     )
 
 
@@ -99,7 +99,7 @@ dc = "1 um"
     def problems(self, part: Part[SensorKeys], scene: GovernedScene) -> Iterator[UsageError]:
         kinds = ("transient", "noise")
         if part.keys.noise and scene.analysis.type not in kinds:
-            words = "noise is drawn in time, or analysed"
+            words = "the noise of a sensor does not apply to this analysis"
             yield part.wrong("noise", words, scene.analysis.type, f"{' or '.join(kinds)}, or none")
 
     def subcircuits(

@@ -50,7 +50,9 @@ class NumberedKeys(Section):
     """Key of every part with a data sheet."""
 
     number: PartNumber | None = Field(
-        None, description="Part number, the name of the exported library; by default the type"
+        None,
+        description="Part number, which is the name of the exported library; by default "
+        "the part type",
     )
 
 
@@ -58,7 +60,9 @@ class RatedKeys(NumberedKeys):
     """Key of every electrical part with a rating."""
 
     rated_voltage: Voltage | None = Field(
-        None, gt=0, description="Largest voltage between the pins; by default not checked"
+        None,
+        gt=0,
+        description="Largest voltage between the pins; by default the voltage is not checked",
     )
 
 

@@ -128,7 +128,7 @@ class StatedValues:
             if not SMALLEST < value < 1 / SMALLEST:
                 unit = self.units[key.partition("[")[0]]
                 raise UsageError(
-                    "a value beyond what can be computed",
+                    "this value is too small or too large",
                     where=f"{self.part}.{key}",
                     got=self.text(key, value),
                     expected=f"{SMALLEST:g} to {1 / SMALLEST:g} {unit}".rstrip(),
@@ -170,7 +170,7 @@ class StatedValues:
             "no circuit has these values",
             where=f"{self.part}.{first}",
             got=" and ".join(stated),
-            expected=f"values of one circuit; the nearest one has {' and '.join(nearest)}",
+            expected=f"values of one circuit, such as {' and '.join(nearest)}",
             hint=f"check {first} and {second}, and their units",
         )
 

@@ -50,7 +50,7 @@ def _wrap_in_list(value: object) -> object:
     if isinstance(value, (list, tuple)):
         if value == []:  # the default is an empty tuple
             raise invalid_value_error(
-                "an empty list", "a value, or a list with one value for each mode"
+                "the list is empty", "a value, or a list with one value for each mode"
             )
         return value
     return (value,)
@@ -66,10 +66,10 @@ class BvdKeys(RatedKeys):
     """
 
     fs: Annotated[tuple[Annotated[Frequency, Field(gt=0)], ...], Modes] = Field(
-        (), description="Series resonance, at which the motional branch is a resistance"
+        (), description="Series resonance frequency, at which the motional reactance is zero"
     )
     fp: Annotated[tuple[Annotated[Frequency, Field(gt=0)], ...], Modes] = Field(
-        (), description="Parallel resonance (antiresonance) without losses"
+        (), description="Parallel resonance frequency (antiresonance) of the circuit without losses"
     )
     keff: Annotated[tuple[Annotated[Ratio, Field(gt=0, lt=1)], ...], Modes] = Field(
         (), description="Effective coupling coefficient, sqrt(1 - (fs/fp)^2)"
@@ -93,13 +93,13 @@ class BvdKeys(RatedKeys):
         None, gt=0, description="Clamped capacitance, parallel to the motional branch"
     )
     c_low: Capacitance | None = Field(
-        None, gt=0, description="Capacitance at the low frequency c_low_at"
+        None, gt=0, description="Capacitance at the frequency c_low_at, below the resonances"
     )
     c_low_at: Frequency = Field(
         LOW, ge=0, lt=1e12, description="Frequency at which c_low was measured"
     )
     tolerance: dict[str, Annotated[Ratio, Field(gt=0, lt=1)]] = Field(
-        {}, description="Relative tolerances of stated values by their keys, such as c_low = '30 %'"
+        {}, description="Relative tolerance of each value by its key, such as c_low = '30 %'"
     )
 
 
@@ -159,10 +159,10 @@ stop = "10 kHz"
         if part.keys.c_low is not None and part.keys.c_low_at >= min(circuit.fs):
             yield part.wrong(
                 "c_low_at",
-                "the capacitance is measured above the lowest resonance",
+                "the frequency of the low-frequency capacitance is above the lowest resonance",
                 f"{part.keys.c_low_at:g} Hz, the resonance is at {min(circuit.fs):.5g} Hz",
                 "a frequency below the lowest series resonance",
-                "set c_low_at to the frequency that the sheet states with the capacitance",
+                "set c_low_at to the frequency of the capacitance in the data sheet",
             )
 
     def resonator(self, part: Part[BvdKeys]) -> Resonator:
@@ -197,7 +197,9 @@ stop = "10 kHz"
             name = min(counts, key=lambda key: counts[key]) if short else max(counts)
             raise part.wrong(
                 name,
-                "lists of modes differ in length" if short else "too many modes",
+                "the lists of modes differ in length"
+                if short
+                else "the resonator has too many modes",
                 ", ".join(f"{key} of {count}" for key, count in counts.items()),
                 f"one entry for each of {most} modes" if short else f"at most {MOST_MODES}",
                 "state each value for every mode, or delete the list",
@@ -210,7 +212,7 @@ stop = "10 kHz"
                 values = [key for key in UNITS if getattr(part.keys, key)]
                 raise part.wrong(
                     f"tolerance.{name}",
-                    "the tolerance of a value that is not stated",
+                    "this tolerance belongs to a value that is missing",
                     name,
                     f"one of {', '.join(values)}",
                     f"state {name}, or delete its tolerance" if name in UNITS else None,
@@ -256,9 +258,9 @@ def _impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[UsageE
     if keys.c0 and keys.c_low and keys.c0 >= keys.c_low:
         yield part.wrong(
             "c_low",
-            "the low-frequency capacitance is not above the clamped one",
+            "the low-frequency capacitance is not greater than the clamped capacitance",
             f"c0 = {keys.c0:g} F and c_low = {keys.c_low:g} F",
-            "c_low above c0, by the motional capacitances",
+            "c_low = c0 plus the motional capacitances",
             "exchange both values, or delete c0",
         )
     if len(keys.zs) == 1:
@@ -266,8 +268,8 @@ def _impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[UsageE
         if zs >= reactance:
             yield part.wrong(
                 "zs",
-                "the impedance at the series resonance exceeds that of the capacitance",
-                f"zs = {zs:g} Ohm, but the capacitance alone has {reactance:.4g} Ohm",
+                "the impedance at the series resonance exceeds the impedance of the capacitance",
+                f"zs = {zs:g} Ohm, the capacitance has {reactance:.4g} Ohm",
                 f"less than {reactance:.4g} Ohm",
                 "check zs, the capacitance and their units",
             )

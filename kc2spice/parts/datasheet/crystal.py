@@ -34,17 +34,21 @@ class CrystalKeys(RatedKeys):
     """``f = fs sqrt(1 + c1 / (c0 + cl))`` with the load capacitance ``cl``, without it the series
     resonance ``fs`` itself. Two of ``c1``, ``l1`` or of ``r1``, ``q`` must agree."""
 
-    f: Frequency = Field(gt=0, description="Nominal frequency, with the load capacitance if stated")
+    f: Frequency = Field(
+        gt=0,
+        description="Nominal frequency: the series resonance, or the "
+        "resonance with the load capacitance if that key has a value",
+    )
     cl: Capacitance | None = Field(
         None,
         gt=0,
-        description="Load capacitance with which the frequency is f; by default f is the series "
-        "resonance",
+        description="Load capacitance at which the crystal resonates at f; by default f is the "
+        "series resonance",
     )
-    c0: Capacitance = Field(gt=0, description="Shunt capacitance of electrodes and holder")
-    c1: Capacitance | None = Field(None, gt=0, description="Motional capacitance of the branch")
-    l1: Inductance | None = Field(None, gt=0, description="Motional inductance of the branch")
-    r1: Resistance | None = Field(None, gt=0, description="Motional resistance, often called ESR")
+    c0: Capacitance = Field(gt=0, description="Shunt capacitance of the electrodes and the holder")
+    c1: Capacitance | None = Field(None, gt=0, description="Motional capacitance, also called C1")
+    l1: Inductance | None = Field(None, gt=0, description="Motional inductance, also called L1")
+    r1: Resistance | None = Field(None, gt=0, description="Motional resistance, also called ESR")
     q: Ratio | None = Field(None, gt=0, description="Q factor of the motional branch")
     f_tolerance: Ratio | None = Field(
         None, gt=0, lt=1, description="Relative tolerance of the frequency, such as 20e-6"

@@ -75,15 +75,15 @@ class LoudspeakerKeys(ConductorKeys, NumberedKeys):
     fs: Frequency | None = Field(None, gt=0, description="Resonance frequency in free air")
     re: Resistance | None = Field(None, gt=0, description="DC resistance of the voice coil")
     le: Inductance | None = Field(
-        None, gt=0, description="Inductance of the voice coil; by default 1 us times re"
+        None, gt=0, description="Inductance of the voice coil; by default 1 us * re"
     )
     qms: Ratio | None = Field(None, gt=0, description="Mechanical Q factor at fs")
     qes: Ratio | None = Field(None, gt=0, description="Electrical Q factor at fs")
-    qts: Ratio | None = Field(None, gt=0, description="Total Q factor, qms qes/(qms + qes)")
+    qts: Ratio | None = Field(None, gt=0, description="Total Q factor, qms * qes / (qms + qes)")
     bl: Annotated[float, si("N/A")] | None = Field(
-        None, gt=0, description="Force factor, Bl in N/A or T m"
+        None, gt=0, description="Force factor B l, in N/A or T m"
     )
-    mms: Mass | None = Field(None, gt=0, description="Moving mass with its air load")
+    mms: Mass | None = Field(None, gt=0, description="Moving mass including the air load")
     cms: Annotated[float, si("m/N")] | None = Field(
         None, gt=0, description="Compliance of the suspension"
     )
@@ -92,12 +92,14 @@ class LoudspeakerKeys(ConductorKeys, NumberedKeys):
     )
     sd: Area | None = Field(None, gt=0, description="Effective area of the cone")
     vas: Annotated[float, si("m3")] | None = Field(
-        None, gt=0, description="Volume of air with the compliance of the suspension"
+        None, gt=0, description="Volume of air that has the compliance of the suspension"
     )
     zmax: Resistance | None = Field(None, gt=0, description="Impedance at fs, re (1 + qms/qes)")
-    xmax: Length | None = Field(None, gt=0, description="Largest linear excursion to one side")
+    xmax: Length | None = Field(
+        None, gt=0, description="Largest linear displacement in one direction"
+    )
     tolerance: dict[str, Annotated[Ratio, Field(gt=0, lt=1)]] = Field(
-        {}, description="Relative tolerances of stated values by their keys, such as fs = '15 %'"
+        {}, description="Relative tolerance of each value by its key, such as fs = '15 %'"
     )
 
 
@@ -220,7 +222,7 @@ stop = "1 kHz"
             if name not in stated:
                 raise part.wrong(
                     f"tolerance.{name}",
-                    "the tolerance of a value that is not stated",
+                    "this tolerance belongs to a value that is missing",
                     name,
                     f"one of {', '.join(stated)}",
                 )

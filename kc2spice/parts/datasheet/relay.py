@@ -37,23 +37,23 @@ class RelayKeys(ConductorKeys, NumberedKeys):
 
     resistance: Resistance = Field(gt=0, description="Resistance of the coil")
     voltage: Voltage = Field(gt=0, description="Rated voltage of the coil")
-    pick_up: Voltage = Field(gt=0, description="Coil voltage at which the relay operates")
-    release: Voltage = Field(gt=0, description="Coil voltage at which the relay releases")
+    pick_up: Voltage = Field(gt=0, description="Coil voltage at which the armature pulls in")
+    release: Voltage = Field(gt=0, description="Coil voltage at which the armature releases")
     inductance: Inductance | None = Field(
         None, gt=0, description="Inductance of the coil; by default computed from operate_time"
     )
     operate_time: Time | None = Field(
-        None, gt=0, description="Time from the rated voltage to the closed contact"
+        None, gt=0, description="Time between applying the rated voltage and closing of the contact"
     )
     contact_resistance: Resistance = Field(0.1, gt=0, description="Resistance of a closed contact")
     insulation_resistance: Resistance = Field(
         1e8, gt=0, description="Resistance of an open contact"
     )
     changeover: bool = Field(
-        False, description="Whether the relay has a contact nc, which is closed at rest"
+        False, description="Whether the relay has a normally closed contact, with the pin nc"
     )
     resistance_tolerance: Ratio | None = Field(
-        None, gt=0, lt=1, description="Relative tolerance of the coil's resistance"
+        None, gt=0, lt=1, description="Relative tolerance of the coil resistance"
     )
 
 
@@ -75,7 +75,7 @@ def solve_timing(part: Part[RelayKeys]) -> Timing:
     if not keys.release < keys.pick_up < keys.voltage:
         raise part.wrong(
             "pick_up",
-            "the voltages of the relay are not in order",
+            "the voltages release, pick_up and voltage do not increase",
             f"release {keys.release:g} V, pick_up {keys.pick_up:g} V, voltage {keys.voltage:g} V",
             "release below pick_up, and pick_up below the rated voltage",
             "check the three values",
@@ -84,9 +84,9 @@ def solve_timing(part: Part[RelayKeys]) -> Timing:
     if keys.operate_time is None and keys.inductance is None:
         raise part.wrong(
             "",
-            "the relay has no time scale",
+            "the relay has neither inductance nor operate_time",
             "neither inductance nor operate_time",
-            "the operate time of the sheet, the inductance of the coil, or both",
+            "the operate time in the data sheet, the inductance of the coil, or both",
             'add  operate_time = "10 ms"',
         )
     if keys.operate_time is None:
@@ -104,7 +104,7 @@ def solve_timing(part: Part[RelayKeys]) -> Timing:
             "operate_time",
             "operate_time contradicts inductance",
             f"operate_time = {keys.operate_time:g} s and inductance = {keys.inductance:g} H",
-            f"an operate time above {electrical:.4g} s, which the current alone takes, or an "
+            f"an operate time above {electrical:.4g} s, the rise time of the current, or an "
             f"inductance below {most:.4g} H",
             "correct or delete one of the two values",
         )

@@ -57,13 +57,15 @@ class InputNoise(Section):
         None,
         gt=0,
         description=(
-            "Noise voltage between the amplifier's inputs, rms per root hertz; by default none"
+            "Noise voltage between the inputs of the amplifier, rms per root hertz; by default 0"
         ),
     )
     noise_current: Current | None = Field(
         None,
         gt=0,
-        description=("Noise current at each amplifier input, rms per root hertz; by default none"),
+        description=(
+            "Noise current at each input of the amplifier, rms per root hertz; by default 0"
+        ),
     )
 
 
@@ -265,10 +267,10 @@ class CoilDriver(Driver[KeysT]):
         coils = _joined_part(part, "drive", build.scene, "ring_magnet_coils")
         if coils is None:
             raise UsageError(
-                "drives no coils, but its current loop depends on their inductance",
+                "this driver is not connected to coils, whose inductance its current loop needs",
                 where=f"{part.name}.drive",
-                expected="joined to a part of type ring_magnet_coils",
-                hint="for a load of your own, put your driver's circuit into a netlist part",
+                expected="a connection to a part of type ring_magnet_coils",
+                hint="for another load, put the circuit of the driver into a netlist part",
             )
         control, height, current = _joined_part(part, "command", build.scene, "pid"), 0.0, 1.0
         if control is not None:

@@ -76,7 +76,7 @@ class ChargeKeys(InputNoise):
         150e-9, gt=0, description="Charge of the chip per volt of command"
     )
     sense: Capacitance = Field(
-        1e-6, gt=0, description="Capacitance in series with the chip that measures the charge"
+        1e-6, gt=0, description="Capacitance in series with the chip, which measures the charge"
     )
     rail: Voltage = Field(300.0, gt=0, description="Supply voltage of the driver")
     resistance: Resistance = Field(20.0, gt=0, description="Resistance between amplifier and chip")
@@ -104,18 +104,23 @@ class HalfBridgeKeys(Section):
 
     rail: Voltage = Field(100.0, gt=0, description="Supply voltage of the driver")
     resistance: Resistance = Field(2.0, gt=0, description="Resistance between bridge and chip")
-    gate_resistance: Resistance = Field(10.0, gt=0, description="Series resistance of both gates")
+    gate_resistance: Resistance = Field(
+        10.0, gt=0, description="Series resistance at the gate of each transistor"
+    )
     current_limit: Current = Field(
         15.0, gt=0, description="Current at which a transistor saturates"
     )
     reservoir: Capacitance = Field(
-        10e-6, gt=0, description="Capacitance of the supply that delivers the charge of a pulse"
+        10e-6, gt=0, description="Capacitance of the supply, which delivers the charge of a pulse"
     )
     supply_resistance: Resistance = Field(
-        100.0, gt=0, description="Resistance through which the supply's capacitance recharges"
+        100.0, gt=0, description="Resistance through which the supply capacitance is recharged"
     )
     leakage: Resistance = Field(
-        10e6, gt=0, description="Leakage resistance from the bridge to ref, with both gates off"
+        10e6,
+        gt=0,
+        description="Leakage resistance from the bridge output to ref while both "
+        "transistors are off",
     )
 
 
@@ -137,7 +142,7 @@ class HalfBridge(Driver[HalfBridgeKeys]):
 class LinearDriverKeys(InputNoise):
     """Current source for the coils: operational amplifier between two rails, sense resistor."""
 
-    rail: Voltage = Field(48.0, gt=0, description="Supply voltage, positive and negative")
+    rail: Voltage = Field(48.0, gt=0, description="Magnitude U of both supply voltages, +U and -U")
     bandwidth: Frequency = Field(50e3, gt=0, description="Bandwidth of the current loop")
     slew: Slew = Field(20e6, gt=0, description="Largest rate of change of the output voltage")
 

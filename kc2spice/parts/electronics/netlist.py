@@ -64,7 +64,7 @@ class Rating(Section):
 class NetlistKeys(Section):
     """``.subckt SUBCKT`` of ``file``, which stands beside the scene."""
 
-    file: FileName = Field(description="Netlist file beside the scene")
+    file: FileName = Field(description="Netlist file in the scene's folder")
     subckt: str = Field(
         pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$", description="Name of the subcircuit in the file"
     )
@@ -75,12 +75,14 @@ class NetlistKeys(Section):
     units: dict[str, str] = Field(
         default_factory=dict,
         description=(
-            f"Units of pins that are not electrical: {OTHERS}, or V for a signal; by default V/A"
+            f"Unit of each pin that is not electrical: {OTHERS}, or V for a signal; by default V/A"
         ),
     )
     ratings: dict[str, Rating] = Field(
         default_factory=dict,
-        description=("Limits of each pin, { PIN = { low, high, slew } }, which the run checks"),
+        description=(
+            "Voltage limits of each pin, { PIN = { low, high, slew } }, which each run checks"
+        ),
     )
 
 
@@ -117,25 +119,28 @@ class Netlist(PartType[NetlistKeys]):
         for name, kind in part.keys.units.items():
             if name not in pins or kind not in KINDS:
                 expected = f"one of {', '.join(KINDS)} for one of {', '.join(pins)}"
-                yield part.wrong(f"units.{name}", "not a kind of a pin", repr(kind), expected)
+                yield part.wrong(
+                    f"units.{name}", "this unit of a pin is not supported", repr(kind), expected
+                )
         scope = None
         for name, node in _probed(part, scene):
             scope = scope or _read_subcircuit(part, scene)
             if node in pins or has_vector(scope, _inner_vector(node)):
                 if scene.analysis.small and "@" in _inner_vector(node):
                     yield UsageError(
-                        "has no small-signal current to read",
+                        "this element has no small-signal current",
                         where=f"probes.{name}.of",
                         got=repr(f"{part.name}.{node}"),
                         expected="i(…) of a V, E or H element",
-                        hint="a 0 V source in series with it has one",
+                        hint="add a 0 V source in series with the element, and read the current "
+                        "of the source",
                     )
                 continue
             nodes = dict.fromkeys((*pins, *chain.from_iterable(e.ends for e in scope.elements)))
             choices = [*filter("0".__ne__, nodes)]
             choices += [f"i({e.key})" for e in scope.elements if e.kind in _CURRENTS]
             yield UsageError(
-                "no such pin, node or current",
+                "the netlist has no such pin, node or current",
                 where=f"probes.{name}.of",
                 got=repr(f"{part.name}.{node}"),
                 expected=f"of {part.name}: {list_candidates(node, choices)}",
@@ -143,7 +148,7 @@ class Netlist(PartType[NetlistKeys]):
             )
         for name in part.keys.ratings:
             if name not in pins:
-                yield part.wrong("ratings", "no such pin", name, ", ".join(pins))
+                yield part.wrong("ratings", "the subcircuit has no such pin", name, ", ".join(pins))
 
     def drives(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
         return _read(part.keys.file, scene.home, _modification_time(part, scene)).excites
@@ -219,10 +224,15 @@ def driver(
     """
     expected = "one table of " + ", ".join(known)
     if len(drivers) != 1:
-        raise part.wrong("driver", "needs one driver", ", ".join(drivers), expected)
+        raise part.wrong(
+            "driver",
+            "the key driver does not contain exactly one driver",
+            ", ".join(drivers),
+            expected,
+        )
     ((kind, table),) = drivers.items()
     if kind not in {*known, *known.values()}:
-        raise part.wrong("driver", "no such driver", repr(kind), expected)
+        raise part.wrong("driver", "this type of driver does not exist", repr(kind), expected)
     selected = known.get(kind, kind)
     if selected == "netlist" and not table.get("file"):
         include = data.get("include")
@@ -257,7 +267,7 @@ def _pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
     missing = [*filterfalse(pins.__contains__, part.pins)]
     if missing and part.at[1:2] == ("driver",):
         raise UsageError(
-            f"as a driver the subcircuit needs the pin {missing[0]}",
+            f"the subcircuit of a driver has no pin {missing[0]}",
             where=".".join(map(str, (*part.at, "subckt"))),
             got=f"pins {' '.join(pins)}",
             expected=f"command, {', '.join(part.pins)}, and ref if it has a reference",

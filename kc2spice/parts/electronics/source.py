@@ -100,7 +100,7 @@ class SourceKeys(Section):
         None, description="Corners [time, value] of a piecewise linear waveform"
     )
     file: str | None = Field(
-        None, description="CSV file beside the scene with the columns time and value"
+        None, description="CSV file in the scene's folder with the columns time and value"
     )
     ac: float | str = Field(0.0, description="Amplitude in ac analyses, in the unit of the source")
     _waveform: Waveform = PrivateAttr()
@@ -112,7 +112,7 @@ class SourceKeys(Section):
         if len(shapes) > 1:
             hint = f"delete the key {shapes[0]} or the key {shapes[1]}"
             raise invalid_value_error(
-                "two shapes: " + " and ".join(shapes), "one of them", hint=hint
+                "the source has two waveforms: " + " and ".join(shapes), "one of them", hint=hint
             )
         try:
             self._waveform = self._read_waveform((info.context or {}).get("home", Path()))
@@ -160,17 +160,17 @@ class SourceKeys(Section):
             high = quantity(p.high, unit, where="pulse.high")
             if p.width < p.edge or p.edge <= 0:
                 raise UsageError(
-                    "the edges are longer than the pulse",
+                    "the pulse has an edge that is longer than its width",
                     where="pulse",
                     expected=f"an edge above zero and of at most the width, {p.width:g} s",
                     hint="shorten pulse.edge",
                 )
             if p.period is not None and p.period < p.width + p.edge:
                 raise UsageError(
-                    "pulses overlap",
+                    "successive pulses overlap",
                     where="pulse",
                     expected=f"a period of at least width + edge, {p.width + p.edge:g} s",
-                    hint="lengthen pulse.period",
+                    hint="raise pulse.period",
                 )
             return waves_.pulse_waveform(low, high, p.start, p.width, p.edge, p.period, p.count)
         if self.sine is not None:
@@ -382,7 +382,7 @@ def _read_table(home: Path, name: str) -> np.ndarray:
         raise UsageError(
             "this file does not exist",
             where="file",
-            expected="a CSV file beside the scene, with the columns time [s] and value",
+            expected="a CSV file in the scene's folder, with the columns time [s] and value",
             hint=f"copy the file to {path}",
         ) from None
     except (OSError, ValueError) as error:

@@ -13,9 +13,11 @@ class CombDriveKeys(_stop.StoppedCoordinate):
     thickness v^2 / gap``."""
 
     fingers: Ratio = Field(
-        gt=0, description="Number of fingers of the moving comb, each between two fixed ones"
+        gt=0, description="Number of fingers of the moving comb, each between two fixed fingers"
     )
-    thickness: Length = Field(gt=0, description="Thickness of the fingers, across the motion")
+    thickness: Length = Field(
+        gt=0, description="Thickness of the fingers, perpendicular to the motion and the gap"
+    )
     gap: Length = Field(gt=0, description="Gap between neighbouring fingers")
     overlap: Length = Field(gt=0, description="Overlap of the fingers at x = 0")
     travel: Length = Field(gt=0, description="Displacement x at which the comb meets its stop")

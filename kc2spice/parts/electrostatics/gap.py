@@ -97,15 +97,15 @@ class Film(Section):
         None,
         ge=1,
         le=MOST,
-        description="Number of series terms that model the spring of trapped gas; by default 3 to "
-        "100, by the tolerance and the highest frequency of the scene",
+        description="Number of series terms of the squeezed film; by default 3 to 100, "
+        "depending on the tolerance and the highest frequency of the scene",
     )
     tolerance: Ratio = Field(
         0.01,
         gt=1e-6,
         lt=0.5,
-        description="Relative error of damping and force that the truncated series may have at the "
-        "highest frequency of the scene",
+        description="Largest relative error of the film force at the highest frequency of the "
+        "scene, due to the truncated series",
     )
 
 
@@ -116,27 +116,33 @@ class GapKeys(_stop.StoppedCoordinate):
         description="Name of the body with surface patches, or a list of its ports"
     )
     area: Annotated[float, si("m2")] = Field(
-        gt=0, description="Area of the electrode, all patches together"
+        gt=0, description="Total area of the electrode over all patches"
     )
-    gap: Length = Field(gt=0, description="Gap at rest without voltage")
+    gap: Length = Field(gt=0, description="Width of the gap at rest without voltage")
     side: Literal["below", "above"] = Field(
-        "below", description="Side of the body on which the electrode lies"
+        "below", description="Side of the body that faces the electrode"
     )
     permittivity: Ratio = Field(
         1.0, gt=0, description="Relative permittivity of the medium in the gap"
     )
     travel: Length = Field(
         gt=0,
-        description="Displacement of a patch at which it meets its stop; must be less than the gap",
+        description="Displacement at which a patch hits its stop; must be less than the gap",
     )
-    stop: Stiffness = Field(1e6, gt=0, description="Stiffness of the stop, all patches together")
+    stop: Stiffness = Field(1e6, gt=0, description="Total stiffness of the stop over all patches")
     shares: tuple[float, ...] | None = Field(
-        None, description="Fraction of the total area that each patch covers; equal by default"
+        None,
+        description="Fraction of the total area that each patch covers; by default equal fractions",
     )
     fringing: Fringing | None = Field(
-        None, description="Fringing field of a strip; by default none"
+        None,
+        description="Table of the strip whose fringing field is modelled; by default the "
+        "fringing field is neglected",
     )
-    film: Film | None = Field(None, description="Squeezed gas film in the gap; by default none")
+    film: Film | None = Field(
+        None,
+        description="Table of the squeezed gas film in the gap; by default the gas is neglected",
+    )
 
 
 class PatchedPart(DeclaredPart[KeysT]):
@@ -191,10 +197,12 @@ class Gap(PatchedPart[GapKeys]):
         keys, ports = part.keys, patch_ports(part, scene)
         if not keys.travel < keys.gap:
             got, expected = f"{keys.travel:g} m", f"less than the gap, {keys.gap:g} m"
-            yield part.wrong("travel", "the stop lies beyond the electrode", got, expected)
+            yield part.wrong("travel", "the stop is behind the fixed electrode", got, expected)
         if keys.shares is not None and len(ports) != len(keys.shares):
             got, expected = f"{len(keys.shares)} shares", f"{len(ports)}, as many as patches"
-            yield part.wrong("shares", "patches and shares of the area differ", got, expected)
+            yield part.wrong(
+                "shares", "the numbers of patches and of area shares differ", got, expected
+            )
 
     def vectors(self, part: Part[GapKeys], build: Build) -> Mapping[str, Vector]:
         """Return the results without the forces at the pins of the film, which are zero."""

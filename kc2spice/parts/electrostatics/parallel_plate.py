@@ -18,13 +18,13 @@ class ParallelPlateKeys(_stop.StoppedCoordinate):
     """
 
     area: Annotated[float, si("m2")] = Field(gt=0, description="Area of the plates")
-    gap: Length = Field(gt=0, description="Gap between the plates at x = 0")
+    gap: Length = Field(gt=0, description="Distance between the plates at x = 0")
     permittivity: Ratio = Field(
         1.0, gt=0, description="Relative permittivity of the medium between the plates"
     )
     travel: Length = Field(
         gt=0,
-        description="Displacement x at which the plate meets its stop; must be less than the gap",
+        description="Displacement x at which the plate hits its stop; must be less than the gap",
     )
     stop: Stiffness = Field(1e5, gt=0, description="Stiffness of the stop")
 

@@ -44,7 +44,7 @@ class CurrentCasesKeys(Section):
         (-0.1, 0.0, 0.1),
         min_length=1,
         max_length=1000,
-        description="Coil currents; each pair of values is one case",
+        description="List of coil current pairs, one pair for each case",
     )
 
 

@@ -51,7 +51,8 @@ class PortLoadsKeys(Section):
         200, ge=2, le=100_000, description="Number of frequencies of the responses"
     )
     of: str | None = Field(
-        None, description="Body whose ports are loaded; by default the only one with a surface"
+        None,
+        description="Body whose ports are loaded; by default the only body with a contact surface",
     )
 
 
@@ -75,7 +76,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         body_of(part, scene)
         if part.keys.start >= part.keys.stop:
             got = f"{part.keys.start:g} … {part.keys.stop:g} Hz"
-            yield part.wrong("stop", "empty frequency range", got, "start < stop")
+            yield part.wrong("stop", "the frequency range is empty", got, "start < stop")
 
     def governs(self, part: Part[PortLoadsKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
         return {body_of(part, scene).name: "copied"}
@@ -228,7 +229,7 @@ def body_of(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Stack]:
         return body.with_schema(Stack)
     result = scene.bodies
     if len(result) != 1 or not isinstance(result[0].keys, Stack):
-        problem = f"{part.name} needs to know which piezo_stack it loads"
+        problem = f"{part.name} does not state which piezo_stack it loads"
         got = ", ".join(names_of(result)) or "no body"
         hint = "add [kick]; an empty table takes the defaults"
         raise part.wrong("of", problem, got, "the name of a piezo_stack", hint)

@@ -35,9 +35,13 @@ from kc2spice.scene.rows import Governed, Numerics, SweptSource, Vector
 class PushKeys(Section):
     """The lowest point of a sphere is pushed down in equal steps."""
 
-    depth: Length = Field(50e-6, gt=0, description="Largest depth of the imprint")
-    steps: Count = Field(250, ge=1, le=100_000, description="Number of equal steps of the depth")
-    of: str | None = Field(None, description="Sphere that is pushed; by default the only one")
+    depth: Length = Field(50e-6, gt=0, description="Largest indentation depth")
+    steps: Count = Field(
+        250, ge=1, le=100_000, description="Number of equal steps of the indentation depth"
+    )
+    of: str | None = Field(
+        None, description="Sphere that is pushed; by default the only sphere of the scene"
+    )
 
 
 class Push(TouchablePart[PushKeys]):
@@ -64,7 +68,7 @@ class Push(TouchablePart[PushKeys]):
         _pair(part, scene)  # says what it needs
         if part.keys.depth >= ball.keys.radius:
             expected = f"less than {ball.keys.radius:g} m"
-            problem = "deeper than the sphere's radius"
+            problem = "the depth exceeds the radius of the sphere"
             yield part.wrong("depth", problem, f"{part.keys.depth:g} m", expected)
 
     def cards(self, part: Part[PushKeys], build: Build) -> tuple[Item, ...]:

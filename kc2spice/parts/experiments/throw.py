@@ -33,10 +33,12 @@ class ThrowKeys(Section):
     """A free sphere flies onto a body."""
 
     velocity: Velocity = Field(
-        -1.0, description="Velocity of the sphere at the start, negative downwards"
+        -1.0, description="Initial velocity of the sphere, negative for a downward motion"
     )
-    gap: Length = Field(1e-6, ge=0, description="Gap between sphere and body at the start")
-    of: str | None = Field(None, description="Sphere that is thrown; by default the only one")
+    gap: Length = Field(1e-6, ge=0, description="Initial gap between sphere and body")
+    of: str | None = Field(
+        None, description="Sphere that is thrown; by default the only sphere of the scene"
+    )
 
 
 class Throw(_touching.TouchablePart[ThrowKeys]):
@@ -52,7 +54,12 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         sphere_of(part, scene)
         if part.keys.velocity >= 0:
             got = f"{part.keys.velocity:g} m/s"
-            yield part.wrong("velocity", "the sphere never arrives", got, "negative (downwards)")
+            yield part.wrong(
+                "velocity",
+                "the sphere does not move towards the contact",
+                got,
+                "negative (downwards)",
+            )
 
     def governs(self, part: Part[ThrowKeys], scene: DeclaredScene) -> Mapping[str, State]:
         return {sphere_of(part, scene).name: State(part.keys.velocity, part.keys.gap)}

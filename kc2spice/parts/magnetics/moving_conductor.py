@@ -82,17 +82,17 @@ class CoilKeys(Section):
     """A winding of rectangular section about the axis."""
 
     radius: Length = Field(gt=0, description="Mean radius of the coil")
-    width: Length = Field(gt=0, description="Radial width of the coil's section")
-    height: Length = Field(gt=0, description="Axial height of the coil's section")
-    y: Length = Field(description="Height of the middle of the coil's section")
+    width: Length = Field(gt=0, description="Radial width of the coil cross-section")
+    height: Length = Field(gt=0, description="Axial height of the coil cross-section")
+    y: Length = Field(description="Height of the centre of the coil cross-section")
     turns: Ratio = Field(gt=0, description="Number of turns of the coil")
-    resistance: Resistance = Field(gt=0, description="Resistance of the coil's wire")
+    resistance: Resistance = Field(gt=0, description="Resistance of the wire of the coil")
 
 
 class MagnetKeys(Ring):
     """A ring or cylinder that is magnetised along the axis, of the permeability of air."""
 
-    remanence: FluxDensity = Field(description="Remanence, positive upwards")
+    remanence: FluxDensity = Field(description="Remanence, positive for an upward magnetisation")
 
 
 class Conduction(Section):
@@ -112,15 +112,13 @@ class Moving(ConductorKeys):
     thickness: Length | None = Field(None, gt=0, description="Thickness of a disc along the axis")
     coils: dict[str, CoilKeys] = Field(
         {},
-        description=(
-            "Coils by name, each a table [PART.coils.NAME]; their pins are NAME_p and NAME_n"
-        ),
+        description=("Coils, each a table [PART.coils.NAME] with the pins NAME_p and NAME_n"),
     )
     magnets: dict[str, MagnetKeys] = Field(
-        {}, description="Fixed magnets by name, each a table [PART.magnets.NAME]"
+        {}, description="Fixed magnets, each a table [PART.magnets.NAME]"
     )
     y_min: Length = Field(description="Lowest height of the centre of mass")
-    y_max: Length = Field(description="Largest height of the centre of mass")
+    y_max: Length = Field(description="Greatest height of the centre of mass")
     tolerance: Annotated[Ratio, Notch(0.1, model=True)] = Field(
         1e-3,
         gt=1e-8,
@@ -141,8 +139,8 @@ class MovingConductorKeys(Conduction, Moving):
         None,
         gt=0,
         description=(
-            "Highest frequency of resolved eddy currents [Hz]; by default that of the scene's "
-            "analysis, sines, carriers and edges, at least 1 kHz"
+            "Highest frequency of resolved eddy currents [Hz]; by default the highest frequency "
+            "of the analysis and the sources, at least 1 kHz"
         ),
     )
     rings: Annotated[Count, Notch(2.0, model=True, mesh=True)] = Field(
@@ -150,8 +148,8 @@ class MovingConductorKeys(Conduction, Moving):
         ge=20,
         le=3000,
         description=(
-            "Number of rings that the body is divided into; thinner ones are added below its "
-            "surface where the skin depth needs them"
+            "Number of current rings in the body; kc2spice adds thinner rings below the surface "
+            "if the skin depth is small"
         ),
     )
 
@@ -254,19 +252,30 @@ class MovingBody(DeclaredPart[MovingT]):
         keys = part.keys
         if keys.y_min >= keys.y_max:
             got = f"{keys.y_min:g} … {keys.y_max:g} m"
-            yield part.wrong("y_min", "empty range of heights", got, "y_min < y_max")
+            yield part.wrong("y_min", "the range of heights is empty", got, "y_min < y_max")
         if not keys.coils and not keys.magnets:
-            yield part.wrong("coils", "neither coil nor magnet", "{}", "tables by name")
+            yield part.wrong(
+                "coils", "the part has neither coils nor magnets", "{}", "tables by name"
+            )
         yield from self.shape_problems(part)
         if keys.inner >= keys.radius:
             expected = f"less than radius, {keys.radius:g} m"
-            yield part.wrong("inner", "no material left", f"{keys.inner:g} m", expected)
+            yield part.wrong(
+                "inner", "the inner radius leaves no material", f"{keys.inner:g} m", expected
+            )
         for name, coil in keys.coils.items():
             if not name.isidentifier():
-                yield part.wrong(f"coils.{name}", "no name", name, "letters, digits and _")
+                yield part.wrong(
+                    f"coils.{name}",
+                    "this name of a coil is not valid",
+                    name,
+                    "letters, digits and _",
+                )
             if coil.width >= 2 * coil.radius:
                 got, expected = f"{coil.width:g} m", f"less than twice the radius, {coil.radius:g}"
-                yield part.wrong(f"coils.{name}.width", "reaches over the axis", got, expected)
+                yield part.wrong(
+                    f"coils.{name}.width", "the winding crosses the axis", got, expected
+                )
         obstacles = []
         for name, winding in zip(keys.coils, windings(keys), strict=True):
             obstacles.append((f"coils.{name}", "winding", winding))
@@ -409,11 +418,16 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         """Faults of its shape."""
         keys = part.keys
         if keys.shape == "disc" and not keys.thickness:
-            yield part.wrong("thickness", "a disc needs a thickness", "none", "a length above zero")
+            yield part.wrong(
+                "thickness", "the thickness of the disc is missing", "none", "a length above zero"
+            )
         if keys.shape == "sphere" and (keys.inner or keys.thickness):
             got = f"inner {keys.inner:g} m, thickness {keys.thickness}"
             yield part.wrong(
-                "shape", "a sphere has no inner radius and no thickness", got, "neither of them"
+                "shape",
+                "inner and thickness do not apply to a sphere",
+                got,
+                "a sphere without these keys",
             )
 
     def resolved_frequency(self, part: Part[MovingConductorKeys], scene: Scene) -> float:

@@ -24,7 +24,7 @@ from kc2spice.scene.rows import Neglected
 class Magnetisation(Section):
     """Keys on which the field of a magnet in its netlist depends."""
 
-    remanence: FluxDensity = Field(description="Remanence, positive upwards")
+    remanence: FluxDensity = Field(description="Remanence, positive for an upward magnetisation")
 
 
 class MovingMagnetKeys(Magnetisation, Moving):

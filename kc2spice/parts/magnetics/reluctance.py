@@ -30,7 +30,7 @@ class ReluctanceKeys(ConductorKeys, _stop.StoppedCoordinate):
     gap: Length = Field(gt=0, description="Length of each air gap at x = 0")
     gaps: Ratio = Field(1.0, gt=0, description="Number of air gaps in series")
     core: Annotated[float, si("1/H")] = Field(
-        0.0, ge=0, description="Reluctance of the rest of the circuit"
+        0.0, ge=0, description="Reluctance of the magnetic circuit without the air gaps"
     )
     magnet: Current = Field(
         0.0, description="Magnetomotive force of permanent magnets, in ampere turns"

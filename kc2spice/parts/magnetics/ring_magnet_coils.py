@@ -82,15 +82,17 @@ class Coils(ConductorKeys, Catch):
     """Electromagnetic catch actuator; real coils may have a driver."""
 
     driver: dict[str, dict[str, Any]] | None = Field(
-        None, description="Driver between controller and real coils, { TYPE = { keys } }"
+        None, description="Driver between controller and coils, { TYPE = { keys } }"
     )
-    of: str | None = Field(None, description="Sphere that the coils pull; by default the only one")
+    of: str | None = Field(
+        None, description="Sphere that the coils pull; by default the only sphere of the scene"
+    )
     rated_rise: Annotated[float, si("K")] = Field(
         100.0,
         gt=0,
         description=(
-            "Largest temperature rise of the wire; 100 K is enamel of class 130 from 30 degrees "
-            "Celsius"
+            "Largest temperature rise of the wire; 100 K heats wire of thermal class 130 from "
+            "30 to 130 degrees Celsius"
         ),
     )
 
@@ -218,7 +220,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         radius = ball.keys.radius
         if keys.y_min >= keys.y_max:
             got = f"{keys.y_min:g} … {keys.y_max:g} m"
-            yield part.wrong("y_min", "empty range of positions", got, "y_min < y_max")
+            yield part.wrong("y_min", "the range of positions is empty", got, "y_min < y_max")
         bodies: dict[str, Ring] = {item: getattr(keys, item) for item in ("ring", *COILS)}
         for body_name, body in bodies.items():
             # part, key, meaning, and the limit of another part with the required order
@@ -239,7 +241,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         for (body_name, body), (other_name, other) in combinations(bodies.items(), 2):
             radial = body.inner < other.outer and other.inner < body.outer
             if radial and 2 * abs(body.y - other.y) < body.height + other.height:
-                yield part.wrong(other_name, f"overlaps {name}.{body_name}")
+                yield part.wrong(other_name, f"this body overlaps {name}.{body_name}")
         resting = scene.analysis.type == "transient" and bool(scene.of("contact"))
         if resting and not keys.y_min < radius < keys.y_max:
             got, expected = (
@@ -247,7 +249,9 @@ class RingMagnetCoils(TouchablePart[Coils]):
                 f"between {keys.y_min:g} and {keys.y_max:g} m",
             )
             hint = f"{part.name}.y_min and {part.name}.y_max set the table's range"
-            yield ball.wrong("radius", "outside the force table", got, expected, hint)
+            yield ball.wrong(
+                "radius", "the radius is outside of the force table", got, expected, hint
+            )
         copper = keys.turns * np.pi / 4 * keys.wire_diameter**2
         for coil in COILS:
             body = getattr(keys, coil)

@@ -24,7 +24,7 @@ class VoiceCoilKeys(ConductorKeys):
         0.0, description="Derivative of the force factor with respect to the displacement"
     )
     bl2: Annotated[float, si("N/(A m2)")] = Field(
-        0.0, description="Coefficient of the squared displacement in the force factor"
+        0.0, description="Coefficient of the square of the displacement in the force factor"
     )
     cms: Annotated[float, si("m/N")] = Field(
         gt=0, description="Compliance of the suspension at rest"
@@ -33,7 +33,7 @@ class VoiceCoilKeys(ConductorKeys):
         0.0, description="Derivative of the compliance with respect to the displacement"
     )
     cms2: Annotated[float, si("1/(N m)")] = Field(
-        0.0, description="Coefficient of the squared displacement in the compliance"
+        0.0, description="Coefficient of the square of the displacement in the compliance"
     )
     damping: MechanicalDamping = Field(
         0.0, ge=0, description="Mechanical damping of the suspension"

@@ -30,35 +30,36 @@ class ContactKeys(Section):
     )
     rings: Rings = Field(
         "needed",
-        description=("Rings that are modelled: needed, all, or a number counted from the centre"),
+        description=(
+            "Contact rings in the model: needed, all, or the number of rings from the centre"
+        ),
     )
     a: str | tuple[str, ...] | None = Field(
         None,
         description=(
-            "Lower side, whose rise closes the gap: a body, its ports, or gnd; by default the "
-            "only body"
+            "Lower side of the contact, whose upward motion closes the gap: a body, its ports, "
+            "or gnd; by default the only body"
         ),
     )
     b: str | None = Field(
         None,
         description=(
-            "Upper side, whose rise opens the gap: a sphere, a port of a body, or gnd; by default "
-            "the only sphere"
+            "Upper side of the contact, whose upward motion opens the gap: a sphere, a port of "
+            "a body, or gnd; by default the only sphere"
         ),
     )
-    gap: Length = Field(0.0, description="Gap at rest, in addition to that of the geometry")
+    gap: Length = Field(0.0, description="Gap at rest, in addition to the gap of the geometry")
     inertia: Literal["massless", "lumped"] = Field(
         "massless",
         description=(
-            "Inertia of the residual modes behind the ports: none (massless), or one mass for each "
-            "port (lumped)"
+            "Inertia at the contact ports: none (massless), or one mass for each port (lumped)"
         ),
     )
     shape: Literal["rings", "pressure"] = Field(
         "rings",
         description=(
-            "Contact ports of the chip: circles of the mesh, or pressure basis functions under a "
-            "sphere"
+            "Contact ports of the chip: rings of mesh nodes, or pressure basis functions under "
+            "a sphere"
         ),
     )
     spacing: Annotated[Length, Notch(0.5, model=True, when=(("shape", "pressure"),))] = Field(
@@ -67,40 +68,42 @@ class ContactKeys(Section):
     law: Literal["linear", "hertz"] = Field(
         "linear",
         description=(
-            "Force law: penalty times indentation, or Hertz's 4/3 E* sqrt(R) x^(3/2) for a sphere "
-            "at one port"
+            "Contact law: penalty * indentation, or for a sphere at one port the law of Hertz, "
+            "4/3 E* sqrt(R) x^(3/2)"
         ),
     )
     modulus: Pressure | None = Field(
         None,
         gt=0,
         description=(
-            "Effective modulus E* of both sides for law = hertz; by default that of their materials"
+            "Effective modulus E* of both sides for law = hertz; by default computed from their "
+            "materials"
         ),
     )
     groove: Ratio | None = Field(
         None,
         gt=0,
         le=180,
-        description="Opening angle in degrees of the groove in a in which b lies",
+        description="Opening angle in degrees of a groove in side a, in which side b lies",
     )
     damping: Annotated[float, si("s/m")] = Field(
         0.0,
         ge=0,
         description=(
-            "Damping of Hunt and Crossley: the force is multiplied by 1 + damping times the "
-            "closing speed"
+            "Damping coefficient of Hunt and Crossley: the force is multiplied by 1 + damping * "
+            "(closing speed)"
         ),
     )
     friction: Ratio = Field(
         0.0,
         ge=0,
         description=(
-            "Coulomb's coefficient of friction of pin slide on pin rail, on both flanks of a groove"
+            "Coulomb friction coefficient between the pins slide and rail, equal on both flanks "
+            "of a groove"
         ),
     )
     creep: Velocity = Field(
         1e-4,
         gt=0,
-        description=("Sliding speed below which friction is viscous, a substitute for sticking"),
+        description=("Sliding speed below which friction is viscous, which approximates sticking"),
     )

@@ -27,13 +27,13 @@ class StoppedCoordinate(Section):
         0.5,
         ge=0,
         le=1,
-        description="Speed after a strike of the stop divided by the speed before it",
+        description="Speed after an impact on the stop, divided by the speed before the impact",
     )
     damping: Annotated[float, si("s/m")] = Field(
         0.0,
         ge=0,
-        description="Damping of the stop after Hunt and Crossley: its force is multiplied by 1 + "
-        "damping times the closing speed; alone with restitution = 1",
+        description="Damping coefficient of Hunt and Crossley: the force of the stop is "
+        "multiplied by 1 + damping * (closing speed); requires restitution = 1",
     )
 
 

@@ -162,7 +162,7 @@ class Pair:
                 kind = ("a sphere", "sphere") if spherical else ("a body with a surface", "kick")
                 raise part.wrong(
                     key,
-                    f"{part.name} needs to know what touches",
+                    f"{part.name} does not state which part it touches",
                     ", ".join(item.part for item in offers) or f"no part that is {kind[0]}",
                     f'{key} = "PART" or "PART.PORT"',
                     None if offers else f"add [{kind[1]}]; an empty table takes the defaults",
@@ -173,11 +173,13 @@ class Pair:
         targets = (selected,) if isinstance(selected, str) else selected
         names = {target.partition(".")[0] for target in targets}
         if len(names) != 1:
-            raise part.wrong(key, "one body on each side", ", ".join(sorted(names)))
+            raise part.wrong(
+                key, "the contact needs one body on each side", ", ".join(sorted(names))
+            )
         other = scene.part(names.pop(), f"{part.name}.{key}")
         ports = tuple(target.partition(".")[2] for target in targets if "." in target)
         if (surface := find_surface(other, scene, ports)) is None:
-            problem = f"{other.type.name} offers nothing to touch"
+            problem = f"{other.type.name} has no surface for a contact"
             raise part.wrong(key, problem, repr(other.name), "a body, a sphere or a mass")
         return surface
 
@@ -250,7 +252,7 @@ class Pair:
             if not spherical or len(self.a.ports) > 1:
                 got = f"{len(self.a.ports)} ports, {len(spherical)} spheres"
                 expected, hint = "a sphere against one port or another sphere", 'law = "linear"'
-                problem = "Hertz's law is that of a sphere at one point"
+                problem = "the law of Hertz applies only to a sphere at one port"
                 raise self.part.wrong("law", problem, got, expected, hint)
             value, power = 4 / 3 * self._modulus / math.sqrt(sum(spherical)), 1.5
         if (s := self.flank) is not None:
@@ -273,7 +275,7 @@ class Pair:
         for side in (self.a, self.b):
             if side.modulus is None:
                 expected = 'a pressure such as "110 GPa", or a material of both sides'
-                problem = f"no modulus of {side.part} is known"
+                problem = f"the modulus of {side.part} is not known"
                 raise self.part.wrong("modulus", problem, expected=expected)
             compliance += 1 / side.modulus
         return 1 / compliance

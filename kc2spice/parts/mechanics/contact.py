@@ -122,7 +122,8 @@ class Contact(DeclaredPart[ContactKeys]):
             yield part.wrong("b", "both sides of the contact are the same part", got, expected)
         if b.radius is not None and max(a.distance) >= b.radius:
             yield UsageError(
-                "the outermost contact port lies beyond the sphere, which can never touch it",
+                "the outermost contact ring is larger than the sphere, so the sphere can never "
+                "touch it",
                 where=f"{a.part}.mesh.ring_spacing",
                 got=f"ring radius {max(a.distance):g} m",
                 expected=f"less than {b.part}.radius, {b.radius:g} m",
@@ -290,13 +291,13 @@ def _sum_factors(pair: Pair) -> dict[str, float]:
 
 def _check_pressure(pair: Pair) -> Iterator[UsageError]:
     part, a, b = pair.part, pair.a, pair.b
-    hint = 'shape = "rings" takes ports as they are'
+    hint = 'delete this key, or write  shape = "rings"'
     if a.compliance is None:
         expected = "a piezo_stack, whose contact names no port"
-        yield part.wrong("shape", "no port of pressure on this body", a.ports[0], expected, hint)
+        yield part.wrong("shape", "this body has no pressure port", a.ports[0], expected, hint)
     elif not part.keys.spacing < a.patch / 4:
         got, expected = f"{part.keys.spacing:g} m", f"less than {a.patch / 4:g} m"
-        problem = "pressure basis functions wider than the patch that they are in"
+        problem = "the pressure basis functions are wider than their patch"
         yield part.wrong("spacing", problem, got, expected)
     if b.radius is None or b.radius <= a.patch:
         got = "no sphere" if b.radius is None else f"a radius of {b.radius:g} m"
@@ -304,7 +305,9 @@ def _check_pressure(pair: Pair) -> Iterator[UsageError]:
         yield part.wrong("shape", "a contact by pressure needs a sphere", got, expected, hint)
     for key, default in (("law", "linear"), ("groove", None)):
         if (got := getattr(part.keys, key)) != default:
-            yield part.wrong(key, f"pressure has its own law, without {key}", got, hint=hint)
+            yield part.wrong(
+                key, f'the key {key} cannot be combined with shape = "pressure"', got, hint=hint
+            )
 
 
 # --- checks of the waveforms ----------------------------------------------------------------------

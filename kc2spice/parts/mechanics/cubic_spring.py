@@ -13,7 +13,9 @@ class CubicSpringKeys(Section):
     """``F = stiffness x + cubic x^3``; ``cubic`` below zero softens."""
 
     stiffness: Stiffness = Field(gt=0, description="Stiffness at small elongation")
-    cubic: Annotated[float, si("N/m3")] = Field(0.0, description="Force per elongation cubed")
+    cubic: Annotated[float, si("N/m3")] = Field(
+        0.0, description="Force divided by the cube of the elongation"
+    )
 
 
 register(

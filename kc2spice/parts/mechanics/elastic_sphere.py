@@ -39,7 +39,7 @@ BAND = 2.0  # multiple of the lowest frequency that limits the band; the sphere 
 class ElasticSphereKeys(LinearKeys):
     """Keys of the elastic sphere ``of``, whose key ``elastic`` is this table."""
 
-    of: str = Field(description="Name of the part that is the sphere")
+    of: str = Field(description="Name of the sphere that is elastic")
     damping: Damping = Damping(ratio=1e-3)
     mesh: Mesh = Mesh()
 
@@ -76,10 +76,14 @@ elastic = true
         stuff = sphere_material(owner)
         if stuff.piezoelectric:
             expected = "a material that is not piezoelectric"
-            yield owner.wrong("material", "a sphere has no electrodes", stuff.name, expected)
+            yield owner.wrong(
+                "material", "an elastic sphere cannot be piezoelectric", stuff.name, expected
+            )
         if part.keys.damping.per_material:
             key, expected = "elastic.damping.per_material", "ratio, quality or loss_factor"
-            yield owner.wrong(key, "a sphere has one material", True, expected)
+            yield owner.wrong(
+                key, "damping per material does not apply to an elastic sphere", True, expected
+            )
         if part.keys.damping.model != "rayleigh":
             got, expected = part.keys.damping.model, "rayleigh"
             yield owner.wrong(
@@ -184,15 +188,23 @@ def _contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[Contac
     if len(result) != 1:
         got = ", ".join(c.name for c in result) or "none"
         expected = 'one, with shape = "pressure" and a body in a'
-        raise owner.wrong("elastic", "an elastic sphere has one contact", got, expected)
+        raise owner.wrong("elastic", "an elastic sphere needs exactly one contact", got, expected)
     (contact,) = result
     if contact.keys.shape != "pressure":
-        problem = "forces on rings dent an elastic sphere without limit as meshes get finer"
+        problem = (
+            "an elastic sphere cannot have rings, because the indentation under a ring "
+            "force does not converge"
+        )
         hint = f'set {contact.name}.shape = "pressure", or {owner.name}.elastic = false'
         raise contact.wrong("shape", problem, contact.keys.shape, "pressure", hint)
     if damping := contact.keys.damping:
         expected = f"0, and {owner.name}.elastic.damping"
-        raise contact.wrong("damping", "an elastic sphere has its own damping", damping, expected)
+        raise contact.wrong(
+            "damping",
+            "damping of the contact does not apply to an elastic sphere",
+            damping,
+            expected,
+        )
     return contact
 
 

@@ -45,10 +45,16 @@ class MassKeys(Section):
     mass: Mass = Field(gt=0, description="Mass of the rigid body")
     weight: bool = Field(False, description="Whether gravity acts on the mass")
     position: Length = Field(
-        0.0, description=("Position at t = 0; by default that of equilibrium, or 0 for a free mass")
+        0.0,
+        description=(
+            "Position at t = 0; by default the equilibrium position, or 0 for a free mass"
+        ),
     )
     velocity: Velocity = Field(
-        0.0, description=("Velocity at t = 0; by default that of equilibrium, or 0 for a free mass")
+        0.0,
+        description=(
+            "Velocity at t = 0; by default the equilibrium velocity, or 0 for a free mass"
+        ),
     )
 
 
@@ -121,7 +127,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
 
     def problems(self, part: Part[MassKeys], scene: GovernedScene) -> Iterator[UsageError]:
         if _has_initial_state(part) and scene.analysis.type != "transient":
-            problem = "a position or velocity at t = 0 begins a transient"
+            problem = "position and velocity of a mass need a transient analysis"
             yield part.wrong("", problem, f"analysis {scene.analysis.type}", "neither of them")
         yield from check_dimensions(part.name, part.keys)
 
@@ -154,7 +160,10 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
                 other = scene.parts[name]
                 moved = other.type.name == part.type.name or other.reduced
                 if moved or scene.records[name].rest.ideal:
-                    problem = "begins where and as fast as what it is fixed to"
+                    problem = (
+                        "position and velocity of this mass are those of the part that it "
+                        "is fixed to"
+                    )
                     hint = "a stiff spring between both lets each have its own"
                     got, expected = f"{name}.{pin} on the same net", "neither position nor velocity"
                     raise part.wrong("", problem, got, expected, hint)

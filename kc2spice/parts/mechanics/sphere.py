@@ -69,26 +69,29 @@ class SphereKeys(Section):
     material: str | dict[str, Any] | None = Field(
         None,
         description=(
-            "Material of the sphere, for contacts that need its modulus; steel where it is elastic"
+            "Material of the sphere, from which contacts compute the effective modulus; by "
+            "default steel for an elastic sphere"
         ),
     )
     density: Density = Field(
         default_factory=_default_density,
         gt=0,
-        description="Density of the sphere; by default that of its material, or of steel",
+        description="Density of the sphere; by default the density of its material, or of steel",
     )
     elastic: bool | dict[str, Any] | None = Field(
         None,
         description=(
-            "Whether the sphere deforms under contact.shape = pressure, or a table of damping, "
-            "mesh and rom; by default rigid"
+            "Whether the sphere deforms, or a table of damping, mesh and rom; requires "
+            "contact.shape = pressure; by default the sphere is rigid"
         ),
     )
     velocity: Velocity = Field(
-        0.0, description="Velocity at t = 0; a value other than zero skips the operating point"
+        0.0,
+        description="Velocity at t = 0; with a velocity that is not zero, the transient "
+        "starts without an operating point",
     )
     height: Length = Field(
-        0.0, description="Height of the sphere's lowest point at t = 0, with a velocity"
+        0.0, description="Height of the lowest point of the sphere at t = 0; requires a velocity"
     )
 
     @field_validator("material")
@@ -175,8 +178,8 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
                 "nothing touches the sphere",
                 where="contact",
                 got="no part of type contact",
-                expected=f"one between {part.name} and {', '.join(bodies)}",
-                hint=f"add [contact]: without it {part.name} falls through {bodies[0]}",
+                expected=f"a contact between {part.name} and {', '.join(bodies)}",
+                hint=f"add [contact], otherwise {part.name} moves through {bodies[0]}",
             )
         keys, name = part.keys, part.name
         small = "grains below stick by adhesion, no transducer moves balls above"

@@ -89,7 +89,7 @@ def require_basis(reductor: Reductor, result: Any) -> ReducedBasis | None:
         return None
     if not isinstance(result, ReducedBasis):
         raise UsageError(
-            "basis() does not return a basis",
+            "the method basis() does not return a basis",
             got=f"{type(result).__name__} of shape {np.shape(result)}"
             if isinstance(result, np.ndarray)
             else type(result).__name__,
@@ -98,7 +98,7 @@ def require_basis(reductor: Reductor, result: Any) -> ReducedBasis | None:
         )
     if reductor.congruence and not result.congruence:
         raise UsageError(
-            "test vectors W need a method without congruence",
+            "test vectors W cannot be combined with congruence = True",
             got="task.project(V, W) with congruence = True",
             expected="task.project(V), or congruence = False in the class",
             hint="write congruence = False below the name of the class",

@@ -86,7 +86,11 @@ class GreedyBasis:
         self.change = float(size.max()) if self.points > 2 else np.inf
         fresh = np.array([not np.isclose(item, self._used, rtol=1e-7).any() for item in s])
         if not fresh.any():
-            raise SimulationError("no frequency is left to sample", where="reduction")
+            raise SimulationError(
+                "all frequencies of the band are sampled, and the error still "
+                "exceeds the tolerance",
+                where="reduction",
+            )
         measure = size.max(axis=(1, 2))
         if self.points % 2:
             measure = self._sides[0].residual(s, self.turn @ self.response.states(s))

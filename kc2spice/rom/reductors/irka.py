@@ -120,8 +120,9 @@ class OptimalModels(ReducedBasis):
             reduced = interpolate_response(full, mirrored_poles(poles), left, right)
         else:
             warnings.warn(
-                f"IRKA of order {order} has not converged: its poles still change by {change:.1e} "
-                "(relative), and the model is not optimal; the error estimate remains valid",
+                f"IRKA of order {order} has not converged: the last iteration changed its poles "
+                f"by a fraction of {change:.1e}; the model is not optimal, but the error "
+                f"estimate is valid",
                 stacklevel=2,
             )
         return self.task.from_first_order(reduced)

@@ -97,10 +97,10 @@ def _frequencies(points: Sequence[float]) -> np.ndarray:
         result = np.empty(0)
     if not result.size or not (np.isfinite(result) & (result >= 0)).all():
         raise UsageError(
-            "not expansion points",
+            "this value is not a list of expansion points",
             where="points",
             got=repr(points),
-            expected="frequencies in Hz of at least zero, such as [0, 2e3, 2e4]",
+            expected="a list of frequencies in Hz, not negative, such as [0, 2e3, 2e4]",
         )
     return result
 

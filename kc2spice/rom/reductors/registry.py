@@ -84,7 +84,7 @@ def _require_reductor(value: object, where: str) -> None:
         got = f"ndarray of shape {value.shape}"
         hint = "return task.project(V) from basis() of a subclass of kc.Reductor"
     raise UsageError(
-        "not a method of reduction", where=where, got=got, expected=expected, hint=hint
+        "this object is not a reduction method", where=where, got=got, expected=expected, hint=hint
     )
 
 
@@ -104,7 +104,7 @@ def reductor_named(method: str | Reductor) -> Reductor:
         _require_reductor(method, "method")
         return method
     if method not in _reductors:
-        error = unknown("unknown method of reduction", method, _reductors, "method")
+        error = unknown("this reduction method does not exist", method, _reductors, "method")
         error.hint = error.hint or OWN_METHODS
         raise error
     return _reductors[method]

@@ -35,24 +35,32 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
         if columns is not None:
             expected += f", and {columns} columns as V"
         raise UsageError(
-            "the vectors have another shape", where=where, got=_describe_size(V), expected=expected,
+            "the vectors have a wrong shape", where=where, got=_describe_size(V), expected=expected,
             hint="build them from the matrices of task.model, not of task.fom",
         )  # fmt: skip
     if rows and not V.shape[1]:
         expected = "at least one column"
-        raise UsageError("no vectors", where=where, got=_describe_size(V), expected=expected)
+        raise UsageError(
+            "the array contains no vectors", where=where, got=_describe_size(V), expected=expected
+        )
     if not np.isfinite(V).all():
         count = int((~np.isfinite(V)).sum())
         got = f"{count} entries that are NaN or infinite"
-        raise UsageError("vectors are not finite", where=where, got=got, expected="finite numbers")
+        raise UsageError(
+            "the vectors contain numbers that are not finite",
+            where=where,
+            got=got,
+            expected="finite numbers",
+        )
     dependent = _find_dependent_column(V)
     if dependent is not None:
         raise UsageError(
-            "vectors are linearly dependent",
+            "the vectors are linearly dependent",
             where=where,
-            got=f"column {dependent} of {V.shape[1]} is zero or a combination of those before it",
+            got=f"column {dependent} of {V.shape[1]} is zero or a combination of the columns "
+            f"before it",
             expected=f"linearly independent columns, at most {rows}",
-            hint="remove this column; columns are counted from 0",
+            hint="remove this column (the first column is column 0)",
         )
     return V
 
@@ -85,12 +93,12 @@ def _matrix(value: Any, where: str, rows: int) -> np.ndarray:
         raise UsageError(problem, where=where, got=got, expected=expected, hint=advice)
     if V.dtype.kind not in "fiu":
         got = f"{type(value).__name__} of {getattr(value, 'dtype', 'no numbers')}"
-        raise UsageError("vectors are not an array of numbers", where=where, got=got,
+        raise UsageError("the vectors are not an array of numbers", where=where, got=got,
                          expected=expected)  # fmt: skip
     if V.ndim != 2:
         hint = "write one vector as V[:, None]" if V.ndim == 1 else None
         got = f"an array of shape {V.shape}"
-        raise UsageError("vectors are not a matrix", where=where, got=got, expected=expected,
+        raise UsageError("the vectors are not a matrix", where=where, got=got, expected=expected,
                          hint=hint)  # fmt: skip
     return V.astype(float)
 

@@ -225,7 +225,9 @@ class RowStore:
     def __init__(self, path: Path, points: int, digest: str) -> None:
         self.path, self.outcomes, self.failed = path, dict[int, PointResult](), set[int]()
         if path.is_symlink() or (path.exists() and not path.is_file()):
-            raise UsageError("is no file of a sweep", where=str(path), hint="remove it")
+            raise UsageError(
+                "this file is not a results file of a sweep", where=str(path), hint="remove it"
+            )
         try:
             self._rows = sqlite3.connect(path, timeout=0.0, isolation_level=None)
             self._rows.executescript(_OPEN_STATEMENTS)
@@ -238,18 +240,24 @@ class RowStore:
                 self._write_row(point, _OUTCOME_ADAPTER.validate_json(text, strict=True))
         except (sqlite3.Error, ValueError) as error:
             hint = "remove it: what it held is run again"
-            message = "is damaged or cannot be written: not the rows of this sweep"
+            message = (
+                "this file is damaged or cannot be written, because it does not contain "
+                "the rows of this sweep"
+            )
             if "locked" in str(error):
-                message, hint = "another sweep writes here now", "wait for it, or choose another"
+                message, hint = (
+                    "another sweep is writing to this directory",
+                    "wait for it, or choose another",
+                )
             got = str(error).splitlines()[0][:200]
             raise UsageError(message, where=str(path), got=got, hint=hint) from None
         if stored not in (None, digest):
             raise UsageError(
-                "contains another sweep",
+                "this directory contains the results of another sweep",
                 where=str(path.parent),
                 got=f"plan {stored}"[:80],
                 expected=f"plan {digest}",
-                hint="choose another --out, or remove the old one",
+                hint="choose another --out, or delete this directory",
             )
 
     def record(self, point: int, outcome: PointResult) -> None:
@@ -264,7 +272,7 @@ class RowStore:
             self._rows.execute("insert or replace into row values (?, ?)", row)
         except sqlite3.Error as error:
             hint = "the rows so far are kept: make room and give the same command again"
-            message = f"cannot be written: {error}"
+            message = f"this file cannot be written: {error}"
             raise UsageError(message, where=str(self.path), hint=hint) from None
         self._write_row(point, outcome)
 
@@ -282,13 +290,13 @@ def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> N
     known = {**outcome.metrics, **outcome.facts}
     for name in names:
         if name not in known:
-            raise unknown("the result has no such number", name, known, "--metric")
+            raise unknown("the result has no number of this name", name, known, "--metric")
     if not names and not outcome.metrics:
         raise UsageError(
-            "nothing to tabulate: every metric is a curve",
+            "this scene has no metric that is a number, so the table of the sweep is empty",
             where=scene,
             expected="a scene with metrics that are numbers, or with [probes]",
-            hint="'kc2spice run' writes the curve of one point; --set works there too",
+            hint="use kc2spice run with --set to compute the curves of one point",
         )
 
 
@@ -511,7 +519,9 @@ def _find_study(name: str) -> _Study | None:
     except ValidationError as error:
         first = error.errors()[0]
         where = f"{name}, key {'.'.join(map(str, first['loc']))}"
-        raise UsageError(f"not a key of a study: {first['msg']}", where=where) from None
+        raise UsageError(
+            f"this key of the study is not valid: {first['msg']}", where=where
+        ) from None
 
 
 # --- running it -----------------------------------------------------------------------------------
@@ -685,7 +695,7 @@ def table_file_name(table_format: str) -> str:
     MissingToolError : no pyarrow for Parquet.
     """
     if table_format not in WRITERS:
-        raise unknown("no such format", table_format, WRITERS, "--format")
+        raise unknown("this table format does not exist", table_format, WRITERS, "--format")
     if table_format == "parquet":
         import_optional("pyarrow.parquet", "--format")
     return f"sweep.{table_format}"
@@ -694,14 +704,18 @@ def table_file_name(table_format: str) -> str:
 def _open_rows(definition: Sweep, out: Path, table_format: str) -> RowStore:
     name = table_file_name(table_format)
     if out.exists() and not out.is_dir():
-        raise UsageError("is a file, not a directory", where=str(out), hint="choose another --out")
+        raise UsageError(
+            "this path is a file, not a directory", where=str(out), hint="choose another --out"
+        )
     if (out / name).exists() and not (out / ROWS_FILE).exists():
         hint = "choose another --out, or remove it"
-        raise UsageError("would be overwritten", where=str(out / name), hint=hint)
+        raise UsageError(
+            "this directory already contains results", where=str(out / name), hint=hint
+        )
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"cannot be written: {error.strerror}", where=str(out)) from None
+        raise UsageError(f"this file cannot be written: {error.strerror}", where=str(out)) from None
     return RowStore(out / ROWS_FILE, definition.plan.size, definition.digest)
 
 

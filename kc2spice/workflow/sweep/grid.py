@@ -81,11 +81,11 @@ def split_range(text: str) -> tuple[str, list[str]]:
         if len(words) != 3:
             last = "MEAN,DEVIATION,POINTS" if call[1] == "normal" else "LOW,HIGH,POINTS"
             raise UsageError(
-                f"{call[1]} takes three values",
+                f"{call[1]} needs three values",
                 where="--set",
                 got=text,
                 expected=f"{call[1]}({last})",
-                hint=f"write {call[1]}({','.join([*words[:2], '50'])}) for fifty points"
+                hint=f"write {call[1]}({','.join([*words[:2], '50'])}) for 50 points"
                 if len(words) == 2
                 else None,
             )
@@ -180,10 +180,18 @@ def _parse_word(where: str, key: Key, text: str) -> Any:
     if key.choices and text not in key.choices:
         choices = f"one of {list_candidates(text, key.choices)}"
         hint = did_you_mean(text, key.choices)
-        raise UsageError("no such choice", where=where, got=repr(text), expected=choices, hint=hint)
+        raise UsageError(
+            "this value is not one of the choices",
+            where=where,
+            got=repr(text),
+            expected=choices,
+            hint=hint,
+        )
     if key.integer and not re.fullmatch(r"[+-]?\d+", text):
         expected = "a whole number, or a range of whole numbers"
-        raise UsageError("not a whole number", where=where, got=repr(text), expected=expected)
+        raise UsageError(
+            "this value is not a whole number", where=where, got=repr(text), expected=expected
+        )
     if key.integer or key.choices or key.unit is None or text[:1] in ("[", "{"):
         return parse_override_value(text)
     return parse_value(text, key.unit, where)
@@ -273,7 +281,7 @@ def make_plan(
     """
     if not ranges:
         raise UsageError(
-            "nothing to sweep",
+            "the option --set is missing, so no key is swept",
             where="sweep",
             got="no --set",
             expected="--set KEY=RANGE",
@@ -300,7 +308,9 @@ def make_plan(
         blocks = [together]
     plan = Plan(tuple(ranges), tuple(blocks), tuple(random))
     if plan.size > MAX_POINTS:
-        raise UsageError("too many points", got=plan.size, expected=f"at most {MAX_POINTS}")
+        raise UsageError(
+            "the sweep has too many points", got=plan.size, expected=f"at most {MAX_POINTS}"
+        )
     return plan
 
 
@@ -313,5 +323,7 @@ def _common_length(lengths: Mapping[str, int], where: str) -> int:
     """
     if len(set(lengths.values())) > 1:
         got = ", ".join(f"{key}: {length}" for key, length in lengths.items())
-        raise UsageError("unequal numbers of values", where=where, got=got, expected="one number")
+        raise UsageError(
+            "the keys have different numbers of values", where=where, got=got, expected="one number"
+        )
     return next(iter(lengths.values()))

@@ -115,7 +115,7 @@ def read_scene_files(scene: Scene) -> dict[str, bytes]:
         try:
             result[name] = read_bounded(scene.home / name, MAX_FILE_BYTES)
         except OSError as error:
-            raise UsageError(f"cannot be read: {error.strerror}", where=name) from None
+            raise UsageError(f"this file cannot be read: {error.strerror}", where=name) from None
     if sum(map(len, result.values())) > MAX_FILE_BYTES:
         raise UsageError(
             "the files of this scene are too large for the workers of a sweep",

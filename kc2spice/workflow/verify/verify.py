@@ -316,7 +316,7 @@ def verify_scenes(
     """
     if deck is not None and len(scenes) != 1:
         raise UsageError(
-            "--deck needs exactly one scene",
+            "--deck cannot be combined with several scenes",
             where="--deck",
             got=f"{len(scenes)} scenes",
             expected="the scene from which the deck was exported",
