@@ -114,7 +114,7 @@ def _run_method(
     try:
         rom = reduction.reduce(tolerance=tolerance, order=order, method=method)
     except Kc2spiceError as error:
-        reason = error.message.removeprefix("this method does not apply to the model: ")
+        reason = error.message.removeprefix("this reduction method does not apply to the model: ")
     except Exception as error:  # an error in a user's method must not end the comparison
         reason = f"{type(error).__name__}: {error}"
     row: dict[str, Any] = {"method": method, "order": None, "states": None, "error_estimate": None}

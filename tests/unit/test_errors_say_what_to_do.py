@@ -456,9 +456,19 @@ def test_an_override_of_a_part_that_the_scene_lacks(divider):
 @pytest.mark.parametrize(
     ("words", "head", "got", "expected"),
     [
-        (("bench", "impact", "--error", "2"), "--error: out of range", "2", "1e-12 to 1"),
+        (
+            ("bench", "impact", "--error", "2"),
+            "--error: this value is out of range",
+            "2",
+            "1e-12 to 1",
+        ),
         (("bench", "impact", "--error=x"), "--error: this value is not a number", "x", "a number"),
-        (("bench", "impact", "--repeats", "0"), "--repeats: out of range", "0", "at least 1"),
+        (
+            ("bench", "impact", "--repeats", "0"),
+            "--repeats: this value is out of range",
+            "0",
+            "at least 1",
+        ),
         (("export", "impact", "--tolerance", "-1"), "--tolerance: out of range", "-1", ">= 1e-10"),
         (
             ("reduce", "x.K", "--band", "1k", "2k"),

@@ -37,7 +37,7 @@ LIMITS = [
     # (158.9 + 113) 144.2 > 2 c13^2
     (LOOP, "kick.material.stiffness.c13=1.39e11; kick.material.permittivity_at=strain",
      "kick.material.stiffness.c13=1.41e11; kick.material.permittivity_at=strain",
-     "no such material"),
+     "not positive definite"),
     (ALONE, "kick.poling=x; kick.mounting=glued", "kick.driver.tube={}", "half_bridge"),
     (ALONE, "kick.driver.charge={}", "kick.driver.charge={}; kick.driver.amplifier={}",
      "one driver"),

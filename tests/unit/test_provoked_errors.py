@@ -62,7 +62,8 @@ def rows(text):
          "did you mean '--verbose'?"),
         ("run impact --nope=3", "run: this option does not exist", "--nope", "kc2spice run --help"),
         ("run impact --deck", "--deck: the value is missing", "--deck", "write FILE behind --deck"),
-        ("reduce x.K --band 1", "--band: needs 2 values", "--band 1", "write F0 F1 behind --band"),
+        ("reduce x.K --band 1", "--band: this option needs 2 values", "--band 1",
+         "write F0 F1 behind --band"),
         ("run impact --json=yes", "--json: this option takes no", "--json=yes", "write --json"),
         ("run impact more", "run: the command line has one argument too many", "more",
          "delete more"),
@@ -194,7 +195,11 @@ def test_a_table_that_is_no_impedance(cli, text, got, advice):
         ("", "this port has no place", "column = 1"),
         ('kind = "output"\ncolumn = 1', "a row, not a column", "row = 1"),
         ("node = 1", "this port has no direction", 'axis = "z"'),
-        ('node = 1\ndof = "volts"', "no such degree of freedom", "did you mean 'volt'?"),
+        (
+            'node = 1\ndof = "volts"',
+            "this degree of freedom does not exist",
+            "did you mean 'volt'?",
+        ),
         ("column = 3", "there is no column 3", None),
     ],
 )

@@ -196,7 +196,13 @@ RISE = 300 + 2 * ZTH.step_response(TIME)
             {"power": 2, "dc": "open"},
             "only to a measured impedance",
         ),
-        ("time_s,temperature_k", TIME, RISE, {"power": 2, "order": 3}, "no effect"),
+        (
+            "time_s,temperature_k",
+            TIME,
+            RISE,
+            {"power": 2, "order": 3},
+            "does not apply to a measured response",
+        ),
         ("time_s,temperature_k", TIME, RISE, {"power": 2, "network": "x"}, "no such form"),
         ("time_s,temperature_k", TIME - 10, RISE, {"power": 2}, "0 times after zero"),
         ("time_s,temperature_k", TIME, 0 * RISE + 300, {"power": 2}, "does not change"),
@@ -225,7 +231,7 @@ def test_two_temperatures_are_ambiguous(tmp_path):
     path = tmp_path / "two.csv"
     rows = "".join(f"{t},{y},{2 * y}\n" for t, y in zip(TIME, RISE, strict=True))
     path.write_text("time_s,tj_k,tc_k\n" + rows)
-    with pytest.raises(kc.errors.UsageError, match="ambiguous"):
+    with pytest.raises(kc.errors.UsageError, match="more than one possible meaning"):
         read_transient(path)
 
 
