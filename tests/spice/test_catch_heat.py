@@ -99,7 +99,7 @@ def test_the_heat_of_the_catch_needs_a_path():
     drive = {"part": "source", "dc": "1 V"}
     scene = catch_alone(SERIES, drive=drive, analysis={"type": "op"})
     del scene["potting"]
-    with pytest.raises(UsageError, match="no path leads heat"):
+    with pytest.raises(UsageError, match="heat cannot flow"):
         kc.run(scene)
 
 
