@@ -14,6 +14,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.fem.thermal_materials import find_thermal_material
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.workflow.export import export_scene
+from kc2spice.workflow.verify.verify import verify_scenes
 
 ELEMENTS = 4  # quadratic elements in each layer
 # Difference of ngspice and scipy on one system of equations.
@@ -357,3 +358,8 @@ def test_all_dialects_write_films_as_parameters(tmp_path, dialect):
     if dialect == "ngspice":
         symbols = next(path for path in written if path.suffix == ".kicad_sym")
         assert '"air"' in symbols.read_text(encoding="utf-8")
+
+
+def test_a_body_with_ranges_and_a_film_pin_is_verified_three_ways(tmp_path):
+    report = verify_scenes([kc.load_scene(FANNED)], tmp_path)["scenes"]["fanned"]
+    assert report["passed"], [item for item in report["checks"] if not item["passed"]]

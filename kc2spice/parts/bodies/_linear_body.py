@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import math
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from itertools import filterfalse
 from typing import Any
@@ -190,6 +190,13 @@ class LinearBody(BodyChecks[LinearKeysT]):
             yield Neglected(
                 f"free ringing of {part.name}", why, "all of its own current and motion"
             )
+
+    def given_ports(self, part: Part[LinearKeysT], model: LinearModel) -> Sequence[str]:
+        """Ports of a model whose temperatures are given, and not their heat flows; none by default.
+
+        The certificate of the model holds for the responses to these temperatures.
+        """
+        return ()
 
     def dimensions(self, part: Part[LinearKeysT]) -> int:
         """Number of dimensions of the mesh."""

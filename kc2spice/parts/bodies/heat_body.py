@@ -357,7 +357,7 @@ dc = "1 W"
         A pin behind thick insulation stays so cold at high frequencies that rounding exceeds the
         tolerance there. The error is then relative to the largest temperature of each pin.
         """
-        given = _given_ports(part, model)
+        given = self.given_ports(part, model)
         try:
             return reduce_with_interfaces(model, given, **aims)
         except SimulationError:
@@ -367,6 +367,11 @@ dc = "1 W"
             tolerance = aims["tolerance"] and aims["tolerance"] * PEAK_SHARE
             changed = {**aims, "norm": "peak", "tolerance": tolerance}
             return reduce_with_interfaces(model, given, **changed)
+
+    def given_ports(self, part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
+        """Ports of a model whose temperatures are given: isothermal faces, and fluids of films."""
+        known = {*part.keys.isothermal, *part.keys.film_pins}
+        return [*filter(known.__contains__, names_of(model.ports))]
 
     def reduce_ranges(
         self,
@@ -384,7 +389,7 @@ dc = "1 W"
         """
         from kc2spice.rom.heat_ranges import reduce_heat_over_ranges
 
-        given = _given_ports(part, full({axis.name: axis.middle for axis in axes}))
+        given = self.given_ports(part, full({axis.name: axis.middle for axis in axes}))
         try:
             return reduce_heat_over_ranges(full, axes, band, tolerance, progress, norm, given)
         except SimulationError:
@@ -497,12 +502,6 @@ dc = "1 W"
             what = f"{part.name}: heat that spreads sideways in its layers"
             why = "heat flows straight down through the area of each layer"
             yield Neglected(what, why, "lower temperatures than modelled: use a mesh")
-
-
-def _given_ports(part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
-    """Ports of a model whose temperatures are given: isothermal faces, and fluids of films."""
-    known = {*part.keys.isothermal, *part.keys.film_pins}
-    return [*filter(known.__contains__, names_of(model.ports))]
 
 
 def _warn_of_cold_pins(part: Part[HeatBodyKeys]) -> None:
