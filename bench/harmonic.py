@@ -11,7 +11,7 @@ from kc2spice.bodies.stack import make_stack
 from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.response import Response
-from kc2spice.rom.surrogate import surrogate
+from kc2spice.rom.surrogate import make_surrogate
 
 ORDERS = (30, 21, 24, 35, 42)
 TOLERANCES = (1e-6, 1e-2, 1e-3, 1e-4, 1e-5, 1e-8)
@@ -31,7 +31,7 @@ def harmonic(setup):
         _, sample = timed(lambda: model.transfer(taken), 1)
     full = scaled(sample, frequency.size / taken.size)
     with setup.clock.time_stage("harmonic", "surrogate of the full model"):
-        large, certified = surrogate(model, (0.0, float(frequency[-1])))
+        large, certified = make_surrogate(model, (0.0, float(frequency[-1])))
     exact = large.transfer(frequency)
     points, notes = [], []
     band = (0.0, float(frequency[-1]))

@@ -33,25 +33,25 @@ from kc2spice.netlist.expression import (
 from kc2spice.netlist.spelling import LEAK_RATE, format_number
 from kc2spice.physics.declaration import TEMPERATURE, Branch, Declaration
 from kc2spice.physics.linkages import Linkages, find_linkages
-from kc2spice.physics.lookups import CELL, WEIGHT, Lookups, TableFunction, has_tables
+from kc2spice.physics.lookups import CELL_NODE, WEIGHT_NODE, Lookups, TableFunction, has_tables
 from kc2spice.physics.symbolic import (
     ONE,
     ZERO,
-    derivative,
+    add_trees,
+    differentiate_tree,
+    divide_trees,
+    format_tree,
     is_affine,
     kinks,
-    minus,
+    multiply_trees,
     names,
-    over,
-    plus,
-    text,
-    times,
+    subtract_trees,
     weighted_sum,
 )
 
-_FARAD = "1e-06"
+_UNIT_CAPACITANCE = "1e-06"
 NO_TABLES: Mapping[str, TableFunction] = MappingProxyType({})
-_EDGE = Model("edge", "SW", {"VT": "0", "VH": "0", "RON": "1e6", "ROFF": "2e6"})
+_EDGE_SWITCH = Model("edge", "SW", {"VT": "0", "VH": "0", "RON": "1e6", "ROFF": "2e6"})
 _TIME_INTEGRALS = {
     "current": ("charge", "coulombs"),
     "voltage": ("flux", "webers"),
@@ -59,7 +59,7 @@ _TIME_INTEGRALS = {
     "volume_velocity": ("volume", "m3"),
     "pressure": ("pressure impulse", "Pa s"),
 }
-_HEAD = {
+_FLOW_COMMENTS = {
     "force": "{flow} into {plus}, out of {minus}, 1 V = 1 {unit} on {node}; "
     "{word} = {factor}V({plus},{minus})",
     "direct": "{flow} into {plus}, out of {minus}; {word} = {factor}V({plus},{minus})",
@@ -114,7 +114,7 @@ def _write_items(
     declaration: Declaration, noise: bool, tables: Mapping[str, TableFunction]
 ) -> Iterator[Line]:
     for name, tree in declaration.constant_trees.items():
-        yield Parameters({name: f"{{{text(tree)}}}"})
+        yield Parameters({name: f"{{{format_tree(tree)}}}"})
     nodes, rest = _variable_trees(declaration), reference_node(declaration)
     linkages = find_linkages(declaration)
     lookups = Lookups(tables, _list_laws(declaration, linkages), rest)
@@ -123,7 +123,9 @@ def _write_items(
         yield from _write_lookups(lookups, nodes)
     for tree, name in declaration.power_series.items():
         yield f"* the power series {name}"
-        yield Element.behaviour(f"B{name}", name, rest, "V", text(substitute_names(tree, nodes)))
+        yield Element.behaviour(
+            f"B{name}", name, rest, "V", format_tree(substitute_names(tree, nodes))
+        )
     rated = set(declaration.branches_with_rate).difference(declaration.inertial_branches)
     rated.update(declaration.displacements if linkages else ())
     for branch in declaration.branches:
@@ -139,8 +141,8 @@ def _write_items(
     for branch in branches if noise else ():
         if (loss := declaration.loss_coefficient(branch)) != ZERO:
             source = CircuitVariable("v", (f"noise_{branch.name}", branch.minus))
-            added[branch.name] = times(source, Call("sqrt", (loss,)))
-            yield _comment("noise", branch, loss=text(loss))
+            added[branch.name] = multiply_trees(source, Call("sqrt", (loss,)))
+            yield _comment("noise", branch, loss=format_tree(loss))
             yield Element.of(f"Rnoise_{branch.name}", f"noise_{branch.name}", branch.minus, "1")
     if linkages:
         yield from _write_linkages(linkages, lookups, nodes)
@@ -153,8 +155,8 @@ def _write_items(
             yield from make(declaration, branch, nodes, added[branch.name])
     yield from _write_edges(declaration, nodes)
     for name, tree in declaration.output_trees.items():
-        yield f"* {_HEAD['output'].format(plus=name, words=text(tree))}"
-        yield from _write_node(name, times(Number("1e6"), tree), nodes, rest)
+        yield f"* {_FLOW_COMMENTS['output'].format(plus=name, words=format_tree(tree))}"
+        yield from _write_node(name, multiply_trees(Number("1e6"), tree), nodes, rest)
 
 
 def _single_voltages(declaration: Declaration, linkages: Linkages | None) -> dict[str, Tree]:
@@ -186,7 +188,7 @@ def _list_laws(declaration: Declaration, linkages: Linkages | None) -> tuple[Tre
             raise UsageError(
                 "tables are supported only in forces and inductances",
                 where=declaration.name,
-                got=text(tree),
+                got=format_tree(tree),
             )
     forces = map(declaration.delayed_flow, declaration.displacements)
     return (*forces, *(linkages.motional if linkages else ()))
@@ -195,18 +197,22 @@ def _list_laws(declaration: Declaration, linkages: Linkages | None) -> tuple[Tre
 def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line]:
     """Write the cells of the lookups, and lookups that several laws use."""
     base = lookups.base
-    yield from map("* {}".format, wrap(_HEAD["lookup"].format(points=lookups.points), 96))
+    yield from map("* {}".format, wrap(_FLOW_COMMENTS["lookup"].format(points=lookups.points), 96))
     yield Parameters(
         {"table_low": format_number(lookups.low), "table_step": format_number(lookups.step)}
     )
-    yield f"* {_HEAD['cell'].format(cell=CELL, weight=WEIGHT)}"
-    cell = over(minus(lookups.argument or ZERO, Name("table_low")), Name("table_step"))
-    yield from _write_node(CELL, cell, nodes, base)
-    at, within = f"V({CELL})", "V(lookup_t)"
+    yield f"* {_FLOW_COMMENTS['cell'].format(cell=CELL_NODE, weight=WEIGHT_NODE)}"
+    cell = divide_trees(
+        subtract_trees(lookups.argument or ZERO, Name("table_low")), Name("table_step")
+    )
+    yield from _write_node(CELL_NODE, cell, nodes, base)
+    at, within = f"V({CELL_NODE})", "V(lookup_t)"
     yield Element.behaviour("Blookup_t", base, "lookup_t", "I", f"{at}-floor({at})")
     yield Element.of("Rlookup_t", "lookup_t", base, "1")
-    yield Element.behaviour(f"B{WEIGHT}", base, WEIGHT, "I", f"{within}-{within}*{within}")
-    yield Element.of(f"R{WEIGHT}", WEIGHT, base, "1")
+    yield Element.behaviour(
+        f"B{WEIGHT_NODE}", base, WEIGHT_NODE, "I", f"{within}-{within}*{within}"
+    )
+    yield Element.of(f"R{WEIGHT_NODE}", WEIGHT_NODE, base, "1")
     for calls in lookups.repeated:
         yield f"* {lookups.describe(calls)}"
         values = lookups.values(weighted_sum(calls))
@@ -215,7 +221,7 @@ def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line
 
 def _write_lookup(name: str, lookups: Lookups, values: np.ndarray) -> Iterator[Line]:
     """Write a node with the value of a lookup."""
-    law = text(lookups.interpolate(values))
+    law = format_tree(lookups.interpolate(values))
     yield Element.behaviour(f"B{name}", lookups.base, name, "I", law)
     yield Element.of(f"R{name}", name, lookups.base, "1")
 
@@ -264,7 +270,7 @@ def _write_linkage(
         raise UsageError(
             "the resistance in series with a tabulated inductance is not constant",
             where=declaration.name,
-            got=text(drop),
+            got=format_tree(drop),
         )
     yield _comment("linkage", b, node=f"l_{n}", scale=f"{henry:.6g}")
     if varying:
@@ -296,17 +302,19 @@ def _write_current(
     voltages = [_only_voltage(nodes[item]) for item in dependencies]
     smooth = not kinks(tree) and not _circuit_variables(tree)
     if not all(voltages) or not smooth or not is_affine(tree, set(dependencies)):
-        yield Element.behaviour(f"B{name}", start, end, "I", text(substitute_names(tree, nodes)))
+        yield Element.behaviour(
+            f"B{name}", start, end, "I", format_tree(substitute_names(tree, nodes))
+        )
         return
     for item, voltage in zip(dependencies, voltages, strict=True):
         card = f"G{name}" if len(dependencies) == 1 else f"G{name}_{item}"
         at = nodes[item]
         unit = at.left if isinstance(at, Binary) else ONE
-        gain = f"{{{text(times(unit, derivative(tree, item)))}}}"
+        gain = f"{{{format_tree(multiply_trees(unit, differentiate_tree(tree, item)))}}}"
         yield Element.of(card, start, end, *voltage, gain)
-    rest = plus(substitute_names(tree, dict.fromkeys(dependencies, ZERO)))
+    rest = add_trees(substitute_names(tree, dict.fromkeys(dependencies, ZERO)))
     if rest != ZERO:
-        yield Element.of(f"I{name}", end, start, f"{{{text(minus(ZERO, rest))}}}")
+        yield Element.of(f"I{name}", end, start, f"{{{format_tree(subtract_trees(ZERO, rest))}}}")
 
 
 def _circuit_variables(tree: Tree) -> list[CircuitVariable]:
@@ -333,16 +341,18 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     start, fast = declaration.starts[n]
     yield _comment("mass", b, speed=v, place=place)
     end = base if speed else f"pushed_{n}"
-    yield Element.of(f"Cplace_{n}", place, base, _FARAD, IC=f"{{{start}*1e6}}")
+    yield Element.of(f"Cplace_{n}", place, base, _UNIT_CAPACITANCE, IC=f"{{{start}*1e6}}")
     yield Element.of(f"Gplace_{n}", base, place, v, base, "1")
-    yield Element.of(f"Cmass_{n}", v, end, f"{{{text(declaration.mass(b))}}}", IC=f"{{{fast}}}")
+    yield Element.of(
+        f"Cmass_{n}", v, end, f"{{{format_tree(declaration.mass(b))}}}", IC=f"{{{fast}}}"
+    )
     shaken = [other for other in declaration.branches if other.domain.name == b.domain.frame]
     weight = declaration.direct_flow(b)
-    still = plus(substitute_names(weight, dict.fromkeys(names_of(shaken), ZERO)))
+    still = add_trees(substitute_names(weight, dict.fromkeys(names_of(shaken), ZERO)))
     if still != ZERO:
-        yield Element.of(f"Iweight_{n}", v, base, f"{{{text(still)}}}")
+        yield Element.of(f"Iweight_{n}", v, base, f"{{{format_tree(still)}}}")
     for other in shaken:
-        share = text(derivative(weight, other.name))
+        share = format_tree(differentiate_tree(weight, other.name))
         yield _comment("shake", other, speed=v)
         yield Element.of(f"Gshake_{other.name}", v, base, other.plus, other.minus, f"{{{share}}}")
     if not speed:
@@ -352,7 +362,9 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
         yield Element.of(f"G{force_node(b)}", b.plus, base, force_node(b), base, "1")
         yield Element.of(f"Gpush_{n}", base, v, force_node(b), base, "1")
         for other in shaken:
-            share = text(over(derivative(weight, other.name), declaration.mass(b)))
+            share = format_tree(
+                divide_trees(differentiate_tree(weight, other.name), declaration.mass(b))
+            )
             yield Element.of(
                 f"Gdraw_{other.name}", other.plus, base, force_node(b), base, f"{{{share}}}"
             )
@@ -376,7 +388,7 @@ def _variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
         sensed = _scale_to_si(CircuitVariable("i", (f"Vrate_{b.name}",)), factor * 1e6)
         plus_pin, minus_pin = _sensed_pins(declaration, b)
         sensed = sensed if plus_pin != minus_pin else ZERO
-        result[b.rate] = plus(sensed, minus(high, low))
+        result[b.rate] = add_trees(sensed, subtract_trees(high, low))
     return result
 
 
@@ -438,7 +450,7 @@ def force_node(branch: Branch) -> str:
 
 
 def _comment(kind: str, branch: Branch, **words: str) -> str:
-    return f"* {_HEAD[kind].format(plus=branch.plus, minus=branch.minus, **words)}"
+    return f"* {_FLOW_COMMENTS[kind].format(plus=branch.plus, minus=branch.minus, **words)}"
 
 
 def _time_integral(quantity: Quantity) -> tuple[str, str]:
@@ -451,24 +463,24 @@ def _write_states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterat
     """Write the signals, then the states."""
     base = reference_node(declaration)
     for name, tree in declaration.signal_trees.items():
-        yield f"*   {name} = {text(tree)}"
+        yield f"*   {name} = {format_tree(tree)}"
         yield from _write_node(name, tree, nodes, base)
     for name, tree in declaration.state_rates.items():
-        node, rate = state_node(name), times(Number(_FARAD), tree)
-        yield f"* {_HEAD['state'].format(node=node)}"
-        yield f"*   d/dt {name} = {text(tree)}"
-        yield Element.of(f"C{node}", node, base, _FARAD)
+        node, rate = state_node(name), multiply_trees(Number(_UNIT_CAPACITANCE), tree)
+        yield f"* {_FLOW_COMMENTS['state'].format(node=node)}"
+        yield f"*   d/dt {name} = {format_tree(tree)}"
+        yield Element.of(f"C{node}", node, base, _UNIT_CAPACITANCE)
         yield Element.of(f"R{node}", node, base, "1e15")
         yield from _write_current(node, (base, node), rate, nodes)
 
 
 def _write_law(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> str:
-    return text(substitute_names(declaration.name_power_series(tree), nodes))
+    return format_tree(substitute_names(declaration.name_power_series(tree), nodes))
 
 
 def _write_differentiator(name: str, node: str, minus: str) -> Iterator[Line]:
     """Write ``Vrate_NAME``, whose current is 1e-6 times the rate of the node's voltage."""
-    yield Element.of(f"Crate_{name}", node, f"sense_{name}", _FARAD)
+    yield Element.of(f"Crate_{name}", node, f"sense_{name}", _UNIT_CAPACITANCE)
     yield Element.of(f"Vrate_{name}", f"sense_{name}", minus, "0")
 
 
@@ -527,11 +539,11 @@ def _write_force(
     metered = declaration.metered or b.less
     ends = (base, node) if metered else (high, low)
     across, through = b.domain.across, b.domain.through_variable
-    factor = "" if across.factor == 1 else f"{text(_format_power_of_ten(across.factor))} "
+    factor = "" if across.factor == 1 else f"{format_tree(_format_power_of_ten(across.factor))} "
     words = {"flow": through.name, "unit": through.pin_unit, "word": across.symbol}
     yield _comment("force" if metered else "direct", b, node=node, factor=factor, **words)
-    yield f"*   {b.through} = {text(declaration.name_power_series(force))}"
-    terms = lookups.split(plus(force, noise))
+    yield f"*   {b.through} = {format_tree(declaration.name_power_series(force))}"
+    terms = lookups.split(add_trees(force, noise))
     for k, term in enumerate(terms):
         for label in sorted(names(term) & set(lookups.single)):
             yield f"*   the lookup of {lookups.single[label]}"
@@ -548,17 +560,17 @@ def _write_stored_quantity(
     declaration: Declaration, b: Branch, stored: Tree, node: str, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
     """Write the stored quantity in units of its derivative at rest, and its rate."""
-    scale = declaration.at_rest(derivative(stored, b.name))
-    scale = times(_format_power_of_ten(coordinate_quantity(b).factor), scale)
+    scale = declaration.at_rest(differentiate_tree(stored, b.name))
+    scale = multiply_trees(_format_power_of_ten(coordinate_quantity(b).factor), scale)
     unit = scale if scale != ZERO else Number("1e-12")
-    yield Parameters({f"scale_{b.name}": f"{{{text(unit)}}}"})
+    yield Parameters({f"scale_{b.name}": f"{{{format_tree(unit)}}}"})
     amount = substitute_names(declaration.name_power_series(stored), nodes)
     if not b.flows:  # a quotient's slope has 1e-32 beside scale^2, which may be that small
         yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
         amount = Binary("*", Name(f"per_{b.name}"), amount)
     else:
         amount = Binary("/", amount, Name(f"scale_{b.name}"))
-    yield Element.behaviour(f"B{node}", node, b.minus, "V", text(amount))
+    yield Element.behaviour(f"B{node}", node, b.minus, "V", format_tree(amount))
     yield from _write_differentiator(b.name, node, b.minus)
 
 
@@ -567,7 +579,7 @@ def _write_charge(
 ) -> Iterator[Line]:
     charge, direct, inner = declaration.stored_quantity(b), declaration.direct_flow(b), b.plus
     unit = _format_power_of_ten(b.domain.through_variable.per_unit)
-    times_unit = "" if unit == ONE else f"*{text(unit)}"
+    times_unit = "" if unit == ONE else f"*{format_tree(unit)}"
     heating = b == declaration.heat_branch
     if declaration.metered or charge != ZERO or heating:
         inner = f"in_{b.name}"
@@ -576,18 +588,18 @@ def _write_charge(
         integral, si_unit = _time_integral(b.domain.through_variable)
         words = {"integral": integral, "unit": si_unit, "scale": f"scale_{b.name}"}
         yield _comment("charge", b, node=f"q_{b.name}", **words)
-        yield f"*   {integral} = {text(declaration.name_power_series(charge))}"
+        yield f"*   {integral} = {format_tree(declaration.name_power_series(charge))}"
         yield from _write_stored_quantity(declaration, b, charge, f"q_{b.name}", nodes)
         rate = f"{{scale_{b.name}*1e6{times_unit}}}"
         yield Element.of(f"Fq_{b.name}", inner, b.minus, f"Vrate_{b.name}", rate)
-        yield f"* {_HEAD['leak'].format(integral=integral, seconds=f'{1 / LEAK_RATE:g}')}"
+        yield f"* {_FLOW_COMMENTS['leak'].format(integral=integral, seconds=f'{1 / LEAK_RATE:g}')}"
         leak = f"{{{LEAK_RATE:g}*scale_{b.name}{times_unit}}}"
         yield Element.of(f"Gleak_{b.name}", b.plus, b.minus, f"q_{b.name}", b.minus, leak)
     if heating:
         yield _comment("heat", b)
     if direct != ZERO or charge == ZERO:
-        yield f"*   {b.through} = {text(declaration.name_power_series(direct))}"
-        current_law = times(unit, declaration.name_power_series(plus(direct, noise)))
+        yield f"*   {b.through} = {format_tree(declaration.name_power_series(direct))}"
+        current_law = multiply_trees(unit, declaration.name_power_series(add_trees(direct, noise)))
         yield from _write_current(f"i_{b.name}", (inner, b.minus), current_law, nodes)
 
 
@@ -603,14 +615,14 @@ def _write_flux(
         words = {"integral": integral, "unit": si_unit, "scale": f"scale_{b.name}"}
         words |= {"flow": b.kind.replace("_", " "), "across": across}
         yield _comment("flux", b, node=f"l_{b.name}", **words)
-        yield f"*   {integral} = {text(declaration.name_power_series(flux))}"
+        yield f"*   {integral} = {format_tree(declaration.name_power_series(flux))}"
         yield from _write_stored_quantity(declaration, b, flux, f"l_{b.name}", nodes)
         yield Element.of(
             f"Hl_{b.name}", inner, f"rest_{b.name}", f"Vrate_{b.name}", f"{{scale_{b.name}*1e6}}"
         )
         inner = f"rest_{b.name}"
-    yield f"*   {across} besides that of the {integral} = {text(drop)}"
-    law = _write_law(declaration, times(unit, plus(drop, noise)), nodes)
+    yield f"*   {across} besides that of the {integral} = {format_tree(drop)}"
+    law = _write_law(declaration, multiply_trees(unit, add_trees(drop, noise)), nodes)
     yield Element.behaviour(f"Bv_{b.name}", inner, b.minus, "V", law)
 
 
@@ -635,12 +647,12 @@ def _write_edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterato
         yield from pivot_cards(reference_node(declaration))
     for k, (argument, b) in enumerate(result):
         base = declaration.base or (b.minus if b else reference_node(declaration))
-        yield f"* {_HEAD['edge'].format(argument=text(argument))}"
-        yield f"* edge {k + 1}" if k else _EDGE
+        yield f"* {_FLOW_COMMENTS['edge'].format(argument=format_tree(argument))}"
+        yield f"* edge {k + 1}" if k else _EDGE_SWITCH
         watched: Tree = Binary("*", Number("1e10"), substitute_names(argument, nodes))
         if declaration.metered and b is not None:
-            yield Element.behaviour(f"Bedge{k}", f"edge{k}", base, "V", text(watched))
+            yield Element.behaviour(f"Bedge{k}", f"edge{k}", base, "V", format_tree(watched))
         else:
-            watched = times(Number("100" if b is None else "1e10"), argument)
+            watched = multiply_trees(Number("100" if b is None else "1e10"), argument)
             yield from _write_node(f"edge{k}", watched, nodes, base)
         yield Element.of(f"Sedge{k}", f"edge{k}", base, f"edge{k}", base, "edge")

@@ -33,33 +33,39 @@ from kc2spice.physics.declaration import (
 )
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.lookups import TableFunction
-from kc2spice.physics.symbolic import SLOPE, ZERO, derivative, expression, minus
+from kc2spice.physics.symbolic import (
+    SLOPE_SUFFIX,
+    ZERO,
+    differentiate_tree,
+    parse_simplified,
+    subtract_trees,
+)
 
-_TABLES = tuple(
+_TABLE_NAMES = tuple(
     map("w{}".format, range(len(CURRENT_EXPONENTS)))
 )  # of the coenergy, over the height
-_UNITS = ("J", "Wb", "Wb", "H", "H", "H")
-_COILS = ("resistance_lower", "resistance_upper")
-_RANGE = ("raised", "y_min", "y_max")
-_ENDS = ("", SLOPE, 2 * SLOPE)
-_PLACE = displacement("y", "y", "base")
-_RAISED = "y + raised"
-_LIMITS = {
-    "the upper end of the force table": f"y_max - ({_RAISED})",
-    "the lower end of the force table": f"{_RAISED} - y_min",
+_TABLE_UNITS = ("J", "Wb", "Wb", "H", "H", "H")
+_COIL_RESISTANCES = ("resistance_lower", "resistance_upper")
+_HEIGHT_PARAMETERS = ("raised", "y_min", "y_max")
+_TABLE_SUFFIXES = ("", SLOPE_SUFFIX, 2 * SLOPE_SUFFIX)
+_HEIGHT_BRANCH = displacement("y", "y", "base")
+_RAISED_HEIGHT = "y + raised"
+_HEIGHT_LIMITS = {
+    "the upper end of the force table": f"y_max - ({_RAISED_HEIGHT})",
+    "the lower end of the force table": f"{_RAISED_HEIGHT} - y_min",
 }
 
 
 def _write_coenergy(height: str) -> str:
     """Write the coenergy [J] of both currents at a height."""
     terms = []
-    for table, (a, b) in zip(_TABLES, CURRENT_EXPONENTS.values(), strict=True):
+    for table, (a, b) in zip(_TABLE_NAMES, CURRENT_EXPONENTS.values(), strict=True):
         terms.append(f"{table}({height})*i1^{a}*i2^{b}")
     return " + ".join(terms)
 
 
 @cache
-def declare_coils(height: str = _RAISED) -> Declaration:
+def declare_coils(height: str = _RAISED_HEIGHT) -> Declaration:
     """Declare both coils with resistance, inductance and back-EMF.
 
     The pins are ``lp`` and ``ln`` of the lower coil, ``up`` and ``un`` of the upper one. In a
@@ -69,7 +75,7 @@ def declare_coils(height: str = _RAISED) -> Declaration:
         "coils",
         "catch actuator with real coils",
         Section,
-        (_PLACE, current("i1", "lp", "ln"), current("i2", "up", "un")),
+        (_HEIGHT_BRANCH, current("i1", "lp", "ln"), current("i2", "up", "un")),
         coenergy=_write_coenergy(height),
         content="0.5*({}*i1^2 + {}*i2^2)".format(*_COILS),
         tables=_TABLES,
@@ -79,9 +85,9 @@ def declare_coils(height: str = _RAISED) -> Declaration:
 
 
 @cache
-def declare_resistive_coils(height: str = _RAISED) -> Declaration:
+def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
     """Declare one current through both coils, reversed in the lower one."""
-    resistance = f"({' + '.join(_COILS)})"
+    resistance = f"({' + '.join(_COIL_RESISTANCES)})"
     ends = voltage("v", "drive", "ret"), measured(voltage("across", "drive", "ret"))
     physics = {"signals": {"i": f"across/{resistance}"}, "content": f"0.5*v^2/{resistance}"}
     return _declare_force("-i", "i", _COILS, height, ends, **physics, conductors=("v",))
@@ -104,7 +110,7 @@ def add_heat_pin(declared: Declaration, coefficient: float, reference: float) ->
 @cache
 def declare_prescribed_currents() -> Declaration:
     """Declare constant currents ``lower`` and ``upper``."""
-    return _declare_force("lower", "upper", ("lower", "upper"), _RAISED)
+    return _declare_force("lower", "upper", ("lower", "upper"), _RAISED_HEIGHT)
 
 
 def _declare_force(
@@ -116,14 +122,14 @@ def _declare_force(
     **physics: Any,
 ) -> Declaration:
     """Declare the force alone, without the back-EMF in the coils."""
-    currents = {"i1": expression(i1), "i2": expression(i2)}
-    pull = derivative(expression(_write_coenergy(height), tables=_TABLES), "y")
-    force = substitute_names(minus(ZERO, pull), currents)
+    currents = {"i1": parse_simplified(i1), "i2": parse_simplified(i2)}
+    pull = differentiate_tree(parse_simplified(_write_coenergy(height), tables=_TABLE_NAMES), "y")
+    force = substitute_names(subtract_trees(ZERO, pull), currents)
     return Declaration(
         "coils",
         "electromagnetic catch actuator",
         Section,
-        (_PLACE, *branches),
+        (_HEIGHT_BRANCH, *branches),
         forces={"y": Writer().write(force)},
         ideal_work=True,
         tables=(*_TABLES, *(p + SLOPE for p in _TABLES)),
@@ -136,8 +142,8 @@ def _choose_pins(height: str, names: tuple[str, ...]) -> dict[str, Any]:
     """Return parameters and limits of a law, or the pins of a netlist without parameters and
     limits.
     """
-    if height == _RAISED:
-        return {"given": _unset_parameters(*_RANGE, *names), "limits": _LIMITS}
+    if height == _RAISED_HEIGHT:
+        return {"given": _unset_parameters(*_HEIGHT_PARAMETERS, *names), "limits": _HEIGHT_LIMITS}
     return {"given": _unset_parameters(*names), "speeds": {"y": "v"}, "metered": False}
 
 
@@ -149,9 +155,9 @@ def list_tables(table: EMTable, points: int) -> dict[str, TableFunction]:
     """Return tables of the coenergy and of its slopes for a netlist, with ``points`` heights."""
     result = {}
     low, high = float(table.y[0]), float(table.y[-1])
-    for order, end in enumerate(("", SLOPE)):
+    for order, end in enumerate(("", SLOPE_SUFFIX)):
         per = "/m" * order
-        for k, (name, unit) in enumerate(zip(_TABLES, _UNITS, strict=True)):
+        for k, (name, unit) in enumerate(zip(_TABLE_NAMES, _TABLE_UNITS, strict=True)):
             function = partial(_evaluate_column, table.coenergy.slopes[order], k)
             result[name + end] = TableFunction(low, high, points, function, unit + per)
     return result
@@ -178,9 +184,9 @@ def make_law(
 def _table_functions(coenergy: Coenergy) -> Mapping[str, Callable[[float], float]]:
     """Functions that the declarations call; all values of one height are calculated once."""
     result: dict[str, Callable[[float], float]] = {}
-    for order, end in enumerate(_ENDS):
+    for order, end in enumerate(_TABLE_SUFFIXES):
         values = lru_cache(maxsize=1)(coenergy.slopes[order])
-        for k, table in enumerate(_TABLES):
+        for k, table in enumerate(_TABLE_NAMES):
             result[table + end] = partial(_value_at, values, k)
     return result
 

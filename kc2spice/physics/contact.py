@@ -14,21 +14,21 @@ from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.expression import Name, Tree, Writer, substitute_names
 from kc2spice.physics.declaration import RATE, Declaration, displacement
 from kc2spice.physics.symbolic import (
-    derivative,
+    add_trees,
+    differentiate_tree,
+    divide_trees,
     evaluate_tree,
-    expression,
-    minus,
-    over,
-    plus,
-    times,
+    multiply_trees,
+    parse_simplified,
+    subtract_trees,
 )
 
-RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
+CONTACT_RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
 # Note on the mesh error of a law by pressure, which is that of its compliances.
-SPACED = "error not estimated; a run with half the key spacing shows it"
+SPACING_NOTE = "error not estimated; a run with half the key spacing shows it"
 # In a test, a block between compiled modules ended 35 mm away instead of 0.2 mm, without an error
 # message.
-SLIPS = "compiled modules lose the digits that friction below its creep speed needs"
+FRICTION_NOTE = "compiled modules lose the digits that friction below its creep speed needs"
 SIGN = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
 
 
@@ -85,9 +85,13 @@ def _contact_laws(power: float, count: int, damped: bool) -> tuple[Tree, Tree, T
         order = power + 1 + k / 2
         closed = f"{f'c{k}*' if k else ''}max(0, x)^{int(order)}"
         terms.append(f"eps*{closed}{'*sqrt(max(0, x))' if order % 1 else ''}/{order:g}")
-    energy = expression("+".join(terms))
-    elastic = derivative(energy, "x")
-    force = times(elastic, expression("max(0, 1 + damping*x_rate)")) if damped else elastic
+    energy = parse_simplified("+".join(terms))
+    elastic = differentiate_tree(energy, "x")
+    force = (
+        multiply_trees(elastic, parse_simplified("max(0, 1 + damping*x_rate)"))
+        if damped
+        else elastic
+    )
     return energy, elastic, force
 
 
@@ -125,14 +129,21 @@ def declare_contact(
             square, gap = repr(under[1][k] ** 2), f"rest_{port}"
             constants[gap] = f"{square}/(radius + sqrt(radius*radius - {square})) + gap_{port}"
         rate = Name(x + RATE)
-        moved = {"x": expression(f"{share}*({x} - {gap})"), "x_rate": rate}
+        moved = {"x": parse_simplified(f"{share}*({x} - {gap})"), "x_rate": rate}
         late = moved
         if law.pace:
-            late = {"x": expression(f"{share}*({x} + pace*{x}{RATE} - {gap})"), "x_rate": rate}
+            late = {
+                "x": parse_simplified(f"{share}*({x} + pace*{x}{RATE} - {gap})"),
+                "x_rate": rate,
+            }
         energy, elastic, force = law._laws
-        energies.append(over(substitute_names(energy, moved), expression(f"{share}^2")))
-        pressed.append(over(substitute_names(force, late), expression(share)))
-        damping = minus(pressed[-1], over(substitute_names(elastic, moved), expression(share)))
+        energies.append(
+            divide_trees(substitute_names(energy, moved), parse_simplified(f"{share}^2"))
+        )
+        pressed.append(divide_trees(substitute_names(force, late), parse_simplified(share)))
+        damping = subtract_trees(
+            pressed[-1], divide_trees(substitute_names(elastic, moved), parse_simplified(share))
+        )
         branches.append(displacement(x, pin, low, f"force.{port}", carried))
         forces[x] = Writer().write(damping)
     sides = ("a", "va", rigid[0]), ("bottom", "v", rigid[1])
@@ -143,18 +154,20 @@ def declare_contact(
     if law.friction:
         along, absent = " and along", ""
         branches.append(displacement("slide", "slide", "rail", "friction"))
-        rubbed = times(expression(f"friction*clip(slide{RATE}/creep)"), plus(*pressed))
+        rubbed = multiply_trees(
+            parse_simplified(f"friction*clip(slide{RATE}/creep)"), add_trees(*pressed)
+        )
         forces["slide"] = Writer().write(rubbed)
     return Declaration(
         "contact",
         "penalty contact",
         Section,
         tuple(branches),
-        energy=Writer().write(plus(*energies)),
+        energy=Writer().write(add_trees(*energies)),
         forces=forces,
         given=tuple(_parameters(ports, gaps, law, under, groove)),
         constants=constants,
-        rating=RATING,
+        rating=CONTACT_RATING,
         validity=f"{kind} and normal to{along} the surface, at any temperature: no {absent}"
         "adhesion or plastic flow",
         sign=SIGN,
@@ -162,8 +175,8 @@ def declare_contact(
         lags=lags,
         base="base",
         metered=False,
-        no_module=SLIPS if law.friction else "",
-        mesh=SPACED if law.radius else "",
+        no_module=FRICTION_NOTE if law.friction else "",
+        mesh=SPACING_NOTE if law.radius else "",
     )
 
 

@@ -55,16 +55,16 @@ from kc2spice.netlist.expression import (
 from kc2spice.physics.symbolic import (
     ONE,
     ZERO,
-    derivative,
+    add_trees,
+    differentiate_tree,
+    divide_trees,
     evaluate_tree,
-    expression,
     is_affine,
     kinks,
-    minus,
+    multiply_trees,
     names,
-    over,
-    plus,
-    times,
+    parse_simplified,
+    subtract_trees,
 )
 
 LOOPS = "loops"
@@ -557,14 +557,14 @@ class Declaration:
 
     def _tree(self, what: str) -> Tree:
         """Expression tree of one of the energies, or of the content."""
-        return expression(getattr(self, what), f"{what} of {self.name}", self.tables)
+        return parse_simplified(getattr(self, what), f"{what} of {self.name}", self.tables)
 
     def _slope(self, what: str, name: str) -> Tree:
-        return derivative(self._tree(what), name)
+        return differentiate_tree(self._tree(what), name)
 
     def _parse(self, what: str, stated: Mapping[str, str]) -> dict[str, Tree]:
         where = f"{what} of {self.name}"
-        return {name: expression(text, where, self.tables) for name, text in stated.items()}
+        return {name: parse_simplified(text, where, self.tables) for name, text in stated.items()}
 
     @cached_property
     def _forces(self) -> dict[str, Tree]:
@@ -618,7 +618,7 @@ class Declaration:
 
     def without_signals(self, tree: Tree) -> Tree:
         """Replace signals in ``tree`` by their expressions."""
-        return plus(substitute_names(tree, self._signal_inputs)) if self.signals else tree
+        return add_trees(substitute_names(tree, self._signal_inputs)) if self.signals else tree
 
     @cached_property
     def output_trees(self) -> dict[str, Tree]:
@@ -632,30 +632,32 @@ class Declaration:
         For a branch of the kind current, the result is the voltage without the voltage of the flux.
         """
         if branch == self.heat_branch:
-            return minus(ZERO, self.heat_power)
+            return subtract_trees(ZERO, self.heat_power)
         dissipative = self._lossy_flow(branch)
         if not branch.moves:
             return dissipative
-        stored = minus(self._slope("energy", branch.name), self._slope("coenergy", branch.name))
-        return plus(stored, dissipative, self._forces.get(branch.name, ZERO))
+        stored = subtract_trees(
+            self._slope("energy", branch.name), self._slope("coenergy", branch.name)
+        )
+        return add_trees(stored, dissipative, self._forces.get(branch.name, ZERO))
 
     def _lossy_flow(self, branch: Branch) -> Tree:
         """Flow of a branch by its losses; for a current, the resistive voltage."""
         slope = self._slope("content", branch.lossy_variable)
         if not self.heated or branch.name not in self.conductors:
             return slope
-        return (times if branch.flows else over)(slope, self.resistance_ratio)
+        return (multiply_trees if branch.flows else divide_trees)(slope, self.resistance_ratio)
 
     @property
     def resistance_ratio(self) -> Tree:
         """Resistance of the conductors relative to that at the reference temperature."""
-        rise = minus(Name(TEMPERATURE), Name(REFERENCE))
-        return plus(ONE, times(Name(COEFFICIENT), rise))
+        rise = subtract_trees(Name(TEMPERATURE), Name(REFERENCE))
+        return add_trees(ONE, multiply_trees(Name(COEFFICIENT), rise))
 
     def delayed_flow(self, branch: Branch) -> Tree:
         """Force of a displacement after its lag."""
         tree = self.direct_flow(branch)
-        return plus(substitute_names(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
+        return add_trees(substitute_names(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
 
     def loss_coefficient(self, branch: Branch) -> Tree:
         """Damping, conductance or resistance of a branch for small signals.
@@ -664,7 +666,7 @@ class Declaration:
         """
         if branch.domain.power == "through":
             return ZERO
-        return derivative(self._lossy_flow(branch), branch.lossy_variable)
+        return differentiate_tree(self._lossy_flow(branch), branch.lossy_variable)
 
     def stored_quantity(self, branch: Branch) -> Tree:
         """Momentum, charge or flux of a branch, whose rate adds to :meth:`direct_flow`."""
@@ -674,21 +676,21 @@ class Declaration:
 
     def mass(self, branch: Branch) -> Tree:
         """Mass of a displacement branch."""
-        return derivative(self.stored_quantity(branch), branch.rate)
+        return differentiate_tree(self.stored_quantity(branch), branch.rate)
 
     @cached_property
     def stored_energy(self) -> Tree:
         """The stored energy [J]."""
         products = []
         for b in self.stationary_branches:
-            products.append(times(Name(b.name), self.stored_quantity(b)))
-        total = plus(self._tree("kinetic"), self._tree("energy"), *products)
-        return minus(total, self._tree("coenergy"))
+            products.append(multiply_trees(Name(b.name), self.stored_quantity(b)))
+        total = add_trees(self._tree("kinetic"), self._tree("energy"), *products)
+        return subtract_trees(total, self._tree("coenergy"))
 
     @cached_property
     def _powers_of_forces(self) -> tuple[Tree, ...]:
         """The power [W] of each of the ``forces``."""
-        return tuple(times(Name(name + RATE), tree) for name, tree in self._forces.items())
+        return tuple(multiply_trees(Name(name + RATE), tree) for name, tree in self._forces.items())
 
     @cached_property
     def dissipation(self) -> Tree:
@@ -699,18 +701,18 @@ class Declaration:
         moving = (b for b in self.branches if b.moves)
         rates = map(self._dissipated_power, moving)
         powers = map(self._dissipated_power, self.stationary_branches)
-        return plus(*rates, *self._powers_of_forces, *powers)
+        return add_trees(*rates, *self._powers_of_forces, *powers)
 
     @cached_property
     def heat_power(self) -> Tree:
         """The power [W] of all losses outside of the thermal domain."""
         lossy = [b for b in self.acting_branches if not b.domain.relaxes]
         forces = () if self.ideal_work else self._powers_of_forces
-        return plus(*map(self._dissipated_power, lossy), *forces)
+        return add_trees(*map(self._dissipated_power, lossy), *forces)
 
     def _dissipated_power(self, branch: Branch) -> Tree:
         """The power [W] that a branch loses."""
-        return times(Name(branch.lossy_variable), self._lossy_flow(branch))
+        return multiply_trees(Name(branch.lossy_variable), self._lossy_flow(branch))
 
     @cached_property
     def network_loss(self) -> Tree:
@@ -722,7 +724,9 @@ class Declaration:
         branch = self.heat_branch
         if branch is None:
             return self.dissipation
-        return plus(self.dissipation, times(Name(branch.name), self.direct_flow(branch)))
+        return add_trees(
+            self.dissipation, multiply_trees(Name(branch.name), self.direct_flow(branch))
+        )
 
     @cached_property
     def equations(self) -> tuple[str, ...]:
@@ -746,7 +750,7 @@ class Declaration:
     def at_rest(self, tree: Tree, but: str = "") -> Tree:
         """Return ``tree`` with all coordinates, rates and states set to zero, except ``but``."""
         still = self.variables - {but}
-        return plus(substitute_names(tree, dict.fromkeys(still, ZERO)))
+        return add_trees(substitute_names(tree, dict.fromkeys(still, ZERO)))
 
     @cached_property
     def linear(self) -> bool:

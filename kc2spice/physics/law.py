@@ -18,14 +18,14 @@ from kc2spice.netlist.expression import Name, Number, Tree, substitute_names
 from kc2spice.physics.declaration import LOOPS, Branch, Declaration
 from kc2spice.physics.symbolic import (
     ZERO,
+    add_trees,
     compile_function,
-    derivative,
+    differentiate_tree,
     kinks,
-    minus,
+    multiply_trees,
     names,
-    plus,
     replace_kinks,
-    times,
+    subtract_trees,
 )
 
 _Compiled = Callable[..., tuple[Any, ...]]
@@ -141,7 +141,7 @@ class DeclaredLaw(Device):
         laws = (*d.state_rates.values(), *d.output_trees.values())
         trees = (*map(d.direct_flow, d.acting_branches), *laws)
         for tree, name in product(map(self._substitute_inputs, trees), self._inputs):
-            slope = replace_kinks(derivative(tree, name), self._corners)
+            slope = replace_kinks(differentiate_tree(tree, name), self._corners)
             if not names(slope).isdisjoint(self._inputs):
                 return False
         return not self.stores_quantities
@@ -163,8 +163,8 @@ class DeclaredLaw(Device):
         units: dict[str, Tree] = {}
         for b in self.declaration.measured_branches:
             if self._pin_kinds[b.plus] == "signal":
-                units[b.name] = times(_number(b.domain.across.factor), Name(b.name))
-        return plus(substitute_names(self.declaration.without_signals(tree), units))
+                units[b.name] = multiply_trees(_number(b.domain.across.factor), Name(b.name))
+        return add_trees(substitute_names(self.declaration.without_signals(tree), units))
 
     def _compile_declared(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
         """Compile expressions of the declaration's variables."""
@@ -174,7 +174,7 @@ class DeclaredLaw(Device):
         """Compile ``trees`` and, with ``slopes``, the derivatives of each by all inputs."""
         rows = list(trees)
         if slopes:
-            rows += starmap(derivative, product(rows, self._inputs))
+            rows += starmap(differentiate_tree, product(rows, self._inputs))
         smooth = [replace_kinks(tree, self._corners) for tree in rows]
         flags = map("flag{}".format, range(len(self._corners)))
         arguments = (*self._inputs, *flags, *self.declaration.parameters)
@@ -185,9 +185,11 @@ class DeclaredLaw(Device):
         """Expressions of the outputs."""
         d = self.declaration
         flows = [Name(b.name) if b.flows else d.direct_flow(b) for b in d.acting_branches]
-        rates = [minus(Name(_input_name(b)), d.direct_flow(b)) for b in self._through_branches]
+        rates = [
+            subtract_trees(Name(_input_name(b)), d.direct_flow(b)) for b in self._through_branches
+        ]
         per_metre = _number(TRANSLATION.across.per_unit)
-        outputs = map(partial(times, per_metre), d.output_trees.values())
+        outputs = map(partial(multiply_trees, per_metre), d.output_trees.values())
         return (*flows, *rates, *d.state_rates.values(), *outputs)
 
     @cached_property

@@ -21,7 +21,7 @@ from kc2spice.core.naming import names_of
 from kc2spice.netlist.expression import Name, Tree, substitute_names
 from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.lookups import Lookups, has_tables
-from kc2spice.physics.symbolic import ZERO, derivative, names, plus, times
+from kc2spice.physics.symbolic import ZERO, add_trees, differentiate_tree, multiply_trees, names
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Linkages:
         UsageError : inductances that depend on currents.
         """
         flux, currents = map(self.declaration.stored_quantity, self.branches), self.currents
-        rows = [tuple(derivative(tree, name) for name in currents) for tree in flux]
+        rows = [tuple(differentiate_tree(tree, name) for name in currents) for tree in flux]
         for tree in chain.from_iterable(rows):
             if saturating := sorted(names(tree).intersection(currents)):
                 raise UsageError(
@@ -61,9 +61,16 @@ class Linkages:
         still = dict.fromkeys(self.currents, ZERO)
         result = []
         for branch in self.branches:
-            flux = plus(substitute_names(self.declaration.stored_quantity(branch), still))
+            flux = add_trees(substitute_names(self.declaration.stored_quantity(branch), still))
             moving = self.declaration.displacements
-            result.append(plus(*(times(derivative(flux, b.name), Name(b.rate)) for b in moving)))
+            result.append(
+                add_trees(
+                    *(
+                        multiply_trees(differentiate_tree(flux, b.name), Name(b.rate))
+                        for b in moving
+                    )
+                )
+            )
         return tuple(result)
 
     def invert(self, lookups: Lookups) -> tuple[float, np.ndarray]:

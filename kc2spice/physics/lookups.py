@@ -29,15 +29,16 @@ from kc2spice.netlist.spelling import format_number
 from kc2spice.physics.symbolic import (
     ZERO,
     WeightedCalls,
+    add_trees,
     evaluate_tree,
-    plus,
+    format_tree,
+    multiply_trees,
     split_calls,
-    text,
-    times,
     weighted_sum,
 )
 
-CELL, WEIGHT = "lookup_s", "lookup_w"  # nodes
+# node names of the cell index and of the position in the cell
+CELL_NODE, WEIGHT_NODE = "lookup_s", "lookup_w"
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,9 @@ class Lookups:
     def describe(self, calls: WeightedCalls) -> str:
         """Return the formula and the unit of a lookup."""
         units = dict.fromkeys(self.tables[call.function].unit for call, _ in calls)
-        return f"{text(weighted_sum(calls))}: {', '.join(filter(None, units))}".removesuffix(": ")
+        return f"{format_tree(weighted_sum(calls))}: {', '.join(filter(None, units))}".removesuffix(
+            ": "
+        )
 
     @property
     def single(self) -> dict[str, str]:
@@ -135,7 +138,7 @@ class Lookups:
 
     def interpolate(self, values: np.ndarray) -> Tree:
         """Return the lookup of ``values`` at all points in node voltages."""
-        cell, weight = (CircuitVariable("v", (node,)) for node in (CELL, WEIGHT))
+        cell, weight = (CircuitVariable("v", (node,)) for node in (CELL_NODE, WEIGHT_NODE))
         f, b = (Call("pwl", (cell, *points)) for points in smooth_lookup(values))
         return Binary("-", f, Binary("*", weight, b))
 
@@ -147,8 +150,8 @@ class Lookups:
         sums, single = [rest], list[Tree]()
         for factor, calls in terms:
             group = sums if calls in self.repeated else single
-            group.append(times(factor, Name(self.labels[calls])))
-        together = plus(*sums)
+            group.append(multiply_trees(factor, Name(self.labels[calls])))
+        together = add_trees(*sums)
         return [*single, together] if together != ZERO or not single else single
 
 

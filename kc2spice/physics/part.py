@@ -1,4 +1,4 @@
-"""A part type made from a declaration: its pins, netlist, results, law, limits and balance."""
+"""Part types made from declarations: pins, netlist, results, equations, limits and balance."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from kc2spice.physics.declaration import HEAT, HEAT_PINS, Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.linkages import find_linkages
 from kc2spice.physics.lookups import TableFunction
-from kc2spice.physics.symbolic import derivative, evaluate_tree, kinks, names
+from kc2spice.physics.symbolic import differentiate_tree, evaluate_tree, kinks, names
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import (
@@ -52,11 +52,14 @@ from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 if TYPE_CHECKING:
     from kc2spice.netlist.library import Header
 
-STRIKES = 1.0  # strikes of a stop without a warning; two to nine caused errors of up to 20 %
-REBOUND = "what follows may hang on every step: error_budget estimates the error of each metric"
-_OWN = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state|lookup"
-_INNER = rf"(?:{_OWN})_.+|(?:edge|poly)\d+|tick"  # nodes
-_UNEXPLAINED = 1e-3  # fraction of the energy from the pins that the steps of a run may lose
+# impacts on a stop without a warning; two to nine impacts caused errors of up to 20 %
+MAX_STRIKES = 1.0
+REBOUND_ADVICE = (
+    "what follows may hang on every step: error_budget estimates the error of each metric"
+)
+_INNER_PREFIXES = "f|x|in|q|l|rest|copy|sense|first|second|noise|speed|place|pushed|state|lookup"
+_INNER_NODE_PATTERN = rf"(?:{_INNER_PREFIXES})_.+|(?:edge|poly)\d+|tick"  # pattern of inner nodes
+_MAX_UNEXPLAINED_SHARE = 1e-3  # largest share of the energy from the pins that time steps may lose
 
 
 def sweep_numerics(part: Part, scene: DeclaredScene) -> Iterator[Numerics]:
@@ -139,8 +142,9 @@ class DeclaredPart(PartType[KeysT]):
             if b.domain.path and b.flows:
                 flowing.append((b.plus, b.minus))
             elif b.domain.path:
-                # all other variables at rest first: the remaining short sum has a short derivative
-                slope = derivative(d.at_rest(d.direct_flow(b), b.name), b.name)
+                # all other variables are set to rest first, because a short sum has a short
+                # derivative
+                slope = differentiate_tree(d.at_rest(d.direct_flow(b), b.name), b.name)
                 if evaluate_tree(d.at_rest(slope), values):
                     stiff.append((b.plus, b.minus))
         return Rest((*stiff, *flowing))
@@ -186,7 +190,7 @@ class DeclaredPart(PartType[KeysT]):
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
         n, d = part.name, self.resolved_built_declaration(part, build)
         results = {}
-        for b in d.open_branches:  # loops of a full model are others
+        for b in d.open_branches:  # a full model has other loops
             results[f"{n}.{b.through}"] = laws.scaled_wave(f"{n}.{b.plus}.through")
             if d.metered:
                 results[f"{n}.{b.across}"] = laws.wave_difference(f"{n}.{b.plus}", f"{n}.{b.minus}")
@@ -215,7 +219,9 @@ class DeclaredPart(PartType[KeysT]):
                     continue
                 met = evaluate_tree(tree, d.values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
-                yield Check(f"strikes of {part.name}", strikes, STRIKES, "", REBOUND, "warn")
+                yield Check(
+                    f"strikes of {part.name}", strikes, MAX_STRIKES, "", REBOUND_ADVICE, "warn"
+                )
 
     def check_operating_point(
         self, part: Part[KeysT], build: Build, point: Waveforms
@@ -350,7 +356,7 @@ def declared_subcircuit(
     ends = tuple(names_of(pins))
     linkages = find_linkages(d)
     inner = [*map(checked, d.signals), *tables, *(linkages.currents if linkages else ())]
-    require_distinct([*ends, *inner], _INNER, where=name)
+    require_distinct([*ends, *inner], _INNER_NODE_PATTERN, where=name)
     keys, given = [], set(names_of(d.given))
     for key in list_schema_keys(d.keys):
         if key.name in d.numbers and key.name not in given:
@@ -396,7 +402,7 @@ def balance_energy(
     speeds, slopes, means = {}, {}, {}
     for b in d.branches_with_rate:
         if b in d.inertial_branches:
-            # by the velocity of a mass the trapezoidal rule keeps the balance exactly
+            # with the velocity of a mass, the trapezoidal rule preserves the balance exactly
             speeds[b.rate] = waves[f"{part.name}.v"]
         else:
             slopes[b.rate] = np.gradient(recorded[b.name], time)
@@ -407,7 +413,7 @@ def balance_energy(
         return np.asarray(evaluate_tree(tree, known) * np.ones_like(time))
 
     stored = over_time(d.stored_energy)
-    lost, rise = _step_heat(d, known, means, time), np.diff(stored)
+    lost, rise = _compute_step_heat(d, known, means, time), np.diff(stored)
     heat, brought, forces = lost, np.zeros_like(lost), []
     given_off = None
     for b in d.open_branches:
@@ -424,7 +430,7 @@ def balance_energy(
         )
         middle = (recorded[b.name][1:] + recorded[b.name][:-1]) / 2
         brought = brought + middle * _integrate_steps(pins, time, increase)
-    brought = brought + _step_work(forces, rise + heat - brought, jumps=bool(slopes))
+    brought = brought + _compute_step_work(forces, rise + heat - brought, jumps=bool(slopes))
     missing = np.cumsum(brought - heat - rise)
     entries = {
         "brought in by pins": float(brought.sum()),
@@ -434,10 +440,10 @@ def balance_energy(
     if stored[0] != 0.0:
         entries["stored at the start"] = float(stored[0])
     turned = float(np.abs(brought).sum() + np.abs(heat.sum()))
-    yield Balance(entries, float(np.abs(missing).max(initial=0.0)), turned, _UNEXPLAINED)
+    yield Balance(entries, float(np.abs(missing).max(initial=0.0)), turned, _MAX_UNEXPLAINED_SHARE)
 
 
-def _step_heat(
+def _compute_step_heat(
     declaration: Declaration,
     known: Mapping[str, Any],
     means: Mapping[str, np.ndarray],
@@ -457,7 +463,7 @@ def _step_heat(
     return np.asarray(power / 2 * np.diff(time))
 
 
-def _step_work(
+def _compute_step_work(
     forces: Iterable[tuple[np.ndarray, np.ndarray]], near: np.ndarray, *, jumps: bool
 ) -> np.ndarray:
     """Work (nt - 1,) in each step of forces (nt,) on displacements (nt - 1,).

@@ -1,11 +1,11 @@
-"""Operations on expressions: exact derivatives, plain forms, functions of numpy.
+"""Operations on expressions: exact derivatives, simplification, compiled functions.
 
-The trees are those of :mod:`kc2spice.netlist.expression`. Besides arithmetic there are ``exp``,
-``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``, the one-sided
+The trees are those of :mod:`kc2spice.netlist.parse_simplified`. Besides arithmetic there are
+``exp``, ``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``, the one-sided
 ``max(0, e)``, ``above(e)``, which is 1 where e is above zero and 0 elsewhere, ``clip(e)``, which is
-e between -1 and 1, ``poly(e, c0, c1, ...)``, a power series of numbers, tables, and
-``integral(f, x)``, that of ``f(x)`` from zero to ``x``, which exists as a number and by its
-derivative but has no text in a netlist.
+e between -1 and 1, ``poly(e, c0, c1, ...)``, a power series of numbers, tables, and ``integral(f,
+x)``, that of ``f(x)`` from zero to ``x``, which exists as a number and by its derivative but has no
+text in a netlist.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from kc2spice.netlist.expression import (
 )
 
 ZERO, ONE = Number("0"), Number("1")
-SLOPE = "_slope"  # ends the name of a table's derivative
-_DIGITS = 11  # digits of a literal in an expression that ngspice keeps
-_PAGE = "docs/reference/declarations.md"
-_SUBSTITUTES = {
+SLOPE_SUFFIX = "_slope"  # suffix of the name of a table's derivative
+_LITERAL_DIGITS = 11  # digits of a number in an expression that ngspice retains
+_HELP_PAGE = "docs/reference/declarations.md"
+_REPLACEMENTS = {
     "abs": "write max(0, x) + max(0, -x) for |x|",
     "log": "write ln(x) for the natural logarithm, ln(x)/ln(10) for the decimal one",
     "log10": "write ln(x)/ln(10)",
@@ -53,18 +53,18 @@ _SUBSTITUTES = {
     "tan": "write sin(x)/cos(x)",
 }
 # Functions whose arguments are restricted.
-_SPECIAL = ("max(0, …)", "above(…)", "clip(…)", "poly(…, numbers)", "integral(…, x)")
+_RESTRICTED_FUNCTIONS = ("max(0, …)", "above(…)", "clip(…)", "poly(…, numbers)", "integral(…, x)")
 # Derivatives of functions by their argument u.
-_CHAIN = {
+_CHAIN_RULES = {
     "exp": "exp(u)", "ln": "1/u", "sqrt": "0.5/sqrt(u)", "sin": "cos(u)", "cos": "-sin(u)",
     "sinh": "cosh(u)", "cosh": "sinh(u)", "tanh": "1-tanh(u)*tanh(u)", "atan": "1/(1+u*u)",
 }  # fmt: skip
-_NUMPY = {"ln": "log", "atan": "arctan"}
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(30)
+_NUMPY_NAMES = {"ln": "log", "atan": "arctan"}
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(30)
 
 
 @cache
-def expression(text: str, where: str = "expression", tables: tuple[str, ...] = ()) -> Tree:
+def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ...] = ()) -> Tree:
     """Parse ``text`` and simplify it.
 
     ``tables`` are functions of one argument whose values are given with those of names. The
@@ -83,16 +83,16 @@ def expression(text: str, where: str = "expression", tables: tuple[str, ...] = (
                 continue
             case Call("poly", (_, *series)) if series and not any(map(names, series)):
                 continue
-            case Call(name, (_,)) if name in _CHAIN or name in tables:
+            case Call(name, (_,)) if name in _CHAIN_RULES or name in tables:
                 continue
             case Call(name, _):
-                functions = (*_SPECIAL, *_CHAIN, *tables)
+                functions = (*_RESTRICTED_FUNCTIONS, *_CHAIN_RULES, *tables)
                 raise UsageError(
                     "declarations do not support this function",
                     where=where,
                     got=name,
-                    expected="one of " + list_candidates(name, functions, _PAGE),
-                    hint=_SUBSTITUTES.get(name) or did_you_mean(name, [*_CHAIN, *tables]),
+                    expected="one of " + list_candidates(name, functions, _HELP_PAGE),
+                    hint=_REPLACEMENTS.get(name) or did_you_mean(name, [*_CHAIN_RULES, *tables]),
                 )
             case Choice() | CircuitVariable():
                 raise UsageError(
@@ -117,9 +117,11 @@ def _replace_above(tree: Tree) -> Tree:
 
 
 class _Card(Writer):
+    """Writer of expressions for netlist cards."""
+
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         match function, arguments:
-            case "sqrt", (Call("max", (_, value)),):  # so that the derivative at zero is finite
+            case "sqrt", (Call("max", (_, value)),):  # keeps the derivative at zero finite
                 return f"sqrt(max(1e-18, {self.write(value)}))"
             case "clip", (value,):
                 return f"max(-1, min(1, {self.write(value)}))"
@@ -128,7 +130,7 @@ class _Card(Writer):
         return super().call(function, arguments)
 
 
-def text(tree: Tree) -> str:
+def format_tree(tree: Tree) -> str:
     """Write ``tree`` as text of a card.
 
     The root of a one-sided function below 1e-18 is replaced by the root of 1e-18.
@@ -154,25 +156,25 @@ def names(tree: Tree) -> frozenset[str]:
 
 def is_affine(tree: Tree, variables: Set[str]) -> bool:
     """Whether the derivatives by all ``variables`` do not depend on the variables."""
-    return all(variables.isdisjoint(names(derivative(tree, name))) for name in variables)
+    return all(variables.isdisjoint(names(differentiate_tree(tree, name))) for name in variables)
 
 
-def plus(*trees: Tree) -> Tree:
+def add_trees(*trees: Tree) -> Tree:
     """Add expressions and simplify the sum."""
     return simplify(_chain_operator("+", (ZERO, *trees)))
 
 
-def minus(first: Tree, second: Tree) -> Tree:
+def subtract_trees(first: Tree, second: Tree) -> Tree:
     """Subtract two expressions and simplify the difference."""
     return simplify(Binary("-", first, second))
 
 
-def times(*trees: Tree) -> Tree:
+def multiply_trees(*trees: Tree) -> Tree:
     """Multiply expressions and simplify the product."""
     return simplify(_chain_operator("*", (ONE, *trees)))
 
 
-def over(first: Tree, second: Tree) -> Tree:
+def divide_trees(first: Tree, second: Tree) -> Tree:
     """Divide two expressions and simplify the quotient."""
     return simplify(Binary("/", first, second))
 
@@ -188,7 +190,7 @@ def _chain_operator(op: str, trees: Iterable[Tree]) -> Tree:
 
 
 @cache
-def derivative(tree: Tree, name: str) -> Tree:
+def differentiate_tree(tree: Tree, name: str) -> Tree:
     """Return the exact, simplified derivative of ``tree`` by ``name``."""
     return simplify(_derivative(tree, name))
 
@@ -209,7 +211,7 @@ def _derivative(tree: Tree, name: str) -> Tree:
             fall = slope if slope == ZERO else Binary("/", slope, Binary("*", below, below))
             return _sum("-", Binary("/", _derivative(above, name), below), fall)
         case Call("integral", (f, Name(x))):
-            inner = Call("integral", (derivative(f, name), Name(x)))
+            inner = Call("integral", (differentiate_tree(f, name), Name(x)))
             return f if x == name else inner if name in names(f) else ZERO
         case Call("max", (_, value)):
             return Binary("*", _step(value), _derivative(value, name))
@@ -223,14 +225,16 @@ def _derivative(tree: Tree, name: str) -> Tree:
             free = Binary("-", ONE, Binary("+", *map(_step, _clip_excesses(value))))
             return Binary("*", free, _derivative(value, name))
         case Call(function, (value,)):
-            table = function not in _CHAIN
-            outer = Call(function + SLOPE, (value,)) if table else _chain_rule(function, value)
+            table = function not in _CHAIN_RULES
+            outer = (
+                Call(function + SLOPE_SUFFIX, (value,)) if table else _chain_rule(function, value)
+            )
             return _product(outer, _derivative(value, name))
-    return ZERO  # numbers and steps, which are constant on either side
+    return ZERO  # numbers and steps, which are constant on both sides
 
 
 def _chain_rule(function: str, value: Tree) -> Tree:
-    return substitute_names(parse_expression(_CHAIN[function]), {"u": value})
+    return substitute_names(parse_expression(_CHAIN_RULES[function]), {"u": value})
 
 
 def _product(left: Tree, right: Tree) -> Tree:
@@ -257,7 +261,7 @@ def _step(value: Tree) -> Tree:
 
 def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
     """Excess of ``value`` above 1, and below -1."""
-    return minus(value, ONE), minus(Unary("-", value), ONE)
+    return subtract_trees(value, ONE), subtract_trees(Unary("-", value), ONE)
 
 
 # --- plain forms: a sum of products, each with its rational coefficient ---------------------------
@@ -265,6 +269,8 @@ def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
 
 @dataclass(frozen=True)
 class _Product:
+    """Product of factors with powers and a rational coefficient."""
+
     size: Fraction
     above: tuple[Tree, ...] = ()
     below: tuple[Tree, ...] = ()
@@ -289,7 +295,7 @@ class _Product:
     def tree(self) -> Tree:
         """Expression tree with the absolute value of the coefficient."""
         size, below = abs(self.size), self.below
-        if Fraction(f"{float(size):.{_DIGITS}g}") != size:
+        if Fraction(f"{float(size):.{_LITERAL_DIGITS}g}") != size:
             size, below = Fraction(size.numerator), (_number(size.denominator), *below)
         above = (_number(size), *self.above) if size != 1 or not self.above else self.above
         numerator = _chain_operator("*", above)
@@ -297,7 +303,7 @@ class _Product:
 
 
 def _number(value: Fraction | float) -> Number:
-    return Number(f"{float(value):.{_DIGITS}g}")
+    return Number(f"{float(value):.{_LITERAL_DIGITS}g}")
 
 
 def _without_duplicates(counts: Counter[Tree]) -> tuple[Tree, ...]:
@@ -384,7 +390,7 @@ def _may_differ_from_zero(tree: Tree) -> bool:
     )
 
 
-@cache  # the derivative of a product has the same sums many times
+@cache  # the derivatives of a product contain the same sums many times
 def _merge_to_product(tree: Tree) -> _Product:
     """One product equal to ``tree``, with a sum as a factor."""
     result = _nonzero_terms(tree)
@@ -443,13 +449,13 @@ def split_calls(
     for factor, sums in weights.items():
         (_, unit), *_ = rows = sorted(sums.items(), key=str)
         calls_and_weights = tuple((call, weight / unit) for call, weight in rows)
-        result.append((times(_number(unit), factor), calls_and_weights))
+        result.append((multiply_trees(_number(unit), factor), calls_and_weights))
     return result, _sum_of(rest)
 
 
 def weighted_sum(calls: WeightedCalls) -> Tree:
     """Return the expression ``sum_k weight_k call_k``."""
-    return plus(*(times(_number(weight), call) for call, weight in calls))
+    return add_trees(*(multiply_trees(_number(weight), call) for call, weight in calls))
 
 
 # --- functions ------------------------------------------------------------------------------------
@@ -493,8 +499,10 @@ def _flag(argument: Tree, corners: tuple[Tree, ...]) -> Name:
 
 
 class _Python(Writer):
+    """Writer of expressions in Python syntax."""
+
     def name(self, text: str) -> str:
-        return f"_{text}"  # a key may be a word of Python
+        return f"_{text}"  # a key may be a keyword of Python
 
     def write(self, tree: Tree, level: int = 0) -> str:
         if isinstance(tree, Choice):
@@ -514,19 +522,24 @@ class _Python(Writer):
 
 def _python_name(function: str) -> str:
     """Name of a table in Python, distinct from that of a key."""
-    known = function in _SCOPE or function in _NUMPY
-    return _NUMPY.get(function, function) if known else f"table_{function}"
+    known = function in _FUNCTION_SCOPE or function in _NUMPY_NAMES
+    return _NUMPY_NAMES.get(function, function) if known else f"table_{function}"
 
 
 def _integrate_from_zero(f: Callable[[Any], Any], x: Any) -> Any:
     """Integrate from zero to ``x`` by Gauss quadrature with 30 points."""
     half = 0.5 * x
-    return sum(w * f(half * (1.0 + n)) for n, w in zip(_NODES, _WEIGHTS, strict=True)) * half
+    return (
+        sum(w * f(half * (1.0 + n)) for n, w in zip(_GAUSS_NODES, _GAUSS_WEIGHTS, strict=True))
+        * half
+    )
 
 
-_SCOPE = {name: getattr(np, _NUMPY.get(name, name)) for name in _CHAIN}
-_SCOPE |= {_NUMPY[name]: _SCOPE[name] for name in _NUMPY} | {"integral": _integrate_from_zero}
-_SCOPE |= {"max": np.maximum, "clip": np.clip, "where": np.where}
+_FUNCTION_SCOPE = {name: getattr(np, _NUMPY_NAMES.get(name, name)) for name in _CHAIN_RULES}
+_FUNCTION_SCOPE |= {_NUMPY_NAMES[name]: _FUNCTION_SCOPE[name] for name in _NUMPY_NAMES} | {
+    "integral": _integrate_from_zero
+}
+_FUNCTION_SCOPE |= {"max": np.maximum, "clip": np.clip, "where": np.where}
 
 
 def compile_function(
@@ -540,7 +553,7 @@ def compile_function(
     """
     heads = ", ".join(map("_{}".format, arguments))
     values = "".join(map("{}, ".format, map(_Python().write, trees)))
-    scope = dict(_SCOPE)
+    scope = dict(_FUNCTION_SCOPE)
     for name, table in (tables or {}).items():
         scope[_python_name(name)] = table
     compiled: Callable[..., tuple[Any, ...]] = eval(f"lambda {heads}: ({values})", scope)

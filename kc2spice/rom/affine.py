@@ -15,17 +15,17 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.rom.band import frequency_band
+from kc2spice.rom.band import parse_band
 from kc2spice.rom.constraints import reduced_form
-from kc2spice.rom.error_estimate import default_norm
+from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.linear_model import LinearModel, Norm
-from kc2spice.rom.parametric import MOST_PARAMETERS, ParameterAxis, Values
+from kc2spice.rom.parametric import MAX_PARAMETERS, ParameterAxis, Values
 from kc2spice.rom.pencil import Matrix
 from kc2spice.rom.reduce import Target, choose_band, require_valid
 from kc2spice.rom.stability import is_semidefinite
 from kc2spice.rom.varying import Varying, reduce_over_ranges
 
-LETTERS = "MK"  # matrices that may depend on parameters
+PARAMETRIC_MATRICES = "MK"  # matrices that may depend on parameters
 Factor = Callable[[Values], float]
 
 
@@ -83,8 +83,10 @@ class AffineTerm:
     description: str = "factor"
 
     def __post_init__(self) -> None:
-        if self.letter not in LETTERS:
-            raise unknown("this matrix cannot depend on parameters", self.letter, LETTERS, "terms")
+        if self.letter not in PARAMETRIC_MATRICES:
+            raise unknown(
+                "this matrix cannot depend on parameters", self.letter, PARAMETRIC_MATRICES, "terms"
+            )
         object.__setattr__(self, "matrix", scipy.sparse.csc_array(self.matrix))
 
     def at(self, values: Values) -> Matrix:
@@ -97,12 +99,12 @@ class AffineTerm:
         try:
             factor = float(self.factor(values))
         except (ArithmeticError, ValueError, TypeError) as error:
-            raise self._factor_error(values, str(error)) from None
+            raise self._make_factor_error(values, str(error)) from None
         if not np.isfinite(factor):
-            raise self._factor_error(values, f"{factor}")
+            raise self._make_factor_error(values, f"{factor}")
         return factor * self.matrix
 
-    def _factor_error(self, values: Values, got: str) -> UsageError:
+    def _make_factor_error(self, values: Values, got: str) -> UsageError:
         return UsageError(
             f"the factor of matrix {self.letter} is not a number",
             where=self.description,
@@ -157,12 +159,12 @@ class AffineModel:
 
     def __post_init__(self) -> None:
         names = [item.name.lower() for item in self.parameters]
-        if not 1 <= len(names) <= MOST_PARAMETERS or len(set(names)) < len(names):
+        if not 1 <= len(names) <= MAX_PARAMETERS or len(set(names)) < len(names):
             raise UsageError(
                 "the list of parameters is not valid",
                 where=f"{self.model.name}: parameters",
                 got=", ".join(names) or "no parameter",
-                expected=f"1 to {MOST_PARAMETERS} parameters whose names differ in more than case",
+                expected=f"1 to {MAX_PARAMETERS} parameters whose names differ in more than case",
             )
         terms = [t if isinstance(t, AffineTerm) else AffineTerm(*t) for t in self.terms]
         object.__setattr__(self, "_terms", tuple(terms))
@@ -196,11 +198,11 @@ class AffineModel:
         point = self.defaults | dict(values)
         if self.assemble is not None:
             return self.assemble(point)
-        constant = {letter: getattr(self.model, letter) for letter in LETTERS}
-        return replace(self.model, **sum_terms(constant, self._terms, point))
+        constant = {letter: getattr(self.model, letter) for letter in PARAMETRIC_MATRICES}
+        return replace(self.model, **sum_affine_terms(constant, self._terms, point))
 
 
-def sum_terms(
+def sum_affine_terms(
     constant: Mapping[str, Matrix], terms: Iterable[AffineTerm], values: Values
 ) -> dict[str, Matrix]:
     """Add the terms at values of the parameters to constant matrices by letter.
@@ -260,12 +262,12 @@ def reduce_affine(
     """
     middle = {axis.name: axis.middle for axis in affine.axes}
     model = _proportional(affine.at(middle))
-    norm = norm or default_norm(model)
-    require_valid(Target(tolerance, None, frequency_band(band), norm, False, None))
+    norm = norm or choose_default_norm(model)
+    require_valid(Target(tolerance, None, parse_band(band), norm, False, None))
     try:
         for ends in product(*((axis.low, axis.high) for axis in affine.axes)):
             _require_semidefinite(affine, dict(zip(middle, ends, strict=True)))
-        limits = choose_band(model, reduced_form(model.pencil), frequency_band(band))
+        limits = choose_band(model, reduced_form(model.pencil), parse_band(band))
         result = reduce_over_ranges(
             lambda values: _proportional(affine.at(values)),
             affine.axes,
@@ -275,7 +277,7 @@ def reduce_affine(
             norm,
         )
     except np.linalg.LinAlgError:
-        raise _indefinite(affine, "a value inside of the ranges") from None
+        raise _make_indefinite_error(affine, "a value inside of the ranges") from None
     units = {item.name: item.unit for item in affine.parameters}
     words = {item.name: item.description for item in affine.parameters}
     return replace(result, defaults=affine.defaults, units=units, descriptions=words)
@@ -284,16 +286,16 @@ def reduce_affine(
 def _require_semidefinite(affine: AffineModel, values: Values) -> None:
     """Check M and K at values of the parameters before the long work."""
     model = affine.at(values)
-    for letter in LETTERS:
+    for letter in PARAMETRIC_MATRICES:
         if not is_semidefinite(getattr(model, letter)):
-            raise _indefinite(affine, f"matrix {letter} at {_describe_values(values)}")
+            raise _make_indefinite_error(affine, f"matrix {letter} at {_describe_values(values)}")
 
 
 def _describe_values(values: Values) -> str:
     return ", ".join(f"{name} = {value:g}" for name, value in values.items())
 
 
-def _indefinite(affine: AffineModel, got: str) -> UsageError:
+def _make_indefinite_error(affine: AffineModel, got: str) -> UsageError:
     return UsageError(
         "a matrix is not positive definite over the ranges of the parameters",
         where=affine.name,

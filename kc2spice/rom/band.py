@@ -1,4 +1,4 @@
-"""The band of a reduction: prescribed, or from the lowest natural frequencies."""
+"""Frequency band of a reduction: prescribed, or from the lowest natural frequencies."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from kc2spice.core.quantities import quantity
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.constraints import reduced_form
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries, largest_entry, to_dense
-from kc2spice.rom.rigid_body import RANDOM, energy_rounding
-from kc2spice.rom.rounding import FREE
+from kc2spice.rom.rigid_body import ENERGY_FACTOR, energy_rounding
+from kc2spice.rom.rounding import ENERGY_ROUNDING
 
-MODES = 5
-SMALL = 200  # equations up to which all poles are computed
-BEYOND = 1.1  # the band ends a little above the mode
-SHIFT = 1e-6  # shift of models with massless unknowns, relative to the largest rate
+BAND_MODES = 5
+MAX_DENSE_EQUATIONS = 200  # equations up to which all poles are computed
+BAND_MARGIN = 1.1  # ratio of the end of the band to the frequency of its last mode
+MASSLESS_SHIFT = 1e-6  # shift for models with massless unknowns, relative to the largest rate
 RIGID_SHIFT = 1e-9  # relative shift if a Lanczos method separates elastic from rigid-body modes
-MASSLESS = 1e-13  # inertia that is zero, relative to the largest
-BODY = 7  # number of rigid-body modes of one solid, plus one
-CLOSE = 1e-9  # relative error of eigenvalues of the shifted inverse
+ZERO_MASS = 1e-13  # mass that counts as zero, relative to the largest
+RIGID_MODES_PLUS_ONE = 7  # number of rigid-body modes of one solid, plus one
+EIGENVALUE_TOLERANCE = 1e-9  # relative error of eigenvalues of the shifted inverse
 
 
 def natural_band(pencil: Pencil) -> tuple[float, float]:
@@ -37,16 +37,16 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
     """
     try:
         if pencil.degree == 2 and pencil.symmetric:
-            rates = elastic_modes(pencil, MODES)
+            rates = elastic_modes(pencil, BAND_MODES)
         else:
             rates = (
                 _compute_all_rates(pencil)
-                if pencil.size <= SMALL
+                if pencil.size <= MAX_DENSE_EQUATIONS
                 else _compute_lowest_rates(pencil)
             )
     except (SimulationError, ArpackError, LinAlgError):
         rates = np.empty(0)
-    rates = np.sort(rates[rates > 0])[:MODES] ** (1 / pencil.degree)
+    rates = np.sort(rates[rates > 0])[:BAND_MODES] ** (1 / pencil.degree)
     if not rates.size:
         raise UsageError(
             "the frequency band is missing, and the model has no natural frequency to derive it "
@@ -54,7 +54,7 @@ def natural_band(pencil: Pencil) -> tuple[float, float]:
             where="band",
             hint="add a frequency band, such as --band 0 2e4",
         )
-    return 0.0, float(BEYOND * rates[-1] / (2 * np.pi))
+    return 0.0, float(BAND_MARGIN * rates[-1] / (2 * np.pi))
 
 
 def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
@@ -67,14 +67,14 @@ def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
     ``x'Kx`` is no more than rounding of the entries of K leaves is one of a rigid body.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[-1]
-    if pencil.size <= SMALL:
+    if pencil.size <= MAX_DENSE_EQUATIONS:
         K, M = to_dense(K), to_dense(M)
         mass = np.linalg.eigvalsh(M)
-        if mass[0] > MASSLESS * mass[-1]:
+        if mass[0] > ZERO_MASS * mass[-1]:
             X = np.asarray(eigh(K, M)[1])
-        else:  # modes of unknowns without inertia are infinitely fast
-            inverse, T = eigh(M, K + SHIFT * largest_entry(K) / mass[-1] * M)
-            X = T[:, inverse > MASSLESS * inverse[-1]][:, ::-1]
+        else:  # modes of massless unknowns are infinitely fast
+            inverse, T = eigh(M, K + MASSLESS_SHIFT * largest_entry(K) / mass[-1] * M)
+            X = T[:, inverse > ZERO_MASS * inverse[-1]][:, ::-1]
         return _rayleigh_quotients(K, M, X)[:count]
     require_factors(pencil.bordered(1.0, 1.0, 1.0), definite=pencil.is_large)
     stiffness, inertia = (absolute_entries(P).diagonal() for P in (K, M))
@@ -82,13 +82,13 @@ def elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
     shift = RIGID_SHIFT * top
     solve = pencil.pencil_solver(-shift).solve
     start = solve(np.random.default_rng(0).standard_normal(pencil.size))
-    mode_count = count + BODY
+    mode_count = count + RIGID_MODES_PLUS_ONE
     while True:
         mode_count = min(mode_count, pencil.size - 2)
         inverse = LinearOperator((pencil.size,) * 2, matvec=solve, dtype=float)
         result = eigsh(
             LinearOperator((pencil.size,) * 2, matvec=lambda x: K @ x, dtype=float),
-            mode_count, M, sigma=-shift, OPinv=inverse, v0=start, tol=CLOSE,
+            mode_count, M, sigma=-shift, OPinv=inverse, v0=start, tol=EIGENVALUE_TOLERANCE,
         )  # fmt: skip
         rates = _rayleigh_quotients(K, M, result[1])
         if rates.size >= count or mode_count == pencil.size - 2:
@@ -100,14 +100,18 @@ def _rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
     """Rayleigh quotients ``x'Kx / x'Mx`` of elastic modes, in ascending order."""
     energy = np.einsum("ij,ij->j", X, K @ X)
     mass = np.einsum("ij,ij->j", X, M @ X)
-    noise = FREE * np.finfo(float).eps * np.einsum("ij,ij->j", abs(X), absolute_entries(K) @ abs(X))
+    noise = (
+        ENERGY_ROUNDING
+        * np.finfo(float).eps
+        * np.einsum("ij,ij->j", abs(X), absolute_entries(K) @ abs(X))
+    )
     if not isinstance(K, Schur):
-        noise = np.minimum(noise, RANDOM * np.diag(energy_rounding(K, X)))
+        noise = np.minimum(noise, ENERGY_FACTOR * np.diag(energy_rounding(K, X)))
     return np.asarray(np.sort(energy[energy > noise] / mass[energy > noise]))
 
 
-def band_end(pencil: Pencil, count: int, high: float) -> float:
-    """Frequency [Hz] of the ``count``-th lowest elastic mode, at most ``high``.
+def find_band_end(pencil: Pencil, count: int, high: float) -> float:
+    """Return the frequency [Hz] of the ``count``-th lowest elastic mode, at most ``high``.
 
     The result is ``high`` if there are fewer modes, or if the modes cannot be computed.
     """
@@ -137,14 +141,16 @@ def _compute_lowest_rates(pencil: Pencil) -> np.ndarray:
     solve, inertia = pencil.solver(0.0)[0].solve, pencil.coefficients[-1]
     inverse = LinearOperator((pencil.size,) * 2, matvec=lambda x: solve(inertia @ x), dtype=float)
     start = solve(pencil.B[:, 0])
-    values = np.abs(eigs(inverse, MODES + 1, v0=start, tol=CLOSE, return_eigenvectors=False))
+    values = np.abs(
+        eigs(inverse, BAND_MODES + 1, v0=start, tol=EIGENVALUE_TOLERANCE, return_eigenvectors=False)
+    )
     return np.asarray(1 / values[values > 0])
 
 
-def frequency_band(
+def parse_band(
     band: tuple[float | str, float | str] | None,
 ) -> tuple[float, float] | None:
-    """Return a band such as ``(0, "20 kHz")`` in Hz; None stays None.
+    """Parse a band such as ``(0, "20 kHz")`` to Hz; None is returned unchanged.
 
     Raises
     ------

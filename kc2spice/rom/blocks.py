@@ -21,14 +21,16 @@ from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import explicit_pencil, largest_entry
 
-# Bounds of a decoupling transformation: the first bound loses three digits; the loss of the others
-# is measured.
-GROWTH = 1e3
-MORE = 1e5, 1e7, 1e9
-WIDE = 4  # states of the largest block with which any bound is good enough
-KEPT, SHARE = 1e-9, 1e-2  # relative change of a response by a larger bound; of a certified error
-POINTS = 40  # number of frequencies at which the response is compared
-SAME = 1e-13
+# Largest condition of a decoupling transformation, which loses three digits; larger bounds are
+# tried with a measured loss.
+CONDITION_LIMIT = 1e3
+LARGER_LIMITS = 1e5, 1e7, 1e9
+MAX_BLOCK_STATES = 4  # states of the largest block for which no larger bound is tried
+# accepted change of the response due to a larger bound: relative, and as a share of the error
+# estimate
+MAX_RESPONSE_CHANGE, MAX_ERROR_SHARE = 1e-9, 1e-2
+COMPARED_FREQUENCIES = 40  # number of frequencies at which the response is compared
+EQUALITY_TOLERANCE = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +63,13 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     if dense:
         return BlockModel((A,), B, C, D)
     certificate, best = model.certificate, None
-    limit = max(KEPT, SHARE * certificate.error_estimate) if certificate else KEPT
+    limit = (
+        max(MAX_RESPONSE_CHANGE, MAX_ERROR_SHARE * certificate.error_estimate)
+        if certificate
+        else MAX_RESPONSE_CHANGE
+    )
     s, exact = _sample_between_poles(A), np.empty(0)
-    for growth in (GROWTH, *MORE):
+    for growth in (CONDITION_LIMIT, *LARGER_LIMITS):
         blocks, X, inverse = decouple_states(A, growth)
         result = BlockModel(blocks, inverse @ B, C @ X, D)
         if best is not None and s.size:
@@ -74,7 +80,7 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
             if relative_error(block_diagonal.transfer(s), exact) > limit:
                 break
         best = result
-        if max(map(len, blocks), default=0) <= WIDE:
+        if max(map(len, blocks), default=0) <= MAX_BLOCK_STATES:
             break
     assert best is not None
     return best
@@ -83,10 +89,10 @@ def block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
 def _sample_between_poles(A: np.ndarray) -> np.ndarray:
     """Frequencies ``j w`` (n,) across the poles, none if all poles are zero."""
     size = np.abs(np.linalg.eigvals(A))
-    size = size[size > SAME * size.max(initial=0.0)]
+    size = size[size > EQUALITY_TOLERANCE * size.max(initial=0.0)]
     if not size.size:
         return np.empty(0, complex)
-    return np.asarray(1j * np.geomspace(0.1 * size.min(), 3 * size.max(), POINTS))
+    return np.asarray(1j * np.geomspace(0.1 * size.min(), 3 * size.max(), COMPARED_FREQUENCIES))
 
 
 def _read_blocks(model: LinearModel) -> BlockModel | None:
@@ -106,26 +112,29 @@ def _read_blocks(model: LinearModel) -> BlockModel | None:
     coupled = np.abs(np.diag(A[:n, :n], 1)) + np.abs(np.diag(A[:n, :n], -1)) > 0
     starts = [0, *(k + 1 for k in range(n - 1) if not coupled[k]), n]
     blocks = tuple(A[i:j, i:j] for i, j in itertools.pairwise(starts))
-    if max(map(len, blocks)) > WIDE or not np.array_equal(block_diag(*blocks), A[:n, :n]):
+    if max(map(len, blocks)) > MAX_BLOCK_STATES or not np.array_equal(
+        block_diag(*blocks), A[:n, :n]
+    ):
         return None
     loops = A[:n, n:], A[n:, :n], B[n:], C[:, n:], A[n:, n:]
     return BlockModel(blocks, B[:n], C[:, :n], model.D, loops)
 
 
 def decouple_states(
-    A: np.ndarray, growth: float = GROWTH
+    A: np.ndarray, growth: float = CONDITION_LIMIT
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
-    """``A = X diag(blocks) X^-1``; the forms of energy coordinates are kept exactly."""
+    """``A = X diag(blocks) X^-1``; symmetric and skew matrices remain exact."""
     one = np.eye(len(A))
     if len(A) % 2 == 0 and not A[np.kron(np.eye(len(A) // 2), np.ones((2, 2))) == 0].any():
         return tuple(A[i : i + 2, i : i + 2] for i in range(0, len(A), 2)), one, one
-    if largest_entry(A - A.T) <= SAME * largest_entry(A):
+    if largest_entry(A - A.T) <= EQUALITY_TOLERANCE * largest_entry(A):
         values, X = eigh(0.5 * (A + A.T))
         return tuple(np.array([[value]]) for value in values), X, X.T
     T, Z = schur(A, output="real")
-    if largest_entry(A + A.T) <= SAME * largest_entry(A):  # lossless: the poles stay on the axis
+    # lossless: the poles remain on the imaginary axis
+    if largest_entry(A + A.T) <= EQUALITY_TOLERANCE * largest_entry(A):
         T = 0.5 * (T - T.T)
-        T[np.abs(T) <= SAME * largest_entry(T)] = 0.0
+        T[np.abs(T) <= EQUALITY_TOLERANCE * largest_entry(T)] = 0.0
         return tuple(T[i : i + k, i : i + k] for i, k in _list_blocks(T)), Z, Z.T
     return _split_schur_form(T, Z, growth)
 
@@ -150,9 +159,12 @@ def _split_schur_form(
                 inverse[start:end] -= (S / scale) @ inverse[end:]
                 break
             rest = T[end:, end:]
-            apart = np.abs(_poles(rest)[:, None] - _poles(T[start:end, start:end])).min(axis=1)
+            apart = np.abs(_list_poles(rest)[:, None] - _list_poles(T[start:end, start:end])).min(
+                axis=1
+            )
             nearest = list(_list_blocks(rest))[int(np.argmin(apart))][0]
-            T22, Q, _ = lapack.dtrexc(rest, np.eye(len(rest)), nearest + 1, 1)  # to the top
+            # moves the pole pair to the top
+            T22, Q, _ = lapack.dtrexc(rest, np.eye(len(rest)), nearest + 1, 1)
             T[:, end:] = T[:, end:] @ Q
             T[end:, end:] = T22
             X[:, end:] = X[:, end:] @ Q
@@ -175,7 +187,7 @@ def _block_size(T: np.ndarray, start: int) -> int:
     return next(_list_blocks(T, start))[1]
 
 
-def _poles(T: np.ndarray) -> np.ndarray:
+def _list_poles(T: np.ndarray) -> np.ndarray:
     """Eigenvalues of a real Schur form in the upper half plane, by its blocks."""
     result = []
     for i, size in _list_blocks(T):

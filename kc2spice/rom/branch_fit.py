@@ -1,4 +1,4 @@
-"""A measured one-port as a passive circuit of branches behind leads.
+"""Fit of a passive circuit of parallel branches with leads to a measured one-port.
 
 With s = j w, and no amplitude below zero, so that no choice of the others gives power::
 
@@ -32,10 +32,10 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from kc2spice.rom.element_fit import (
-    CONDUCTING,
-    LEADS,
-    PARALLEL,
-    SIMPLER,
+    CONDUCTING_FORMS,
+    LEAD_FORMS,
+    PARALLEL_FORMS,
+    SIMPLER_FORMS,
     Elements,
     FitElement,
     Samples,
@@ -44,18 +44,23 @@ from kc2spice.rom.linear_model import Certificate, LinearModel
 from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
 MAX_ELEMENTS = 40
-GAIN = 0.1  # minimum relative reduction of the deviation per added element
-PATIENCE = 2  # successive elements below GAIN that end the search
-POOR_PATIENCE = 5  # elements of this kind while the deviation is above POOR
-POOR = 0.2  # relative deviation (rms) of a part of another form
-QUALITIES = (5.0, 30.0, 200.0, 1500.0)  # Q factors from which a resonance starts
-LEAD_SHARES = (1e-3, 0.03, 0.5)  # fractions of the largest lead resistance at which searches start
-PER_DECADE = 2  # time constants from which a relaxation or an inductance starts
-CHOSEN, FINAL = 100, 400  # most evaluations: for each sum of branches, and for the final fit
-AS_GOOD = 2.0  # difference of the criterion without significance (Kass and Raftery, 1995)
-OUTSIDE = 3.0  # factor on the end of the band: a resonance above is a simpler element in the band
-SLOWEST = 1e4  # longest time constant by the period, per radian, of the lowest frequency
-LARGEST_Q = 1e7  # Q factor of a resonance whose loss the samples do not show
+MIN_IMPROVEMENT = 0.1  # minimum relative reduction of the deviation per added element
+PATIENCE = 2  # successive elements below MIN_IMPROVEMENT that end the search
+POOR_PATIENCE = 5  # the same limit while the deviation is above POOR_DEVIATION
+POOR_DEVIATION = 0.2  # relative rms deviation of a part that branches do not describe
+START_Q_FACTORS = (5.0, 30.0, 200.0, 1500.0)  # Q factors from which a resonance starts
+# fractions of the largest lead resistance from which searches start
+LEAD_SHARES = (1e-3, 0.03, 0.5)
+STARTS_PER_DECADE = 2  # start values of the time constant of a relaxation or an inductance
+# largest number of evaluations: to choose among sums of branches, and for the final fit
+SELECTION_EVALUATIONS, FINAL_EVALUATIONS = 100, 400
+# insignificant difference of the information criterion (Kass and Raftery, 1995)
+CRITERION_TOLERANCE = 2.0
+# ratio of a resonance to the end of the band; above, a simpler element replaces the resonance
+MAX_FREQUENCY_RATIO = 3.0
+# longest time constant, relative to the reciprocal of the lowest angular frequency
+MAX_TIME_RATIO = 1e4
+MAX_Q = 1e7  # Q factor of a resonance whose loss the samples do not resolve
 
 
 def fit_one_port(
@@ -64,8 +69,8 @@ def fit_one_port(
     """Fit a circuit to admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz].
 
     The model has one electrical port, ``anode``. The other result is its relative deviation (rms).
-    There is no model if the deviation exceeds :data:`POOR`. The error in the certificate is the
-    largest relative deviation from the samples.
+    There is no model if the deviation exceeds :data:`POOR_DEVIATION`. The error in the certificate
+    is the largest relative deviation from the samples.
 
     Parameters
     ----------
@@ -76,7 +81,7 @@ def fit_one_port(
     samples = Samples(f, Y, conductance)
     elements = fit_branches(samples)
     rms = samples.rms(elements) if elements else np.inf
-    if rms > POOR:
+    if rms > POOR_DEVIATION:
         return None, rms
     network = _make_network(elements)
     deviation = np.abs(network.admittance(f) / Y - 1)
@@ -105,7 +110,7 @@ def _make_network(elements: Elements) -> ParallelBranches:
         key=lambda e: (e.form != "resonant", e.form, e.logs[1:]),
     )
     branches = tuple(element.branch() for element in order)
-    if not branches:  # a model has at least one unknown
+    if not branches:  # a model needs at least one unknown
         branches, capacitance = (CircuitBranch(0.0, elastance=1 / capacitance),), 0.0
     leads = [element.branch() for element in elements if not element.in_parallel]
     lead = CircuitBranch(sum(b.resistance for b in leads), sum(b.inductance for b in leads))
@@ -126,20 +131,20 @@ def fit_branches(samples: Samples) -> Elements:
         ends = [end for end in ends if _exceeds_noise(samples, end)]
         if not ends:
             break
-        elements = samples.polish(_select_best(samples, ends), CHOSEN)
+        elements = samples.polish(_select_best(samples, ends), SELECTION_EVALUATIONS)
         elements = _simplify(samples, elements, _select_outside_band(samples, elements))
         value = samples.criterion(elements)
         enough = _count_parameters(elements) <= _count_parameters(best)
-        enough |= not best or samples.rms(elements) < (1 - GAIN) * samples.rms(best)
-        if value < least - AS_GOOD and enough:
+        enough |= not best or samples.rms(elements) < (1 - MIN_IMPROVEMENT) * samples.rms(best)
+        if value < least - CRITERION_TOLERANCE and enough:
             best, least, useless = elements, value, 0
         else:
             useless += 1
-        patience = PATIENCE if samples.rms(best) < POOR else POOR_PATIENCE
+        patience = PATIENCE if samples.rms(best) < POOR_DEVIATION else POOR_PATIENCE
         if samples.is_described(best):
             break
-    best = samples.polish(_simplify(samples, best, best), FINAL)
-    slowest = np.log(SLOWEST / (2 * np.pi * samples.f[0]))
+    best = samples.polish(_simplify(samples, best, best), FINAL_EVALUATIONS)
+    slowest = np.log(MAX_TIME_RATIO / (2 * np.pi * samples.f[0]))
     return best if samples.conductance else tuple(_limit_element(e, slowest) for e in best)
 
 
@@ -154,12 +159,16 @@ def _select_best(samples: Samples, ends: Sequence[Elements]) -> Elements:
     Rounding of the criterion then has no effect.
     """
     values = list(map(samples.criterion, ends))
-    good = (end for end, value in zip(ends, values, strict=True) if value < min(values) + AS_GOOD)
+    good = (
+        end
+        for end, value in zip(ends, values, strict=True)
+        if value < min(values) + CRITERION_TOLERANCE
+    )
     return next(good)
 
 
 def _limit_element(element: FitElement, slowest: float) -> FitElement:
-    """Limit the time of an element to ``slowest``, and its Q to :data:`LARGEST_Q`.
+    """Limit the time of an element to ``slowest``, and its Q to :data:`MAX_Q`.
 
     ``slowest`` is the logarithm of a time in s. The samples do not determine larger values. The
     samples determine Y in the band, which does not change.
@@ -168,12 +177,12 @@ def _limit_element(element: FitElement, slowest: float) -> FitElement:
     excess = _log_time(element) - slowest if others else 0.0
     if element.form == "resonant":
         w, d = others
-        if excess > 0:  # L = 1 / (c w^2) stays
+        if excess > 0:  # L = 1 / (c w^2) is unchanged
             amplitude, w = amplitude - 2 * excess, w + excess
-        return FitElement(element.form, (amplitude, w, max(d, w - float(np.log(LARGEST_Q)))))
+        return FitElement(element.form, (amplitude, w, max(d, w - float(np.log(MAX_Q)))))
     if excess <= 0:
         return element
-    return FitElement(element.form, (amplitude - excess, others[0] - excess))  # L or R stays
+    return FitElement(element.form, (amplitude - excess, others[0] - excess))  # L or R is unchanged
 
 
 def _select_outside_band(samples: Samples, elements: Elements) -> Elements:
@@ -181,8 +190,8 @@ def _select_outside_band(samples: Samples, elements: Elements) -> Elements:
 
     Simpler elements have the same Y in the band.
     """
-    low = np.log(2 * np.pi * samples.f[0] / OUTSIDE)
-    high = np.log(2 * np.pi * samples.f[-1] * OUTSIDE)
+    low = np.log(2 * np.pi * samples.f[0] / MAX_FREQUENCY_RATIO)
+    high = np.log(2 * np.pi * samples.f[-1] * MAX_FREQUENCY_RATIO)
     timed = [e for e in elements if len(e.logs) > 1]
     return tuple(e for e in timed if not low < -_log_time(e) < high)
 
@@ -205,7 +214,7 @@ def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
 
 
 def _simplify(samples: Samples, elements: Elements, doubtful: Elements) -> Elements:
-    """Leave out or simplify ``doubtful`` elements if the criterion falls."""
+    """Remove or simplify ``doubtful`` elements if this reduces the criterion."""
     value = samples.criterion(elements)
     for element in doubtful:
         for fewer in _propose_simpler(samples, elements, element):
@@ -225,8 +234,8 @@ def _propose_simpler(
     others = tuple(e for e in elements if e is not element)
     if any(e.in_parallel for e in others):
         yield others
-    for form in SIMPLER[element.form]:
-        if samples.conducts_direct_current or form not in CONDUCTING:
+    for form in SIMPLER_FORMS[element.form]:
+        if samples.conducts_direct_current or form not in CONDUCTING_FORMS:
             replaced = samples.fit_amplitudes((*others, _convert_form(element, form)))[0]
             if len(replaced) == len(elements):
                 yield replaced
@@ -268,7 +277,7 @@ def _convert_form(element: FitElement, form: str) -> FitElement:
     """Make an element of a simpler form with the time constant of another element."""
     if form in ("conductance", "capacitance"):
         return FitElement(form, (0.0,))
-    log_t = element.logs[2] - 2 * element.logs[1]  # d / w^2, the product R C of the branch
+    log_t = element.logs[2] - 2 * element.logs[1]  # d / w^2 is the product R C of the branch
     return FitElement(form, (0.0, -element.logs[2] if form == "inductive" else log_t))
 
 
@@ -308,9 +317,13 @@ def _fit_peak(samples: Samples, elements: Elements) -> Elements:
 def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[FitElement]]:
     """Yield candidates for the next branch, or for the leads, each with start values."""
     present = {element.form for element in elements}
-    forms = [form for form in PARALLEL if samples.conducts_direct_current or form not in CONDUCTING]
+    forms = [
+        form
+        for form in PARALLEL_FORMS
+        if samples.conducts_direct_current or form not in CONDUCTING_FORMS
+    ]
     low, high = 2 * np.pi * samples.f[0], 2 * np.pi * samples.f[-1]
-    decades = int(np.ceil(PER_DECADE * np.log10(100 * high / low))) + 1
+    decades = int(np.ceil(STARTS_PER_DECADE * np.log10(100 * high / low))) + 1
     times = -np.log(np.geomspace(low / 10, high * 10, decades))
     for form in ("conductance", "capacitance"):
         if form in forms and form not in present:
@@ -319,9 +332,9 @@ def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[Fit
         if form in forms:
             yield [FitElement(form, (0.0, float(t))) for t in times]
     for w in _find_worst_fits(samples, elements):
-        yield [FitElement("resonant", (0.0, np.log(w), np.log(w / Q))) for Q in QUALITIES]
+        yield [FitElement("resonant", (0.0, np.log(w), np.log(w / Q))) for Q in START_Q_FACTORS]
     if elements:
-        for form in LEADS:
+        for form in LEAD_FORMS:
             if form not in present:
                 yield from ([lead] for lead in _propose_leads(samples, form))
 
@@ -346,7 +359,7 @@ def _find_worst_fits(samples: Samples, elements: Elements) -> list[float]:
 
 
 def _split_resonance(samples: Samples, elements: Elements) -> list[Elements]:
-    """The resonance nearest to the largest deviation as two, half a width apart."""
+    """Split the resonance nearest to the largest deviation into two, half a width apart."""
     resonant = [e for e in elements if e.form == "resonant"]
     if not resonant:
         return []

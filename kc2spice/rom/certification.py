@@ -10,14 +10,16 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.rom.entries import Entries
 from kc2spice.rom.error_estimate import errors_above_band
 from kc2spice.rom.linear_model import Certificate, LinearModel, make_linear_model
-from kc2spice.rom.reduced_basis import LEAST_ERROR, ReducedBasis
-from kc2spice.rom.response import FLANK, SHARPEST
-from kc2spice.rom.stability import FORM, StabilityProof
+from kc2spice.rom.reduced_basis import MIN_ERROR_ESTIMATE, ReducedBasis
+from kc2spice.rom.response import FLANK_DISTANCE, MIN_DAMPING_RATIO
+from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
 
-# No error estimate of a resonance is below so many eps over its damping ratio: rounding of the
-# stiffness by eps moves the response by eps over twice the ratio. The factor is chosen by trial.
-ROUNDING_AT_RESONANCE = 4.0
-LISTED_ZEROS = 6  # entries of zero by symmetry that a certificate lists; others are counted
+# The error estimate of a resonance is at least this multiple of eps / damping ratio: rounding of
+# the stiffness by eps changes the response by eps / (2 damping ratio). The factor was chosen by
+# trial.
+RESONANCE_ROUNDING = 4.0
+# entries that are zero by symmetry and listed in a certificate; others are counted
+MAX_LISTED_ZEROS = 6
 
 
 def certify(basis: ReducedBasis, order: int) -> LinearModel:
@@ -38,12 +40,12 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
             got="matrix entries that are smaller than their rounding errors",
             hint="replace the order by a tolerance: --tolerance 1e-4",
         )
-    sharpest = max(estimator.exact.select_visible(task.band)[1].min(initial=1.0), SHARPEST)
-    rounding = ROUNDING_AT_RESONANCE * float(np.finfo(float).eps) / sharpest
+    sharpest = max(estimator.exact.select_visible(task.band)[1].min(initial=1.0), MIN_DAMPING_RATIO)
+    rounding = RESONANCE_ROUNDING * float(np.finfo(float).eps) / sharpest
     certificate = Certificate(
         task.band,
-        max(error, LEAST_ERROR, rounding),
-        _evidence_text(basis, proof),
+        max(error, MIN_ERROR_ESTIMATE, rounding),
+        _describe_evidence(basis, proof),
         proof.stable,
         proof.passive,
         errors_above_band(task.fom.ports, estimator.exact, response, task.band),
@@ -52,7 +54,7 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
     labels = {key: getattr(task.fom, key) for key in ("ports", "facts", "name")}
     labels["basis"] = basis.unknowns(order)
     result = make_linear_model(response.pencil, **labels, certificate=certificate, band=task.band)
-    result.state_space()  # a model that no netlist can contain is an error
+    result.state_space()  # a model that no netlist can represent raises an error
     return result
 
 
@@ -63,14 +65,14 @@ def with_full_order(rom: LinearModel, full: StabilityProof) -> LinearModel:
     both = (full.stable, certificate.stable)
     stable = False if False in both else None if None in both else True
     method = certificate.method
-    if not full.stable or full.proof != FORM:
+    if not full.stable or full.proof != DEFINITE_EVIDENCE:
         method += f"; stability of the full model from {full.proof}"
     passive = certificate.passive and full.passive
     certificate = replace(certificate, method=method, stable=stable, passive=passive)
     return replace(rom, certificate=certificate)
 
 
-def _evidence_text(basis: ReducedBasis, proof: StabilityProof) -> str:
+def _describe_evidence(basis: ReducedBasis, proof: StabilityProof) -> str:
     """Return a text on the evidence for the error estimate and for stability."""
     task = basis.task
     exact, estimator = task.intermediate, task.estimator
@@ -78,21 +80,24 @@ def _evidence_text(basis: ReducedBasis, proof: StabilityProof) -> str:
     method = f"{basis.origin}difference to {count} states at resonances, flanks and notches"
     if exact.proof:
         method += f"; those {exact.proof}; stability from {proof.proof}"
-    method += _zeros_text(estimator.reference[1], task.fom)
+    method += _describe_zeros(estimator.reference[1], task.fom)
     if not exact.static or exact.pencil.free:
         method += "; free to move at zero frequency"
         if hidden := exact.hidden:
             method += f", supports that resonate below {hidden:.1e} Hz being hidden by rounding"
-    if estimator.exact.select_visible(task.band)[1].min(initial=1.0) < SHARPEST:
-        method += f"; beside resonances, by {FLANK:g}, of a damping ratio below {SHARPEST:g}"
+    if estimator.exact.select_visible(task.band)[1].min(initial=1.0) < MIN_DAMPING_RATIO:
+        method += (
+            f"; beside resonances, by {FLANK_DISTANCE:g}, of a damping ratio below "
+            f"{MIN_DAMPING_RATIO:g}"
+        )
     return method
 
 
-def _zeros_text(entries: Entries, model: LinearModel) -> str:
-    """Text on the entries that count as zero."""
+def _describe_zeros(entries: Entries, model: LinearModel) -> str:
+    """Describe the entries that count as zero."""
     places = zip(*np.nonzero(entries.zero), strict=True)
     names = [f"{model.outputs[i]}/{model.inputs[j]}" for i, j in places]
     if not names:
         return ""
-    more = f" and {len(names) - LISTED_ZEROS} more" if len(names) > LISTED_ZEROS else ""
-    return f"; zero by symmetry: {', '.join(names[:LISTED_ZEROS])}{more}"
+    more = f" and {len(names) - MAX_LISTED_ZEROS} more" if len(names) > MAX_LISTED_ZEROS else ""
+    return f"; zero by symmetry: {', '.join(names[:MAX_LISTED_ZEROS])}{more}"

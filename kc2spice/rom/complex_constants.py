@@ -1,4 +1,4 @@
-"""Piezoelectric bodies by complex material constants, as passive models.
+"""Passive models of piezoelectric bodies with complex material constants.
 
 Source: IEEE Std 176-1987.
 
@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.entries import FLOOR
+from kc2spice.rom.entries import PEAK_SHARE
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import Resonators, fit_foster_network, permittivity
 from kc2spice.rom.structural_damping import (
@@ -36,12 +36,16 @@ from kc2spice.rom.structural_damping import (
     relaxing_stiffness,
 )
 
-ERROR = 1e-3  # largest relative change of a response at its resonances by relaxations
-DIELECTRIC_SHARE = 0.01  # error of the permittivity, over the loss tangent of at most 0.02
-BELOW = 0.7  # ratio to the lowest resonance; above, responses amplify errors of the stiffness
-GRID = 400  # frequencies of a band at which the error is measured
-ZOOMS, ZOOM = 2, 9  # rounds of frequencies about antiresonances, and their number about each
-CLUSTER = (-2.0, -0.5, 0.0, 0.5, 2.0)  # half widths around a resonance
+# largest relative change of the response at resonances due to the fit of relaxations
+MAX_RELAXATION_ERROR = 1e-3
+# error of the permittivity, relative to the loss tangent, which is at most 0.02
+DIELECTRIC_SHARE = 0.01
+# frequency, relative to the lowest resonance, above which errors of the stiffness are amplified
+SENSITIVITY_LIMIT = 0.7
+GRID_FREQUENCIES = 400  # frequencies of a band at which the error is measured
+# rounds of refinement at antiresonances, and frequencies around each
+REFINEMENT_ROUNDS, REFINED_FREQUENCIES = 2, 9
+RESONANCE_OFFSETS = (-2.0, -0.5, 0.0, 0.5, 2.0)  # distances from a resonance in half-widths
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,7 @@ class ComplexConstants:
         elastic = omega > 0
         shares = free[elastic] / omega[elastic, None]
         motional = shares.T @ shares
-        forces = np.where(electrical, chi[:, None], 1.0)  # forces of a unit load
+        forces = np.where(electrical, chi[:, None], 1.0)  # forces due to a unit load
         answer = 1 / (s[:, None] ** 2 + chi[:, None] * omega**2)
         H = np.einsum("ni,ji,nj,jk,nk->nik", forces, gain, answer, gain, forces, optimize=True)
         return np.asarray(
@@ -100,8 +104,8 @@ def _select_electrical(D: np.ndarray, electrical: np.ndarray) -> np.ndarray:
     return np.where(np.outer(electrical, electrical), D, 0.0)
 
 
-def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearModel:
-    """The passive model of a body's modes with the losses of complex constants.
+def complex_constants_model(model: Resonators, losses: ComplexConstants) -> LinearModel:
+    """Return the passive model of a body's modes with the losses of complex constants.
 
     Parameters
     ----------
@@ -139,15 +143,17 @@ def complex_constants(model: Resonators, losses: ComplexConstants) -> LinearMode
     shares = model.gain[:, ports] / model.omega[:, None]
     motional, clamped = shares.T @ shares, model.D[np.ix_(ports, ports)]
 
-    def sensitivity(f: np.ndarray) -> np.ndarray:
-        """The factor is Q from the lowest resonance on, because stiffness shifts resonances, and 1
-        below.
-        """
-        lowest = BELOW * model.omega.min() / (2 * np.pi)
+    def stiffness_sensitivity(f: np.ndarray) -> np.ndarray:
+        """Return the amplification of stiffness errors: Q from the lowest resonance on, 1 below."""
+        lowest = SENSITIVITY_LIMIT * model.omega.min() / (2 * np.pi)
         return np.where(f > lowest, max(1.0, 1 / max(losses.loss_factor, 1e-12)), 1.0)
 
     chi = relaxing_stiffness(
-        losses.loss_factor, losses.at, known.band_hz, ERROR, sensitivity=sensitivity
+        losses.loss_factor,
+        losses.at,
+        known.band_hz,
+        MAX_RELAXATION_ERROR,
+        sensitivity=stiffness_sensitivity,
     )
     amplitude, rates = np.ones(1), np.empty(0)
     if ports.size and losses.tangent:
@@ -205,20 +211,20 @@ def _largest_error(
 ) -> float:
     """Largest relative difference of the model to the exact response in the band.
 
-    The error is relative to the entry, but at least to :data:`FLOOR` of its peak.
+    The error is relative to the entry, but at least to :data:`PEAK_SHARE` of its peak.
     """
     low, high = max(band[0], 1e-4 * band[1]), band[1]
     resonances = modes.omega / (2 * np.pi)
-    near = resonances[:, None] * (1 + 0.5 * losses.loss_factor * np.array(CLUSTER))
-    f = np.union1d(np.geomspace(low, high, GRID), near[(near >= low) & (near <= high)])
+    near = resonances[:, None] * (1 + 0.5 * losses.loss_factor * np.array(RESONANCE_OFFSETS))
+    f = np.union1d(np.geomspace(low, high, GRID_FREQUENCIES), near[(near >= low) & (near <= high)])
 
     def exact_response(f: np.ndarray) -> np.ndarray:
         return losses.transfer(modes.omega, modes.gain, modes.D, electrical, f)
 
-    for _ in range(ZOOMS):
+    for _ in range(REFINEMENT_ROUNDS):
         f = np.union1d(f, _sample_minima(f, np.abs(exact_response(f))))
     exact = exact_response(f)
-    size = np.maximum(np.abs(exact), FLOOR * np.abs(exact).max(axis=0))
+    size = np.maximum(np.abs(exact), PEAK_SHARE * np.abs(exact).max(axis=0))
     off = np.abs(model.transfer(f) - exact)
     return float(np.divide(off, size, out=np.zeros_like(off), where=size > 0).max())
 
@@ -231,4 +237,4 @@ def _sample_minima(f: np.ndarray, size: np.ndarray) -> np.ndarray:
     curves = size.reshape(len(f), -1)
     inner = (curves[1:-1] <= curves[:-2]) & (curves[1:-1] <= curves[2:])
     lowest = np.flatnonzero(inner.any(axis=1)) + 1
-    return np.linspace(f[lowest - 1], f[lowest + 1], ZOOM).ravel()
+    return np.linspace(f[lowest - 1], f[lowest + 1], REFINED_FREQUENCIES).ravel()

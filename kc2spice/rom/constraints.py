@@ -1,4 +1,4 @@
-"""Conversion of models with constraints or infinite poles to equivalent models without both.
+"""Elimination of constraints and of infinite poles from models.
 
 Rigid couplings of finite-element codes arrive with Lagrange multipliers::
 
@@ -38,13 +38,13 @@ from kc2spice.rom.pencil import (
     to_dense,
 )
 
-DEPENDENT = 1e-12  # size of a dependent constraint, relative to the largest
-# Singular values of a matrix below this times its size and eps are zero; E is a product of matrices
-# in many models.
-ZERO = 100.0
-DENSE = 2000  # states of a descriptor model whose E is split
-LARGEST_BLOCK = 5e7  # entries of the constraints as a full matrix
-NEGLIGIBLE = 1e-10  # relative size of a term that is zero but for rounding
+DEPENDENT_CONSTRAINT = 1e-12  # size of a dependent constraint, relative to the largest
+# Singular values below this multiple of eps times the size of the matrix count as zero; in many
+# models, E is a product of matrices.
+ZERO_SINGULAR_VALUE = 100.0
+MAX_DESCRIPTOR_STATES = 2000  # states of a descriptor model whose E is split
+MAX_CONSTRAINT_ENTRIES = 5e7  # entries of the constraints as a full matrix
+NEGLIGIBLE_TERM = 1e-10  # relative size of a term that is zero within rounding
 
 
 def eliminate_constraints(pencil: Pencil) -> Pencil:
@@ -62,7 +62,7 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
     keep, row = np.flatnonzero(~multipliers), np.flatnonzero(multipliers)
     K, E, M = (_submatrix(P, keep, keep) for P in pencil.coefficients)
     G, L = _submatrix(rest, row, keep), _submatrix(rest, keep, row)
-    if pencil.B[row].any() or G.shape[0] * G.shape[1] > LARGEST_BLOCK:
+    if pencil.B[row].any() or G.shape[0] * G.shape[1] > MAX_CONSTRAINT_ENTRIES:
         return pencil
     Z, rank = null_basis(G)
     if Z.shape[1] == 0 or _exceeds_rounding(Z.T @ L, L):
@@ -106,10 +106,10 @@ def null_basis(G: Matrix) -> tuple[scipy.sparse.csc_array, int]:
     block /= np.maximum(np.abs(block).max(axis=1, initial=0.0, keepdims=True), np.finfo(float).tiny)
     R, order = scipy.linalg.qr(block, mode="r", pivoting=True)
     size = np.abs(np.diag(R))
-    rank = int((size > DEPENDENT * size.max(initial=0.0)).sum())
+    rank = int((size > DEPENDENT_CONSTRAINT * size.max(initial=0.0)).sum())
     followers, leaders = used[order[:rank]], used[order[rank:]]
     follow = -scipy.linalg.solve_triangular(R[:rank, :rank], R[:rank, rank:])
-    follow[np.abs(follow) < DEPENDENT * np.abs(follow).max(initial=0.0)] = 0.0
+    follow[np.abs(follow) < DEPENDENT_CONSTRAINT * np.abs(follow).max(initial=0.0)] = 0.0
     free = np.setdiff1d(np.arange(G.shape[1]), followers)
     column = np.empty(G.shape[1], dtype=int)
     column[free] = np.arange(free.size)
@@ -143,7 +143,10 @@ def _insert_multipliers(
     C = pencil.C[:, keep] @ Z - lift @ K @ Z
     D = pencil.D + lift @ pencil.B[keep]
     speed = -lift @ E @ Z
-    if np.abs(speed).max(initial=0.0) <= NEGLIGIBLE * (np.abs(lift) @ np.abs(E) @ np.abs(Z)).max():
+    if (
+        np.abs(speed).max(initial=0.0)
+        <= NEGLIGIBLE_TERM * (np.abs(lift) @ np.abs(E) @ np.abs(Z)).max()
+    ):
         return replace(small, C=C, D=D)
     omega = float(np.sqrt(largest_entry(K) / largest_entry(M)))
     result = first_order(replace(small, C=C, D=D), omega)
@@ -156,7 +159,7 @@ def deflate_infinite_poles(pencil: Pencil) -> Pencil:
     The result is the same pencil if E is regular, if the model is too large, or if its response
     contains derivatives of its input.
     """
-    if pencil.degree != 1 or pencil.size > DENSE or pencil.free:
+    if pencil.degree != 1 or pencil.size > MAX_DESCRIPTOR_STATES or pencil.free:
         return pencil
     full = pencil.dense()
     rest, inertia = full.coefficients
@@ -204,7 +207,11 @@ def _eliminate_index_two(
         size = np.linalg.svd(S, compute_uv=False)
         if (
             size[-1]
-            <= ZERO * len(E) * np.finfo(float).eps * np.abs(G).max() * np.abs(through).max()
+            <= ZERO_SINGULAR_VALUE
+            * len(E)
+            * np.finfo(float).eps
+            * np.abs(G).max()
+            * np.abs(through).max()
         ):
             return None
         R = through @ np.linalg.solve(S, B3)
@@ -214,9 +221,9 @@ def _eliminate_index_two(
     Z, W = scipy.linalg.null_space(G), scipy.linalg.null_space(L.T)
     if Z.shape != W.shape:
         return None
-    B3 = np.where(np.abs(B3) <= NEGLIGIBLE * np.abs(B).max(initial=0.0), 0.0, B3)
+    B3 = np.where(np.abs(B3) <= NEGLIGIBLE_TERM * np.abs(B).max(initial=0.0), 0.0, B3)
     slope = C3 @ np.linalg.solve(S, B3)
-    if np.abs(slope).max(initial=0.0) > NEGLIGIBLE * (np.abs(C3).max() * np.abs(B3).max()):
+    if np.abs(slope).max(initial=0.0) > NEGLIGIBLE_TERM * (np.abs(C3).max() * np.abs(B3).max()):
         return None
     if symmetric := np.allclose(W @ (W.T @ Z), Z, atol=1e-10):
         W = Z
@@ -230,11 +237,11 @@ def _eliminate_index_two(
 
 
 def _is_singular(matrix: np.ndarray) -> bool:
-    """Whether a matrix is singular but for rounding."""
+    """Return whether a matrix is singular within rounding."""
     lu, _, singular = scipy.linalg.lapack.dgetrf(matrix)
     norm = float(np.abs(matrix).sum(axis=0).max(initial=0.0))
     inverse = 0.0 if singular else scipy.linalg.lapack.dgecon(lu, norm)[0]
-    return bool(inverse <= ZERO * len(matrix) * np.finfo(float).eps)
+    return bool(inverse <= ZERO_SINGULAR_VALUE * len(matrix) * np.finfo(float).eps)
 
 
 def _split_by_rank(
@@ -252,12 +259,14 @@ def _split_by_rank(
     else:
         U, size, Vt = np.linalg.svd(matrix)
         V = Vt.T
-    limit = ZERO * len(matrix) * np.finfo(float).eps * max(size.max(initial=0.0), scale)
+    limit = (
+        ZERO_SINGULAR_VALUE * len(matrix) * np.finfo(float).eps * max(size.max(initial=0.0), scale)
+    )
     return U, V, int((size > limit).sum())
 
 
 def _restore_symmetry(pencil: Pencil, symmetric: bool, collocated: bool) -> Pencil:
-    """With the symmetry that the given model has, which products round."""
+    """Restore the symmetry of the input model, which rounding of products has removed."""
     parts = pencil.coefficients
     if symmetric:
         parts = tuple(0.5 * (P + P.T) for P in parts)
@@ -270,7 +279,7 @@ def _restore_symmetry(pencil: Pencil, symmetric: bool, collocated: bool) -> Penc
 
 def _exceeds_rounding(difference: Matrix, reference: Matrix) -> bool:
     """Whether a difference is more than rounding of the reference."""
-    return largest_entry(difference) > NEGLIGIBLE * largest_entry(reference)
+    return largest_entry(difference) > NEGLIGIBLE_TERM * largest_entry(reference)
 
 
 def _submatrix(P: Matrix, rows: np.ndarray, columns: np.ndarray) -> Matrix:

@@ -1,4 +1,4 @@
-"""The test whether a model has definite matrices and real modes."""
+"""Tests whether a model has definite matrices and real modes."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries
-from kc2spice.rom.rigid_body import RANDOM, energy_rounding
-from kc2spice.rom.rounding import FREE
+from kc2spice.rom.rigid_body import ENERGY_FACTOR, energy_rounding
+from kc2spice.rom.rounding import ENERGY_ROUNDING
 
 
 def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
-    """Symmetric, collocated, proportionally damped (or not at all), of second order."""
+    """Return whether a second-order model is symmetric, collocated, proportionally damped."""
     proportional = pencil.rayleigh is not None or (undamped_too and pencil.undamped)
     return pencil.degree == 2 and proportional and pencil.symmetric and pencil.collocated
 
@@ -32,21 +32,21 @@ def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
     except SimulationError:
         return False
     positive = bool((np.einsum("ki,ki->i", x, pencil.B) >= 0).all())
-    return positive and not _is_free(pencil.coefficients[0], y, load)
+    return positive and not _is_unsupported(pencil.coefficients[0], y, load)
 
 
-def _is_free(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
-    """Whether the softest motion has no more energy than rounding errors of K.
+def _is_unsupported(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
+    """Return whether the softest mode has no more energy than rounding errors of K.
 
     The motion is ``y = K^-1 load`` of a random load. Because of such errors, the factor of a free
     body may exist.
     """
     size = absolute_entries(K)
-    rounding = FREE * np.finfo(float).eps * np.sum(abs(y) * (size @ abs(y)))
+    rounding = ENERGY_ROUNDING * np.finfo(float).eps * np.sum(abs(y) * (size @ abs(y)))
     soft = bool(np.sum(y * load) < rounding)
     if not soft or isinstance(K, Schur):
         return soft
-    # the error of the factor may exceed that of the entries, from which a soft support follows
+    # the error of the factor may exceed that of the entries, which define a soft support
     y = y / np.linalg.norm(y)
     energy, noise = float(np.sum(y * (K @ y))), float(energy_rounding(K, y)[0, 0])
-    return energy <= RANDOM * noise
+    return energy <= ENERGY_FACTOR * noise

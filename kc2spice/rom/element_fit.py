@@ -1,4 +1,5 @@
-"""Elements behind leads, and the fit of their sum to measured admittances.
+"""Circuit elements with lead resistance and inductance in series, and the fit of their total
+admittance to measurements.
 
 Admittances ``Y_k`` of elements in parallel and impedances ``Z_l`` of leads make
 
@@ -21,55 +22,57 @@ from scipy.optimize import least_squares, nnls
 
 from kc2spice.rom.network import CircuitBranch
 
-ENOUGH = 1e-5  # deviation (rms) below that of every instrument
-ABOVE_ROUNDING = 1.5  # accepted multiple of the effect of rounded frequencies
-HALF = 0.6  # fraction of the last digit: largest rounding error relative to a fitted grid
-FLOOR = 1e-6  # relative deviation that no element has to describe
-TRIAL = 40  # evaluations of a sum of elements to choose one
-CONVERGED = 1e-12  # relative change of the least squares and of the parameters
-LARGEST_LOG = 150.0  # logarithm of a parameter: beyond every part, within the float range
-DC_WEIGHT = 1e4  # weight of a stated resistance at zero frequency, in samples
-CAPACITIVE = np.tan(np.deg2rad(45))  # B/G at the lowest frequencies of a part that blocks dc
-LOWEST = 5  # number of lowest samples whose mean phase is used
+INSTRUMENT_DEVIATION = 1e-5  # relative rms deviation; no instrument is more accurate
+ROUNDING_FACTOR = 1.5  # accepted deviation as a multiple of the effect of rounded frequencies
+MAX_DIGIT_FRACTION = 0.6  # largest rounding error of a frequency, as a fraction of its last digit
+DEVIATION_FLOOR = 1e-6  # relative deviation that elements need not describe
+TRIAL_EVALUATIONS = 40  # evaluations of each candidate sum of elements
+CONVERGENCE_TOLERANCE = 1e-12  # relative change of the sum of squares and of the parameters
+# logarithm of a parameter; larger than for any part, within the range of floats
+MAX_LOG_PARAMETER = 150.0
+DC_WEIGHT = 1e4  # weight of a given resistance at zero frequency, as a number of samples
+# B/G at the lowest frequencies, above which a part blocks direct current
+CAPACITIVE_RATIO = np.tan(np.deg2rad(45))
+LOWEST_SAMPLES = 5  # lowest samples whose mean phase is used
 Logs = tuple[float, ...]
-Response = tuple[np.ndarray, list[np.ndarray]]  # Y (n,), dY / dlog p (n,) of every parameter
+Response = tuple[np.ndarray, list[np.ndarray]]  # Y (n,), and dY / dlog p (n,) for every parameter
 
 
 def _resistor_response(p: np.ndarray, s: np.ndarray) -> Response:
-    """``Y = g``."""
+    """Return the response ``Y = g`` of a resistor."""
     Y = np.full(len(s), np.exp(p[0]), complex)
     return Y, [Y]
 
 
 def _capacitor_response(p: np.ndarray, s: np.ndarray) -> Response:
-    """``Y = s c``."""
+    """Return the response ``Y = s c`` of a capacitor."""
     Y = s * np.exp(p[0])
     return Y, [Y]
 
 
 def _inductor_response(p: np.ndarray, s: np.ndarray) -> Response:
-    """``Y = g / (1 + s t)``: R and L in series."""
+    """Return the response ``Y = g / (1 + s t)`` of R and L in series."""
     g, t = np.exp(p)
     Y = g / (1 + s * t)
     return Y, [Y, -Y * s * t / (1 + s * t)]
 
 
 def _relaxation_response(p: np.ndarray, s: np.ndarray) -> Response:
-    """``Y = s a / (1 + s t)``: R and C in series."""
+    """Return the response ``Y = s a / (1 + s t)`` of R and C in series."""
     a, t = np.exp(p)
     Y = s * a / (1 + s * t)
     return Y, [Y, -Y * s * t / (1 + s * t)]
 
 
 def _resonance_response(p: np.ndarray, s: np.ndarray) -> Response:
-    """``Y = s c w^2 / (s^2 + d s + w^2)``: R, L and C in series."""
+    """Return the response ``Y = s c w^2 / (s^2 + d s + w^2)`` of R, L and C in series."""
     c, w, d = np.exp(p)
     P = s**2 + d * s + w**2
     Y = s * c * w**2 / P
     return Y, [Y, Y * (2 - 2 * w**2 / P), -Y * d * s / P]
 
 
-PARALLEL: dict[str, Callable[[np.ndarray, np.ndarray], Response]] = {
+PARALLEL_FORMS: dict[str, Callable[[np.ndarray, np.ndarray], Response]] = {
     "conductance": _resistor_response,
     "capacitance": _capacitor_response,
     "inductive": _inductor_response,
@@ -77,11 +80,11 @@ PARALLEL: dict[str, Callable[[np.ndarray, np.ndarray], Response]] = {
     "resonant": _resonance_response,
 }
 # Constant impedance, and impedance in proportion to s.
-LEADS = {"lead resistance": _resistor_response, "lead inductance": _capacitor_response}
-FORMS = PARALLEL | LEADS
-CONDUCTING = ("conductance", "inductive")
-# Simpler forms of an element whose time constants lie outside of the band.
-SIMPLER = {
+LEAD_FORMS = {"lead resistance": _resistor_response, "lead inductance": _capacitor_response}
+ELEMENT_FORMS = PARALLEL_FORMS | LEAD_FORMS
+CONDUCTING_FORMS = ("conductance", "inductive")
+# Simpler forms of an element for time constants outside of the band.
+SIMPLER_FORMS = {
     "conductance": (),
     "capacitance": (),
     "inductive": ("conductance",),
@@ -94,7 +97,7 @@ SIMPLER = {
 
 @dataclass(frozen=True)
 class FitElement:
-    """Summand of the admittance in parallel, or of the impedance of the leads.
+    """Element of a circuit: part of the admittance in parallel, or of the impedance of the leads.
 
     An element has a form and the logarithms of its parameters, the amplitude first.
     """
@@ -103,9 +106,9 @@ class FitElement:
     logs: Logs
 
     def response(self, s: np.ndarray) -> Response:
-        """Admittance of the element, or impedance of a lead, and derivatives at ``s`` (n,)."""
-        logs = np.clip(self.logs, -LARGEST_LOG, LARGEST_LOG)
-        return FORMS[self.form](logs, s)
+        """Return the admittance of the element, or impedance of a lead, with derivatives."""
+        logs = np.clip(self.logs, -MAX_LOG_PARAMETER, MAX_LOG_PARAMETER)
+        return ELEMENT_FORMS[self.form](logs, s)
 
     def scaled(self, factor: float) -> FitElement:
         """The element with its amplitude times ``factor``."""
@@ -113,18 +116,18 @@ class FitElement:
 
     @property
     def in_parallel(self) -> bool:
-        """Whether it is no lead."""
-        return self.form in PARALLEL
+        """Whether the element is in parallel and not a lead."""
+        return self.form in PARALLEL_FORMS
 
     @property
     def amplitude(self) -> float:
         """First parameter of the element."""
-        return float(np.exp(min(self.logs[0], LARGEST_LOG)))
+        return float(np.exp(min(self.logs[0], MAX_LOG_PARAMETER)))
 
     @property
     def conductance(self) -> float:
-        """At zero frequency [S]; none of a lead."""
-        return self.amplitude if self.form in CONDUCTING else 0.0
+        """Conductance at zero frequency [S]; zero for a lead."""
+        return self.amplitude if self.form in CONDUCTING_FORMS else 0.0
 
     def branch(self) -> CircuitBranch:
         """Resistor, inductor and capacitor of the element in series; none for a capacitance."""
@@ -148,7 +151,7 @@ Elements = tuple[FitElement, ...]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz], and a ``conductance`` [S].
+    """Measured admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz], and a ``conductance`` [S].
 
     The conductance is that at zero frequency, if the user states it.
     """
@@ -159,30 +162,33 @@ class Samples:
 
     @cached_property
     def s(self) -> np.ndarray:
-        """j w."""
+        """Laplace variable ``j w``."""
         return 2j * np.pi * self.f
 
     @property
     def conducts_direct_current(self) -> bool:
-        """Whether direct current flows: stated, or by the phase at low frequencies.
+        """Whether direct current flows, as given or according to the phase at low frequencies.
 
         If direct current flows, the mean phase at the lowest frequencies differs from that of a
         capacitor.
         """
         if self.conductance is not None:
             return self.conductance > 0
-        low = np.mean(self.Y[:LOWEST] / np.abs(self.Y[:LOWEST]))
-        return bool(low.imag < CAPACITIVE * low.real)
+        low = np.mean(self.Y[:LOWEST_SAMPLES] / np.abs(self.Y[:LOWEST_SAMPLES]))
+        return bool(low.imag < CAPACITIVE_RATIO * low.real)
 
     @cached_property
     def tolerance(self) -> np.ndarray:
-        """Relative deviation (n,) below which there is no further element.
+        """Relative deviation (n,) below which no further element is added.
 
-        The tolerance is :data:`ENOUGH`, plus the effect of rounded frequencies in a file.
+        The tolerance is :data:`INSTRUMENT_DEVIATION`, plus the effect of rounded frequencies in a
+        file.
         """
         by_frequency = np.abs(np.gradient(self.Y, self.f) / self.Y)
         return np.asarray(
-            np.hypot(ENOUGH, ABOVE_ROUNDING * frequency_rounding(self.f) * by_frequency)
+            np.hypot(
+                INSTRUMENT_DEVIATION, ROUNDING_FACTOR * frequency_rounding(self.f) * by_frequency
+            )
         )
 
     def is_described(self, elements: Elements) -> bool:
@@ -212,7 +218,7 @@ class Samples:
         return np.asarray(parallel / (1 + leads * parallel))
 
     def missing(self, elements: Elements) -> np.ndarray:
-        """Admittance (n,) complex that is absent beside the elements in parallel."""
+        """Return the admittance (n,) that the elements in parallel leave unexplained."""
         parallel, leads = self._sum_elements(elements)
         return np.asarray(self.Y / (1 - leads * self.Y) - parallel)
 
@@ -241,12 +247,13 @@ class Samples:
     def criterion(self, elements: Elements) -> float:
         """Compute the Bayesian information criterion of a fit.
 
-        :data:`FLOOR` is noise in addition to that of the samples.
+        :data:`DEVIATION_FLOOR` is noise in addition to that of the samples.
         """
         count = 2 * len(self.f)
         parameters = sum(len(e.logs) for e in elements)
         return float(
-            count * np.log(self.rms(elements) ** 2 + FLOOR**2) + parameters * np.log(count)
+            count * np.log(self.rms(elements) ** 2 + DEVIATION_FLOOR**2)
+            + parameters * np.log(count)
         )
 
     def _stack_rows(self, x: np.ndarray, dc: float) -> np.ndarray:
@@ -283,7 +290,7 @@ class Samples:
         positive = tuple(e.scaled(factor) for e, factor in factors if factor > 0)
         return ((*positive, *leads) if positive else ()), float(left)
 
-    def polish(self, elements: Elements, evaluations: int = TRIAL) -> Elements:
+    def polish(self, elements: Elements, evaluations: int = TRIAL_EVALUATIONS) -> Elements:
         """Fit all parameters by nonlinear least squares, at most ``evaluations``."""
         if not elements:
             return elements
@@ -312,15 +319,16 @@ class Samples:
         start = np.concatenate([e.logs for e in elements])
         if len(start) > 2 * len(self.f):
             return elements
-        with np.errstate(all="ignore"):  # steps beyond the float range; the end is checked
+        # steps may exceed the range of floats; the result is checked
+        with np.errstate(all="ignore"):
             result = least_squares(
                 residual,
                 start,
                 slopes,
                 method="lm",
-                xtol=CONVERGED,
-                ftol=CONVERGED,
-                gtol=CONVERGED,
+                xtol=CONVERGENCE_TOLERANCE,
+                ftol=CONVERGENCE_TOLERANCE,
+                gtol=CONVERGENCE_TOLERANCE,
                 max_nfev=evaluations,
             )
         return unpack(result.x) if np.isfinite(result.x).all() else elements
@@ -344,7 +352,7 @@ def frequency_rounding(f: np.ndarray) -> float:
     index = np.arange(len(f))
     for scale, inverse in ((np.asarray, np.asarray), (np.log, np.exp)):
         grid = inverse(np.polyval(np.polyfit(index, scale(f), 1), index))
-        if np.abs(f - grid).max() < HALF * unit:
+        if np.abs(f - grid).max() < MAX_DIGIT_FRACTION * unit:
             return float(np.sqrt(np.mean((f - grid) ** 2)))
     return 0.0
 

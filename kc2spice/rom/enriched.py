@@ -1,4 +1,4 @@
-"""Errors of reduced models in time, by models of more states.
+"""Errors of reduced models in the time domain, from models with more states.
 
 A certificate is pointwise in frequency: beside a sharp resonance a shift by a thousandth of the
 frequency counts as an error of 100 %, whatever the loads of a run excite. The recorded loads weight
@@ -26,21 +26,25 @@ from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import Target, reduce_to
 from kc2spice.rom.reductors.block_krylov import BlockArnoldi, krylov_space
 
-# Ratio of the states of the richer model to those of the reduced model, and the least number of
-# added states. The stroke of a chip damped by 0.1 % under a kick, with 30 states: it differs from
-# that with 60, 120 and 300 states by 1.9, 1.7 and 1.7 % (rms).
-TIMES = 2
-MORE = 60
-WIDER = 2.0  # multiple of the band's end, for models that need other vectors than those at zero
-TARGET = 1e-6  # target error of the richer model over the wider band
-LIMIT = 1e-3  # largest error of the richer model over the wider band
-AT_ONCE = 4_000_000  # complex numbers, 64 MB: points times modes that are followed together
-DEFECTIVE = 1e8  # condition of eigenvectors beyond which sums of modes lose the digits that count
-CONSTANT = 1e-9  # variation of a constant load or response, relative to the largest value
+# Number of states of the comparison model, relative to the reduced model, and smallest number of
+# additional states. Example: the stroke of a chip with 0.1 % damping under a kick, with 30 states,
+# differs by 1.9, 1.7 and 1.7 % (rms) from that with 60, 120 and 300 states.
+STATE_RATIO = 2
+MIN_ADDED_STATES = 60
+# end of the band, relative to the requested one, for models that need vectors at other frequencies
+# than zero
+BAND_RATIO = 2.0
+TARGET_ERROR = 1e-6  # target error of the comparison model over the wider band
+MAX_ERROR = 1e-3  # largest accepted error of the comparison model over the wider band
+# complex numbers, 64 MB: time points times modes that are integrated together
+MAX_STORED_VALUES = 4_000_000
+# condition of the eigenvectors above which sums of modes lose significant digits
+MAX_CONDITION = 1e8
+CONSTANT_VARIATION = 1e-9  # variation of a constant load or response, relative to the largest value
 
 
 class Orders:
-    """Reductions of one full-order model to prescribed orders, and to far more states.
+    """Reductions of one full-order model to prescribed orders, and to many more states.
 
     If the model has definite matrices, all orders use the nested vectors of one Krylov space: a
     larger order extends the basis of a smaller one.
@@ -64,20 +68,22 @@ class Orders:
         return reduce_to(self.model, target)
 
     def enriched(self, order: int, band: tuple[float, float]) -> LinearModel:
-        """Reduce to far more than ``order`` states, without a certificate.
+        """Reduce to many more than ``order`` states, without a certificate.
 
         Raises
         ------
         SimulationError, UsageError : no such model is known to be better.
         """
         pencil, ports = self._pencil, self.model.ports
-        states = max(TIMES * order, order + MORE)
+        states = max(STATE_RATIO * order, order + MIN_ADDED_STATES)
         if pencil.size <= states:
             return make_linear_model(pencil.dense(), ports)
         if self._space is not None:
             return make_linear_model(pencil.project(self._space.vectors(states)), ports)
-        wide = band[0], WIDER * band[1]
-        return make_linear_model(intermediate_model(pencil, wide, TARGET, LIMIT).pencil, ports)
+        wide = band[0], BAND_RATIO * band[1]
+        return make_linear_model(
+            intermediate_model(pencil, wide, TARGET_ERROR, MAX_ERROR).pencil, ports
+        )
 
 
 def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray | None:
@@ -98,7 +104,7 @@ def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray 
         result = load @ direct.T
     except (UsageError, SimulationError, LinAlgError):
         return None
-    if np.linalg.cond(T) > DEFECTIVE or not poles.all():
+    if np.linalg.cond(T) > MAX_CONDITION or not poles.all():
         return None
     for rows in _split_modes(poles.size, t.size):
         result += (integrate_roots(poles[rows], t, load @ gains[rows].T) @ (C @ T[:, rows]).T).real
@@ -106,8 +112,8 @@ def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray 
 
 
 def _split_modes(modes: int, points: int) -> Iterator[slice]:
-    """The modes in shares of which all points fit into memory at once."""
-    count = max(1, AT_ONCE // points)
+    """Yield groups of modes that fit into memory for all time points."""
+    count = max(1, MAX_STORED_VALUES // points)
     return (slice(first, first + count) for first in range(0, modes, count))
 
 
@@ -126,7 +132,7 @@ def _select_modes(modal: Resonators, rows: slice) -> Resonators:
 
 def last_change(load: np.ndarray) -> int:
     """Find the last time point at which an input of ``load`` (n, inputs) changes."""
-    step = np.abs(np.diff(load, axis=0)) > CONSTANT * np.abs(load).max(axis=0)
+    step = np.abs(np.diff(load, axis=0)) > CONSTANT_VARIATION * np.abs(load).max(axis=0)
     changes = np.flatnonzero(step.any(axis=1))
     return int(changes[-1]) + 1 if changes.size else 0
 
@@ -156,7 +162,7 @@ def time_errors(
     direct = load[:, None, :] * rich.D
     rows = [exact, *known, *np.moveaxis(direct, 2, 0)]
     scale = np.max([_rms(t, row - row[0]) for row in rows], axis=0)
-    scale = np.maximum(scale, CONSTANT * np.abs(exact).max(axis=0))
+    scale = np.maximum(scale, CONSTANT_VARIATION * np.abs(exact).max(axis=0))
     difference = _rms(t, (ours - ours[0]) - (exact - exact[0]))
     errors = np.divide(difference, scale, out=np.zeros_like(scale), where=scale > 0)
     return dict(zip(small.outputs, errors.tolist(), strict=True))

@@ -13,17 +13,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Errors of entries this far below their own peak are relative to this part of the peak.
-FLOOR = 1e-6
-# An entry this far below the geometric mean of its row and column is zero. Rounding leaves about
-# eps times the Q factor of the resonance, 2e-13 for a Q factor of a thousand.
-ZERO = 1e-11
+# Below this share of the peak of an entry, errors are relative to this share of the peak.
+PEAK_SHARE = 1e-6
+# An entry counts as zero below this share of the geometric mean of its row and column. Rounding
+# causes about eps times the Q factor of the resonance, 2e-13 for a Q factor of 1000.
+ZERO_ENTRY = 1e-11
 BALANCING_STEPS = 40  # each iteration halves the logarithm of the remaining factor
 
 
-def share_of(norm: str) -> float:
-    """Least reference value of errors of an entry in this norm, as a fraction of its peak."""
-    return FLOOR if norm == "pointwise" else 1.0
+def reference_share(norm: str) -> float:
+    """Return the smallest reference of errors of an entry, as a fraction of its peak."""
+    return PEAK_SHARE if norm == "pointwise" else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +54,10 @@ class Entries:
         scale = rows[:, None] * columns
         empty = (peak.max(axis=1, initial=0.0) == 0)[:, None] | (peak.max(axis=0, initial=0.0) == 0)
         mean = np.maximum(_geometric_mean(size, rows, columns), scale)
-        zero = (zero | (size <= ZERO * mean).all(axis=0)) & ~empty
+        zero = (zero | (size <= ZERO_ENTRY * mean).all(axis=0)) & ~empty
         return cls(np.where(zero, scale, peak), np.asarray(zero), rows, columns)
 
-    def base(self, H: np.ndarray, share: float = FLOOR) -> np.ndarray:
+    def base(self, H: np.ndarray, share: float = PEAK_SHARE) -> np.ndarray:
         """Sizes that errors of the response H (..., outputs, inputs) are relative to.
 
         Each is the size of the entry, but at least this ``share`` of its peak.
@@ -68,16 +68,16 @@ class Entries:
         return np.asarray(np.maximum(size, share * self.peak))
 
     def negligible(self, H: np.ndarray) -> np.ndarray:
-        """Mask of values of the response H that are below ``ZERO`` of row and column.
+        """Mask of values of the response H that are below ``ZERO_ENTRY`` of row and column.
 
         H is (..., outputs, inputs).
         """
         scale = self.rows[:, None] * self.columns
         mean = _geometric_mean(np.abs(H), self.rows, self.columns)
-        return np.asarray(np.abs(H) <= ZERO * np.maximum(mean, scale))
+        return np.asarray(np.abs(H) <= ZERO_ENTRY * np.maximum(mean, scale))
 
     def relative_sizes(
-        self, difference: np.ndarray, H: np.ndarray, share: float = FLOOR
+        self, difference: np.ndarray, H: np.ndarray, share: float = PEAK_SHARE
     ) -> np.ndarray:
         """Sizes of a ``difference`` to the response H, relative to :meth:`base`.
 

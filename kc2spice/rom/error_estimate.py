@@ -13,31 +13,34 @@ from functools import cached_property
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entries import FLOOR, Entries, share_of
+from kc2spice.rom.entries import PEAK_SHARE, Entries, reference_share
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import (
-    CLUSTER,
-    FLANK,
-    GRID,
-    SHARPEST,
+    FLANK_DISTANCE,
+    GRID_FREQUENCIES,
+    MIN_DAMPING_RATIO,
+    RESONANCE_OFFSETS,
     Response,
     drop_points_near_poles,
     grid,
     sample_resonances,
 )
 
-ABOVE = np.array([2.0, 4.0])  # multiples of the band's end at which contact still excites a body
-# Numbers of the search for the largest error. Chosen by trial; tests/physics/test_certificates.py
+# multiples of the end of the band at which contacts still excite a body
+MULTIPLES_ABOVE_BAND = np.array([2.0, 4.0])
+# Settings of the search for the largest error, chosen by trial; tests/physics/test_certificates.py
 # compares its result with errors on fine grids.
-NOTCHES = 60  # deepest minima that are refined in each round
-ZOOM = 9  # frequencies in an interval that is refined
-ROUNDS = 20  # rounds of refinement of notches
-SAME = 1e-12  # relative difference of two equal frequencies, by rounding errors
-# factor on a minimum: larger neighbours, or a smaller interpolated value, show a deeper minimum
-STEEP = 1.5
-PEAKS = 40  # largest errors that are refined in each round
+REFINED_NOTCHES = 60  # deepest minima that each round refines
+ZOOM_FREQUENCIES = 9  # frequencies in a refined interval
+NOTCH_ROUNDS = 20  # rounds of refinement of notches
+EQUAL_FREQUENCY = 1e-12  # relative difference of equal frequencies (rounding error)
+# ratio of neighbours to a minimum, or of a minimum to its interpolation, that indicates a deeper
+# minimum
+MIN_STEEPNESS = 1.5
+REFINED_PEAKS = 40  # largest errors that each round refines
 PEAK_ROUNDS = 3  # rounds of refinement of the largest errors
-SPREAD = 6  # frequencies at which a model is looked at first, and those at which others failed
+# equally spaced frequencies that are tested first, together with frequencies of earlier failures
+FIRST_FREQUENCIES = 6
 
 
 def adaptive_frequencies(
@@ -50,23 +53,23 @@ def adaptive_frequencies(
     """
     near = 0.9 * band[0], 1.1 * band[1]
     at, ratio = response.within(near)
-    frequency = np.union1d(grid(band, GRID, static), sample_resonances(at, ratio))
+    frequency = np.union1d(grid(band, GRID_FREQUENCIES, static), sample_resonances(at, ratio))
     if norm == "pointwise":
-        # Distances from a pole, each three times the last one: two of them enclose the zero beside
-        # a weak, narrow resonance, which then shows as a minimum.
-        width = np.where(ratio < SHARPEST, FLANK, ratio) * at
-        away = CLUSTER[-1] * width[:, None] * 3.0 ** np.arange(1, 16)
-        both = [(at[:, None] + k * away)[away < band[1] / GRID] for k in (-1, 1)]
+        # Distances from a pole, each three times the last: two of them enclose a zero near a weak,
+        # narrow resonance, which then appears as a minimum.
+        width = np.where(ratio < MIN_DAMPING_RATIO, FLANK_DISTANCE, ratio) * at
+        away = RESONANCE_OFFSETS[-1] * width[:, None] * 3.0 ** np.arange(1, 16)
+        both = [(at[:, None] + k * away)[away < band[1] / GRID_FREQUENCIES] for k in (-1, 1)]
         frequency = np.unique(np.concatenate([frequency, *both]))
     frequency = frequency[(frequency >= band[0]) & (frequency <= band[1])]
     frequency = drop_points_near_poles(frequency, at, ratio)
     if norm == "peak":
         return frequency
     H = response.transfer(2j * np.pi * frequency)
-    for _ in range(ROUNDS):
+    for _ in range(NOTCH_ROUNDS):
         peak = response.entries(frequency, H).peak + np.finfo(float).tiny
         lowest = _minima_near_zeros(H / peak).reshape(len(H) - 2, -1).min(axis=1)
-        deepest = np.argsort(lowest)[: min(NOTCHES, int(np.isfinite(lowest).sum()))]
+        deepest = np.argsort(lowest)[: min(REFINED_NOTCHES, int(np.isfinite(lowest).sum()))]
         if not deepest.size:
             break
         new = drop_points_near_poles(_refine_intervals(frequency, deepest, deepest + 2), at, ratio)
@@ -90,24 +93,26 @@ def _minima_near_zeros(H: np.ndarray) -> np.ndarray:
     step = np.diff(H, axis=0)
     share = -(np.conj(step) * H[:-1]).real / (np.abs(step) ** 2 + np.finfo(float).tiny)
     line = np.abs(H[:-1] + np.clip(share, 0.0, 1.0) * step)
-    inner = (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:]) & (size[1:-1] > FLOOR)
-    steep = np.maximum(size[:-2], size[2:]) > STEEP * size[1:-1]
-    inner &= steep | (STEEP * np.minimum(line[:-1], line[1:]) < size[1:-1])
+    inner = (size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:]) & (size[1:-1] > PEAK_SHARE)
+    steep = np.maximum(size[:-2], size[2:]) > MIN_STEEPNESS * size[1:-1]
+    inner &= steep | (MIN_STEEPNESS * np.minimum(line[:-1], line[1:]) < size[1:-1])
     return np.where(inner, size[1:-1], np.inf)
 
 
 def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Place ``ZOOM`` frequencies from each ``known[low]`` to ``known[high]``.
+    """Place ``ZOOM_FREQUENCIES`` frequencies from each ``known[low]`` to ``known[high]``.
 
     Frequencies that are ``known`` are left out, and each of the others occurs once. If two
     frequencies differ by rounding only, one would hide a maximum next to the other.
     """
-    points = np.unique(np.linspace(known[low], known[high], ZOOM))
-    points = points[np.r_[True, np.diff(points) > SAME * points[1:]]]
+    points = np.unique(np.linspace(known[low], known[high], ZOOM_FREQUENCIES))
+    points = points[np.r_[True, np.diff(points) > EQUAL_FREQUENCY * points[1:]]]
     at = np.searchsorted(known, points)
     below, above = known[np.maximum(at - 1, 0)], known[np.minimum(at, len(known) - 1)]
     return np.asarray(
-        points[np.minimum(np.abs(points - below), np.abs(points - above)) > SAME * points]
+        points[
+            np.minimum(np.abs(points - below), np.abs(points - above)) > EQUAL_FREQUENCY * points
+        ]
     )
 
 
@@ -125,7 +130,7 @@ class ErrorEstimator:
 
     @cached_property
     def frequency(self) -> np.ndarray:
-        """Frequencies [Hz] at which errors show, at which the exact model is solved once."""
+        """Frequencies [Hz] with large errors, at which the exact model is solved once."""
         return adaptive_frequencies(self.exact, self.band, self.static, self.norm)
 
     @cached_property
@@ -137,7 +142,7 @@ class ErrorEstimator:
     @property
     def share(self) -> float:
         """Least reference value of errors of an entry, as a fraction of its peak."""
-        return share_of(self.norm)
+        return reference_share(self.norm)
 
     @cached_property
     def _significant_entries(self) -> np.ndarray:
@@ -156,7 +161,7 @@ class ErrorEstimator:
         The latest are the last. The next inaccurate model is likely to fail at these first. At
         first they are a few over the band.
         """
-        sample = slice(None, None, max(1, len(self.frequency) // SPREAD))
+        sample = slice(None, None, max(1, len(self.frequency) // FIRST_FREQUENCIES))
         return dict(zip(self.frequency[sample].tolist(), self.reference[0][sample], strict=True))
 
     def sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
@@ -186,7 +191,7 @@ class ErrorEstimator:
         error = self.sizes(reduced.transfer(2j * np.pi * points) - H, H)
         for _ in range(PEAK_ROUNDS):
             inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
-            top = np.argsort(np.where(inner, error, -1.0))[-PEAKS:]
+            top = np.argsort(np.where(inner, error, -1.0))[-REFINED_PEAKS:]
             low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(error) - 1)
             new = drop_points_near_poles(_refine_intervals(points, low, high), at, ratio)
             if not new.size:
@@ -208,14 +213,15 @@ def errors_above_band(
     """Errors ``above`` the band of a :class:`Certificate`.
 
     The errors are the largest relative differences of the driving-point response of any mechanical
-    port at ``ABOVE`` times the end of the band. There are none without a mechanical port.
+    port at ``MULTIPLES_ABOVE_BAND`` times the end of the band. There are none without a mechanical
+    port.
     """
     columns = [port for port in ports if port.kind != "output"]
     rows = [port for port in ports if port.kind != "input"]
     moved = [port for port in ports if port.moving]
     if not moved:
         return ()
-    points = drop_points_near_poles(ABOVE * band[1], *exact.resonances)
+    points = drop_points_near_poles(MULTIPLES_ABOVE_BAND * band[1], *exact.resonances)
     diagonal = list(map(rows.index, moved)), list(map(columns.index, moved))
     H, ours = (item.transfer(2j * np.pi * points)[:, *diagonal] for item in (exact, reduced))
     size = np.abs(ours - H) / (np.abs(H) + np.finfo(float).tiny)
@@ -225,7 +231,7 @@ def errors_above_band(
 def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
     """Largest error of all entries and frequencies, relative to the entry.
 
-    The error is relative to the entry, but at least to ``FLOOR`` of its peak. See
+    The error is relative to the entry, but at least to ``PEAK_SHARE`` of its peak. See
     :class:`kc2spice.rom.entries.Entries` for entries that are zero.
 
     Arrays are (frequencies, outputs, inputs), or (frequencies,) and (frequencies, entries) of
@@ -251,14 +257,12 @@ def relative_size(
     return entries.relative_sizes(difference, reference)
 
 
-def inaccuracy_error(message: str, got: str, limit: float, hint: str) -> SimulationError:
+def make_inaccuracy_error(message: str, got: str, limit: float, hint: str) -> SimulationError:
     """Error of a reduction whose error estimate stays above the limit."""
     expected = f"at most {limit:.1e}"
     return SimulationError(message, where="reduction", got=got, expected=expected, hint=hint)
 
 
-def default_norm(model: LinearModel) -> Norm:
-    """*peak* for models whose ports are all signals, *pointwise* for all other models, whose
-    notches matter.
-    """
+def choose_default_norm(model: LinearModel) -> Norm:
+    """Return *peak* for models with signal ports only, and *pointwise* for all other models."""
     return "pointwise" if any(port.conservative for port in model.ports) else "peak"

@@ -17,18 +17,24 @@ import scipy
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.definite import expects_cholesky, is_definite
-from kc2spice.rom.error_estimate import inaccuracy_error, relative_size
+from kc2spice.rom.error_estimate import make_inaccuracy_error, relative_size
 from kc2spice.rom.free_body import find_free_body
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil, Schur, is_symmetric
 from kc2spice.rom.reductors.definite_krylov import definite_krylov_model
 from kc2spice.rom.reductors.exact_samples import sampled_model
-from kc2spice.rom.reductors.rational_krylov import MANY_POINTS, MOST_POINTS, rational_krylov_model
-from kc2spice.rom.response import FLANK, SHARPEST, Response, drop_points_near_poles, grid
+from kc2spice.rom.reductors.rational_krylov import MANY_POINTS, MAX_POINTS, rational_krylov_model
+from kc2spice.rom.response import (
+    FLANK_DISTANCE,
+    MIN_DAMPING_RATIO,
+    Response,
+    drop_points_near_poles,
+    grid,
+)
 from kc2spice.rom.rigid_body import hidden_support, project_with_rigid_body, split_rigid_body
 from kc2spice.rom.rounding import (
-    RESONANCES,
-    SPREAD,
+    CHECKED_RESONANCES,
+    TRIAL_FACTOR,
     removed_stiffness,
     rounding_uncertainty,
     uncertainty_note,
@@ -36,13 +42,13 @@ from kc2spice.rom.rounding import (
 )
 from kc2spice.rom.stability import is_dissipative
 
-# Unknowns up to which a model is converted to its modes with 19 digits: a limit of the work.
-EXTENDED = 500
-# Largest models that are used without samples: limits of the work. Chosen by trial.
-WHOLE_DECOUPLED = 1300  # unknowns of decoupled models
-WHOLE = 600  # first-order states of others
-DENSE = 2000  # states of models with so many resonances that samples do not converge
-DIRECT = 150  # unknowns up to which one linear system per frequency may be solved
+# Unknowns up to which modes are computed with 19 digits, to limit the work.
+MAX_EXTENDED_UNKNOWNS = 500
+# Largest models that are used completely, without samples; chosen by trial.
+MAX_COMPLETE_DECOUPLED = 1300  # unknowns of decoupled models
+MAX_COMPLETE_STATES = 600  # first-order states of other models
+MAX_DENSE_STATES = 2000  # states of models with so many resonances that samples do not converge
+MAX_DIRECT_UNKNOWNS = 150  # unknowns up to which one linear system per frequency may be solved
 
 
 def intermediate_model(
@@ -62,20 +68,20 @@ def intermediate_model(
     ------
     SimulationError : not even ``limit`` is met.
     """
-    if pencil.size <= WHOLE_DECOUPLED:
+    if pencil.size <= MAX_COMPLETE_DECOUPLED:
         full = pencil.scaled(2 * np.pi * band[1]).dense()
         complete, inaccurate = None, None
         try:
-            complete = _keep_full_order(full, band, limit)
+            complete = _use_full_order(full, band, limit)
         except SimulationError as error:
             inaccurate = error
         sound = complete is not None and complete.response.diagonal
-        # Without an energy a congruence needs well-conditioned modes to converge.
+        # Without a proof of stored energy, a congruence converges only with well-conditioned modes.
         if pencil.degree == 1 and not sound and not is_dissipative(full):
             try:
                 return sampled_model(full, band, target, limit)
             except SimulationError:
-                pass  # the model is free to move at zero frequency, or has too many resonances
+                pass  # the model has rigid-body modes, or too many resonances
         if inaccurate is not None:
             raise inaccurate
         if complete is not None:
@@ -86,8 +92,8 @@ def intermediate_model(
         require_factors(pencil.bordered(1.0, 1.0, 1.0))
     scaled = pencil.scaled(2 * np.pi * band[1])
     states = pencil.degree * pencil.size
-    moderate = WHOLE < states <= DENSE
-    points = MANY_POINTS if moderate else MOST_POINTS
+    moderate = MAX_COMPLETE_STATES < states <= MAX_DENSE_STATES
+    points = MANY_POINTS if moderate else MAX_POINTS
     if not (moderate and pencil.is_dense and pencil.degree == 1):
         try:
             result = rational_krylov_model(scaled, band, target, limit, points)
@@ -95,8 +101,8 @@ def intermediate_model(
         except SimulationError:
             if not moderate:
                 raise
-    complete = _keep_full_order(scaled.dense(), band, limit, DENSE)
-    result = complete or rational_krylov_model(scaled, band, target, limit, MOST_POINTS)
+    complete = _use_full_order(scaled.dense(), band, limit, MAX_DENSE_STATES)
+    result = complete or rational_krylov_model(scaled, band, target, limit, MAX_POINTS)
     return _restore_units(pencil, band, result)
 
 
@@ -131,10 +137,10 @@ def _restore_units(
     return replace(result, basis=units[:, None] * result.basis)
 
 
-def _keep_full_order(
-    full: Pencil, band: tuple[float, float], limit: float, most: int = WHOLE
+def _use_full_order(
+    full: Pencil, band: tuple[float, float], limit: float, most: int = MAX_COMPLETE_STATES
 ) -> IntermediateModel | None:
-    """All of a small model; None if its response would take too long to evaluate.
+    """Return a small model unchanged; None if its response is too slow to evaluate.
 
     Raises
     ------
@@ -150,36 +156,39 @@ def _keep_full_order(
     response = Response(full)
     response.zero = zero_entries(original, V, response, band)
     if not response.decoupled and (
-        full.degree * full.size > most or (full.size > DIRECT and not response.diagonal)
+        full.degree * full.size > most
+        or (full.size > MAX_DIRECT_UNKNOWNS and not response.diagonal)
     ):
         return None
     error, floor, rounded = _solution_error(response, band), 0.0, 0.0
     at, ratio = response.select_visible(band)
     note = ""
     if at.size:
-        looked = np.union1d(np.argsort(at)[:RESONANCES], np.argsort(ratio)[:RESONANCES])
-        at = at[looked] * (1 + FLANK * (ratio[looked] < SHARPEST))
+        looked = np.union1d(
+            np.argsort(at)[:CHECKED_RESONANCES], np.argsort(ratio)[:CHECKED_RESONANCES]
+        )
+        at = at[looked] * (1 + FLANK_DISTANCE * (ratio[looked] < MIN_DAMPING_RATIO))
         s, states, dual = 2j * np.pi * at, None, None
         if T is not None:
             states = V @ response.states(s)
         elif response.modes is not None and original is full:
             states, dual = response.states(s), response.dual.states(s)
         size = rounding_uncertainty(original, at, states, dual, response.zero)
-        rounded = SPREAD * float(size.max())
+        rounded = TRIAL_FACTOR * float(size.max())
         if T is not None:
             note = uncertainty_note(at, size, 2 * limit)
-        # products and solutions round its entries
+        # products and solutions are rounded
         if T is None or full.free or full.size < original.size:
             floor = rounded
     if error > max(limit, rounded):
-        raise inaccuracy_error(
+        raise make_inaccuracy_error(
             "the full model itself is not that accurate",
             f"two direct solutions differ by {error:.1e}",
             limit,
             "ask for a looser tolerance; other units or fewer elements may help",
         )
     proof = f"being all of the full model, solved to {error:.0e}{note}"
-    error = min(error, limit)  # a larger error is a rounding error of the given matrices
+    error = min(error, limit)  # a larger error is a rounding error of the input matrices
     if projected is not None:
         floor = max(floor, removed_stiffness(projected, full, band))
     return IntermediateModel(
@@ -199,7 +208,7 @@ def _undamped_modes(full: Pencil) -> np.ndarray | None:
 
     The result is None for other models.
     """
-    if full.degree == 1 or full.size > EXTENDED:
+    if full.degree == 1 or full.size > MAX_EXTENDED_UNKNOWNS:
         return None
     K, _, M = full.coefficients
     if not (is_symmetric(K) and is_symmetric(M)):
@@ -215,7 +224,9 @@ def _solution_error(response: Response, band: tuple[float, float]) -> float:
     """Compare direct solutions in two orders of elimination, and solutions by modes."""
     full = response.pencil
     at, ratio = response.select_visible(band)
-    sharpest = at[np.argsort(ratio)[:1]] * (1 + FLANK * (ratio.min(initial=1.0) < FLANK))
+    sharpest = at[np.argsort(ratio)[:1]] * (
+        1 + FLANK_DISTANCE * (ratio.min(initial=1.0) < FLANK_DISTANCE)
+    )
     points = np.r_[band[1], 0.31 * band[0] + 0.69 * band[1], sharpest]
     s = 2j * np.pi * points
     coarse = drop_points_near_poles(grid(band, 50, False), *response.within(band))

@@ -1,4 +1,4 @@
-"""Rigid-body modes of a large free body, and its elastic motions.
+"""Rigid-body modes of a large unsupported body, and its elastic part.
 
 A free body has a singular stiffness K. The shifted stiffness ``K + sigma M`` is definite and is
 factorised once, with real numbers. Inverse iteration with this factor gives the rigid-body modes.
@@ -19,29 +19,30 @@ from kc2spice.linalg.factor import Factor, factorise
 from kc2spice.rom.definite import has_definite_form
 from kc2spice.rom.pencil import Pencil, Schur, absolute_entries
 from kc2spice.rom.rigid_body import energy_rounding, split_driven_modes
-from kc2spice.rom.rounding import FREE
+from kc2spice.rom.rounding import ENERGY_ROUNDING
 
-# The shift, relative to the square of the end of the band. The smaller it is, the more the Krylov
-# subspace resembles that at zero, and the fewer steps of inverse iteration are needed.
-SHIFT = 1e-6
-# Least shift, relative to the highest squared frequency times the relative rounding error.
-ABOVE_ROUNDING = 100.0
-# Largest shift, relative to the square of the end of the band.
-LARGEST_SHIFT = 1e-2
-STEPS = 12  # most steps of inverse iteration
+# Shift relative to the square of the end of the band. For a small shift, the Krylov subspace is
+# close to that at zero, and inverse iteration needs few steps.
+SHIFT_RATIO = 1e-6
+# smallest shift, relative to the highest squared frequency times the relative rounding error
+MIN_SHIFT_ROUNDING = 100.0
+# largest shift, relative to the square of the end of the band
+MAX_SHIFT_RATIO = 1e-2
+MAX_STEPS = 12  # steps of inverse iteration
 # Error of a mode at which the iteration ends. A step multiplies the error by
 # shift / (shift + first squared frequency).
-CONVERGED = 1e-14
-# Largest energy of a rigid-body mode, in random rounding errors of the entries of K. Free bodies
-# have up to 0.02, a chain of 1 400 masses with a support of 3e-14 of its stiffness has 1.5. Other
-# methods reduce bodies above this value, and keep their soft supports.
-LARGEST_ENERGY = 1.0
-BLOCK, LARGEST_BLOCK = 8, 64  # vectors of inverse iteration: one body has six rigid-body modes
+MODE_TOLERANCE = 1e-14
+# Largest elastic energy of a rigid-body mode, relative to random rounding errors of K. It is up to
+# 0.02 for unsupported bodies, and 1.5 for a chain of 1 400 masses with a support of 3e-14 of its
+# stiffness. Other methods reduce bodies above this value and retain their soft supports.
+MAX_RIGID_ENERGY = 1.0
+# vectors of inverse iteration: first and largest number; one body has six rigid-body modes
+BLOCK_VECTORS, MAX_BLOCK_VECTORS = 8, 64
 
 
 @dataclass(frozen=True, eq=False)
 class FreeBody:
-    """A definite model that is free to move, with its rigid-body modes.
+    """Model of an unsupported body: definite elastic part and separate rigid-body modes.
 
     ``modes`` X (n, r) are orthonormal in the mass: ``X'MX = 1``. ``momenta`` is M X. ``factor`` is
     that of the shifted stiffness ``K + shift M``.
@@ -87,7 +88,10 @@ class FreeBody:
     def _bound_rounding(self, forces: np.ndarray, V: np.ndarray) -> np.ndarray:
         """Bound rounding errors (k, k) in the rows and columns of rigid-body modes."""
         bounds = np.zeros((V.shape[1],) * 2)
-        side, count = FREE * np.finfo(float).eps * (np.abs(V).T @ forces), forces.shape[1]
+        side, count = (
+            ENERGY_ROUNDING * np.finfo(float).eps * (np.abs(V).T @ forces),
+            forces.shape[1],
+        )
         bounds[:, :count], bounds[:count] = side, side.T
         return bounds
 
@@ -101,7 +105,7 @@ def find_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
     if not has_definite_form(pencil, undamped_too=True):
         return None
     shift = _choose_shift(pencil, omega)
-    if shift > LARGEST_SHIFT * omega**2:
+    if shift > MAX_SHIFT_RATIO * omega**2:
         return None
     K, _, M = pencil.coefficients
     elastic = K.uu if isinstance(K, Schur) else K
@@ -124,7 +128,7 @@ def _choose_shift(pencil: Pencil, omega: float) -> float:
     mass = M.diagonal()
     heavy = mass > 0
     highest = float((np.abs(stiff[heavy]) / mass[heavy]).max(initial=0.0))
-    return max(SHIFT * omega**2, ABOVE_ROUNDING * np.finfo(float).eps * highest)
+    return max(SHIFT_RATIO * omega**2, MIN_SHIFT_ROUNDING * np.finfo(float).eps * highest)
 
 
 def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.ndarray:
@@ -134,16 +138,16 @@ def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.n
     change potentials have energy. No column is returned if the next mode is not above the shift.
     """
     K, _, M = pencil.coefficients
-    rng, count = np.random.default_rng(0), BLOCK
-    while count <= min(LARGEST_BLOCK, pencil.size):
+    rng, count = np.random.default_rng(0), BLOCK_VECTORS
+    while count <= min(MAX_BLOCK_VECTORS, pencil.size):
         X = rng.standard_normal((pencil.size, count))
-        for step in range(1, STEPS + 1):
+        for step in range(1, MAX_STEPS + 1):
             X = factor.solve(M @ X)
             values, turn = scipy.linalg.eigh(X.T @ (K @ X), X.T @ (M @ X))
             X = X @ turn
             rigid = np.abs(values) <= np.diag(_bound_elastic_energy(pencil, X))
             lowest = values[~rigid].min(initial=np.inf)
-            if shift < lowest < np.inf and (shift / (shift + lowest)) ** step < CONVERGED:
+            if shift < lowest < np.inf and (shift / (shift + lowest)) ** step < MODE_TOLERANCE:
                 return np.asarray(X[:, rigid])
         if not rigid.all():
             break
@@ -154,7 +158,9 @@ def _find_rigid_body_modes(pencil: Pencil, factor: Factor, shift: float) -> np.n
 def _bound_elastic_energy(pencil: Pencil, V: np.ndarray) -> np.ndarray:
     """Bound the elastic energies (k, k) of motions V by rounding errors of the stiffness."""
     K = pencil.coefficients[0]
-    bound = FREE * np.finfo(float).eps * (np.abs(V).T @ (absolute_entries(K) @ np.abs(V)))
+    bound = (
+        ENERGY_ROUNDING * np.finfo(float).eps * (np.abs(V).T @ (absolute_entries(K) @ np.abs(V)))
+    )
     if not isinstance(K, Schur):
-        bound = np.minimum(bound, LARGEST_ENERGY * energy_rounding(K, V))
+        bound = np.minimum(bound, MAX_RIGID_ENERGY * energy_rounding(K, V))
     return np.asarray(bound)

@@ -1,4 +1,4 @@
-"""Heat networks of one port: Foster's form and Cauer's form.
+"""Heat networks of one port in Foster's and in Cauer's form.
 
 Foster's form is a chain of thermal resistances, each beside a heat capacity::
 
@@ -33,9 +33,9 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel, Port
 
 NetworkForm = Literal["foster", "cauer"]
-FORMS: tuple[NetworkForm, ...] = ("foster", "cauer")
-# Time constants with a smaller relative difference are one: a hundred rounding errors.
-SAME_TIME = 2e-14
+NETWORK_FORMS: tuple[NetworkForm, ...] = ("foster", "cauer")
+# largest relative difference of equal time constants: a hundred rounding errors
+EQUAL_TIME = 2e-14
 # Decimal digits of the continued fraction for each mode. Each step loses at most the 14 digits in
 # which two time constants agree, in numerator and denominator.
 DIGITS_PER_MODE = 30
@@ -98,7 +98,7 @@ class FosterNetwork(EqualByContent):
         """Return resistances and time constants, with modes of the same time constant joined."""
         order = np.argsort(self.time_constant)
         times, resistance = self.time_constant[order], self.resistance[order]
-        first = np.r_[True, np.diff(times) > SAME_TIME * times[1:]]
+        first = np.r_[True, np.diff(times) > EQUAL_TIME * times[1:]]
         return np.add.reduceat(resistance, np.flatnonzero(first)), times[first]
 
 
@@ -155,11 +155,11 @@ def require_form(form: str | None, where: str) -> NetworkForm | None:
     """
     if form is None:
         return None
-    for known in FORMS:
+    for known in NETWORK_FORMS:
         if form.lower() == known:
             return known
     raise UsageError(
-        "no such form of a network", where=where, got=form, expected=" or ".join(FORMS)
+        "no such form of a network", where=where, got=form, expected=" or ".join(NETWORK_FORMS)
     )
 
 

@@ -25,7 +25,7 @@ from scipy import sparse
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import names_of
-from kc2spice.rom.entries import share_of
+from kc2spice.rom.entries import reference_share
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.interface_modes import (
@@ -50,7 +50,7 @@ from kc2spice.rom.parametric import (
 )
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import is_semidefinite, prove_stability
-from kc2spice.rom.varying import interpolate_facts, range_error
+from kc2spice.rom.varying import interpolate_facts, make_range_error
 
 SAMPLE_SHARE = 0.05  # share of the tolerance for the reduced models at single values
 BASIS_SHARE = 0.2  # share of the tolerance for the basis before directions are removed
@@ -168,7 +168,7 @@ def reduce_heat_over_ranges(
         samples += fresh
     problem = "the error cannot be estimated over the ranges of the parameters"
     got = f"{error:.2g} at a point that nothing was made from"
-    raise range_error(problem, frame.name, got, tolerance)
+    raise make_range_error(problem, frame.name, got, tolerance)
 
 
 def _finish(
@@ -262,7 +262,7 @@ class _Reference:
 
     def _static_error(self, ours: GivenTemperatures) -> float:
         """Largest relative error of the static answers to given temperatures."""
-        share = share_of(self.ranges.norm)
+        share = reference_share(self.ranges.norm)
         size = float(self.parts.inner.pencil.coefficients[0].diagonal().max())
         result = 0.0
         pairs = (
@@ -403,7 +403,7 @@ def _find_smallest(
     if errors[worst] > limit:
         problem = "the ranges of the parameters are too wide for one basis"
         got = f"an error of {errors[worst]:.2g}"
-        raise range_error(problem, result.name, got, limit)
+        raise make_range_error(problem, result.name, got, limit)
     best, error = result, errors[worst]
     low, high = 1, W.shape[1]
     while low < high:

@@ -26,16 +26,18 @@ from kc2spice.linalg.factor import require_factors
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries
 from kc2spice.rom.stability import is_dissipative, is_semidefinite
 
-POLES, VECTORS, RESTARTS = 4, 40, 12  # settings of the Arnoldi method
-LANCZOS = 6  # restarts of the Lanczos method, of twenty vectors each
-COARSE = 1e-2  # relative error of the softest motion
-ROUNDING = 1e3  # multiple of the rounding error of an energy, below which the energy counts as zero
-GROWTH = 1e-4  # least real part of a growing pole, of its size
-BACKWARD = 1e-6  # residual of a pole, relative to the terms of its equation
+# Arnoldi method: number of poles, vectors and restarts
+POLE_COUNT, KRYLOV_VECTORS, MAX_RESTARTS = 4, 40, 12
+LANCZOS_RESTARTS = 6  # restarts of the Lanczos method, of twenty vectors each
+MODE_ERROR = 1e-2  # relative error of the softest mode
+# multiple of the rounding error of an energy, below which the energy counts as zero
+ZERO_ENERGY_FACTOR = 1e3
+MIN_GROWTH = 1e-4  # real part of a growing pole, relative to its magnitude
+MAX_RESIDUAL = 1e-6  # residual of a pole, relative to the terms of its equation
 
 
 def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str | None:
-    """Proof that a model is unstable, for an error message; None if no proof is found.
+    """Return the proof that a model is unstable, for an error message; None without proof.
 
     Parameters
     ----------
@@ -60,11 +62,11 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
         return None
     if pencil.degree == 2 and pencil.symmetric:
         if (pencil.coefficients[2].diagonal() <= 0).any():
-            return None  # potentials or multipliers: definite only without them
+            return None  # potentials or multipliers: the model is definite only without them
         if _has_negative_stiffness(pencil):
             return "a motion whose stiffness is negative"
         if pencil.undamped or (pencil.rayleigh is not None and min(pencil.rayleigh) >= 0):
-            return None  # with definite K no other pole grows
+            return None  # with definite K, no other pole grows
     require_factors(pencil.bordered(1.0, 1.0, 1.0))
     if is_dissipative(pencil):
         return None
@@ -86,7 +88,11 @@ def _has_negative_stiffness(pencil: Pencil) -> bool:
     x = _find_highest_energy(-K)
     if x is None:
         return False
-    noise = ROUNDING * np.finfo(float).eps * float(np.abs(x) @ (absolute_entries(K) @ np.abs(x)))
+    noise = (
+        ZERO_ENERGY_FACTOR
+        * np.finfo(float).eps
+        * float(np.abs(x) @ (absolute_entries(K) @ np.abs(x)))
+    )
     return bool(x @ (K @ x) < -noise) and is_semidefinite(M)
 
 
@@ -101,7 +107,9 @@ def _find_highest_energy(P: Matrix) -> np.ndarray | None:
     scale = scipy.sparse.diags_array(1 / np.sqrt(np.where(size > 0, size, size.max())))
     start = np.random.default_rng(0).standard_normal(len(size))
     try:
-        vectors = eigsh(scale @ P @ scale, 1, which="LA", tol=COARSE, maxiter=LANCZOS, v0=start)[1]
+        vectors = eigsh(
+            scale @ P @ scale, 1, which="LA", tol=MODE_ERROR, maxiter=LANCZOS_RESTARTS, v0=start
+        )[1]
     except ArpackError:
         return None
     return np.asarray(scale @ vectors[:, 0])
@@ -134,9 +142,9 @@ def _find_growing_poles(pencil: Pencil, rate: float) -> np.ndarray:
 
     operator = LinearOperator((degree * n,) * 2, matvec=cayley, dtype=float)
     start = np.random.default_rng(0).standard_normal(degree * n)
-    options = {"ncv": VECTORS, "maxiter": RESTARTS, "tol": BACKWARD, "v0": start}
+    options = {"ncv": KRYLOV_VECTORS, "maxiter": MAX_RESTARTS, "tol": MAX_RESIDUAL, "v0": start}
     try:
-        values, vectors = eigs(operator, POLES, which="LM", **options)
+        values, vectors = eigs(operator, POLE_COUNT, which="LM", **options)
     except ArpackNoConvergence as error:
         values, vectors = error.eigenvalues, error.eigenvectors
     unstable_poles = []
@@ -144,7 +152,7 @@ def _find_growing_poles(pencil: Pencil, rate: float) -> np.ndarray:
         pole = rate * (value + 1) / (value - 1)
         terms = [pole**k * (P @ x) for k, P in enumerate(pencil.coefficients)]
         size = sum(map(np.linalg.norm, terms))
-        small = np.linalg.norm(np.sum(terms, axis=0)) <= BACKWARD * size
-        if small and pole.real > GROWTH * abs(pole):
+        small = np.linalg.norm(np.sum(terms, axis=0)) <= MAX_RESIDUAL * size
+        if small and pole.real > MIN_GROWTH * abs(pole):
             unstable_poles.append(pole)
     return np.array(unstable_poles, dtype=complex)

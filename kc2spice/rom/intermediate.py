@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.error_estimate import ErrorEstimator, inaccuracy_error
+from kc2spice.rom.error_estimate import ErrorEstimator, make_inaccuracy_error
 from kc2spice.rom.linear_model import Norm
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.response import Response
@@ -70,7 +70,7 @@ def no_convergence_error(
     response: Response, band: tuple[float, float], error: float, limit: float
 ) -> SimulationError:
     modes = response.within(band)[0].size
-    return inaccuracy_error(
+    return make_inaccuracy_error(
         "the reduced model does not settle",
         f"relative error {error:.1e} with {response.pencil.size} states; the band holds at least "
         f"{modes} resonances",

@@ -1,4 +1,4 @@
-"""Models as files: reduced models with certificates, and Matrix Market files.
+"""Files of models: reduced models with certificates, and Matrix Market files.
 
 A reduced model is one ``.npz``, or a Matrix Market family. Damaged Matrix Market files of others
 cause nothing but an error.
@@ -29,11 +29,12 @@ from kc2spice.core.untrusted_files import decode_text, read_archive, read_bounde
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import Matrix
 
-BANNER = b"%%matrixmarket"
-_FORMS = ("coordinate", "array")
-_FIELDS = {"real": 1, "double": 1, "integer": 1, "complex": 2}  # numbers of a value
+MARKET_BANNER = b"%%matrixmarket"
+_MARKET_LAYOUTS = ("coordinate", "array")
+_MARKET_FIELDS = {"real": 1, "double": 1, "integer": 1, "complex": 2}  # numbers per value
 _SYMMETRIES = ("general", "symmetric", "skew-symmetric")
-_FORTRAN = bytes.maketrans(b"Dd,", b"EE ")  # exponents, and the separator of comma lists
+# Fortran exponents, and the separator of comma lists
+_FORTRAN_TRANSLATION = bytes.maketrans(b"Dd,", b"EE ")
 
 
 def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) -> Matrix:
@@ -52,9 +53,9 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
     if banner[:2] != ["%%matrixmarket", "matrix"] or len(banner) != 5:
         raise ValueError("the first line is not the header of a Matrix Market file")
     form, field, symmetry = banner[2:]
-    if form not in _FORMS or symmetry not in _SYMMETRIES:
+    if form not in _MARKET_LAYOUTS or symmetry not in _SYMMETRIES:
         raise ValueError(f"'{form} {symmetry}' is not supported")
-    if field not in _FIELDS:
+    if field not in _MARKET_FIELDS:
         raise ValueError(f"it is a {field} matrix")
     sizes, start = _read_sizes(data, end + 1)
     if len(sizes) != (3 if form == "coordinate" else 2) or min(sizes) < 0:
@@ -64,7 +65,7 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
         raise ValueError(f"{symmetry}, but {rows} x {columns}")
     entries = sizes[2] if form == "coordinate" else _read_symmetry(rows, columns, symmetry)
     allowed((rows, columns), entries)
-    width = _FIELDS[field] + (2 if form == "coordinate" else 0)
+    width = _MARKET_FIELDS[field] + (2 if form == "coordinate" else 0)
     count = width * entries
     if 2 * count > len(data) - start + 2:
         raise ValueError(
@@ -135,9 +136,9 @@ def parse_numbers(text: bytes) -> np.ndarray:
     if not text.strip():
         return np.empty(0)
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # numpy stops at damage with a warning only
+        warnings.simplefilter("error")  # numpy reports damaged text only by a warning
         try:
-            return np.fromstring(text.translate(_FORTRAN), dtype=float, sep=" ")
+            return np.fromstring(text.translate(_FORTRAN_TRANSLATION), dtype=float, sep=" ")
         except (DeprecationWarning, ValueError):
             raise ValueError("an entry of the matrix is not a number") from None
 
@@ -161,11 +162,11 @@ def complete_triangle(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_arr
     return sparse.csc_array(matrix + sign * matrix.T - sign * diagonal)
 
 
-MAX_BYTES = 1_000_000_000
+MAX_FILE_BYTES = 1_000_000_000
 MAX_ENTRIES = 50_000_000  # entries of one matrix
-MAX_TEXT = 64  # characters of a name or unit
-_ROM_FILES = "the .npz file that kc2spice reduce wrote, or the .json file beside its matrices"
-_RECORD = "record"  # the JSON text beside the arrays
+MAX_TEXT_LENGTH = 64  # characters of a name or unit
+_EXPECTED_FILE = "the .npz file that kc2spice reduce wrote, or the .json file beside its matrices"
+_RECORD_NAME = "record"  # name of the JSON text in an archive
 
 
 def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
@@ -216,21 +217,21 @@ def read_rom(path: Path | str) -> LinearModel:
     try:
         if path.suffix == ".npz":
             return _build_model(*read_arrays(path, "MEKABCD"))
-        matrices, record = _read_family(path)
+        matrices, record = _read_rom_arrays(path)
         return _build_model(matrices, json.loads(record))
     except Exception as error:  # damaged bytes cause nearly any exception in the parsers
-        raise damage_error(path, error) from None
+        raise make_damage_error(path, error) from None
 
 
-def _read_family(path: Path) -> tuple[dict[str, np.ndarray], str]:
+def _read_rom_arrays(path: Path) -> tuple[dict[str, np.ndarray], str]:
     base = path.with_suffix("")
     record = Path(f"{base}.json")
     matrices = {}
     for letter in "MEKABCD":
         file = Path(f"{base}.{letter}")
         if file.is_file():
-            matrices[letter] = read_market(read_bounded(file, MAX_BYTES), _require_limits)
-    return matrices, decode_text(read_bounded(record, MAX_BYTES))
+            matrices[letter] = read_market(read_bounded(file, MAX_FILE_BYTES), _require_limits)
+    return matrices, decode_text(read_bounded(record, MAX_FILE_BYTES))
 
 
 def _require_limits(shape: tuple[int, int], entries: int) -> None:
@@ -262,7 +263,7 @@ def write_archive(
 ) -> list[str]:
     """Write ``name.npz``, and its record for readers in ``name.json``; return these file names."""
     text = json.dumps(record, indent=2)
-    content: dict[str, Any] = {**arrays, _RECORD: np.array(text)}
+    content: dict[str, Any] = {**arrays, _RECORD_NAME: np.array(text)}
     np.savez(directory / f"{name}.npz", **content)
     (directory / f"{name}.json").write_text(text + "\n", encoding="utf-8")
     return [f"{name}.npz", f"{name}.json"]
@@ -275,12 +276,14 @@ def read_arrays(path: Path, names: Iterable[str]) -> tuple[dict[str, np.ndarray]
     ------
     Exception : damaged bytes cause nearly any exception in the parsers.
     """
-    known = {_RECORD, *names}
-    arrays = read_archive(path, known.__contains__, entries=lambda _: MAX_ENTRIES, total=MAX_BYTES)
-    return arrays, json.loads(str(arrays.pop(_RECORD).item()))
+    known = {_RECORD_NAME, *names}
+    arrays = read_archive(
+        path, known.__contains__, entries=lambda _: MAX_ENTRIES, total=MAX_FILE_BYTES
+    )
+    return arrays, json.loads(str(arrays.pop(_RECORD_NAME).item()))
 
 
-def damage_error(path: Path, error: Exception) -> UsageError:
+def make_damage_error(path: Path, error: Exception) -> UsageError:
     """Make the error of a file that is no reduced model from that of its parser."""
     return UsageError(
         "this file is not a reduced model",
@@ -291,7 +294,7 @@ def damage_error(path: Path, error: Exception) -> UsageError:
 
 
 def require_single_line(text: str, longest: int) -> str:
-    """Require a text without a line break, which would begin a card in the header of a netlist."""
+    """Reject a text with a line break, which would begin a new card in a netlist."""
     if not text.isprintable() or len(text) > longest:
         raise ValueError(
             f"a text has a line break, or more than {longest} characters: {text[:40]!r}"
@@ -306,13 +309,13 @@ def parse_ports(records: object) -> tuple[Port, ...]:
     ------
     ValueError : not the records of ports, or a text that is not one word.
     """
-    from pydantic import TypeAdapter  # late: a run reads no such file
+    from pydantic import TypeAdapter  # imported here, because runs read no such file
 
     ports = TypeAdapter(tuple[Port, ...]).validate_python(records)
     words = chain.from_iterable((p.name, p.across, p.flow, *p.pins) for p in ports)
     stated = [record[key] for record in records for key in ("across", "flow") if key in record]  # type: ignore[attr-defined]
-    for text in (*words, *stated):  # a port completes an empty unit
-        if len(require_single_line(text, MAX_TEXT).split()) != 1:
+    for text in (*words, *stated):  # a port replaces an empty unit by its default
+        if len(require_single_line(text, MAX_TEXT_LENGTH).split()) != 1:
             raise ValueError(f"not one word: {text!r}")
     return ports
 
@@ -337,7 +340,7 @@ def parse_certificate(record: object) -> Certificate:
 
 
 def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
-    from pydantic import TypeAdapter  # late: a run reads no such file
+    from pydantic import TypeAdapter  # imported here, because runs read no such file
 
     ports, certificate = parse_ports(record["ports"]), parse_certificate(record["certificate"])
     letters = _matrix_letters("A" in matrices)

@@ -33,7 +33,7 @@ PORT_KINDS = (*PORTS, "input", "output")
 
 @dataclass(frozen=True)
 class Port:
-    """A connection of a model to other parts: one column of B, one row of C.
+    """Connection of a model to other parts: one column of B, one row of C.
 
     ``kind`` fixes the SI pair (input u, output y):
 
@@ -115,7 +115,7 @@ class Port:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Error of a reduced model with respect to the *full* model, and its proofs.
+    """Error estimate of a reduced model against the *full* model, and proofs of its properties.
 
     ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``. In
     the ``norm`` *pointwise* it is relative to the entry at every frequency, or to at least a
@@ -547,8 +547,9 @@ def negate(matrix: Matrix) -> Matrix:
     return -matrix
 
 
-_INDEFINITE_LOSS = "an imaginary part that is not symmetric and positive semi-definite"
-LOSS_FACTOR = 1e-9  # deviation, relative to K, up to which the imaginary part is eta times K
+_INDEFINITE_LOSS_TEXT = "an imaginary part that is not symmetric and positive semi-definite"
+# deviation, relative to K, up to which the imaginary part counts as eta times K
+LOSS_FACTOR_TOLERANCE = 1e-9
 
 
 def _set_structural(model: LinearModel) -> None:
@@ -582,9 +583,9 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
     """
     if K is None or K.shape != loss.shape:
         raise _structural_loss_error(where, "a loss that does not belong to K")
-    if isinstance(K, Schur):  # potentials lose nothing
+    if isinstance(K, Schur):  # the part of the potentials has no loss
         if not is_symmetric(loss) or not is_semidefinite(loss):
-            raise _structural_loss_error(where, _INDEFINITE_LOSS)
+            raise _structural_loss_error(where, _INDEFINITE_LOSS_TEXT)
         return scipy.sparse.csc_array(loss), 0.0
     if isinstance(K, np.ndarray):
         loss = to_dense(loss)
@@ -595,10 +596,10 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
         raise _structural_loss_error(where, "an imaginary part without a real one")
     square, product = (float((P * (K / scale)).sum()) for P in (K, loss))
     eta = product / square
-    if eta >= 0 and largest_entry(loss - eta * K) <= LOSS_FACTOR * scale:
+    if eta >= 0 and largest_entry(loss - eta * K) <= LOSS_FACTOR_TOLERANCE * scale:
         return None, eta
     if not is_symmetric(loss) or not is_semidefinite(loss):
-        raise _structural_loss_error(where, _INDEFINITE_LOSS)
+        raise _structural_loss_error(where, _INDEFINITE_LOSS_TEXT)
     return loss, 0.0
 
 
@@ -614,7 +615,7 @@ def _structural_loss_error(where: str, got: str, what: str = "matrix K") -> Usag
 
 
 def _require_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) -> None:
-    """Refuse a square C of an undamped model that may be its damping matrix.
+    """Reject a square C of an undamped model, which may be its damping matrix.
 
     The model is of second order, and rows of C are coupled.
     """
@@ -684,7 +685,7 @@ def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tupl
 
 
 def _require_heat(model: LinearModel) -> None:
-    """Refuse ports of heat beside others, or on a model of second order."""
+    """Reject thermal ports together with other ports, or on a model of second order."""
     of_heat = [port.domain is THERMAL for port in model.ports]
     if any(of_heat) and not (all(of_heat) and model.first_order):
         raise UsageError(

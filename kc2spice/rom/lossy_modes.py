@@ -1,4 +1,4 @@
-"""Modes with structural damping as passive oscillators.
+"""Passive oscillators that represent modes with structural damping.
 
 A mode of stiffness k, unit mass and loss h has the dynamic stiffness ``k + j h + s^2`` at
 ``s = j w``. The passive oscillator
@@ -26,9 +26,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-ROUNDS = 10  # updates of the weights
-LEAST = 0.02  # change of a weight where the error is small
-USED = 1e-12  # least amplitude of a relaxation in use, relative to the largest
+WEIGHT_UPDATES = 10  # updates of the weights
+MIN_WEIGHT_FACTOR = 0.02  # factor of a weight where the error is small
+MIN_AMPLITUDE = 1e-12  # smallest amplitude of a used relaxation, relative to the largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def viscous_oscillator(stiffness: float, loss: float) -> Oscillator:
 def relaxing_oscillator(
     s: np.ndarray, stiffness: np.ndarray, weight: np.ndarray, rates: np.ndarray
 ) -> Oscillator:
-    """The oscillator of given rates with the smallest largest weighted difference.
+    """Fit an oscillator with these rates to minimise the largest weighted difference.
 
     Parameters
     ----------
@@ -85,24 +85,24 @@ def relaxing_oscillator(
     columns = np.column_stack([np.ones(s.size), s, s**2, s[:, None] / (s[:, None] + rates)])
     scale = np.abs(columns * weight[:, None]).max(axis=0)
     lawson, best, least = np.ones(s.size), None, np.inf
-    for _ in range(ROUNDS):
+    for _ in range(WEIGHT_UPDATES):
         A = columns * (lawson * weight)[:, None] / scale
         y = stiffness * lawson * weight
         try:
             coefficients = (
                 scipy.optimize.nnls(np.r_[A.real, A.imag], np.r_[y.real, y.imag])[0] / scale
             )
-        except RuntimeError:  # the method of active sets does not end
+        except RuntimeError:  # the active-set method may not terminate
             break
         size = weight * np.abs(columns @ coefficients - stiffness)
         if size.max() < least:
             best, least = coefficients, float(size.max())
-        lawson = lawson * np.sqrt(size / (size.max() + np.finfo(float).tiny) + LEAST)
+        lawson = lawson * np.sqrt(size / (size.max() + np.finfo(float).tiny) + MIN_WEIGHT_FACTOR)
         lawson = lawson / lawson.max()
     if best is None:
         return viscous_oscillator(max(stiffness.real.max(), 0.0), max(stiffness.imag.max(), 0.0))
     amplitudes = best[3:]
-    used = amplitudes > USED * best[0]
+    used = amplitudes > MIN_AMPLITUDE * best[0]
     return Oscillator(best[0], best[1], best[2], amplitudes[used], rates[used])
 
 

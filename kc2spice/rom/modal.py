@@ -47,11 +47,12 @@ from kc2spice.rom.error_estimate import ErrorEstimator, errors_above_band
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.response import Response
 
-# Proportional damping is exact by construction; anything above rounding is another damping.
-COUPLING_LIMIT = 1e-8
-LISTED = 20  # modes in a table, the lowest
-STILL = 1e-5  # frequency of a motion without stiffness, by rounding, over the end of the band
-COUPLED_IN = {kind: domain.compliance for kind, domain in PORTS.items() if domain.reference}
+# Proportional damping is exact by construction; larger coupling indicates another damping.
+MAX_MODAL_COUPLING = 1e-8
+LISTED_MODES = 20  # modes in a table, the lowest
+# frequency of a rigid-body mode (rounding error), relative to the end of the band
+ZERO_FREQUENCY_RATIO = 1e-5
+COMPLIANCE_UNITS = {kind: domain.compliance for kind, domain in PORTS.items() if domain.reference}
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +135,7 @@ def resonators(rom: LinearModel) -> Resonators | None:
     damping = phi.T @ E @ phi
     damp = np.diag(damping).copy()
     scale = np.sqrt(np.abs(np.outer(damp, damp))) + np.finfo(float).tiny
-    if (np.abs(damping - np.diag(damp)) > COUPLING_LIMIT * scale).any():
+    if (np.abs(damping - np.diag(damp)) > MAX_MODAL_COUPLING * scale).any():
         return None
     gain = phi.T @ rom.B
     # The sign of a mode is arbitrary; this choice gives the same netlist on every machine.
@@ -166,7 +167,7 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
     electrical = np.array([port.electrical for port in model.ports])
     above = rest + share[order].sum(axis=0) - np.cumsum(share[order], axis=0)
     modes = []
-    for j, higher in zip(order[:LISTED], above, strict=False):
+    for j, higher in zip(order[:LISTED_MODES], above, strict=False):
         if omega[j] > 2 * np.pi * end:
             break
         total = share[j] + np.maximum(higher, 0.0)
@@ -179,7 +180,7 @@ def mode_table(model: LinearModel) -> dict[str, Any] | None:
                 "couplings": {p.name: float(v) for p, v in zip(model.ports, size, strict=True)},
             }
         )
-    units = {port.name: COUPLED_IN.get(port.kind, "") for port in model.ports}
+    units = {port.name: COMPLIANCE_UNITS.get(port.kind, "") for port in model.ports}
     return {"units": units, "modes": modes} if modes else None
 
 
@@ -216,7 +217,7 @@ def _modal_data_by_poles(
     end = np.abs(values[np.isfinite(values)]).max()
     if model.certificate is not None:
         end = min(end, 2 * np.pi * model.certificate.band_hz[1] / scale)
-    rows = np.isfinite(values) & (values.imag > STILL * end)
+    rows = np.isfinite(values) & (values.imag > ZERO_FREQUENCY_RATIO * end)
     weight = np.einsum("ij,ij->j", dual.conj(), right @ eigenvectors)[rows]
     into = dual[n:, rows].conj().T @ model.B
     out = model.C @ eigenvectors[:n, rows]
@@ -225,26 +226,31 @@ def _modal_data_by_poles(
     return size, -2 * values[rows].real * scale, share, np.diag(model.D)
 
 
-AT_REST = 1e-3  # change of a response at the end of the band, over the static compliance
-# The same where the lowest mode that is left out would ring: its damping ratio is below RINGS. Such
-# modes depend on the mesh, ring for hundreds of periods, and determine the steps of a lightly
-# damped kick follow. Launches of a chip damped by 0.01 % move by 1.2e-3, a quarter of their
-# distance to the full model on finer rings and towards it; the time points become a third.
-RINGING_SHARE, RINGS = 1e-2, 0.02
-FAR = 2.0  # factor on the end of the band: lower modes do not respond instantaneously
-EQUAL = 1e-9  # relative difference of equal relaxation times
-RANK = 1e-12  # relative limit of a zero singular value: no port moves this combination of modes
+# change of a response at the end of the band if modes become massless, relative to the static
+# compliance
+MASSLESS_ERROR = 1e-3
+# The same limit if the lowest omitted mode rings, with a damping ratio below MAX_RINGING_RATIO.
+# Such modes depend on the mesh, ring for hundreds of periods, and determine the time steps after a
+# lightly damped kick. Without them, launches of a chip with 0.01 % damping change by 1.2e-3, a
+# quarter of their difference to a finer model and towards it; the number of time points is a third.
+RINGING_ERROR, MAX_RINGING_RATIO = 1e-2, 0.02
+# frequency of a massless mode, relative to the end of the band; lower modes do not respond
+# instantaneously
+MIN_FREQUENCY_RATIO = 2.0
+EQUAL_TIMES_TOLERANCE = 1e-9  # relative difference of equal relaxation times
+# relative limit of a zero singular value: no port moves this combination of modes
+ZERO_SINGULAR_VALUE = 1e-12
 
 
-def without_inertia(model: Resonators, tolerance: float | None = None) -> Resonators:
+def make_highest_modes_massless(model: Resonators, tolerance: float | None = None) -> Resonators:
     """Replace the highest modes of a model by states without inertia.
 
     The error in its certificate becomes larger. Modes are replaced from the highest one down, as
     long as
 
     * the inertia that is left out changes the response of every mechanical port at the end f of the
-      certificate's band by less than ``AT_REST`` of its static compliance, ``sum_j (g_j / w_j)^2 (f
-      / f_j)^2`` (``RINGING_SHARE`` if the lowest of these modes would ring),
+      certificate's band by less than ``MASSLESS_ERROR`` of its static compliance, ``sum_j (g_j /
+      w_j)^2 (f / f_j)^2`` (``RINGING_ERROR`` if the lowest of these modes would ring),
     * and the error estimate is within ``tolerance``.
 
     The static response remains exact, and the model passive. Modes with one relaxation time, as all
@@ -275,20 +281,22 @@ def without_inertia(model: Resonators, tolerance: float | None = None) -> Resona
 
 
 def _count_quasi_static(model: Resonators, top: float) -> int:
-    """Number of the highest modes whose inertia decides nothing up to ``top`` [Hz]."""
+    """Count the highest modes whose mass has no effect up to ``top`` [Hz]."""
     moved = [port.moving for port in model.ports]
     down = np.argsort(model.omega)[::-1]
     omega, ratio = model.omega[down], 2 * np.pi * top / model.omega[down]
     share = (model.gain[down][:, moved] / omega[:, None]) ** 2
     share /= share.sum(axis=0) + np.finfo(float).tiny
     missing = np.cumsum(share * ratio[:, None] ** 2, axis=0).max(axis=1)
-    limit = np.where(model.damp[down] < 2 * RINGS * omega, RINGING_SHARE, AT_REST)
-    beyond = np.flatnonzero((missing <= limit) & (FAR * ratio <= 1))
+    limit = np.where(
+        model.damp[down] < 2 * MAX_RINGING_RATIO * omega, RINGING_ERROR, MASSLESS_ERROR
+    )
+    beyond = np.flatnonzero((missing <= limit) & (MIN_FREQUENCY_RATIO * ratio <= 1))
     return int(beyond[-1]) + 1 if beyond.size else 0
 
 
 def _remove_inertia(model: Resonators, count: int) -> Resonators:
-    """``model`` without the inertia of its ``count`` highest modes."""
+    """Return ``model`` with its ``count`` highest modes massless."""
     for port, capacitance in zip(model.ports, np.diag(model.D), strict=True):
         if port.charged and capacitance <= 0:
             raise UsageError(
@@ -301,9 +309,9 @@ def _remove_inertia(model: Resonators, count: int) -> Resonators:
     omega, damp, gain = model.omega[high], model.damp[high], model.gain[high].copy()
     gain[:, [port.domain is ACCELERATION for port in model.ports]] = 0.0
     pace = damp / omega**2
-    if np.ptp(pace) <= EQUAL * pace.max():
+    if np.ptp(pace) <= EQUAL_TIMES_TOLERANCE * pace.max():
         _, size, shapes = np.linalg.svd(gain / omega[:, None], full_matrices=False)
-        significant = size > RANK * size[0]
+        significant = size > ZERO_SINGULAR_VALUE * size[0]
         omega = np.full(int(significant.sum()), omega[0])
         damp, gain = (
             pace[0] * omega**2,
@@ -321,7 +329,7 @@ def _remove_inertia(model: Resonators, count: int) -> Resonators:
     )
 
 
-_BLOCK = 4096  # steps whose propagators are in memory at a time
+_BLOCK_STEPS = 4096  # steps whose propagators are in memory at a time
 
 
 def chip_response(
@@ -348,7 +356,7 @@ def chip_response(
     z[:, heavy:] = drive[:, heavy:] / model.omega[heavy:] ** 2
     slow = heavy + np.flatnonzero(
         model.damp[heavy:]
-    )  # undamped massless states follow without delay
+    )  # undamped massless states respond without delay
     damp = model.damp[slow]
     z[:, slow] = integrate_roots(-(model.omega[slow] ** 2) / damp, t, drive[:, slow] / damp).real
     stored = (rate**2).sum(axis=1) / 2 + ((model.omega * z) ** 2).sum(axis=1) / 2
@@ -381,8 +389,8 @@ def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.n
     """
     states = np.empty((t.size, roots.size), dtype=np.result_type(roots, drive))
     states[0] = state = drive[0] / -roots
-    for begin in range(0, t.size - 1, _BLOCK):
-        part = slice(begin, min(begin + _BLOCK, t.size - 1) + 1)
+    for begin in range(0, t.size - 1, _BLOCK_STEPS):
+        part = slice(begin, min(begin + _BLOCK_STEPS, t.size - 1) + 1)
         count = part.stop - part.start - 1
         side = math.isqrt(count - 1) + 1
         shape = (side, side, roots.size)
@@ -426,17 +434,17 @@ def _step_propagators(
     return grow, h * (p1 * drive[:-1] + p2 * np.diff(drive, axis=0))
 
 
-STATED_AT = 1e3  # Hz
-DECADES = 4.0  # decades of a band that starts at zero
-POINTS = 30  # a decade
-MOST = 6  # relaxations a decade
-LOSS_SHARE = 0.02  # error of the sum, over the loss tangent of at most 0.01
+TANGENT_FREQUENCY = 1e3  # Hz; frequency of the loss tangent
+DEFAULT_DECADES = 4.0  # decades of a band that begins at zero
+POINTS_PER_DECADE = 30
+MAX_RELAXATIONS = 6  # relaxations per decade
+LOSS_ERROR_SHARE = 0.02  # error of the sum, relative to the loss tangent, which is at most 0.01
 
 
 def permittivity(frequency: np.ndarray, tangent: float) -> np.ndarray:
     """``eps(s) / eps`` (n,) at ``frequency`` (n,) [Hz]."""
     m = 2 / np.pi * np.arctan(tangent)
-    return np.asarray((1j * np.asarray(frequency) / STATED_AT) ** -m)
+    return np.asarray((1j * np.asarray(frequency) / TANGENT_FREQUENCY) ** -m)
 
 
 def clamped_tangent(tangent: float, ratio: float) -> float:
@@ -479,13 +487,13 @@ def fit_foster_network(
     The results are amplitudes ``a`` (k + 1,), rates ``1/t`` (k,) [1/s], and the largest relative
     difference. The error is at most ``error``, or the smallest possible error.
     """
-    low, high = max(band[0], band[1] / 10**DECADES), band[1]
+    low, high = max(band[0], band[1] / 10**DEFAULT_DECADES), band[1]
     decades = np.log10(high / low) + 1e-9
-    f = np.geomspace(low, high, int(POINTS * decades) + POINTS)
+    f = np.geomspace(low, high, int(POINTS_PER_DECADE * decades) + POINTS_PER_DECADE)
     target, s = permittivity(f, tangent), 2j * np.pi * f[:, None]
     best = np.inf
     result = np.ones(1), np.empty(0)
-    for item in range(1, MOST + 1):
+    for item in range(1, MAX_RELAXATIONS + 1):
         count = int(np.ceil(item * decades)) + 2
         rates = 2 * np.pi * np.geomspace(low / 3, 3 * high, count)
         A = np.column_stack([np.ones(len(f)), 1 / (1 + s / rates)]) / target[:, None]
@@ -520,7 +528,7 @@ def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
     motional = np.sum((model.gain[:, electrical] / model.omega[:, None]) ** 2)
     clamped_loss = clamped_tangent(tangent, float(motional / np.trace(D)))
     amplitude, rates, off = fit_foster_network(
-        clamped_loss, known.band_hz, LOSS_SHARE * min(tangent, 0.01)
+        clamped_loss, known.band_hz, LOSS_ERROR_SHARE * min(tangent, 0.01)
     )
     w, V = np.linalg.eigh(D)
     root = (V * np.sqrt(np.maximum(w, 0.0)))[:, w > 0]

@@ -1,4 +1,4 @@
-"""A measured multiport as a passive state space, by vector fitting.
+"""Fit of a passive state space to a measured multiport by vector fitting.
 
 Scattering parameters S of a reference resistance R are fitted by common poles: a few steps of
 vector fitting (B. Gustavsen, A. Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052; scikit-rf does
@@ -32,28 +32,30 @@ from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import explicit_pencil
 from kc2spice.rom.state_space import ABCD
 
-ITERATIONS = 6  # iterations of vector fitting; more amplify rounding, so least squares continue
-MOST_STEPS = 60  # evaluations of least squares of the poles
+# iterations of vector fitting; more would amplify rounding, so least squares follow
+FITTING_ITERATIONS = 6
+MAX_EVALUATIONS = 60  # evaluations of least squares of the poles
 # Slowest decay of a pole as a fraction of the distance between samples, and fastest decay as a
 # multiple of the band's end. Samples do not determine poles beyond these limits.
-NARROWEST, FASTEST = 0.25, 10.0
-# Highest frequency of a pole by the band's end, tried in this order: lines need poles above the
-# band, which are seldom passive in measured data.
-REACHES = (3.0, 1.25, 1.001)
-MOST_DETERMINED = 0.25  # parameters by numbers in the samples; more describe their noise
-EDGE = 1e-3  # least distance of the start of least squares from a bound, relative
-MOST = 60  # poles, pairs counted once
-STATES = 48  # states of all poles; passivity enforcement needs time as their sixth power
-# factor on the noise of the data, or fraction of the largest value: a good fit
-NOISE, ENOUGH = 1.2, 1e-5
-# least reduction of the deviation by three further poles, and number of smaller reductions that end
-# the search
-GAIN, PATIENCE = 0.1, 2
-CLOSE = 1.2  # ratio to the deviation without passivity below which a passive fit is accepted
-POOR = 0.2  # deviation, relative to the largest value, of data without a rational fit
-ROUNDING = 1e-6  # rounding error of an optimum at the limit of passivity
-MOST_SHRUNK = 0.1  # by which a fit may exceed the passive range; its deviation decides
-INSIDE = 1e-7  # distance below one of the largest singular value of a passive model
+MIN_DECAY_RATIO, MAX_DECAY_RATIO = 0.25, 10.0
+# Highest frequency of a pole, relative to the end of the band, tried in this order: lines need
+# poles above the band, which are seldom passive for measured data.
+MAX_FREQUENCY_RATIOS = (3.0, 1.25, 1.001)
+# parameters relative to the numbers in the samples; more would describe noise
+MAX_PARAMETER_SHARE = 0.25
+BOUND_DISTANCE = 1e-3  # smallest relative distance of the start of least squares from a bound
+MAX_POLES = 60  # poles; a complex pair counts once
+MAX_STATES = 48  # states of all poles; passivity enforcement takes time with their sixth power
+# deviation of a good fit: multiple of the noise of the data, or fraction of the largest value
+NOISE_FACTOR, GOOD_DEVIATION = 1.2, 1e-5
+# smallest reduction of the deviation by three further poles, and number of smaller reductions that
+# end the search
+MIN_IMPROVEMENT, MAX_FAILURES = 0.1, 2
+PASSIVITY_RATIO = 1.2  # accepted deviation of a passive fit, relative to the fit without passivity
+POOR_DEVIATION = 0.2  # deviation, relative to the largest value, of data without a rational fit
+OPTIMUM_ROUNDING = 1e-6  # rounding error of an optimum at the limit of passivity
+MAX_PASSIVITY_EXCESS = 0.1  # largest excess over the passive range that is corrected by scaling
+PASSIVITY_MARGIN = 1e-7  # distance below one of the largest singular value of a passive model
 
 
 def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> LinearModel:
@@ -111,9 +113,9 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
         error = _deviation(_transfer(model, f), S)
         if error < least:
             result, least = model, error
-        if error < CLOSE * fits[0][0]:
+        if error < PASSIVITY_RATIO * fits[0][0]:
             break
-    if result is None or least > POOR:
+    if result is None or least > POOR_DEVIATION:
         raise UsageError(
             "no passive model matches the measurement",
             where=where,
@@ -134,9 +136,9 @@ def _generate_fits(
     network = skrf.Network(frequency=skrf.Frequency.from_f(f, unit="hz"), s=S, z0=1.0)
     result: list[tuple[float, ABCD]] = []
     useless = 0
-    for poles in range(2, MOST + 1, 3):
+    for poles in range(2, MAX_POLES + 1, 3):
         fit = skrf.vectorFitting.VectorFitting(network)
-        fit.max_iterations = ITERATIONS
+        fit.max_iterations = FITTING_ITERATIONS
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # iterations that end early; the deviation decides
             try:
@@ -144,21 +146,21 @@ def _generate_fits(
             except (np.linalg.LinAlgError, ValueError):
                 continue
         parameters = (2 + poles) + poles + (3 + 2 * poles) * S[0].size
-        if result and parameters > MOST_DETERMINED * 2 * S.size:
+        if result and parameters > MAX_PARAMETER_SHARE * 2 * S.size:
             break
         least = min((item for item, _ in result), default=np.inf)
-        for reach in REACHES:
+        for reach in MAX_FREQUENCY_RATIOS:
             model = _realise_state_space(*refine_poles(f, S, np.asarray(fit.poles), reach))
-            if len(model[0]) > STATES:
+            if len(model[0]) > MAX_STATES:
                 break
             result.append((_deviation(_transfer(model, f), S), model))
             if is_passive(*model):
                 break
-        if len(model[0]) > STATES:
+        if len(model[0]) > MAX_STATES:
             break
         left = min(item for item, _ in result)
-        useless = useless + 1 if left > (1 - GAIN) * least else 0
-        if left < max(NOISE * noise, ENOUGH) or useless == PATIENCE:
+        useless = useless + 1 if left > (1 - MIN_IMPROVEMENT) * least else 0
+        if left < max(NOISE_FACTOR * noise, GOOD_DEVIATION) or useless == MAX_FAILURES:
             break
     return sorted(result, key=lambda item: item[0])
 
@@ -247,13 +249,13 @@ def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
 def _scale_to_passive(model: ABCD) -> ABCD | None:
     """Divide C and D by the least factor that makes the model passive.
 
-    The factors are ``1 + ROUNDING 2^k``. The result is None above :data:`MOST_SHRUNK`.
+    The factors are ``1 + ROUNDING 2^k``. The result is None above :data:`MAX_PASSIVITY_EXCESS`.
     """
     A, B, C, D = model
     excess = 0.0
     while not is_passive(A, B, C / (1 + excess), D / (1 + excess)):
-        excess = 2 * excess or ROUNDING
-        if excess > MOST_SHRUNK:
+        excess = 2 * excess or OPTIMUM_ROUNDING
+        if excess > MAX_PASSIVITY_EXCESS:
             return None
     return A, B, C / (1 + excess), D / (1 + excess)
 
@@ -284,10 +286,14 @@ def refine_poles(
     s, real = 2j * np.pi * f / top, np.abs(poles.imag) == 0
     step = float(np.median(np.diff(f))) / float(f[-1])
     turning = np.arange(len(poles) + int(np.sum(~real))) >= len(poles)  # imaginary parts
-    least = np.log(np.where(turning, max(f[0] / f[-1], step), NARROWEST * step))
-    most = np.log(np.where(turning, highest, FASTEST))
+    least = np.log(np.where(turning, max(f[0] / f[-1], step), MIN_DECAY_RATIO * step))
+    most = np.log(np.where(turning, highest, MAX_DECAY_RATIO))
     parts = np.r_[np.abs(poles.real), poles.imag[~real]] / top
-    start = np.clip(np.log(np.maximum(parts, np.exp(least))), least + EDGE / 4, most - EDGE / 4)
+    start = np.clip(
+        np.log(np.maximum(parts, np.exp(least))),
+        least + BOUND_DISTANCE / 4,
+        most - BOUND_DISTANCE / 4,
+    )
     target = S.reshape(len(f), -1)
     target = np.concatenate([target.real, target.imag])
 
@@ -323,7 +329,7 @@ def refine_poles(
         xtol=1e-10,
         ftol=1e-10,
         gtol=1e-12,
-        max_nfev=MOST_STEPS,
+        max_nfev=MAX_EVALUATIONS,
     )
     x = solution.x
     p, coefficients = unpack(x), project(x)[1]
@@ -406,9 +412,9 @@ def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bo
     A passive model is stable, D is below one, and the Hamiltonian of a bound just above one has no
     eigenvalue on the imaginary axis.
     """
-    if (np.linalg.eigvals(A).real >= 0).any() or np.linalg.norm(D, 2) >= 1 + INSIDE:
+    if (np.linalg.eigvals(A).real >= 0).any() or np.linalg.norm(D, 2) >= 1 + PASSIVITY_MARGIN:
         return False
-    g = 1 + 10 * INSIDE
+    g = 1 + 10 * PASSIVITY_MARGIN
     Q = np.linalg.inv(g * g * np.eye(len(D)) - D.T @ D)
     H = np.block(
         [
@@ -420,7 +426,7 @@ def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bo
     size = np.abs(values).max()
     crossing = np.abs(values[np.abs(values.real) < 1e-9 * size].imag) / (2 * np.pi)
     gain = np.linalg.norm(_transfer((A, B, C, D), crossing), 2, axis=(1, 2))
-    return bool((gain <= g * (1 - INSIDE)).all())
+    return bool((gain <= g * (1 - PASSIVITY_MARGIN)).all())
 
 
 def _convert_to_admittance(

@@ -21,7 +21,7 @@ import numpy as np
 from kc2spice.core.domains import ELECTRICAL
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 
-PORT = Port("anode", ELECTRICAL.port, pins=("anode", "cathode"))
+NETWORK_PORT = Port("anode", ELECTRICAL.port, pins=("anode", "cathode"))
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class ParallelBranches:
             K=K,
             B=np.ones((len(branches), 1)),
             D=np.array([[capacitance]]),
-            ports=(PORT,),
+            ports=(NETWORK_PORT,),
             certificate=certificate,
         )
 

@@ -25,20 +25,20 @@ from kc2spice.linalg.factor import Factor
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, to_dense
 
-DENSE = 700  # unknowns up to which all modes are as fast as a few
-ABOVE = 2.0  # multiple of the band's end up to which modes are kept
-LEAST = 10  # modes
-MOST_PARAMETERS = 4  # more need hundreds of full models
-DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # degree by number of parameters; 2 for more
-STEP = 2  # increase of the degree if it is too low for the width of the ranges
-HIGHEST = {1: 10, 2: 9, 3: 6}  # degree, of 11, 55 and 84 full models
-# Addend of the logarithm of a range that begins at zero, relative to the end of the range. Below
-# it the coordinate is proportional to the value.
-SHIFT = 1e-6
+MAX_ALL_MODES = 700  # unknowns up to which computing all modes takes no longer than computing a few
+MODE_BAND_RATIO = 2.0  # frequency up to which modes are retained, relative to the end of the band
+MIN_MODES = 10  # smallest number of modes
+MAX_PARAMETERS = 4  # more parameters would need hundreds of full models
+DEFAULT_DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # degree by number of parameters; 2 for more
+DEGREE_STEP = 2  # increase of the degree if it is too low for the width of the ranges
+MAX_DEGREES = {1: 10, 2: 9, 3: 6}  # degree, of 11, 55 and 84 full models
+# Offset in the logarithm of a range that begins at zero, relative to the end of the range. Below
+# it, the coordinate is proportional to the value.
+LOG_OFFSET_RATIO = 1e-6
 # A column is dropped if the square of its addition to the others is less than this share of the
 # largest. With 1e-12 a thin plate, whose stiff motions have 1e8 times the energy, has an error of
 # 1e-4.
-DEPENDENT = 1e-15
+DEPENDENT_COLUMN = 1e-15
 
 Values = Mapping[str, float]
 Full = Callable[[Values], LinearModel]
@@ -49,7 +49,7 @@ class ParameterAxis:
     """Parameter and its range, with a logarithmic coordinate from -1 to 1.
 
     The coordinate is -1 at ``low`` and 1 at ``high``. A range ``from_zero`` may begin at zero: its
-    coordinate is the logarithm of the value plus :data:`SHIFT` times ``high``.
+    coordinate is the logarithm of the value plus :data:`LOG_OFFSET_RATIO` times ``high``.
 
     Raises
     ------
@@ -74,7 +74,7 @@ class ParameterAxis:
     @property
     def shift(self) -> float:
         """Addend of the logarithm."""
-        return 0.0 if self.low else SHIFT * self.high
+        return 0.0 if self.low else LOG_OFFSET_RATIO * self.high
 
     @property
     def middle(self) -> float:
@@ -217,7 +217,7 @@ def reduce_over_parameters(
         if loss := _identify_loss(model_at, axis, middle, frame):
             losses.append(loss)
     stiffness_axes = tuple(axis for axis in axes if axis not in [loss.axis for loss in losses])
-    degree = DEGREES.get(len(stiffness_axes), 2) if degree is None else degree
+    degree = DEFAULT_DEGREES.get(len(stiffness_axes), 2) if degree is None else degree
     exponents = list_exponents(len(stiffness_axes), degree)
     # approximate Fekete points of Chebyshev's grid: as many as there are polynomials
     grid = np.sin(0.5 * np.pi * np.arange(-degree, degree + 1, 2) / max(degree, 1))
@@ -258,9 +258,9 @@ def reduce_over_parameters(
 
 
 def higher_degree(model: Parametric) -> int | None:
-    """The next total degree of the polynomials; None beyond :data:`HIGHEST`."""
-    degree = int(model.exponents.sum(axis=1).max()) + STEP
-    return degree if degree <= HIGHEST.get(len(model.axes), 0) else None
+    """The next total degree of the polynomials; None beyond :data:`MAX_DEGREES`."""
+    degree = int(model.exponents.sum(axis=1).max()) + DEGREE_STEP
+    return degree if degree <= MAX_DEGREES.get(len(model.axes), 0) else None
 
 
 def modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
@@ -288,16 +288,16 @@ def natural_modes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute squared natural frequencies (k,) below ``top`` [rad/s], and modes.
 
-    There are at least :data:`LEAST`. The shapes (n, k) are M-orthonormal. ``inverse`` is that of
-    ``K - square M``.
+    There are at least :data:`MIN_MODES`. The shapes (n, k) are M-orthonormal. ``inverse`` is that
+    of ``K - square M``.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[2]
     n = pencil.size
-    if n <= DENSE:
+    if n <= MAX_ALL_MODES:
         w2, V = scipy.linalg.eigh(to_dense(K), to_dense(M))
-        count = min(n, max(LEAST, int(np.searchsorted(w2, top**2))))
+        count = min(n, max(MIN_MODES, int(np.searchsorted(w2, top**2))))
         return w2[:count], V[:, :count]
-    count, operator = LEAST, scipy.sparse.linalg.LinearOperator
+    count, operator = MIN_MODES, scipy.sparse.linalg.LinearOperator
     solve = operator((n, n), inverse.solve, dtype=float)
     applied = K if not isinstance(K, Schur) else operator((n, n), K.__matmul__, dtype=float)
     start = np.random.default_rng(0).normal(size=n)
@@ -330,7 +330,7 @@ def _modes_and_statics(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
     top, M = 2 * np.pi * band[1], pencil.coefficients[2]
     square = 0.0 if pencil.factorised else -((top / 3) ** 2)  # with a support, K itself
     inverse = pencil.pencil_solver(square)
-    _, V = natural_modes(pencil, ABOVE * top, square, inverse)
+    _, V = natural_modes(pencil, MODE_BAND_RATIO * top, square, inverse)
     still = inverse.solve(pencil.B)
     # and the derivative with respect to s^2
     still = np.column_stack([still, inverse.solve(M @ still)])
@@ -344,7 +344,7 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
     V = np.hstack(columns)
     size = np.sqrt(np.einsum("ij,ij->j", V, M @ V))
     V = V[:, size > 0] / size[size > 0]
-    for least in (DEPENDENT, 0.0):  # the second time orthonormal to rounding
+    for least in (DEPENDENT_COLUMN, 0.0):  # the second pass removes rounding
         w, T = np.linalg.eigh(V.T @ (M @ V))
         significant = w > least * w[-1]
         V = V @ (T[:, significant] / np.sqrt(w[significant]))
@@ -359,7 +359,7 @@ def _identify_loss(
         return None
     places = (-1.0, 1.0, 0.3)
     models = []
-    for x in places:  # the first place identifies a parameter of the matrices
+    for x in places:  # the first point is sufficient if the parameter changes other matrices
         model = full({**middle, axis.name: axis.value(x)})
         if model.rayleigh is None or not _differs_in_damping_only(model, frame):
             return None
@@ -381,7 +381,7 @@ def _identify_loss(
 
 
 def _differs_in_damping_only(one: LinearModel, other: LinearModel) -> bool:
-    """Equal but for their damping."""
+    """Return whether two models differ only in damping."""
     if one.order != other.order:
         return False
     pairs = [(one.M, other.M), (one.B, other.B), (one.D, other.D)]

@@ -25,15 +25,15 @@ from kc2spice.linalg.factor import (
 
 Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array or Schur; scipy brings no types
 
-# Two matrices whose entries differ by less than this of the largest one are the same matrix.
-SAME = 1e-12
+# Two matrices are equal if no entry differs by more than this fraction of the largest entry.
+EQUALITY_TOLERANCE = 1e-12
 
 
 T = TypeVar("T")
 
 
 class SharedValue(Generic[T]):
-    """A value that is computed at its first use, for all objects that it is shared by."""
+    """Value that is computed at its first use and shared by several objects."""
 
     def __init__(self) -> None:
         self._translate_values: list[T] = []
@@ -181,12 +181,14 @@ def has_entries(matrices: Sequence[Matrix]) -> np.ndarray:
 
 
 def is_equal(one: Matrix, other: Matrix) -> bool:
-    """Equal but for rounding of the largest entry."""
-    return one.shape == other.shape and largest_entry(one - other) <= SAME * largest_entry(one)
+    """Return whether two matrices are equal within rounding of the largest entry."""
+    return one.shape == other.shape and largest_entry(
+        one - other
+    ) <= EQUALITY_TOLERANCE * largest_entry(one)
 
 
 def is_symmetric(matrix: Matrix) -> bool:
-    """Equal to its transpose but for rounding."""
+    """Return whether a matrix is equal to its transpose within rounding."""
     return matrix.symmetric if isinstance(matrix, Schur) else is_equal(matrix, matrix.T)
 
 
@@ -201,16 +203,16 @@ def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
     total = np.zeros((V.shape[1],) * 2)
     for sign in (1, -1):
         part = 0.5 * (P + sign * P.T)
-        if largest_entry(part) > SAME * largest_entry(P):
+        if largest_entry(part) > EQUALITY_TOLERANCE * largest_entry(P):
             R = V.T @ (part @ V)
             total += 0.5 * (R + sign * R.T)
     return total
 
 
-# A pole this far beyond the reference frequency belongs to a massless or algebraic equation.
-INFINITE = 1e10
-# largest condition of an inertia that is inverted, which is ten times as fast as a pencil
-REGULAR = 1e6
+# ratio to the reference frequency from which a pole belongs to a massless or algebraic equation
+INFINITE_POLE_RATIO = 1e10
+# largest condition of a mass matrix that is inverted, which is ten times as fast as a pencil
+MAX_INVERTED_CONDITION = 1e6
 BATCH_BYTES = 8e6  # size of the matrices that are solved at once
 
 
@@ -426,7 +428,7 @@ class Pencil:
 
     @property
     def without_free_motion(self) -> Pencil:
-        """The pencil without its free motion."""
+        """Pencil without its rigid-body modes."""
         return self._part(slice(self.free, None), 0)
 
     def _part(self, q: slice, free: int) -> Pencil:
@@ -435,7 +437,7 @@ class Pencil:
 
     @property
     def has_uncoupled_motion(self) -> bool:
-        """Whether there is free motion, and nothing couples it to the other unknowns."""
+        """Whether there are rigid-body modes that nothing couples to the other unknowns."""
         r = self.free
         return bool(r) and not any(P[:r, r:].any() or P[r:, :r].any() for P in self.coefficients)
 
@@ -462,7 +464,7 @@ class Pencil:
             rows = rows.toarray() if scipy.sparse.issparse(rows) else rows
             size += omega**k * np.asarray(rows, dtype=float).ravel()
         t = 1 / np.sqrt(np.where(size > 0, size, 1.0))
-        return np.asarray(np.exp2(np.round(np.log2(t))))  # powers of two round nothing
+        return np.asarray(np.exp2(np.round(np.log2(t))))  # powers of two cause no rounding
 
     def in_units(self, t: np.ndarray) -> Pencil:
         """The same transfer function in unknowns ``x / t``: ``diag(t) P diag(t)``."""
@@ -520,10 +522,12 @@ class Pencil:
         scale = 1 / max([omega**k * size for k, size in enumerate(sizes)] + [np.finfo(float).tiny])
         parts = tuple(scale * omega**k * P for k, P in enumerate(full))
         rest, inertia = first_order(Pencil(parts, self.B, self.C, self.D), 1.0).coefficients
-        if sizes[-1] and np.linalg.cond(parts[-1]) < REGULAR:
+        if sizes[-1] and np.linalg.cond(parts[-1]) < MAX_INVERTED_CONDITION:
             return np.asarray(-omega * np.linalg.eigvals(np.linalg.solve(inertia, rest)))
         values = scipy.linalg.eigvals(-rest, inertia)
-        return np.asarray(omega * values[np.isfinite(values) & (np.abs(values) < INFINITE)])
+        return np.asarray(
+            omega * values[np.isfinite(values) & (np.abs(values) < INFINITE_POLE_RATIO)]
+        )
 
 
 class GrowingProjection:
@@ -590,9 +594,9 @@ def detect_rayleigh(pencil: Pencil) -> Pencil:
     basis = [P / largest_entry(P) for P in (M, K)]
     gram = [[float((P * Q).sum()) for Q in basis] for P in basis]
     result = np.linalg.lstsq(gram, [float((P * E).sum()) for P in basis], rcond=None)[0]
-    result = np.where(np.abs(result) > SAME * largest_entry(E), result, 0.0)
+    result = np.where(np.abs(result) > EQUALITY_TOLERANCE * largest_entry(E), result, 0.0)
     rest = E - result[0] * basis[0] - result[1] * basis[1]
-    if (result < 0).any() or largest_entry(rest) > SAME * largest_entry(E):
+    if (result < 0).any() or largest_entry(rest) > EQUALITY_TOLERANCE * largest_entry(E):
         return pencil
     rayleigh = float(result[0] / largest_entry(M)), float(result[1] / largest_entry(K))
     return replace(pencil, rayleigh=rayleigh)

@@ -41,17 +41,18 @@ from kc2spice.rom.search import require_order, select_basis, select_fewest_state
 from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.structural import approximate_causally, first_order_model
 
-HIGHEST = 1e30  # Hz; the square of an angular frequency is still a finite number
-# Least tolerance: ten times LEAST_ERROR, as solutions of the full-order model are hardly better.
-LOWEST = 1e-10
+MAX_FREQUENCY = 1e30  # Hz; the square of the angular frequency is a finite float
+# Smallest tolerance: ten times MIN_ERROR_ESTIMATE, because solutions of the full-order model are
+# hardly more accurate.
+MIN_TOLERANCE = 1e-10
 # Target of the intermediate model, as a share of the tolerance: small beside the error of the
 # reduced model. Chosen by trial.
 INTERMEDIATE_SHARE = 0.02
 # Share of the tolerance that the intermediate model may have if rounding prevents the target.
-LARGEST_SHARE = 0.5
+MAX_INTERMEDIATE_SHARE = 0.5
 # Share of the tolerance that rounding must leave for the reduced model. A quarter costs one or two
 # states; for less, the estimate exceeds the tolerance, and a warning states the reason.
-LEAST_REMAINDER = 0.25
+MIN_REMAINING_SHARE = 0.25
 # Target of the intermediate model if the order is prescribed. Chosen by trial.
 FIXED_ORDER_TARGET = 1e-8
 
@@ -141,11 +142,11 @@ def reduce_to(fom: LinearModel, target: Target) -> LinearModel:
     """Reduce a model to a ``target``, see :func:`reduce`."""
     require_valid(target)
     if fom.structural:
-        return _with_structural_damping(fom, target)
+        return _reduce_structural_damping(fom, target)
     rom, tolerance = _reduce(fom, target), target.tolerance
     if tolerance is None or target.contact or target.method or fom.first_order:
         return rom
-    return first_order_model(fom, rom, _congruence(target), tolerance, target.norm)
+    return first_order_model(fom, rom, _make_congruence(target), tolerance, target.norm)
 
 
 @dataclass(frozen=True)
@@ -191,8 +192,8 @@ def choose_band(
     if not pencil.B.any() or not pencil.C.any():
         raise UsageError("no input acts on the model, or no output depends on it", where=fom.name)
     band = band or fom.band or natural_band(pencil)
-    if not 0 <= band[0] < band[1] <= HIGHEST:
-        expected = f"0 <= f0 < f1 <= {HIGHEST:g} in Hz"
+    if not 0 <= band[0] < band[1] <= MAX_FREQUENCY:
+        expected = f"0 <= f0 < f1 <= {MAX_FREQUENCY:g} in Hz"
         raise UsageError(
             "this value is not a frequency band",
             where="band",
@@ -214,8 +215,8 @@ def verified_first_step(
     require_factors(pencil.bordered(1.0, 1.0, 1.0), definite=expects_cholesky(pencil))
     goal, limit = FIXED_ORDER_TARGET, np.inf
     if target.tolerance is not None:
-        goal = max(INTERMEDIATE_SHARE * target.tolerance, 0.1 * LOWEST)
-        limit = LARGEST_SHARE * target.tolerance if target.exact else np.inf
+        goal = max(INTERMEDIATE_SHARE * target.tolerance, 0.1 * MIN_TOLERANCE)
+        limit = MAX_INTERMEDIATE_SHARE * target.tolerance if target.exact else np.inf
     by_krylov = target.method in (None, BLOCK_KRYLOV.name, BLOCK_KRYLOV)
     result = None
     try:
@@ -285,8 +286,8 @@ def find_basis_within(
 def _tolerance_beside_rounding(tolerance: float, intermediate: IntermediateModel) -> float:
     """The part of a tolerance that rounding leaves, or all of it if that part is too small."""
     remaining = tolerance - intermediate.floor
-    attainable = max(LEAST_REMAINDER * tolerance, intermediate.error / LARGEST_SHARE)
-    enough = remaining > min(LARGEST_SHARE * tolerance, attainable)
+    attainable = max(MIN_REMAINING_SHARE * tolerance, intermediate.error / MAX_INTERMEDIATE_SHARE)
+    enough = remaining > min(MAX_INTERMEDIATE_SHARE * tolerance, attainable)
     return remaining if enough else tolerance
 
 
@@ -329,7 +330,7 @@ def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | N
         )
 
 
-def _congruence(
+def _make_congruence(
     target: Target,
 ) -> Callable[[LinearModel, float, tuple[float, float]], LinearModel]:
     """A function that reduces a model within a tolerance over a band by a congruence."""
@@ -342,7 +343,7 @@ def _congruence(
     return congruence
 
 
-def _with_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
+def _reduce_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
     """A causal, passive model next to one with structural damping."""
     if target.tolerance is None:
         raise UsageError(
@@ -357,7 +358,7 @@ def _with_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
         raise UsageError(problem, where="method", got=target.method)
     undamped = replace(fom, loss_factor=0.0, loss=None)
     band = target.band or fom.band or natural_band(reduced_form(undamped.pencil))
-    return approximate_causally(fom, _congruence(target), target.tolerance, band, target.norm)
+    return approximate_causally(fom, _make_congruence(target), target.tolerance, band, target.norm)
 
 
 def require_valid(target: Target) -> None:
@@ -371,12 +372,12 @@ def require_valid(target: Target) -> None:
             expected="tolerance, the largest relative error, or order, the number of states",
             hint="delete the tolerance or the order" if order is not None else "add tolerance=1e-4",
         )
-    if tolerance is not None and not LOWEST <= tolerance < 1:
+    if tolerance is not None and not MIN_TOLERANCE <= tolerance < 1:
         raise UsageError(
             "the tolerance is out of range",
             where="tolerance",
             got=tolerance,
-            expected=f"at least {LOWEST:g}, the limit of double precision, and below 1",
+            expected=f"at least {MIN_TOLERANCE:g}, the limit of double precision, and below 1",
         )
     if order is not None and order < 1:
         raise UsageError(

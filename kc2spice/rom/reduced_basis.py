@@ -25,16 +25,16 @@ from kc2spice.rom.response import Response
 from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.state_space import to_hertz, to_schur_form
 
-# No estimate is smaller: direct solutions of the response are hardly more accurate.
-LEAST_ERROR = 1e-11
-# Factor on differences at samples, for larger differences between the samples. The estimates of 500
-# random models are between one and three times their true errors:
-# tests/physics/test_certificates.py.
-SAFETY = 1.15
+# Smallest error estimate, because direct solutions of the response are hardly more accurate.
+MIN_ERROR_ESTIMATE = 1e-11
+# Factor on differences at samples, because differences between the samples are larger. The
+# estimates of 500 random models are one to three times their true errors
+# (tests/physics/test_certificates.py).
+SAFETY_FACTOR = 1.15
 
 T = TypeVar("T")
 Coordinates = Literal["intermediate", "first order", "full order"]
-DEPENDENT = 1e-10  # distance of a vector from the span of others, relative to its length
+DEPENDENT_VECTOR = 1e-10  # distance of a vector from the span of others, relative to its length
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,9 @@ def _select_independent(V: np.ndarray, free: int) -> np.ndarray:
     """
     distance = np.abs(np.diag(np.linalg.qr(V[free:], mode="r")))
     result = np.zeros(V.shape[1], dtype=bool)
-    result[: distance.size] = distance > DEPENDENT * np.linalg.norm(V, axis=0)[: distance.size]
+    result[: distance.size] = (
+        distance > DEPENDENT_VECTOR * np.linalg.norm(V, axis=0)[: distance.size]
+    )
     return result
 
 
@@ -297,8 +299,8 @@ class ReducedBasis:
         Above ``limit`` the result may be any error that exceeds it.
         """
         exact = self.task.intermediate.error
-        difference = self.task.estimator.error(self.leading(order), (limit - exact) / SAFETY)
-        return max(exact + SAFETY * difference, LEAST_ERROR)
+        difference = self.task.estimator.error(self.leading(order), (limit - exact) / SAFETY_FACTOR)
+        return max(exact + SAFETY_FACTOR * difference, MIN_ERROR_ESTIMATE)
 
     def proof(self, order: int) -> StabilityProof:
         """Return stability and passivity of the model of this order."""

@@ -15,13 +15,13 @@ import numpy as np
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import quantity
 from kc2spice.linalg.solver import DirectSolver, solving_with
-from kc2spice.rom.band import frequency_band
+from kc2spice.rom.band import parse_band
 from kc2spice.rom.certification import certify, with_full_order
 from kc2spice.rom.constraints import reduced_form
-from kc2spice.rom.error_estimate import default_norm
+from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.reduce import (
-    LARGEST_SHARE,
+    MAX_INTERMEDIATE_SHARE,
     Target,
     choose_band,
     find_basis_of_order,
@@ -32,7 +32,7 @@ from kc2spice.rom.reduce import (
     verified_first_step,
     warn_of_rounding_errors,
 )
-from kc2spice.rom.reduced_basis import LEAST_ERROR, SAFETY, ReducedBasis, Task
+from kc2spice.rom.reduced_basis import MIN_ERROR_ESTIMATE, SAFETY_FACTOR, ReducedBasis, Task
 from kc2spice.rom.reductors.balanced_truncation import hankel_singular_values
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.rational_krylov import RationalKrylov
@@ -42,7 +42,8 @@ if TYPE_CHECKING:
     from kc2spice.rom.affine import AffineModel
     from kc2spice.rom.varying import Varying
 
-SMALLEST_TOLERANCE = 1e-6  # by default; one more digit costs one or two more solutions
+# default of the smallest tolerance; one more digit costs one or two more solutions
+DEFAULT_MIN_TOLERANCE = 1e-6
 
 
 @overload
@@ -171,8 +172,8 @@ def reduce(
             model,
             tolerance=tolerance,
             order=order,
-            band=frequency_band(band),
-            norm=norm or default_norm(model),
+            band=parse_band(band),
+            norm=norm or choose_default_norm(model),
             contact=contact,
             method=method,
             solver=solver,
@@ -181,7 +182,7 @@ def reduce(
     from kc2spice.rom.affine import AffineModel, reduce_affine
 
     if isinstance(model, AffineModel):
-        _refuse_with_parameters(
+        _reject_unused_options(
             order=order, method=method, contact=contact or None, parameters=parameters or None
         )
         if tolerance is None:
@@ -203,8 +204,8 @@ def reduce(
     )
 
 
-def _refuse_with_parameters(**options: object) -> None:
-    """Refuse options that have no meaning for a model with parameters."""
+def _reject_unused_options(**options: object) -> None:
+    """Reject options that have no meaning for a model with parameters."""
     for name, value in options.items():
         if value is not None:
             raise UsageError(
@@ -272,7 +273,7 @@ class Reduction:
         *,
         band: tuple[float | str, float | str] | None = None,
         norm: Norm | None = None,
-        tolerance: float = SMALLEST_TOLERANCE,
+        tolerance: float = DEFAULT_MIN_TOLERANCE,
         method: str | Reductor | None = None,
         points: Sequence[float] | None = None,
         solver: DirectSolver | str | None = None,
@@ -288,12 +289,12 @@ class Reduction:
                 hint="use kc.reduce(model, tolerance=...), which finds the nearest causal model",
             )
         self._target = Target(
-            tolerance, None, None, norm or default_norm(model), False, method, exact=False
+            tolerance, None, None, norm or choose_default_norm(model), False, method, exact=False
         )
         require_valid(self._target)
         self.model, self.norm = model, self._target.norm
         self._pencil = reduced_form(model.pencil)
-        self.band = choose_band(model, self._pencil, frequency_band(band))
+        self.band = choose_band(model, self._pencil, parse_band(band))
         self._bases: dict[str, list[ReducedBasis]] = {}
         self._solver = solver
         self._prepare(self._target)
@@ -402,8 +403,8 @@ class Reduction:
         """
         estimator = self._intermediate.estimator(self.band, "peak")
         difference = estimator.error(Response(rom.pencil.dense()))
-        estimate = self._intermediate.error + SAFETY * difference
-        return max(estimate, LEAST_ERROR) + self._intermediate.floor
+        estimate = self._intermediate.error + SAFETY_FACTOR * difference
+        return max(estimate, MIN_ERROR_ESTIMATE) + self._intermediate.floor
 
     def _basis_of_order(self, target: Target) -> tuple[ReducedBasis, int]:
         """The best basis of a prescribed order, and the order."""
@@ -422,5 +423,5 @@ class Reduction:
 
     def _is_within(self, tolerance: float) -> bool:
         """Whether the basis is accurate enough for a tolerance."""
-        limit = max(LARGEST_SHARE * tolerance, self._intermediate.floor)
+        limit = max(MAX_INTERMEDIATE_SHARE * tolerance, self._intermediate.floor)
         return tolerance >= self._tolerance and self._intermediate.error <= limit

@@ -1,4 +1,4 @@
-"""Fits that save states of a reduced-order model in the peak norm.
+"""Fits that reduce the number of states of a model in the peak norm.
 
 The order is already known.
 
@@ -15,20 +15,22 @@ import numpy as np
 import scipy
 
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reduced_basis import SAFETY, ReducedBasis
+from kc2spice.rom.reduced_basis import SAFETY_FACTOR, ReducedBasis
 from kc2spice.rom.reductors.balanced_truncation import balancing_factors
 from kc2spice.rom.reductors.snapshots import snapshots
-from kc2spice.rom.relaxing_fit import minimax
+from kc2spice.rom.relaxing_fit import fit_minimax
 from kc2spice.rom.response import Response
 
 # Limits and factors of the fits. Chosen by trial.
-LARGEST = 150  # order up to which outputs are fitted
-LARGEST_FIT = 60  # rates and gains together up to which a relaxing model is fitted
-ROUNDS = 12  # updates of the weights
-LEAST_WEIGHT = 0.05  # squared factor of weights where the error is zero: none vanishes at once
-FAILURES = 4  # orders in a row that may fail, as the error is not monotonic in the order
-HOPELESS = 1.5  # error over the tolerance at which a fit ends
-SUFFICIENT = 0.97  # share of the tolerance at which a fit ends; the rest is for the error estimate
+MAX_ORDER = 150  # order up to which outputs are fitted
+MAX_FIT_PARAMETERS = 60  # rates and gains together up to which a relaxing model is fitted
+MAX_ROUNDS = 12  # updates of the weights
+# squared factor of a weight where the error is zero, so that no weight vanishes at once
+MIN_WEIGHT = 0.05
+MAX_FAILURES = 4  # successive orders that may fail, because the error is not monotonic in the order
+HOPELESS_RATIO = 1.5  # error relative to the tolerance at which a fit ends
+# error relative to the tolerance at which a fit ends; the remainder is for the error estimate
+SUFFICIENT_RATIO = 0.97
 
 
 def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
@@ -40,7 +42,7 @@ def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple
         return basis, order
     if basis.relaxing:
         return fit_relaxations(basis, order, tolerance)
-    if not basis.congruence and order <= LARGEST:
+    if not basis.congruence and order <= MAX_ORDER:
         return fit_outputs(basis, order, tolerance)
     return basis, order
 
@@ -52,19 +54,23 @@ def fit_outputs(basis: ReducedBasis, order: int, tolerance: float) -> tuple[Redu
     H, peak = estimator.exact.transfer(s), estimator.reference[1].peak
     rows, columns = balancing_factors(peak)
     target = (H - basis.pencil.D) / (rows[:, None] * columns)
-    best, trial_order, sufficient = (basis, order), order, SUFFICIENT * tolerance / SAFETY
-    while trial_order > max(1, basis.pencil.free, best[1] - FAILURES):
+    best, trial_order, sufficient = (
+        (basis, order),
+        order,
+        SUFFICIENT_RATIO * tolerance / SAFETY_FACTOR,
+    )
+    while trial_order > max(1, basis.pencil.free, best[1] - MAX_FAILURES):
         trial_order -= 1
         response = basis.leading(trial_order)
         pencil, x = response.pencil, response.states(s) / columns
         weight = np.ones((len(s), 1, x.shape[2]))
-        for _ in range(ROUNDS):
+        for _ in range(MAX_ROUNDS):
             C = _least_squares(x * weight, target * weight) * rows[:, None]
             error = np.abs(C @ (x * columns) + pencil.D - H) / (peak + np.finfo(float).tiny)
-            if not sufficient < error.max() < HOPELESS * tolerance:
+            if not sufficient < error.max() < HOPELESS_RATIO * tolerance:
                 break
             ratio = error.max(axis=1, keepdims=True) / error.max()
-            weight = weight * np.sqrt(ratio + LEAST_WEIGHT)
+            weight = weight * np.sqrt(ratio + MIN_WEIGHT)
         if error.max() <= sufficient:
             trial = replace(basis, pencil=replace(pencil, C=C))
             trial.responses[trial_order] = Response(trial.pencil, response.modes)
@@ -83,16 +89,16 @@ def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[
         return basis, order
     s = snapshots(estimator, estimator.exact).s
     H, base = estimator.exact.transfer(s), estimator.reference[1].peak + np.finfo(float).tiny
-    best, sufficient = (basis, order), SUFFICIENT * tolerance / SAFETY
+    best, sufficient = (basis, order), SUFFICIENT_RATIO * tolerance / SAFETY_FACTOR
     origin = f"{basis.origin}fitted rates and gains; "
     for fewer in range(order - 1, 0, -1):
-        if fewer * (1 + ports) > LARGEST_FIT:
+        if fewer * (1 + ports) > MAX_FIT_PARAMETERS:
             break
         rates, T = scipy.linalg.eigh(*basis.pencil.leading(fewer).coefficients)
         if rates[0] <= 0:
             break
         start = rates, T.T @ basis.pencil.B[:fewer]
-        rates, gains, error = minimax(*start, s, H - basis.pencil.D, base, sufficient)
+        rates, gains, error = fit_minimax(*start, s, H - basis.pencil.D, base, sufficient)
         parts = np.diag(rates), np.eye(fewer)
         pencil = Pencil(parts, gains, gains.T.copy(), basis.pencil.D)
         trial = replace(basis, pencil=pencil, origin=origin, vectors=None)

@@ -17,13 +17,14 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-ROUNDS = 25  # updates of the weights
-EVALUATIONS = 30  # evaluations of the residuals per round
-SETTLED, HOPELESS = 4, 1.5  # rounds after which errors so many times too large end the fit
-LEAST = 0.02  # change of a weight where the error is small
+MAX_ROUNDS = 25  # updates of the weights
+ROUND_EVALUATIONS = 30  # evaluations of the residuals per round
+# number of rounds after which errors above this multiple of the tolerance end the fit
+CHECKED_ROUNDS, HOPELESS_RATIO = 4, 1.5
+MIN_WEIGHT_FACTOR = 0.02  # factor of a weight where the error is small
 
 
-def minimax(
+def fit_minimax(
     rates: np.ndarray,
     gains: np.ndarray,
     s: np.ndarray,
@@ -58,7 +59,7 @@ def minimax(
     --------
     >>> s = 1j * np.geomspace(0.1, 10, 20)
     >>> response = 4 / (s + 2)[:, None, None]
-    >>> rates, gains, error = minimax(np.ones(1), np.ones((1, 1)), s, response, np.ones((1, 1)))
+    >>> rates, gains, error = fit_minimax(np.ones(1), np.ones((1, 1)), s, response, np.ones((1, 1)))
     >>> round(rates[0], 6), round(abs(gains[0, 0]), 6), error < 1e-9
     (np.float64(2.0), np.float64(2.0), True)
     """
@@ -75,17 +76,17 @@ def minimax(
     def slopes(x: np.ndarray) -> np.ndarray:
         return _stack_parts(weight[:, None, None] * _slopes(x, count, s, upper) / scale[:, None])
 
-    for k in range(ROUNDS):
+    for k in range(MAX_ROUNDS):
         fit = scipy.optimize.least_squares(
-            residuals, x, jac=slopes, method="lm", x_scale="jac", max_nfev=EVALUATIONS
+            residuals, x, jac=slopes, method="lm", x_scale="jac", max_nfev=ROUND_EVALUATIONS
         )
         x = fit.x
         size = np.abs((_model(x, count, s, upper) - target) / scale).max(axis=1)
         if size.max() < best[1]:
             best = x, float(size.max())
-        if best[1] <= enough or (k >= SETTLED and best[1] > HOPELESS * enough > 0):
+        if best[1] <= enough or (k >= CHECKED_ROUNDS and best[1] > HOPELESS_RATIO * enough > 0):
             break
-        weight = weight * np.sqrt(size / max(size.max(), np.finfo(float).tiny) + LEAST)
+        weight = weight * np.sqrt(size / max(size.max(), np.finfo(float).tiny) + MIN_WEIGHT_FACTOR)
         weight = weight / weight.max()
     x, error = best
     return np.exp(x[:count]), x[count:].reshape(count, ports), error

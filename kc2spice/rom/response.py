@@ -11,28 +11,30 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.entries import Entries
-from kc2spice.rom.pencil import INFINITE, Pencil, first_order, largest_entry
+from kc2spice.rom.pencil import INFINITE_POLE_RATIO, Pencil, first_order, largest_entry
 from kc2spice.rom.rigid_body import free_part
 
-# A response this far below the sum of its terms is a rounding error of their cancellation: a zero.
-CANCELLED = 1e-13
-# Off-diagonal modal damping below this is rounding of damping that decouples.
-COUPLING = 1e-9
-# A resonance sharper than this cannot be hit by a frequency that is not exact to rounding; errors
-# are then measured on its flanks, at this relative distance.
-SHARPEST = 1e-7
-FLANK = 1e-4
-VISIBLE = 1e-10  # least term of a visible pole, relative to the entry
-VISIBLE_GRID = 50  # frequencies that give the peaks of entries
+# Response relative to the sum of its terms below which it is a rounding error of cancellation.
+CANCELLATION_ROUNDING = 1e-13
+# Off-diagonal modal damping below this is a rounding error of decoupled damping.
+COUPLING_ROUNDING = 1e-9
+# Damping ratio below which no float frequency is close enough to the resonance; errors are then
+# measured on its flanks, at this relative distance.
+MIN_DAMPING_RATIO = 1e-7
+FLANK_DISTANCE = 1e-4
+MIN_VISIBLE_TERM = 1e-10  # smallest term of a visible pole, relative to the entry
+VISIBLE_GRID = 50  # frequencies that determine the peaks of entries
 # distances from a resonance in half-widths
-CLUSTER = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])
-GRID = 200  # frequencies of each grid of a band, linear and logarithmic. Chosen by trial.
-# Sizes between which eigenvectors are computed. Chosen by trial.
-FEW = 12  # unknowns
-MANY = 2000  # first-order states
-REPRODUCED = 1e-10  # relative difference to direct solutions
-SOFT = 1e8  # ratio of squared frequencies of neighbours: the lower is a motion without force
-DEFECTIVE = 1e10  # condition of eigenvectors: a free body moves on in a Jordan block
+RESONANCE_OFFSETS = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])
+# frequencies of each grid of a band, linear and logarithmic. Chosen by trial.
+GRID_FREQUENCIES = 200
+# Numbers between which eigenvectors are computed. Chosen by trial.
+MIN_UNKNOWNS = 12  # unknowns
+MAX_STATES = 2000  # first-order states
+DECOUPLING_TOLERANCE = 1e-10  # largest relative difference to direct solutions
+# ratio of successive squared frequencies above which the lower one is a rigid-body mode
+RIGID_MODE_RATIO = 1e8
+MAX_CONDITION = 1e10  # condition of eigenvectors; an unsupported body has a Jordan block
 Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
 
@@ -57,7 +59,7 @@ class Response:
 
     @cached_property
     def decoupled(self) -> bool:
-        """See above."""
+        """Modes of the decoupled pencil, None if it cannot be decoupled."""
         return self._prescribed_modes is None and self._decoupling is not None
 
     @cached_property
@@ -67,7 +69,7 @@ class Response:
     @cached_property
     def modes(self) -> Modes | None:
         """Eigenvectors of the decoupled coordinates, computed at their first use."""
-        pays = FEW < self.core.size <= MANY / self.core.degree
+        pays = MIN_UNKNOWNS < self.core.size <= MAX_STATES / self.core.degree
         return self._decoupling or (_compute_eigenvectors(self.core) if pays else None)
 
     @cached_property
@@ -83,7 +85,7 @@ class Response:
         """Whether decoupled coordinates exist, or the number of unknowns is so small that none are
         needed.
         """
-        return self.modes is not None or self.core.size <= FEW
+        return self.modes is not None or self.core.size <= MIN_UNKNOWNS
 
     def states(self, s: np.ndarray) -> np.ndarray:
         """``P(s)^-1 B`` (len(s), n, m) in the pencil's own coordinates."""
@@ -92,7 +94,8 @@ class Response:
         else:
             T, L, _ = self.modes
             parts = self._gains(s).T[:, :, None] * (L @ self.core.B)[:, None, :]
-            result = T @ parts.reshape(len(parts), -1)  # one product: many small ones take longer
+            # one product is faster than many small products
+            result = T @ parts.reshape(len(parts), -1)
             x = result.reshape(-1, *parts.shape[1:]).swapaxes(0, 1)
         return np.concatenate([self._free.states(s), x], axis=1) if self._free else x
 
@@ -116,7 +119,7 @@ class Response:
         x = self.states(s)
         terms = np.abs(self.pencil.C) @ np.abs(x).max(axis=0) + np.abs(self.pencil.D)
         size = np.abs(self.pencil.C @ x + self.pencil.D).max(axis=0)
-        return np.asarray(size <= CANCELLED * terms)
+        return np.asarray(size <= CANCELLATION_ROUNDING * terms)
 
     def peaks(self, frequency: np.ndarray, H: np.ndarray) -> np.ndarray:
         """Largest size (outputs, inputs) of the response H at ``frequency`` [Hz].
@@ -196,7 +199,7 @@ class Response:
             return frequency, ratio
         assert self.modes is not None
         T, L, _ = self.modes
-        flanks = frequency * (1 + FLANK * (ratio < SHARPEST))
+        flanks = frequency * (1 + FLANK_DISTANCE * (ratio < MIN_DAMPING_RATIO))
         s = 2j * np.pi * flanks
         gain = np.abs(self._gains(s)[np.arange(len(s)), mode])
         out, into = np.abs(self.core.C @ T[:, mode]).T, np.abs((L @ self.core.B)[mode])
@@ -204,7 +207,7 @@ class Response:
         base = self.entries(np.union1d(flanks, grid(band, VISIBLE_GRID, False))).base(
             self.transfer(s)
         )
-        visible = (term > VISIBLE * base).any(axis=(1, 2))
+        visible = (term > MIN_VISIBLE_TERM * base).any(axis=(1, 2))
         return frequency[visible], ratio[visible]
 
 
@@ -239,9 +242,9 @@ def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
         inner = np.linalg.solve(rest + shift * inertia, np.hstack([inertia, extended.B]))
         values, X = np.linalg.eig(shift * inner[:, : extended.size])
         inverse = np.linalg.inv(X)
-        with np.errstate(over="ignore"):  # eigenvectors that form no basis cause overflow
+        with np.errstate(over="ignore"):  # eigenvectors that are not a basis cause overflow
             condition = np.linalg.norm(X) * np.linalg.norm(inverse)
-        if not condition <= DEFECTIVE:
+        if not condition <= MAX_CONDITION:
             return None
     except (np.linalg.LinAlgError, ValueError):
         return None
@@ -252,9 +255,9 @@ def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
         exact = pencil.states(s)
     except SimulationError:
         return None
-    with np.errstate(all="ignore"):  # on a pole
+    with np.errstate(all="ignore"):  # s may be a pole
         apart = np.abs(Response(pencil, result).states(s) - exact).max(axis=1)
-    return result if (apart < REPRODUCED * np.abs(exact).max(axis=1)).all() else None
+    return result if (apart < DECOUPLING_TOLERANCE * np.abs(exact).max(axis=1)).all() else None
 
 
 def _finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
@@ -265,7 +268,7 @@ def _finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
 
 def _has_finite_pole(rest: np.ndarray) -> np.ndarray:
     """Which of the diagonals of :func:`_compute_eigenvectors` have a finite pole."""
-    return np.asarray(np.abs(1 - rest) * INFINITE > 1)
+    return np.asarray(np.abs(1 - rest) * INFINITE_POLE_RATIO > 1)
 
 
 def _is_inside(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
@@ -283,7 +286,8 @@ def _decouple(pencil: Pencil) -> Modes | None:
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     try:
         mu, T = scipy.linalg.eigh(inertia, rest)
-        if (mu[1:] > SOFT * np.abs(mu[:-1])).any():  # a stiffness that is a rounding error
+        # a stiffness that is a rounding error
+        if (mu[1:] > RIGID_MODE_RATIO * np.abs(mu[:-1])).any():
             raise scipy.linalg.LinAlgError
         ends = np.ones(pencil.size), mu
     except scipy.linalg.LinAlgError:
@@ -298,7 +302,7 @@ def _decouple(pencil: Pencil) -> Modes | None:
     diagonal = np.diag(damping).copy()
     # Relative to the damping of both modes. Any coupling to an undamped mode is above this limit,
     # and the equations are then solved without decoupling.
-    limit = COUPLING * np.sqrt(np.abs(np.outer(diagonal, diagonal)))
+    limit = COUPLING_ROUNDING * np.sqrt(np.abs(np.outer(diagonal, diagonal)))
     if (np.abs(damping - np.diag(diagonal)) > limit).any():
         return None
     return T, T.T, (ends[0], diagonal, ends[1])
@@ -320,11 +324,11 @@ def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
 
 
 def sample_resonances(
-    frequency: np.ndarray, ratio: np.ndarray, widths: np.ndarray = CLUSTER
+    frequency: np.ndarray, ratio: np.ndarray, widths: np.ndarray = RESONANCE_OFFSETS
 ) -> np.ndarray:
     """Frequencies [Hz] on and beside resonances, at multiples of their half width."""
-    sharp = ratio < SHARPEST
-    width = np.where(sharp, FLANK, ratio)[:, None] * frequency[:, None]
+    sharp = ratio < MIN_DAMPING_RATIO
+    width = np.where(sharp, FLANK_DISTANCE, ratio)[:, None] * frequency[:, None]
     both = np.concatenate([-widths[::-1], widths])
     points = frequency[:, None] + width * both
     points[sharp] = np.where(
@@ -338,12 +342,12 @@ def sample_resonances(
 def drop_points_near_poles(
     points: np.ndarray, frequency: np.ndarray, ratio: np.ndarray
 ) -> np.ndarray:
-    """Drop points closer than ``FLANK`` to a nearly undamped resonance."""
-    sharp = frequency[ratio < SHARPEST]
+    """Drop points closer than ``FLANK_DISTANCE`` to a nearly undamped resonance."""
+    sharp = frequency[ratio < MIN_DAMPING_RATIO]
     if not sharp.size:
         return points
     nearest = np.abs(points[:, None] - sharp).min(axis=1)
-    gap = sharp[np.abs(points[:, None] - sharp).argmin(axis=1)] * FLANK
+    gap = sharp[np.abs(points[:, None] - sharp).argmin(axis=1)] * FLANK_DISTANCE
     return np.asarray(points[nearest >= 0.98 * gap])
 
 

@@ -1,4 +1,4 @@
-"""Free motions of a model with their damping, and proofs from its form.
+"""Rigid-body modes of a model with their damping, and their exact separation.
 
 Free motions are rigid-body modes and integrators. The response of these modes grows without bound
 towards zero frequency. The rigid-body motion is computed once, made exact, and separated from all
@@ -25,17 +25,19 @@ from kc2spice.rom.pencil import (
     largest_entry,
 )
 
-# factor on n eps of the largest entry: smaller stiffness, damping or coupling counts as zero
-ROUNDING = 8.0
-# Poles of a first-order model below these shares of the band's end: zero but for rounding, which
-# leaves half of the digits of a pair, and a free motion that something slows down.
-ZERO, SLOW = 1e-6, 1e-2
-# Multiple of the change of an energy by random rounding of the entries. Larger values are energies.
-RANDOM = 30.0
-ABOVE_RANDOM = 4.0  # factor on the random rounding: larger energies are no rounding errors
-FAR = 100.0  # multiple of a support's resonance where the support changes the response by 1e-4
-SURELY = 10.0  # multiple of the limit of singular matrices above which a matrix is regular
-DEPENDENT = 1e-9  # rates relative to the end of the band of a chain of integrators in first order
+# multiple of n eps of the largest entry below which stiffness, damping or coupling counts as zero
+ROUNDING_FACTOR = 8.0
+# Magnitudes of poles of a first-order model, relative to the end of the band: zero within rounding,
+# which affects half of the digits of a double pole, and slow poles of a damped rigid-body mode.
+ZERO_POLE_RATIO, SLOW_POLE_RATIO = 1e-6, 1e-2
+# multiple of the change of an energy by random rounding of the entries; larger values are energies
+ENERGY_FACTOR = 30.0
+ENERGY_MARGIN = 4.0  # factor on the random rounding; larger energies are not rounding errors
+# frequency relative to a support's resonance at which the support changes the response by 1e-4
+SUPPORT_RATIO = 100.0
+REGULAR_FACTOR = 10.0  # multiple of the limit of singular matrices above which a matrix is regular
+# rates of a chain of integrators in first order, relative to the end of the band (rounding)
+CHAIN_RATE_RATIO = 1e-9
 # bounds on the rounding error of the entries of each coefficient
 Rounding: TypeAlias = tuple[np.ndarray, ...]
 
@@ -115,7 +117,7 @@ def free_part(pencil: Pencil, omega: float) -> Pencil | None:
 
 def _bound_rounding(pencil: Pencil) -> Rounding:
     """Bounds of the rounding errors of the entries of a given pencil."""
-    limit = ROUNDING * np.finfo(float).eps * pencil.size
+    limit = ROUNDING_FACTOR * np.finfo(float).eps * pencil.size
     return tuple(limit * np.abs(P) for P in pencil.coefficients)
 
 
@@ -131,7 +133,8 @@ def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     noise = rows * rounding * columns
     lu, _, singular = scipy.linalg.lapack.dgetrf(rows * K * columns)
     inverse = 0.0 if singular else scipy.linalg.lapack.dgecon(lu, 1.0)[0]
-    if inverse > SURELY * np.sqrt(len(K)) * np.linalg.norm(noise):  # by an estimate, of other norms
+    # an estimate in other norms
+    if inverse > REGULAR_FACTOR * np.sqrt(len(K)) * np.linalg.norm(noise):
         return np.empty((len(K), 0))
     _, size, Vt = np.linalg.svd(rows * K * columns)
     limit = np.linalg.norm(noise, 2)
@@ -149,7 +152,9 @@ def _select_energy_free(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | Non
     energy = np.asarray(ExactMatrix(X.T) @ (ExactMatrix(K) @ X), dtype=float)
     turn, size, _ = np.linalg.svd(energy)
     X = X @ turn
-    noise = RANDOM * energy_rounding(K, X) if rounding is None else abs(X).T @ rounding @ abs(X)
+    noise = (
+        ENERGY_FACTOR * energy_rounding(K, X) if rounding is None else abs(X).T @ rounding @ abs(X)
+    )
     return np.asarray(X[:, size <= np.diag(noise)])
 
 
@@ -179,7 +184,7 @@ def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
     if pencil.degree != 2 or isinstance(K, Schur) or not X.size or not pencil.symmetric:
         return 0.0
     i, j, value = scipy.sparse.find(K)
-    exact = np.asarray(X, dtype=np.longdouble)  # soft motions are small differences
+    exact = np.asarray(X, dtype=np.longdouble)  # soft modes are small differences
     force = np.zeros(exact.shape, dtype=np.longdouble)
     np.add.at(force, i, value.astype(np.longdouble)[:, None] * exact[j])
     turn, size, _ = np.linalg.svd(np.asarray(exact.T @ force, dtype=float))
@@ -188,16 +193,16 @@ def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
     mass = np.einsum("ij,ij->j", X, M @ X)
     if not (mass > 0).all():
         return 0.0
-    support = size > ABOVE_RANDOM * random
+    support = size > ENERGY_MARGIN * random
     frequency = float(np.sqrt((size / mass)[support].max(initial=0.0)) / (2 * np.pi))
-    if support.any() and low < FAR * frequency:
+    if support.any() and low < SUPPORT_RATIO * frequency:
         warnings.warn(
             "the stiffness of a support is below the rounding errors of the stiffness matrix: "
             "the model neglects the support and its resonance at about {frequency:.2g} Hz; "
             "model the support as a part of the circuit",
             stacklevel=2,
         )
-    return float(np.sqrt((RANDOM * random / mass).max()) / (2 * np.pi))
+    return float(np.sqrt((ENERGY_FACTOR * random / mass).max()) / (2 * np.pi))
 
 
 def _is_force_free(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:
@@ -221,7 +226,7 @@ def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndar
     # rounding of K rotates X towards motions without force, so the inputs are compared with their
     # own responses
     answer = np.linalg.solve(K + momenta @ momenta.T, pencil.B)
-    input_rounding = ROUNDING * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
+    input_rounding = ROUNDING_FACTOR * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
     noise = np.abs(X.T) @ (input_rounding + rounding[0] @ np.abs(answer))
     moved = int((size > largest_entry(noise)).sum())
     return np.asarray(X @ U[:, :moved])
@@ -285,7 +290,9 @@ def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> 
 
     def chosen(x: float, y: float) -> bool:
         pole = 1 - 1 / (complex(x, y) or np.finfo(float).tiny)
-        return abs(pole) < ZERO or (abs(pole) < SLOW and abs(pole.imag) < ZERO)
+        return abs(pole) < ZERO_POLE_RATIO or (
+            abs(pole) < SLOW_POLE_RATIO and abs(pole.imag) < ZERO_POLE_RATIO
+        )
 
     _, Z, count = scipy.linalg.schur(shifted, output="real", sort=chosen)
     return np.asarray(Z[:, :count])
@@ -299,7 +306,7 @@ def _order_chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     A, Q, start = A.copy(), np.eye(len(A)), 0
     while start < len(A):
         _, size, Vt = np.linalg.svd(A[start:, start:])
-        still = int((size <= DEPENDENT * max(1.0, size[0])).sum())
+        still = int((size <= CHAIN_RATE_RATIO * max(1.0, size[0])).sum())
         if not still:
             break
         turn = scipy.linalg.block_diag(np.eye(start), np.roll(Vt, still, axis=0).T)

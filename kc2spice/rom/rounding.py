@@ -1,4 +1,4 @@
-"""Effects of rounding of a model's entries on its response."""
+"""Effects of rounding of the entries of a model on its response."""
 
 from __future__ import annotations
 
@@ -12,24 +12,27 @@ from kc2spice.rom.error_estimate import relative_size
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil, absolute_entries
 from kc2spice.rom.response import (
-    FLANK,
-    SHARPEST,
+    FLANK_DISTANCE,
+    MIN_DAMPING_RATIO,
     Response,
     drop_points_near_poles,
     grid,
     sample_resonances,
 )
 
-UNCERTAIN = 1e-9  # relative change of a response by rounding that the certificate mentions
-FREE = 100.0  # motions with less energy than this times rounding have none
+# relative change of a response due to rounding that the certificate mentions
+STATED_UNCERTAINTY = 1e-9
+ENERGY_ROUNDING = 100.0  # multiple of the rounding error below which a mode has no elastic energy
 # Numbers chosen by trial.
 ZERO_FREQUENCIES = 50  # frequencies of the band at which entries are tested for zero
 ZERO_SHARE = 0.5  # share of these frequencies at which a zero entry must be faint
-RESONANCES = 8  # lowest and sharpest resonances at which the effect of rounding is evaluated
-TRIALS = 4  # random units of the unknowns
-# Share of the target error below which rounding has no influence. Trials differ by less than 10.
-NEGLIGIBLE = 0.01
-SPREAD = 3.0  # factor on the largest of the trials, which are few
+# lowest and sharpest resonances at which the effect of rounding is evaluated
+CHECKED_RESONANCES = 8
+RANDOM_TRIALS = 4  # random units of the unknowns
+# Share of the target error below which rounding is negligible; trials differ by a factor of less
+# than 10.
+NEGLIGIBLE_SHARE = 0.01
+TRIAL_FACTOR = 3.0  # factor on the largest of the few trials
 
 
 def rounding_uncertainty(
@@ -82,8 +85,8 @@ def zero_entries(
     model's entries.
     """
     at, ratio = response.select_visible(band)
-    chosen = np.union1d(np.argsort(at)[:RESONANCES], np.argsort(ratio)[:RESONANCES])
-    peaks = at[chosen] * (1 + FLANK * (ratio[chosen] < SHARPEST))
+    chosen = np.union1d(np.argsort(at)[:CHECKED_RESONANCES], np.argsort(ratio)[:CHECKED_RESONANCES])
+    peaks = at[chosen] * (1 + FLANK_DISTANCE * (ratio[chosen] < MIN_DAMPING_RATIO))
     f = np.r_[
         drop_points_near_poles(grid(band, ZERO_FREQUENCIES, False), *response.within(band)), peaks
     ]
@@ -102,7 +105,7 @@ def zero_entries(
             else pencil.transposed().states(2j * np.pi * f[rows])
         )
         if both or dual is not None:
-            limit = FREE * rounding_change(pencil, f[rows], V @ x[rows], dual)
+            limit = ENERGY_ROUNDING * rounding_change(pencil, f[rows], V @ x[rows], dual)
             faint[rows] |= (np.abs(H[rows]) <= limit) & suspect
     return np.asarray(faint.all(axis=0))
 
@@ -122,7 +125,9 @@ def uncertainty_note(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
             f"the matrices without change",
             stacklevel=2,
         )
-    return f", {text} by the last digits of its matrices" if size[worst] > UNCERTAIN else ""
+    return (
+        f", {text} by the last digits of its matrices" if size[worst] > STATED_UNCERTAINTY else ""
+    )
 
 
 def removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
@@ -161,12 +166,12 @@ def with_rounding(
     entries = exact.entries(np.union1d(points, grid(band, 50, False)))
     rng = np.random.default_rng(0)
     apart = 0.0
-    for t in rng.uniform(1.0, 2.0, (TRIALS, pencil.size)):
+    for t in rng.uniform(1.0, 2.0, (RANDOM_TRIALS, pencil.size)):
         again = Response(pencil.in_units(t).project(V / t[:, None]))
         size = relative_size(again.transfer(2j * np.pi * points) - H, H, entries)
         size[:, exact.cancelled_entries(2j * np.pi * points) & ~entries.zero] = 0.0
-        apart = max(apart, SPREAD * float(size.max()))
-        if apart < NEGLIGIBLE * target:
+        apart = max(apart, TRIAL_FACTOR * float(size.max()))
+        if apart < NEGLIGIBLE_SHARE * target:
             break
     proof = f"{model.proof}, which rounding moves by {apart:.0e}"
     return replace(model, floor=max(model.floor, apart), proof=proof)

@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.error_estimate import default_norm, inaccuracy_error
+from kc2spice.rom.error_estimate import choose_default_norm, make_inaccuracy_error
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
-from kc2spice.rom.stability import FORM, StabilityProof
+from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
 
-# States up to which another method is tried only to state in the certificate how many states the
-# form of the matrices costs: a limit of the work, chosen by trial.
-CHEAP = 200
-# Definite matrices become resonators, which prove stability. A model without this form is used only
-# if it saves at least a tenth of their states: 10 instead of 11.
-FORM_SHARE = 0.91
+# States up to which another method is tried only to state in the certificate how many states
+# definite matrices cost; chosen by trial to limit the work.
+MAX_COMPARED_STATES = 200
+# Definite matrices become resonators, which prove stability. Other models are used only if they
+# save at least a tenth of the states: 10 instead of 11.
+SAVING_RATIO = 0.91
 
 
 def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
@@ -70,13 +70,13 @@ def select_fewest_states(
     """
     congruences = [item for item in reductors if item.congruence]
     others = [] if keep_form else [item for item in reductors if not item.congruence]
-    signals = default_norm(task.fom) == "peak" and not keep_form
+    signals = choose_default_norm(task.fom) == "peak" and not keep_form
     form = _prove_stability(task)
-    share = FORM_SHARE if form and form.proof == FORM else 1.0
+    share = SAVING_RATIO if form and form.proof == DEFINITE_EVIDENCE else 1.0
     other = None
     if signals and not (form and form.passive):
         other = _select_fewest(task, others, tolerance, task.states + 1)
-    if other and not form:  # a congruence would preserve nothing
+    if other and not form:  # a congruence would preserve no property
         return _prefix_origin(other, f"{other[0].origin}; ")
     most = int(other[1] / share) if other else np.inf
     reductor, basis, order = _select_congruence(task, congruences, tolerance, most + 1, bool(other))
@@ -88,7 +88,7 @@ def select_fewest_states(
         basis, order = reductor.tighten(basis, order, tolerance)
         order = find_least_order(basis, tolerance, basis.states(order)) or order
     states = basis.states(order)
-    if other is None and (signals or basis.states(basis.size) <= CHEAP):
+    if other is None and (signals or basis.states(basis.size) <= MAX_COMPARED_STATES):
         other = _select_fewest(task, others, tolerance, int(np.ceil(share * states)))
     if other and other[1] < states:
         text = f"{states} first-order states, {other[1]} without keeping the form; "
@@ -141,7 +141,7 @@ def _select_congruence(
     acceptable = [(order, k) for k, order in enumerate(orders) if order is not None]
     if not acceptable:
         if not optional:
-            raise tolerance_error([basis for _, basis in rows], tolerance)
+            raise make_tolerance_error([basis for _, basis in rows], tolerance)
         return *rows[0], None
     order, k = min(acceptable)
     return *rows[k], order
@@ -163,15 +163,15 @@ def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[Redu
     orders = [(find_least_order(basis, tolerance), basis) for basis in bases]
     acceptable = [(order, basis) for order, basis in orders if order is not None]
     if not acceptable:
-        raise tolerance_error(bases, tolerance)
+        raise make_tolerance_error(bases, tolerance)
     order, basis = min(acceptable, key=lambda pair: pair[1].states(pair[0]))
     return basis, order
 
 
-def tolerance_error(bases: Sequence[ReducedBasis], tolerance: float) -> Exception:
+def make_tolerance_error(bases: Sequence[ReducedBasis], tolerance: float) -> Exception:
     """Error of bases of which no order meets the tolerance."""
     error = min(basis.error(basis.size) for basis in bases)
-    return inaccuracy_error(
+    return make_inaccuracy_error(
         "the tolerance is out of reach",
         f"estimate {error:.1e} with {bases[0].size} states",
         tolerance,

@@ -1,4 +1,4 @@
-"""Proofs of stability and passivity, from the form of matrices or all poles.
+"""Proofs of stability and passivity, from properties of the matrices or from all poles.
 
 The proofs apply to full-order and reduced-order models and do not depend on the method of
 reduction.
@@ -18,15 +18,16 @@ from kc2spice.linalg.factor import factorise
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, is_symmetric, largest_entry
 from kc2spice.rom.rigid_body import split_rigid_body
 
-# Rounding of a congruence: a semi-definite matrix may show eigenvalues this far below zero.
-ASYMMETRY = 1e-12
-# Growth by e in a hundred million radians is rounding of an eigenvalue on the imaginary axis.
-GROWTH = 1e-8
-FORM = "definite matrices"
-FEW_UNKNOWNS = 5_000  # that a factor takes less than 0.1 s
-MISSED = 1e-12  # probability that Lanczos steps miss an eigenvalue below zero
-LANCZOS_STEPS, LANCZOS_CHECK = 200, 20  # at most, and after which the least Ritz value is known
-DENSE = 1200  # first-order states up to which all poles of a full model are computed
+# Negative eigenvalue of a semidefinite matrix that is a rounding error of a congruence.
+NEGATIVE_ROUNDING = 1e-12
+# relative growth rate that is a rounding error of an eigenvalue on the imaginary axis
+GROWTH_ROUNDING = 1e-8
+DEFINITE_EVIDENCE = "definite matrices"
+MAX_FACTORED_UNKNOWNS = 5_000  # unknowns of a matrix whose factor takes less than 0.1 s
+MISS_PROBABILITY = 1e-12  # probability that Lanczos steps miss an eigenvalue below zero
+# largest number of Lanczos steps, and steps between computations of the smallest Ritz value
+MAX_LANCZOS_STEPS, LANCZOS_INTERVAL = 200, 20
+MAX_POLE_STATES = 1200  # first-order states up to which all poles of a full model are computed
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,8 @@ def prove_stability(
     are skew) loses energy at most; with ``C = B'`` and D >= 0 it is passive between force and
     velocity, voltage and current. First order with E symmetric positive semi-definite and
     ``A + A' <= 0`` likewise, passive between input and output. Without such form the poles decide
-    on stability, and passivity is not claimed; of more than ``DENSE`` states they are not known.
-    ``poles`` [1/s] spare their computation.
+    on stability, and passivity is not claimed; of more than ``MAX_POLE_STATES`` states they are not
+    known. ``poles`` [1/s] spare their computation.
     """
     try:
         dissipates = is_dissipative(pencil)
@@ -69,15 +70,15 @@ def prove_stability(
         return StabilityProof(None, False, "nothing: memory does not hold another factor")
     if dissipates:
         passive = pencil.collocated and is_semidefinite(pencil.D + pencil.D.T)
-        return StabilityProof(True, passive, FORM)
+        return StabilityProof(True, passive, DEFINITE_EVIDENCE)
     states = pencil.degree * pencil.size
-    if states > DENSE and poles is None:
+    if states > MAX_POLE_STATES and poles is None:
         return StabilityProof(
             None, False, f"nothing: {states} states are too many to know all poles"
         )
     omega = 2 * np.pi * band[1]
     values = _poles(pencil, omega) if poles is None else poles
-    limit = GROWTH * np.maximum(np.abs(values), omega)
+    limit = GROWTH_ROUNDING * np.maximum(np.abs(values), omega)
     grows = values.real > limit
     rounded = states * np.finfo(float).eps * np.abs(values).max(initial=0.0)
     if grows.any() and (values.real[grows] <= rounded).all():
@@ -101,7 +102,9 @@ def _poles(pencil: Pencil, omega: float) -> np.ndarray:
 
 
 def is_dissipative(pencil: Pencil) -> bool:
-    """Whether the form shows an energy that only the ports can increase."""
+    """Return whether the matrices prove passivity: a stored energy exists that only the ports can
+    increase.
+    """
     rest, *others = pencil.coefficients
     order = pencil.elimination_order
     if not is_semidefinite(others[-1], order):
@@ -119,14 +122,14 @@ def is_dissipative(pencil: Pencil) -> bool:
 
 
 def is_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
-    """Whether a matrix is symmetric with no eigenvalue below zero, but for rounding.
+    """Return whether a matrix is symmetric without negative eigenvalues, within rounding.
 
     The ``order`` of elimination of sparse matrices may be known.
     """
     if isinstance(matrix, Schur):
         if not matrix.symmetric:
             return False
-        if is_semidefinite(-matrix.pp):  # potentials add stiffness
+        if is_semidefinite(-matrix.pp):  # potentials increase the stiffness
             return is_semidefinite(matrix.uu)
         blocks = [[matrix.uu, matrix.up], [matrix.pu, matrix.pp]]
         return is_semidefinite(scipy.sparse.csc_array(scipy.sparse.block_array(blocks)))
@@ -134,10 +137,10 @@ def is_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
         return _is_factorisable(scipy.sparse.csc_array(matrix), order)
     if matrix.size == 0:
         return True
-    if largest_entry(matrix - matrix.T) > ASYMMETRY * largest_entry(matrix):
+    if largest_entry(matrix - matrix.T) > NEGATIVE_ROUNDING * largest_entry(matrix):
         return False
     values = np.linalg.eigvalsh(matrix)
-    return bool(values[0] >= -ASYMMETRY * abs(values[-1]))
+    return bool(values[0] >= -NEGATIVE_ROUNDING * abs(values[-1]))
 
 
 def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bool:
@@ -149,7 +152,7 @@ def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bo
     eigenvalue by more than ``e spread`` with a probability below ``1.648 sqrt(n) exp(-sqrt(e) (2 k
     - 1))``. With ``e = x / spread`` that is the probability of an eigenvalue below zero. A mass
     matrix with a unit diagonal has x of about 0.1 and takes some 80 products, a tenth of the time
-    of a factor. False if x is too small for :data:`LANCZOS_STEPS` steps.
+    of a factor. False if x is too small for :data:`MAX_LANCZOS_STEPS` steps.
 
     Source: J. Kuczynski, H. Wozniakowski, SIAM J. Matrix Anal. Appl. 13 (1992) 1094.
     """
@@ -157,8 +160,8 @@ def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bo
     v = np.where(empty, 0.0, np.random.default_rng(0).standard_normal(n))
     v, before = v / np.linalg.norm(v), np.zeros(n)
     diagonal, beside = list[float](), list[float]()
-    needed = math.log(1.648 * math.sqrt(n) / MISSED)
-    for k in range(1, LANCZOS_STEPS + 1):
+    needed = math.log(1.648 * math.sqrt(n) / MISS_PROBABILITY)
+    for k in range(1, MAX_LANCZOS_STEPS + 1):
         w = matrix @ v - (beside[-1] if beside else 0.0) * before
         diagonal.append(float(v @ w))
         w -= diagonal[-1] * v
@@ -166,12 +169,12 @@ def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bo
         if not beside[-1] > 0:
             return False
         before, v = v, w / beside[-1]
-        if k % LANCZOS_CHECK:
+        if k % LANCZOS_INTERVAL:
             continue
         (least,) = scipy.linalg.eigvalsh_tridiagonal(
             diagonal, beside[:-1], select="i", select_range=(0, 0)
         )
-        if least <= 0 or math.sqrt(least / spread) * (2 * LANCZOS_STEPS - 1) < needed:
+        if least <= 0 or math.sqrt(least / spread) * (2 * MAX_LANCZOS_STEPS - 1) < needed:
             return False
         if math.sqrt(least / spread) * (2 * k - 1) >= needed:
             return True
@@ -194,9 +197,9 @@ def _is_factorisable(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     T = scipy.sparse.diags_array(1 / np.sqrt(np.where(empty, 1.0, diagonal)))
     scaled = T @ (0.5 * (matrix + matrix.T)) @ T
     spread = float(abs(scaled).sum(axis=0).max())  # no eigenvalue is larger
-    if matrix.shape[0] > FEW_UNKNOWNS and _lanczos_is_positive(scaled, empty, spread):
+    if matrix.shape[0] > MAX_FACTORED_UNKNOWNS and _lanczos_is_positive(scaled, empty, spread):
         return True
-    shift = ASYMMETRY * spread
+    shift = NEGATIVE_ROUNDING * spread
     lift = scipy.sparse.diags_array(np.where(empty, 1.0, shift))
     try:
         factorise(scipy.sparse.csc_array(scaled + lift), definite=True, order=order)

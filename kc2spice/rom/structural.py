@@ -1,4 +1,4 @@
-"""Structural damping, which polynomials in s lack, and inertia without effect.
+"""Reduction of models with structural damping, and removal of masses without effect.
 
 Structural damping ``K + j H``, of one material ``K (1 + j eta)``, loses the same share of energy at
 every frequency. In a band no causal model does that without a change of stiffness. A circuit is
@@ -26,7 +26,7 @@ import scipy
 from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.constraints import reduced_form
-from kc2spice.rom.entries import Entries, share_of
+from kc2spice.rom.entries import Entries, reference_share
 from kc2spice.rom.error_estimate import adaptive_frequencies
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.lossy_modes import (
@@ -41,20 +41,21 @@ from kc2spice.rom.stability import is_semidefinite, prove_stability
 
 Reductor = Callable[[LinearModel, float, tuple[float, float]], LinearModel]
 
-SAFETY = 1.15  # factor on differences at samples, for larger differences between the samples
-BASE_SHARE = 0.5  # share of the tolerance for the model with viscous damping
-LOWEST = 1e-10  # tolerances of a reduction
-DIRECT = 6  # direct solutions of the full model that check a causal model
-# Rates of relaxations per resonance, or per end of the band where that is lower.
-RELAXATIONS = ((1.0,), tuple(np.geomspace(0.03, 3.0, 7)))
-NEAR_REST = 10.0 ** -np.arange(
+# factor on differences at samples, because differences between the samples are larger
+SAFETY_FACTOR = 1.15
+VISCOUS_SHARE = 0.5  # share of the tolerance for the model with viscous damping
+MIN_TOLERANCE = 1e-10  # smallest tolerance of a reduction
+DIRECT_SOLUTIONS = 6  # direct solutions of the full model that check a causal model
+# Rates of relaxations, relative to the resonance, or to the end of the band if this is lower.
+RELAXATION_RATES = ((1.0,), tuple(np.geomspace(0.03, 3.0, 7)))
+LOWEST_FREQUENCIES = 10.0 ** -np.arange(
     9.0, 4.0, -1.0
 )  # lowest frequencies over the end of a band from zero: the loss remains at rest
-WORTH = 0.5  # largest ratio of errors, with to without relaxations, that justifies them
-SMALL_PART = 0.1  # share of the largest allowed error below which modes remain unchanged
-REAL = 1e-6  # imaginary part of a pole that is real, relative
-MASSLESS = 1e-12  # zero eigenvalue of a damping matrix, relative to the largest
-MASS_SHARE = 0.5  # share of the tolerance for the inertia that is left out
+MAX_ERROR_RATIO = 0.5  # error with relaxations, relative to the error without, that justifies them
+UNCHANGED_SHARE = 0.1  # share of the error limit below which modes are not changed
+REAL_POLE_TOLERANCE = 1e-6  # relative imaginary part of a real pole
+ZERO_DAMPING = 1e-12  # zero eigenvalue of a damping matrix, relative to the largest
+MASSLESS_SHARE = 0.5  # share of the tolerance for the removal of masses
 
 
 def approximate_causally(
@@ -75,14 +76,14 @@ def approximate_causally(
     UsageError : a model of first order, or without a definite mass matrix.
     """
     search = _Search(model, reduced, band, norm)
-    error = search.reduce(BASE_SHARE * tolerance)
-    modes = search.viscous_modes
-    for rates in RELAXATIONS:
+    error = search.reduce(VISCOUS_SHARE * tolerance)
+    modes = search.dashpot_modes
+    for rates in RELAXATION_RATES:
         if error <= tolerance:
             break
         trial = search.relaxing(rates, tolerance)
         fewer = search.error(trial)
-        if fewer < WORTH * error:
+        if fewer < MAX_ERROR_RATIO * error:
             modes, error = trial, fewer
     result, known = search.model(modes), search.small.certificate
     assert known is not None
@@ -94,7 +95,7 @@ def approximate_causally(
         f"{known.method}; structural damping{_loss_text(model)} by viscous damping of each mode"
         f"{added}, which differs by {apart:.1e}"
     )
-    estimate = max(error, SAFETY * search.verified_error(result))
+    estimate = max(error, SAFETY_FACTOR * search.verified_error(result))
     if estimate > tolerance:
         warnings.warn(
             f"structural damping{_loss_text(model)} at all frequencies is not causal: the "
@@ -126,15 +127,15 @@ class _Search:
     norm: Norm
 
     def reduce(self, within: float) -> float:
-        """Reduce with viscous damping, and return the error of viscous modes.
+        """Reduce a viscously damped model and return it with the error of its damped modes.
 
         The reduction is repeated if resonances of the structural model are lower than those that
         the reduction evaluated.
         """
         self._reduce(within)
         if self.raised > 1:
-            self._reduce(max(within / self.raised, LOWEST))
-        return self.error(self.viscous_modes)
+            self._reduce(max(within / self.raised, MIN_TOLERANCE))
+        return self.error(self.dashpot_modes)
 
     def _reduce(self, within: float) -> None:
         beta = 1 / (2 * np.pi * self.band[1])  # nowhere in the band more damping than structural
@@ -161,7 +162,7 @@ class _Search:
         self.B, self.C = T.T @ small.B, small.C @ T
         if small.pencil.collocated:
             self.C = self.B.T.copy()
-        for former in ("viscous_modes", "_decoupled"):
+        for former in ("dashpot_modes", "_decoupled"):
             self.__dict__.pop(former, None)
         self.raised = self._peak_amplification()
 
@@ -172,11 +173,13 @@ class _Search:
         return Pencil(parts, self.B, self.C, self.small.D)
 
     @cached_property
-    def viscous_modes(self) -> list[Oscillator]:
-        """Modes with a dashpot each; motions without stiffness have none."""
+    def dashpot_modes(self) -> list[Oscillator]:
+        """Modes with one dashpot each; rigid-body modes have none."""
         share = self._decoupled
         return [
-            viscous_oscillator(k, share * h) if k > 0 else Oscillator(0.0, 0.0, 1.0, *NONE)
+            viscous_oscillator(k, share * h)
+            if k > 0
+            else Oscillator(0.0, 0.0, 1.0, *NO_RELAXATIONS)
             for k, h in zip(self.squares, np.diag(self.H), strict=True)
         ]
 
@@ -184,7 +187,7 @@ class _Search:
     def _decoupled(self) -> float:
         """Share of every mode's own loss without which the rest is still a loss."""
         losses = np.diag(self.H)
-        lossy = losses > MASSLESS * losses.max(initial=0.0)
+        lossy = losses > ZERO_DAMPING * losses.max(initial=0.0)
         if not lossy.any():
             return 0.0
         scale = 1 / np.sqrt(losses[lossy])
@@ -208,14 +211,14 @@ class _Search:
 
     def relaxing(self, relative_rates: Sequence[float], tolerance: float) -> list[Oscillator]:
         """Return modes with relaxations for modes whose error falls considerably."""
-        frequency, exact = self._comparison_response(self.viscous_modes)
+        frequency, exact = self._comparison_response(self.dashpot_modes)
         s = 2j * np.pi * frequency
-        base = Entries.of(exact).base(exact, share_of(self.norm)) + np.finfo(float).tiny
+        base = Entries.of(exact).base(exact, reference_share(self.norm)) + np.finfo(float).tiny
         losses = np.diag(self.H)
         trials: list[Oscillator] = []
         before: list[float] = []
         after: list[float] = []
-        for j, (k, mode) in enumerate(zip(self.squares, self.viscous_modes, strict=True)):
+        for j, (k, mode) in enumerate(zip(self.squares, self.dashpot_modes, strict=True)):
             target = k + 1j * self._decoupled * losses[j] + s**2
             dynamic_stiffness = k + 1j * losses[j] + s**2 + s * self.other_damping[j, j]
             product = np.abs(np.outer(self.C[:, j], self.B[j]))
@@ -228,9 +231,9 @@ class _Search:
             trials.append(trial)
             for errors, item in ((before, mode), (after, trial)):
                 errors.append(float((weight * np.abs(item(s) - target)).max()))
-        limit = SMALL_PART * max(tolerance, np.minimum(before, after).max(initial=0.0))
-        better = (np.array(before) > limit) & (np.array(after) < WORTH * np.array(before))
-        both = zip(trials, self.viscous_modes, better, strict=True)
+        limit = UNCHANGED_SHARE * max(tolerance, np.minimum(before, after).max(initial=0.0))
+        better = (np.array(before) > limit) & (np.array(after) < MAX_ERROR_RATIO * np.array(before))
+        both = zip(trials, self.dashpot_modes, better, strict=True)
         return [trial if use else mode for trial, mode, use in both]
 
     def deviation(self, modes: Sequence[Oscillator]) -> float:
@@ -238,23 +241,27 @@ class _Search:
         frequency, exact = self._comparison_response(modes)
         ours = self.model(modes).transfer(frequency)
         return float(
-            Entries.of(exact).relative_sizes(ours - exact, exact, share_of(self.norm)).max()
+            Entries.of(exact).relative_sizes(ours - exact, exact, reference_share(self.norm)).max()
         )
 
     def error(self, modes: Sequence[Oscillator]) -> float:
         """Return the error estimate with respect to the full model."""
         known = self.small.certificate
         assert known is not None
-        return max(self.raised, 1.0) * known.error_estimate + SAFETY * self.deviation(modes)
+        return max(self.raised, 1.0) * known.error_estimate + SAFETY_FACTOR * self.deviation(modes)
 
     def verified_error(self, result: LinearModel) -> float:
         """Largest relative difference to direct solutions of the full model."""
         low, high = self.band
-        sharp = np.sort(Response(result.pencil.dense()).within(self.band)[0])[:DIRECT]
-        frequencies = np.r_[low + (high - low) * (np.arange(DIRECT) + 0.4) / DIRECT, sharp]
+        sharp = np.sort(Response(result.pencil.dense()).within(self.band)[0])[:DIRECT_SOLUTIONS]
+        frequencies = np.r_[
+            low + (high - low) * (np.arange(DIRECT_SOLUTIONS) + 0.4) / DIRECT_SOLUTIONS, sharp
+        ]
         full = self.full.transfer(frequencies)
-        entries = Entries.of(self._comparison_response(self.viscous_modes)[1])
-        off = entries.relative_sizes(result.transfer(frequencies) - full, full, share_of(self.norm))
+        entries = Entries.of(self._comparison_response(self.dashpot_modes)[1])
+        off = entries.relative_sizes(
+            result.transfer(frequencies) - full, full, reference_share(self.norm)
+        )
         return float(off.max())
 
     def _comparison_response(self, modes: Sequence[Oscillator]) -> tuple[np.ndarray, np.ndarray]:
@@ -265,7 +272,7 @@ class _Search:
         frequency = adaptive_frequencies(response, self.band, False, self.norm)
         frequency = frequency[frequency > 0]
         if self.band[0] == 0:
-            frequency = np.r_[self.band[1] * NEAR_REST, frequency]
+            frequency = np.r_[self.band[1] * LOWEST_FREQUENCIES, frequency]
         return frequency, self.lossy.transfer(2j * np.pi * frequency)
 
     def _peak_amplification(self) -> float:
@@ -275,14 +282,14 @@ class _Search:
         """
         if self.norm == "pointwise":
             return 1.0
-        frequency, exact = self._comparison_response(self.viscous_modes)
+        frequency, exact = self._comparison_response(self.dashpot_modes)
         small = Response(self.small.pencil.dense())
         sharper = np.r_[frequency, small.within(self.band)[0]]
         peaks = np.abs(self.small.transfer(sharper)).max(axis=0)
         return float((peaks / (Entries.of(exact).peak + np.finfo(float).tiny)).max())
 
 
-NONE = np.empty(0), np.empty(0)  # amplitudes and rates
+NO_RELAXATIONS = np.empty(0), np.empty(0)  # amplitudes and rates
 
 
 def with_viscous_loss(model: LinearModel, beta: float) -> tuple[LinearModel, tuple[float, float]]:
@@ -343,7 +350,7 @@ def first_order_model(
     if known is None or any(port.domain is ACCELERATION for port in model.ports):
         return reduced_model
     poles = reduced_model.poles()
-    if not poles.size or (np.abs(poles.imag) > REAL * np.abs(poles)).any():
+    if not poles.size or (np.abs(poles.imag) > REAL_POLE_TOLERANCE * np.abs(poles)).any():
         return reduced_model
     states = reduced_model.order * (1 if reduced_model.first_order else 2)
     pencil = reduced_form(model.pencil)
@@ -355,14 +362,14 @@ def first_order_model(
     light = LinearModel(
         A=-K, E=E, B=pencil.B, C=pencil.C, D=pencil.D, ports=model.ports, name=model.name
     )
-    frequency = grid(known.band_hz, DIRECT, False)
+    frequency = grid(known.band_hz, DIRECT_SOLUTIONS, False)
     try:
         exact, ours = model.transfer(frequency), light.transfer(frequency)
     except SimulationError:
         return reduced_model
-    share = share_of(norm)
-    mass = SAFETY * float(Entries.of(exact).relative_sizes(ours - exact, exact, share).max())
-    if mass > MASS_SHARE * tolerance:
+    share = reference_share(norm)
+    mass = SAFETY_FACTOR * float(Entries.of(exact).relative_sizes(ours - exact, exact, share).max())
+    if mass > MASSLESS_SHARE * tolerance:
         return reduced_model
     small = reduced(light, tolerance - mass, known.band_hz)
     certificate = small.certificate
@@ -380,7 +387,7 @@ def first_order_model(
 def _is_singular(E: np.ndarray) -> bool:
     """Whether a semidefinite matrix is not definite: an unknown without damping."""
     diagonal = E.diagonal()
-    if diagonal.min(initial=np.inf) <= MASSLESS * diagonal.max(initial=0.0):
+    if diagonal.min(initial=np.inf) <= ZERO_DAMPING * diagonal.max(initial=0.0):
         return True
-    matrix = E - MASSLESS * largest_entry(E) * scipy.sparse.eye_array(E.shape[0], format="csc")
+    matrix = E - ZERO_DAMPING * largest_entry(E) * scipy.sparse.eye_array(E.shape[0], format="csc")
     return not is_semidefinite(np.asarray(matrix) if isinstance(E, np.ndarray) else matrix)

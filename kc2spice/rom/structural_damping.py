@@ -1,4 +1,4 @@
-"""Passive models of constant loss factors: relaxing stiffness.
+"""Passive models of a constant loss factor by a relaxing stiffness.
 
 Structural damping ``K (1 + j eta)`` loses the same share of energy at every frequency. No causal
 model has exactly that: by the relation of Kramers and Kronig a constant loss factor makes the
@@ -35,10 +35,11 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel
 
-FURTHER = 6.0  # factor by which the relaxations extend beyond both ends of the band
-DECADES = 4.0  # decades of a band that starts at zero
-POINTS = 40  # frequencies a decade at which amplitudes are fitted
-DENSEST, FEWEST = 6, 8  # relaxations a decade, and beside these, at most
+BAND_EXTENSION = 6.0  # factor by which the relaxation rates extend beyond both ends of the band
+DEFAULT_DECADES = 4.0  # decades of a band that begins at zero
+POINTS_PER_DECADE = 40  # frequencies per decade at which amplitudes are fitted
+# largest number of relaxations: per decade, and in addition to these
+MAX_PER_DECADE, ADDITIONAL_RELAXATIONS = 6, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,16 +140,16 @@ def relaxing_stiffness(
         )
     if loss_factor == 0:
         return RelaxingStiffness(1.0, np.empty(0), np.empty(0), 0.0)
-    low, high = max(band[0], band[1] / 10**DECADES), band[1]
+    low, high = max(band[0], band[1] / 10**DEFAULT_DECADES), band[1]
     decades = math.log10(high / low)
-    f = np.geomspace(low, high, int(POINTS * decades) + POINTS)
+    f = np.geomspace(low, high, int(POINTS_PER_DECADE * decades) + POINTS_PER_DECADE)
     target = np.full(f.size, 1 + 1j * loss_factor)
     if not noncausal:
         target = constant_loss(f, loss_factor, at)
     weight = np.ones(f.size) if sensitivity is None else sensitivity(f)
     best: tuple[float, RelaxingStiffness] | None = None
-    for count in range(2, math.ceil(DENSEST * decades) + FEWEST):
-        rates = 2 * np.pi * np.geomspace(low / FURTHER, FURTHER * high, count)
+    for count in range(2, math.ceil(MAX_PER_DECADE * decades) + ADDITIONAL_RELAXATIONS):
+        rates = 2 * np.pi * np.geomspace(low / BAND_EXTENSION, BAND_EXTENSION * high, count)
         result = _fit_amplitudes(f, target, weight, rates)
         weighted = float((weight * np.abs(result(2j * np.pi * f) / target - 1)).max())
         if best is None or weighted < best[0]:

@@ -42,26 +42,32 @@ from kc2spice.rom.parametric import (
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import prove_stability
 
-ABOVE = 1.2  # multiple of the band's end up to which all modes are kept
-MORE = 8  # further modes; the last mode that is kept lies below their widest gap
-STILL = 1e-6  # squared frequency of a motion without stiffness, relative to the next one
-SILENT = 1e-9  # zero share of a mode in a port, relative to the largest
-GRID = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # points along each axis by number of axes
-DEGREES = {0: 0, 1: 16, 2: 10, 3: 6, 4: 4}  # highest total degree
-# Distance of logarithms of squared frequencies: closer modes stay in one block.
-GAPS = 0.03, 0.1, 0.3, 0.8, np.inf
-MOMENTS = 4  # blocks of static answers and their changes with frequency
-OVERLAP = 0.2  # least overlap of a frame with the frame of the middle
-DRAWS = 16  # points of the box at which the error of the fit is estimated
-SHARE = 0.3  # share of the tolerance for the error of the subspace
-MOVED = 1e-6  # share of a port in a motion without stiffness that is rounding
-WHOLE = 8.0  # gap of squared frequencies that all modes of a model count as
-WORTH = 0.02  # least reduction of the logarithm of a gap that justifies one more state
-DEPENDENT = 1e-9  # square of a dependent Ritz vector, relative to the largest
-CHECKS = 4  # and a corner: full models that nothing is made from
-OWN, SAFETY = 0.4, 1.5  # share of the tolerance for the resonators; margin on points of the box
-FINE = 1e-3  # resolution of coefficients, relative to the tolerance
-NOTCH = 1e-2  # factor of FINE with transfers between ports: large terms cancel at their notches
+# frequency up to which all modes are retained, relative to the end of the band
+MODE_BAND_RATIO = 1.2
+EXTRA_MODES = 8  # additional modes; the widest gap among them ends the retained modes
+# squared frequency of a rigid-body mode (rounding error), relative to the next mode
+ZERO_FREQUENCY_RATIO = 1e-6
+ZERO_GAIN = 1e-9  # gain of a mode at a port, relative to the largest, that counts as zero
+GRID_POINTS = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # points along each axis, keyed by number of axes
+# highest total degree of the polynomials, keyed by number of axes
+MAX_DEGREES = {0: 0, 1: 16, 2: 10, 3: 6, 4: 4}
+# Distances of logarithms of squared frequencies, tried in this order; closer modes form one block.
+MODE_GAPS = 0.03, 0.1, 0.3, 0.8, np.inf
+KRYLOV_BLOCKS = 4  # blocks of static responses and their changes with frequency
+# smallest overlap of the frame of a block with its frame in the middle of the range
+MIN_OVERLAP = 0.2
+CHECK_POINTS = 16  # points of the parameter range at which the error of the fit is estimated
+SUBSPACE_SHARE = 0.3  # share of the tolerance for the error of the subspace
+RIGID_ROUNDING = 1e-6  # share of a port in a rigid-body mode that is rounding error
+LAST_GAP = 8.0  # gap of squared frequencies above the last mode if all modes are retained
+MIN_GAP_GAIN = 0.02  # smallest reduction of the logarithm of a gap that justifies one more state
+DEPENDENT_VECTOR = 1e-9  # square of a dependent Ritz vector, relative to the largest
+FULL_CHECKS = 4  # full models, in addition to one at a corner, that only check the result
+# share of the tolerance for the resonators; safety factor on errors at points of the range
+RESONATOR_SHARE, SAFETY_FACTOR = 0.4, 1.5
+COEFFICIENT_RESOLUTION = 1e-3  # resolution of coefficients, relative to the tolerance
+# factor of COEFFICIENT_RESOLUTION for transfers between ports, whose large terms cancel at notches
+NOTCH_RESOLUTION = 1e-2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -146,8 +152,8 @@ def reduce_over_ranges(
     """Reduce the models ``full(values)`` over the ranges of ``axes``.
 
     The certificate holds for all values in the ranges. Its error is the largest relative
-    difference, in the ``norm``, times :data:`SAFETY` for points in between. The error is the
-    difference to full models at :data:`CHECKS` points and a corner that the model was not made
+    difference, in the ``norm``, times :data:`SAFETY_FACTOR` for points in between. The error is the
+    difference to full models at :data:`FULL_CHECKS` points and a corner that the model was not made
     from, and to the dense model at other points. ``facts`` of the full models remain.
 
     Raises
@@ -176,7 +182,8 @@ def reduce_over_ranges(
     certificate = Certificate(
         band_hz=band,
         error_estimate=error,
-        method=f"over the box: difference to {CHECKS + 1} full models that nothing was made from",
+        method=f"over the box: difference to {FULL_CHECKS + 1} full models that nothing was made "
+        "from",
         stable=form.stable,
         passive=form.passive,
         norm=norm,
@@ -193,7 +200,7 @@ def _certify(
     progress: Callable[[int, int], None],
     norm: Norm,
 ) -> tuple[Varying, float]:
-    """Return the resonators, and :data:`SAFETY` times their largest error.
+    """Return the resonators, and :data:`SAFETY_FACTOR` times their largest error.
 
     The error is the difference to full models.
 
@@ -205,7 +212,7 @@ def _certify(
     degree: int | None = None
     while True:
         dense_model = reduce_over_parameters(full, axes, band, degree=degree, progress=progress)
-        draws = sobol.random(CHECKS) * 2 - 1
+        draws = sobol.random(FULL_CHECKS) * 2 - 1
         points = [_values_at(dense_model.box, x) for x in (*draws, np.sign(draws[0]))]
         checks = []
         for k, values in enumerate(points):
@@ -213,17 +220,17 @@ def _certify(
             space = intermediate_model(full(values).pencil, band, 0.01 * tolerance, 0.3 * tolerance)
             checks.append((values, space.estimator(band, norm), space.error))
         degree = higher_degree(dense_model)
-        error = SAFETY * _difference(dense_model, checks)
+        error = SAFETY_FACTOR * _difference(dense_model, checks)
         if error > tolerance and degree is not None:
             continue
-        result, inner = make_resonators(dense_model, band, OWN * tolerance, norm)
-        error = SAFETY * max(inner, _difference(result, checks))
+        result, inner = make_resonators(dense_model, band, RESONATOR_SHARE * tolerance, norm)
+        error = SAFETY_FACTOR * max(inner, _difference(result, checks))
         if error <= tolerance:
             return result, error
         if degree is None:
             problem = "the error cannot be estimated over the ranges of the parameters"
             got = f"{error:.2g} at a point that nothing was made from"
-            raise range_error(problem, dense_model.frame.name, got, tolerance)
+            raise make_range_error(problem, dense_model.frame.name, got, tolerance)
 
 
 def _difference(
@@ -274,13 +281,13 @@ def make_resonators(
     modes = _ModesOverRanges(dense_model, band)
     points = list(_check_points(dense_model, band, norm))
     best = np.inf
-    for moments in range(1, MOMENTS + 1):
+    for moments in range(1, KRYLOV_BLOCKS + 1):
         space = _ReducedSpace(modes, moments)
         exact = max(estimator.error(Response(space.at(x).pencil)) for x, estimator in points[:3])
-        if exact > SHARE * tolerance and moments < MOMENTS:
+        if exact > SUBSPACE_SHARE * tolerance and moments < KRYLOV_BLOCKS:
             continue
-        for gap in GAPS:
-            for degree in range(min(2, DEGREES[modes.axes]), DEGREES[modes.axes] + 1, 2):
+        for gap in MODE_GAPS:
+            for degree in range(min(2, MAX_DEGREES[modes.axes]), MAX_DEGREES[modes.axes] + 1, 2):
                 result = space.fit_polynomials(gap, degree, tolerance)
                 if result is None:
                     break
@@ -297,7 +304,7 @@ def make_resonators(
     raise range_error(problem, dense_model.frame.name, f"an error of {best:.2g}", tolerance)
 
 
-def range_error(problem: str, name: str, got: str, tolerance: float) -> SimulationError:
+def make_range_error(problem: str, name: str, got: str, tolerance: float) -> SimulationError:
     """Return the error of a model ``name`` whose ranges are too wide for the tolerance."""
     return SimulationError(
         problem,
@@ -323,7 +330,7 @@ def _check_points(
     points.
     """
     count = len(dense_model.box)
-    draws = scipy.stats.qmc.Sobol(count, seed=3).random(DRAWS) * 2 - 1
+    draws = scipy.stats.qmc.Sobol(count, seed=3).random(CHECK_POINTS) * 2 - 1
     corners = sorted(product((1.0, -1.0), repeat=count), key=lambda x: abs(sum(x)), reverse=True)
     for x in (np.zeros(count), *map(np.array, corners), *draws):
         response = Response(dense_model.at(_values_at(dense_model.box, x)).pencil)
@@ -352,17 +359,19 @@ class _ModesOverRanges:
             len(dense_model.axes),
             0,
         )
-        line = np.cos(np.pi * (np.arange(GRID[self.axes]) + 0.5) / GRID[self.axes])
+        line = np.cos(np.pi * (np.arange(GRID_POINTS[self.axes]) + 0.5) / GRID_POINTS[self.axes])
         self.grid = np.array([np.zeros(self.axes), *product(line, repeat=self.axes)])
         points = list(map(self.at, self.grid))
         last = min(p.w2.size for p in points) - 1
         while self.free < last and any(
-            p.w2[self.free] < STILL * p.w2[self.free + 1] for p in points
+            p.w2[self.free] < ZERO_FREQUENCY_RATIO * p.w2[self.free + 1] for p in points
         ):
             self.free += 1
         for p in points:
             share = np.abs(p.V.T @ p.model.B)
-            if (share[: self.free].max(axis=0, initial=0.0) > MOVED * share.max(axis=0)).any():
+            if (
+                share[: self.free].max(axis=0, initial=0.0) > RIGID_ROUNDING * share.max(axis=0)
+            ).any():
                 raise UsageError(
                     "a model with parameters needs a body with a support",
                     where=dense_model.frame.name,
@@ -372,11 +381,11 @@ class _ModesOverRanges:
                 )
         self.points = list(map(self._select_elastic, points))
         w2 = np.array([p.w2 for p in self.points])
-        least = max(1, int((w2 < (ABOVE * 2 * np.pi * band[1]) ** 2).any(axis=0).sum()))
-        counts = np.arange(least, min(least + MORE, w2.shape[1]) + 1)
-        above = np.hstack([w2, WHOLE * w2[:, -1:]])
+        least = max(1, int((w2 < (MODE_BAND_RATIO * 2 * np.pi * band[1]) ** 2).any(axis=0).sum()))
+        counts = np.arange(least, min(least + EXTRA_MODES, w2.shape[1]) + 1)
+        above = np.hstack([w2, LAST_GAP * w2[:, -1:]])
         gaps = np.log(above[:, counts] / w2[:, counts - 1]).min(axis=0)
-        self.count = int(counts[np.argmax(gaps - WORTH * np.arange(len(counts)))])
+        self.count = int(counts[np.argmax(gaps - MIN_GAP_GAIN * np.arange(len(counts)))])
 
     def at(self, x: np.ndarray) -> _DenseModes:
         """Modes at coordinates of the axes, without motions that have no stiffness."""
@@ -403,7 +412,7 @@ class _ReducedSpace:
         size = np.linalg.norm(answers[0], axis=0)
         size[size == 0] = 1.0
         w, T = np.linalg.eigh(sum((a / size).T @ (a / size) for a in answers))
-        large = w > max(DEPENDENT * w[-1], 0.0)
+        large = w > max(DEPENDENT_VECTOR * w[-1], 0.0)
         large[: max(0, len(w) - rest.size)] = False  # no more than there are dimensions
         self.T = T[:, large] / size[:, None]
         pairs = list(map(self._solve_ritz, modes.points))
@@ -412,7 +421,7 @@ class _ReducedSpace:
         self._known: dict[tuple[int, int], tuple[np.ndarray, np.ndarray] | None] = {}
 
     def _project_responses(self, p: _DenseModes) -> np.ndarray:
-        """In coordinates of the modes that are not kept."""
+        """Project responses on the coordinates of the modes that are not retained."""
         k = self.modes.count
         load, share = p.V[:, k:].T @ p.model.B, self.unit / (p.w2[k:, None] - self.shift)
         return np.hstack([share**j * load for j in range(1, self.moments + 1)])
@@ -442,7 +451,7 @@ class _ReducedSpace:
             M, first, rows = self.modes.points[0].model.M, self.Z[0][:, a:b], []
             for p, w2, Z in zip(self.modes.points, self.w2, self.Z, strict=True):
                 U, near, R = np.linalg.svd(Z[:, a:b].T @ M @ first)
-                if near.min() < OVERLAP:
+                if near.min() < MIN_OVERLAP:
                     self._known[a, b] = None
                     return None
                 Q = U @ R
@@ -464,14 +473,18 @@ class _ReducedSpace:
             return None
         port = np.max([np.abs(block[1]).max(axis=(0, 1)) for block in result if block], axis=0)
         port[port == 0] = 1.0
-        blocks = [(K, g) for K, g in filter(None, result) if (np.abs(g) / port).max() > SILENT]
+        blocks = [(K, g) for K, g in filter(None, result) if (np.abs(g) / port).max() > ZERO_GAIN]
         exponents = list_exponents(modes.axes, degree)
         fit = np.linalg.pinv(polynomials(modes.grid, exponents))
         ratio = min(_least_damping_ratio(p, modes.band) for p in modes.points)
-        fine = FINE * tolerance * (NOTCH if len(dense_model.frame.ports) > 1 else 1.0)
+        fine = (
+            COEFFICIENT_RESOLUTION
+            * tolerance
+            * (NOTCH_RESOLUTION if len(dense_model.frame.ports) > 1 else 1.0)
+        )
 
-        def smooth(values: np.ndarray, grain: float | np.ndarray) -> np.ndarray:
-            """Coefficients (terms, …) to a grain, below which nothing is left."""
+        def round_coefficients(values: np.ndarray, grain: float | np.ndarray) -> np.ndarray:
+            """Round coefficients (terms, …) to a resolution, below which they are zero."""
             c = np.tensordot(fit, values, 1)
             return np.asarray(np.round(c / grain) * grain)
 
@@ -483,10 +496,12 @@ class _ReducedSpace:
             pivots = np.diagonal(L, axis1=1, axis2=2)
             rows = slice(at, at + K.shape[1])
             at += K.shape[1]
-            below[:, rows, rows] = smooth(np.tril(L, -1), fine * ratio * pivots.min())
-            diagonal.append(smooth(np.log(pivots), fine * ratio))
+            below[:, rows, rows] = round_coefficients(np.tril(L, -1), fine * ratio * pivots.min())
+            diagonal.append(round_coefficients(np.log(pivots), fine * ratio))
             gain.append(
-                smooth(g, fine * np.minimum(np.abs(g).max(axis=(0, 1)) + SILENT * port, port))
+                round_coefficients(
+                    g, fine * np.minimum(np.abs(g).max(axis=(0, 1)) + ZERO_GAIN * port, port)
+                )
             )
         electrical = [k for k, item in enumerate(dense_model.frame.ports) if item.electrical]
         D = np.array([p.model.D[np.ix_(electrical, electrical)] for p in modes.points])
@@ -503,9 +518,11 @@ class _ReducedSpace:
             diagonal=np.hstack(diagonal),
             below=below,
             gain=np.concatenate(gain, axis=1),
-            capacitance=smooth(np.log(pivots), fine),
-            shared=smooth(np.tril(F, -1), fine * (pivots.min() if pivots.size else 1.0)),
-            rayleigh=smooth(np.log(np.where(damped, damping, 1.0)), fine),
+            capacitance=round_coefficients(np.log(pivots), fine),
+            shared=round_coefficients(
+                np.tril(F, -1), fine * (pivots.min() if pivots.size else 1.0)
+            ),
+            rayleigh=round_coefficients(np.log(np.where(damped, damping, 1.0)), fine),
             damped=(bool(damped[:, 0].all()), bool(damped[:, 1].all())),
             facts={},
             name=dense_model.frame.name,
@@ -515,5 +532,5 @@ class _ReducedSpace:
 def _least_damping_ratio(p: _DenseModes, band: tuple[float, float]) -> float:
     """Least damping ratio of the modes in the band."""
     alpha, beta = p.model.rayleigh or (0.0, 0.0)
-    w = np.sqrt(p.w2[p.w2 < (ABOVE * 2 * np.pi * band[1]) ** 2])
+    w = np.sqrt(p.w2[p.w2 < (MODE_BAND_RATIO * 2 * np.pi * band[1]) ** 2])
     return float(np.clip((alpha / w + beta * w).min(initial=2.0) / 2, 1e-5, 1.0))

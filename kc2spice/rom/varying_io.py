@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.rom.io import (
-    damage_error,
+    make_damage_error,
     parse_certificate,
     parse_ports,
     read_arrays,
@@ -21,8 +21,8 @@ from kc2spice.rom.io import (
 from kc2spice.rom.parametric import Loss, ParameterAxis
 from kc2spice.rom.varying import Varying
 
-_ARRAYS = ("exponents", "diagonal", "below", "gain", "capacitance", "shared", "rayleigh")
-_HIGHEST = 30  # degree of a polynomial, more than any reduction uses
+_ARRAY_NAMES = ("exponents", "diagonal", "below", "gain", "capacitance", "shared", "rayleigh")
+_MAX_DEGREE = 30  # degree of a polynomial, more than any reduction uses
 
 
 def write_varying(model: Varying, directory: Path, name: str) -> list[str]:
@@ -41,7 +41,7 @@ def write_varying(model: Varying, directory: Path, name: str) -> list[str]:
         "units": dict(model.units),
         "descriptions": dict(model.descriptions),
     }
-    arrays = {key: getattr(model, key) for key in _ARRAYS}
+    arrays = {key: getattr(model, key) for key in _ARRAY_NAMES}
     return write_archive(directory, name, arrays, content)
 
 
@@ -63,9 +63,9 @@ def read_varying(path: Path | str) -> Varying:
     """
     path = Path(path)
     try:
-        return _build(*read_arrays(path, _ARRAYS), path.stem)
+        return _build(*read_arrays(path, _ARRAY_NAMES), path.stem)
     except Exception as error:  # damaged bytes cause nearly any exception in the parsers
-        raise damage_error(path, error) from None
+        raise make_damage_error(path, error) from None
 
 
 def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> Varying:

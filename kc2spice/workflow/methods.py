@@ -11,9 +11,9 @@ from kc2spice.bodies.readers.measured import is_measured
 from kc2spice.core.errors import Kc2spiceError, UsageError
 from kc2spice.core.progress import Progress, ignore_progress
 from kc2spice.linalg.solver import require_solver
-from kc2spice.rom.error_estimate import default_norm
+from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.reduction import SMALLEST_TOLERANCE, Reduction
+from kc2spice.rom.reduction import DEFAULT_MIN_TOLERANCE, Reduction
 from kc2spice.rom.reductors.registry import reductor_names
 from kc2spice.workflow.reduce_files import DEFAULT_TOLERANCE, load_full_model
 
@@ -69,8 +69,8 @@ def compare_methods(
     reduction = Reduction(
         model,
         band=band,
-        norm=norm or default_norm(model),  # type: ignore[arg-type]
-        tolerance=tolerance or SMALLEST_TOLERANCE,
+        norm=norm or choose_default_norm(model),  # type: ignore[arg-type]
+        tolerance=tolerance or DEFAULT_MIN_TOLERANCE,
         solver=require_solver(solver, "--solver"),
     )
     shared = time.process_time() - begin

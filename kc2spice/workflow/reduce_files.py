@@ -40,16 +40,16 @@ from kc2spice.netlist.translate import write_dialect_files, write_symbol_files
 from kc2spice.parts.bodies._body_model import full_model_alone, scene_band
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.affine import AffineModel, reduce_affine
-from kc2spice.rom.band import SMALL, natural_band
+from kc2spice.rom.band import MAX_DENSE_EQUATIONS, natural_band
 from kc2spice.rom.branch_fit import fit_one_port
 from kc2spice.rom.constraints import reduced_form
-from kc2spice.rom.error_estimate import default_norm
+from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.heat_network import NetworkForm, require_form
 from kc2spice.rom.instability import explain_instability
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.rom.linear_model import PORT_KINDS, LinearModel
 from kc2spice.rom.reduce import reduce_model
-from kc2spice.rom.stability import DENSE, prove_stability
+from kc2spice.rom.stability import MAX_POLE_STATES, prove_stability
 from kc2spice.rom.varying_io import is_varying, read_varying, write_varying
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.scene_file import list_gallery
@@ -237,7 +237,7 @@ def _reduce_matrices(
             band=band,
             tolerance=tolerance,
             order=order,
-            norm=norm or default_norm(model),  # type: ignore[arg-type]
+            norm=norm or choose_default_norm(model),  # type: ignore[arg-type]
             method=method,
         )
         return shape_heat_model(small, form)
@@ -333,14 +333,17 @@ def _require_stable_full(model: LinearModel, band: tuple[float, float] | None) -
     GateMissedError : the model is unstable; nothing was written.
     """
     states, got = model.order * (1 if model.first_order else 2), None
-    if states <= SMALL:
+    if states <= MAX_DENSE_EQUATIONS:
         return
-    if states > DENSE:
+    if states > MAX_POLE_STATES:
         got = explain_instability(model.pencil, band or model.band)
     else:
         pencil = reduced_form(model.pencil)
         band = band or model.band or natural_band(pencil)
-        if pencil.degree * pencil.size <= DENSE and prove_stability(pencil, band).stable is False:
+        if (
+            pencil.degree * pencil.size <= MAX_POLE_STATES
+            and prove_stability(pencil, band).stable is False
+        ):
             got = "a pole in the right half plane"
     if got is not None:
         raise GateMissedError(

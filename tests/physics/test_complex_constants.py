@@ -7,7 +7,7 @@ from scipy.linalg import eigh
 import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, ignore_progress
-from kc2spice.rom.complex_constants import ComplexConstants, complex_constants
+from kc2spice.rom.complex_constants import ComplexConstants, complex_constants_model
 from kc2spice.rom.linear_model import Certificate, Port
 from kc2spice.rom.modal import Resonators
 from kc2spice.workflow.models import build_models
@@ -63,7 +63,7 @@ def modes(band):
 def test_a_bar_is_that_of_complex_constants(quality, tangent, band):
     model = modes(band)
     at = float(model.omega[0] / (2 * np.pi))
-    result = complex_constants(model, ComplexConstants(1 / quality, tangent, at))
+    result = complex_constants_model(model, ComplexConstants(1 / quality, tangent, at))
     resonances = model.omega[model.omega < 2 * np.pi * band[1]] / (2 * np.pi)
     f = np.sort(np.r_[np.geomspace(max(band[0], 100.0), band[1], 60), resonances])
     exact, H = direct(f, quality, tangent, at), result.transfer(f)
@@ -74,7 +74,7 @@ def test_a_bar_is_that_of_complex_constants(quality, tangent, band):
 
 
 def test_a_body_of_complex_constants_gives_no_power():
-    result = complex_constants(modes((0.0, 250e3)), ComplexConstants(1 / 30, 0.02, 40e3))
+    result = complex_constants_model(modes((0.0, 250e3)), ComplexConstants(1 / 30, 0.02, 40e3))
     H = result.transfer(np.geomspace(1e-2, 1e9, 100))
     loss = (np.conj(np.swapaxes(H, 1, 2)) - H) / 2j
     size = np.sqrt(np.abs(np.einsum("nii->ni", H)))

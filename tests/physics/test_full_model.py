@@ -14,19 +14,19 @@ from kc2spice.bodies.stack_keys import Chip
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce_model
-from kc2spice.rom.surrogate import surrogate
+from kc2spice.rom.surrogate import make_surrogate
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 
 
 def test_surrogate_is_checked_against_direct_solutions():
     full = make_stack(Chip(layers=3, mesh={**SMALL, "order": 2})).model
-    model, error = surrogate(full, (0.0, 500e3))
+    model, error = make_surrogate(full, (0.0, 500e3))
     assert error < 1e-10
     frequency = np.array([1.23e5, 4.56e5])
     np.testing.assert_allclose(model.transfer(frequency), full.transfer(frequency), rtol=1e-9)
     with pytest.raises(SimulationError, match="misses the tolerance"):
-        surrogate(full, (0.0, 500e3), blocks=6)  # 4e-8
+        make_surrogate(full, (0.0, 500e3), blocks=6)  # 4e-8
 
 
 def slender_beam(elements):
@@ -50,7 +50,7 @@ def slender_beam(elements):
 
 def test_surrogate_is_as_good_as_rounding_lets_direct_solutions_be():
     """Statics: ``L^3 / (3 E I)``."""
-    model, error = surrogate(slender_beam(400), (0.0, 2.0))
+    model, error = make_surrogate(slender_beam(400), (0.0, 2.0))
     assert 1e-10 < error < 1e-3
     assert model.transfer(np.array([1e-3]))[0, 0, 0].real == pytest.approx(1 / 3, rel=1e-4)
 

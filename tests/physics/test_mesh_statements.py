@@ -22,7 +22,7 @@ from kc2spice.fem.magnet_rings import Ladder, compare_rings
 from kc2spice.fem.materials import material
 from kc2spice.netlist.library import Header
 from kc2spice.parts.magnetics import moving_conductor
-from kc2spice.physics.contact import SPACED
+from kc2spice.physics.contact import SPACING_NOTE
 from kc2spice.rom.io import read_rom, write_rom
 from kc2spice.scene.axes import describe_plan
 from kc2spice.scene.load import load_scene
@@ -174,7 +174,7 @@ def test_a_contact_by_pressure_states_that_its_mesh_has_no_estimate():
     settings = {"contact.shape": "pressure", "kick.electrical": "open", "kick.layers": 3}
     detail, _, header = stated("impact", "contact", settings)
     assert header in detail
-    assert header == f"mesh: {SPACED}"
+    assert header == f"mesh: {SPACING_NOTE}"
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.netlist.expression import Number
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.physics.declaration import Declaration
-from kc2spice.physics.symbolic import times
+from kc2spice.physics.symbolic import multiply_trees
 
 SINK = {
     "mass": {"part": "thermal_capacitor", "capacity": "1e-3 J/K", "pins": {"b": "gnd"}},
@@ -229,7 +229,7 @@ def test_the_heat_of_a_voice_coil_is_its_electrical_work_less_the_stored_energy(
 
 def test_a_netlist_that_gives_off_too_little_heat_fails_the_balance(monkeypatch):
     power = Declaration.heat_power.func
-    less = property(lambda self: times(Number("0.99"), power(self)))
+    less = property(lambda self: multiply_trees(Number("0.99"), power(self)))
     monkeypatch.setattr(Declaration, "heat_power", less)
     scene, _ = heated_scene("damper")
     with pytest.raises(SimulationError, match="energy of part"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from kc2spice.rom.band import band_end, natural_band
+from kc2spice.rom.band import find_band_end, natural_band
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.workflow.reduce_files import _load_scene_body
@@ -33,8 +33,8 @@ def test_rigid_body_modes_suggest_no_band(n, form):
     low, high = natural_band(model.pencil)
     assert low == 0.0
     assert high == pytest.approx(1.1 * exact[4], rel=1e-6)
-    assert band_end(model.pencil, 3, 1e9) == pytest.approx(exact[2], rel=1e-6)
-    assert band_end(model.pencil, 3, 0.5 * exact[2]) == 0.5 * exact[2]
+    assert find_band_end(model.pencil, 3, 1e9) == pytest.approx(exact[2], rel=1e-6)
+    assert find_band_end(model.pencil, 3, 0.5 * exact[2]) == 0.5 * exact[2]
 
 
 def test_unknowns_without_inertia_suggest_no_band():

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import StateSpace, lsim
 
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.modal import Resonators, chip_response, mode_table, without_inertia
+from kc2spice.rom.modal import Resonators, chip_response, make_highest_modes_massless, mode_table
 
 RNG = np.random.default_rng(12)
 TIP = Port("mech", "mechanical")
@@ -55,7 +55,7 @@ def test_the_certificate_says_where_inertia_ends_and_what_it_costs():
     model = modes([0.5, 100.0], [2.0, 9.0], ratio=0.05)
     certificate = dataclasses.replace(CERTIFICATE, above=((2.0, 0.1), (4.0, 0.2), (8.0, 0.3)))
     model = dataclasses.replace(model, certificate=certificate)
-    light = without_inertia(model)
+    light = make_highest_modes_massless(model)
     frequency = np.linspace(0.0, 1.0, 2001)
     whole, less = model.linear(), light.linear()
     exact = whole.transfer(frequency)[:, 0, 0]
@@ -69,7 +69,7 @@ def test_the_certificate_says_where_inertia_ends_and_what_it_costs():
     own = abs(less.transfer(at) / whole.transfer(at) - 1)[:, 0, 0]
     assert [above[2.0], above[4.0], above[8.0]] == pytest.approx([0.1 + own[0], 0.2 + own[1], 0.3])
     for tolerance, kept in ((1e-6 + 1.001 * more, 1), (1e-6 + 0.999 * more, 0)):
-        assert without_inertia(model, tolerance).massless == kept
+        assert make_highest_modes_massless(model, tolerance).massless == kept
 
 
 # ----------------------------------------------------------------------------------- mode table

@@ -19,8 +19,8 @@ from kc2spice.bodies.readers.mesh import read_nodes
 from kc2spice.bodies.readers.parameters import default_values, make_term, model_parameter
 from kc2spice.bodies.readers.sidecar import Sidecar, TermEntry, read_sidecar
 from kc2spice.core.errors import UsageError, wrong
-from kc2spice.rom.affine import AffineModel, AffineTerm, sum_terms
-from kc2spice.rom.io import BANNER, parse_numbers, read_market
+from kc2spice.rom.affine import AffineModel, AffineTerm, sum_affine_terms
+from kc2spice.rom.io import MARKET_BANNER, parse_numbers, read_market
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Matrix
 
@@ -135,7 +135,7 @@ def read_any_model(
 
 def _assemble_at(rows: Rows, terms: list[AffineTerm], values: Mapping[str, float]) -> LinearModel:
     """Return the full-order model at these parameter values, with each matrix summed from terms."""
-    return assemble_model(replace(rows, matrices=sum_terms(rows.matrices, terms, values)))
+    return assemble_model(replace(rows, matrices=sum_affine_terms(rows.matrices, terms, values)))
 
 
 def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list[AffineTerm]]:
@@ -361,7 +361,7 @@ def _read_matrices(files: dict[str, Path]) -> raw.Raw:
     for letter, path in files.items():
         head = _read_head(path)
         allowed = partial(raw.require_size, path, letter)
-        if head[: len(BANNER)].lower() == BANNER:
+        if head[: len(MARKET_BANNER)].lower() == MARKET_BANNER:
             expected = "a Matrix Market file, 'coordinate' or 'array', not 'pattern' or 'hermitian'"
             result[letter] = raw.parse_file(path, expected, partial(read_market, allowed=allowed))
         elif codes.is_harwell_boeing(head):

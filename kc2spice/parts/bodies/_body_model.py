@@ -244,16 +244,16 @@ class BodyModel(BodyPorts[LinearKeysT]):
         tangent, constants = loss_tangent(part), has_complex_constants(part)
 
         def build() -> LinearModel:
-            from kc2spice.rom.complex_constants import complex_constants
-            from kc2spice.rom.error_estimate import default_norm
-            from kc2spice.rom.modal import add_dielectric_loss, without_inertia
+            from kc2spice.rom.complex_constants import complex_constants_model
+            from kc2spice.rom.error_estimate import choose_default_norm
+            from kc2spice.rom.modal import add_dielectric_loss, make_highest_modes_massless
 
             orders = self.orders(part, scene, clock)
             selected = orders.model
             with clock.time_stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, selected.order)
                 band = self.limit_band(target.band, model_key, lambda: selected)
-                norm = target.norm or default_norm(selected)
+                norm = target.norm or choose_default_norm(selected)
                 if constants:
                     selected = _with_least_damping(part, selected, band)
                 aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
@@ -270,11 +270,11 @@ class BodyModel(BodyPorts[LinearKeysT]):
             if modal is None:
                 return small
             if model_key["massless"]:
-                modal = without_inertia(modal, target.tolerance)
+                modal = make_highest_modes_massless(modal, target.tolerance)
             labels: dict[str, Any] = {"name": small.name, "facts": small.facts, "band": small.band}
             if constants:
                 losses = losses_of(part, selected)
-                return replace(complex_constants(modal, losses), **labels)
+                return replace(complex_constants_model(modal, losses), **labels)
             if tangent:
                 modal = add_dielectric_loss(modal, tangent)
             return replace(modal.linear(), **labels)
@@ -289,11 +289,11 @@ class BodyModel(BodyPorts[LinearKeysT]):
         full: Callable[[], LinearModel],
     ) -> tuple[float, float]:
         """Limit a band to the first natural frequencies of the full model (``least_band_end``)."""
-        from kc2spice.rom.band import band_end
+        from kc2spice.rom.band import find_band_end
 
         (low, high), least_end = band, key.get("sure")
         if least_end is not None and high > least_end:
-            high = min(high, max(least_end, band_end(full().pencil, MOTIONS, high)))
+            high = min(high, max(least_end, find_band_end(full().pencil, MOTIONS, high)))
         return low, high
 
     def reduce_body(

@@ -15,7 +15,7 @@ from kc2spice.core.errors import UsageError, did_you_mean, wrong
 from kc2spice.core.quantities import find_unit, join_path, list_keys, validate
 from kc2spice.netlist.circuit import Param
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
-from kc2spice.rom.parametric import MOST_PARAMETERS, ParameterAxis
+from kc2spice.rom.parametric import MAX_PARAMETERS, ParameterAxis
 from kc2spice.scene.model import GovernedScene, Part
 
 PARAMETERS = "rom.parameters"

@@ -29,7 +29,14 @@ from kc2spice.physics.declaration import (
 )
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import DeclaredPart, branch_voltage
-from kc2spice.physics.symbolic import ONE, ZERO, derivative, evaluate_tree, over, times
+from kc2spice.physics.symbolic import (
+    ONE,
+    ZERO,
+    differentiate_tree,
+    divide_trees,
+    evaluate_tree,
+    multiply_trees,
+)
 from kc2spice.scene.model import (
     Build,
     DeclaredScene,
@@ -128,10 +135,10 @@ class LinearElement(DeclaredPart[KeysT]):
         """Order of the derivative, and admittance, from the declaration."""
         d, b = self.declaration, self.branch
         flow = d.direct_flow(b)
-        stiff, slow = derivative(flow, b.name), derivative(flow, b.rate)
-        stored = derivative(d.stored_quantity(b), b.name)
+        stiff, slow = differentiate_tree(flow, b.name), differentiate_tree(flow, b.rate)
+        stored = differentiate_tree(d.stored_quantity(b), b.name)
         if b.flows:
-            return -1, over(ONE, stored)
+            return -1, divide_trees(ONE, stored)
         if b.moves:
             return (-1, stiff) if stiff != ZERO else (0, slow)
         return (1, stored) if stored != ZERO else (0, stiff)
@@ -172,9 +179,9 @@ class LinearElement(DeclaredPart[KeysT]):
         if self._is_heated_in(part, build):
             return super().cards(part, build)
         a, b = build.net(part, "a"), build.net(part, "b")
-        admittance = times(self._unit, self.admittance_law[1])
+        admittance = multiply_trees(self._unit, self.admittance_law[1])
         if self._letter != "C":
-            value = self._evaluate(part, over(ONE, admittance))
+            value = self._evaluate(part, divide_trees(ONE, admittance))
             separate = build.has_noise and not self._has_si_units
             noise = self._noise_cards(part, build, a, b) if separate else ()
             silent = self._letter == "R" and not (self._has_loss and self._has_si_units)
@@ -197,7 +204,7 @@ class LinearElement(DeclaredPart[KeysT]):
         The conductance is proportional to the capacitance, as for an electrode of a body. The
         currents ``rate C v`` of a net then sum to zero if the charges ``C v`` do.
         """
-        value = LEAK_RATE * self._evaluate(part, times(self._unit, self.admittance_law[1]))
+        value = LEAK_RATE * self._evaluate(part, multiply_trees(self._unit, self.admittance_law[1]))
         return (Element.of(build.inner_name(part, f"G{part.name}", "leak"), a, b, a, b, value),)
 
     @cached_property
@@ -226,7 +233,7 @@ class LinearElement(DeclaredPart[KeysT]):
         across, n, b = branch_voltage(build, part, self.branch), part.name, self.branch
         voltage, flow = b.domain.across, b.domain.through_variable
         if self._letter == "R":
-            admittance = times(Number(f"{voltage.factor:g}"), self.admittance_law[1])
+            admittance = multiply_trees(Number(f"{voltage.factor:g}"), self.admittance_law[1])
             factor = self._evaluate(part, admittance)
             through = Vector(across, factor, flow.unit, ("b",), ("a",))
         else:

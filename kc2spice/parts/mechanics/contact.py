@@ -25,7 +25,7 @@ from kc2spice.parts.mechanics._touching import (
 )
 from kc2spice.physics import Declaration, DeclaredPart
 from kc2spice.physics.cards import force_node
-from kc2spice.physics.contact import SPACED, Normal, declare_contact
+from kc2spice.physics.contact import SPACING_NOTE, Normal, declare_contact
 from kc2spice.physics.part import make_pins
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import SOLUTION_PAIRS, Balance, Check, Gate, Metric, motion_error_limit
@@ -225,7 +225,7 @@ class Contact(DeclaredPart[ContactKeys]):
             yield Check(name, make_pair(part, build.scene).basis_error(), COARSE_BASIS)
 
     def discretisation(self, part: Part[ContactKeys], build: Build) -> str:
-        return f"mesh: {SPACED}" if part.keys.shape == "pressure" else ""
+        return f"mesh: {SPACING_NOTE}" if part.keys.shape == "pressure" else ""
 
     def notes(self, part: Part[ContactKeys], scene: Scene) -> Iterator[str | Neglected]:
         keys, pair = part.keys, make_pair(part, scene)

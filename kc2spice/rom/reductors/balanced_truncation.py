@@ -13,15 +13,15 @@ from kc2spice.rom.pencil import Pencil, explicit_pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 
-# Limits of the work, which grows with the cube of the states. Chosen by trial.
-LARGEST = 2000  # first-order states up to which dense Gramians are computed
-LARGEST_UNSCALED = 500  # first-order states up to which a second pair of Gramians is tried
+# Limits of the work, which grows with the cube of the number of states; chosen by trial.
+MAX_STATES = 2000  # first-order states up to which dense Gramians are computed
+MAX_UNSCALED_STATES = 500  # first-order states up to which a second pair of Gramians is tried
 # Least decay of the slowest pole in e-folds per radian at the end of the band. Gramians of slower
 # poles are rounding.
-STRICTLY_STABLE = 1e-9
+MIN_DECAY = 1e-9
 SYLVESTER_BLOCK = 64  # largest block of a Lyapunov equation that LAPACK solves at once
 HANKEL_ROUNDING = 1e-13  # Hankel singular values below this, relative to the largest, are rounding
-NOT_STABLE = "the model is not strictly stable"
+NOT_STABLE_TEXT = "the model is not strictly stable"
 
 
 class BalancedTruncation(Reductor):
@@ -54,7 +54,7 @@ class BalancedTruncation(Reductor):
 
     reference = "Laub, Heath, Paige and Ward, IEEE Trans. Autom. Control 32 (1987) 115"
     congruence = False
-    no_basis = NOT_STABLE
+    no_basis = NOT_STABLE_TEXT
 
     def __init__(self, scaled: bool = True) -> None:
         self.scaled = scaled
@@ -62,12 +62,12 @@ class BalancedTruncation(Reductor):
 
     def obstacle(self, task: Task) -> str:
         """Return why the model has no Gramians, or why scales make no difference."""
-        reason = no_gramians(task)
+        reason = explain_no_gramians(task)
         if reason or self.scaled:
             return reason
         if task.estimator.reference[1].peak.size == 1:
             return "one transfer function alone has no scale: use 'balanced truncation'"
-        return too_large(task.first_order.pencil.size, LARGEST_UNSCALED)
+        return explain_too_large(task.first_order.pencil.size, MAX_UNSCALED_STATES)
 
     def basis(self, task: Task) -> ReducedBasis | None:
         """Return the balanced model; None if it is not strictly stable."""
@@ -103,7 +103,7 @@ def _gramian_roots(
     not strictly stable.
     """
     A = -model.coefficients[0]
-    if np.linalg.eigvals(A).real.max() > -STRICTLY_STABLE:
+    if np.linalg.eigvals(A).real.max() > -MIN_DECAY:
         return None
     controllable = _gramian_root(A, model.B / columns)
     return controllable, _gramian_root(A, (model.C / rows[:, None]).T, transposed=True)
@@ -114,19 +114,19 @@ def has_gramians(task: Task) -> bool:
 
     The model is stable at rest, and no damping couples rigid-body modes to other motions.
     """
-    return not no_gramians(task)
+    return not explain_no_gramians(task)
 
 
-def no_gramians(task: Task) -> str:
+def explain_no_gramians(task: Task) -> str:
     """Return the reason why dense Gramians are not computed, "" if they are."""
     if task.core.free:
         return "damping couples rigid-body modes to other motions, so Gramians do not exist"
     if not task.intermediate.static:
         return "the model has no static response, so Gramians do not exist"
-    return too_large(task.states, LARGEST)
+    return explain_too_large(task.states, MAX_STATES)
 
 
-def too_large(states: int, largest: int) -> str:
+def explain_too_large(states: int, largest: int) -> str:
     """Return the reason if a model with this number of states is too large, otherwise ""."""
     if states <= largest:
         return ""

@@ -9,13 +9,14 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.balanced_truncation import (
     balanced_basis,
     balancing_factors,
-    no_gramians,
-    too_large,
+    explain_no_gramians,
+    explain_too_large,
 )
 from kc2spice.rom.reductors.base import Reductor
 
-LARGEST = 900  # first-order states up to which the method is tried: a limit of the work, by trial
-# Every fourth sample is used in the peak norm, which does not see notches. Chosen by trial.
+# first-order states up to which the method is tried: a limit of the work, by trial
+MAX_STATES = 900
+# In the peak norm, which ignores notches, every fourth sample is used. Chosen by trial.
 PEAK_NORM_STEP = 4
 
 
@@ -49,7 +50,9 @@ class BandLimitedBalancing(Reductor):
 
     def obstacle(self, task: Task) -> str:
         """Return why the model is too large, or its samples are not cheap."""
-        reason = no_gramians(task) or too_large(task.first_order.pencil.size, LARGEST)
+        reason = explain_no_gramians(task) or explain_too_large(
+            task.first_order.pencil.size, MAX_STATES
+        )
         if reason or task.first_order.diagonal:
             return reason
         return "the eigenvectors of the model are too close to each other for fast samples"

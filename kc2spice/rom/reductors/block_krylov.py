@@ -17,14 +17,14 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.response import Response
 
-# Blocks beyond the order whose model estimates the error: the change by the second block shows
-# whether the first one was enough. Chosen by trial.
-BLOCKS_BEYOND = 2
+# Blocks beyond the requested order for the error estimate: the change due to the second block shows
+# whether the first block was sufficient. Chosen by trial.
+EXTRA_BLOCKS = 2
 # Vectors for a tolerance, per state of the intermediate model, which may have several expansion
 # points. Chosen by trial.
 VECTORS_PER_STATE = 2
-# A candidate that keeps less than this of its length outside the basis brings rounding noise only.
-DEFLATION = 1e-10
+# Share of a candidate's length outside the basis below which it is rounding noise.
+DEFLATION_LIMIT = 1e-10
 Operator = Callable[[np.ndarray], np.ndarray]
 
 
@@ -64,7 +64,7 @@ class BlockKrylov(Reductor):
 
     def basis(self, task: Task) -> ReducedBasis:
         """Return the projection of the full-order model on nested Krylov vectors."""
-        if not task.intermediate.proof:  # made by this method, for a prescribed order
+        if not task.intermediate.proof:  # created by this method for a prescribed order
             V = task.intermediate.basis
             return ReducedBasis(task, task.intermediate.pencil, vectors=V, coordinates="full order")
         V = krylov_vectors(task.pencil, VECTORS_PER_STATE * task.intermediate.pencil.size)
@@ -95,7 +95,7 @@ def nested_model(
 
     ``space`` is the Krylov space of the model, if it is known.
     """
-    count = order + BLOCKS_BEYOND * pencil.B.shape[1]
+    count = order + EXTRA_BLOCKS * pencil.B.shape[1]
     V = (space or krylov_space(pencil)).vectors(count)
     response = Response(pencil.project(V))
     return IntermediateModel(response, 0.0, True, "", basis=V, points=(0.0,))
@@ -127,7 +127,8 @@ class BlockArnoldi:
     def __init__(self, stiffness: Operator, solve: Operator, mass: Operator, B: np.ndarray) -> None:
         self._solve, self._mass = solve, mass
         self._basis = OrthonormalBasis(stiffness, B.shape[0])
-        self._right_sides: np.ndarray = B  # of the next block; without columns if there is none
+        # right-hand sides of the next block; empty if there is none
+        self._right_sides: np.ndarray = B
 
     def vectors(self, count: int) -> np.ndarray:
         """Return the first ``count`` columns; fewer if the Krylov space is exhausted."""
@@ -176,12 +177,12 @@ class OrthonormalBasis:
         self._reserve(candidates.shape[1])
         old = self._count
         for vector, length in zip(candidates.T, lengths, strict=True):
-            for first in (old, 0):  # twice is enough (Kahan, Parlett)
+            for first in (old, 0):  # two passes suffice (Kahan, Parlett)
                 V, KV = self.vectors[:, first:], self.images[:, first:]
                 vector = vector - V @ (KV.T @ vector)
             image = self._stiffness(vector)
             remaining = np.sqrt(max(vector @ image, 0.0))
-            if remaining > DEFLATION * length:
+            if remaining > DEFLATION_LIMIT * length:
                 self._vectors[:, self._count] = vector / remaining
                 self._images[:, self._count] = image / remaining
                 self._count += 1

@@ -12,10 +12,10 @@ import scipy
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.balanced_truncation import (
     HANKEL_ROUNDING,
-    NOT_STABLE,
-    STRICTLY_STABLE,
+    MIN_DECAY,
+    NOT_STABLE_TEXT,
     balancing_factors,
-    no_gramians,
+    explain_no_gramians,
 )
 from kc2spice.rom.reductors.base import Reductor
 
@@ -45,7 +45,7 @@ class CongruentBalancing(Reductor):
 
     name = "balanced truncation by congruence"
     reference = "Liu, Sreeram and Teo, Syst. Control Lett. 34 (1998) 209"
-    no_basis = NOT_STABLE
+    no_basis = NOT_STABLE_TEXT
 
     def obstacle(self, task: Task) -> str:
         """Return why the Gramians are not equal, or do not exist."""
@@ -54,7 +54,7 @@ class CongruentBalancing(Reductor):
             return "the model is of second order"
         if not (core.symmetric and core.collocated):
             return "its matrices are not symmetric, or C is not the transpose of B"
-        return no_gramians(task)
+        return explain_no_gramians(task)
 
     def basis(self, task: Task) -> ReducedBasis | None:
         """Return the balanced model; None if it is not strictly stable."""
@@ -66,7 +66,7 @@ class CongruentBalancing(Reductor):
             rates, X = scipy.linalg.eigh(*core.coefficients)
         except scipy.linalg.LinAlgError:  # unknowns without capacity
             return None
-        if rates[0] <= STRICTLY_STABLE * task.band[1]:
+        if rates[0] <= MIN_DECAY * task.band[1]:
             return None
         loads = X.T @ core.B
         static = np.empty((len(rates), 0))

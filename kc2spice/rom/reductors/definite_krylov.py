@@ -20,20 +20,21 @@ from kc2spice.rom.free_body import FreeBody
 from kc2spice.rom.intermediate import IntermediateModel, no_convergence_error
 from kc2spice.rom.pencil import GrowingProjection, Pencil
 from kc2spice.rom.reductors.block_krylov import Operator, OrthonormalBasis
-from kc2spice.rom.reductors.rational_krylov import CONFIRMATIONS, MOST_VECTORS
-from kc2spice.rom.response import GRID, Response, sample_band
+from kc2spice.rom.reductors.rational_krylov import CONFIRMATIONS, MAX_VECTORS
+from kc2spice.rom.response import GRID_FREQUENCIES, Response, sample_band
 from kc2spice.rom.rigid_body import hidden_support
 from kc2spice.rom.rounding import removed_stiffness, with_rounding, zero_entries
 
-# Number of blocks before a new point is considered. The factor at zero is a Cholesky factor, and
-# that of a shift is an indefinite one of several times its time and memory. Blocks at zero are
-# therefore the cheapest vectors as long as they converge. Both numbers are chosen by trial.
+# Number of blocks before a new expansion point is considered. The Cholesky factor at zero takes a
+# fraction of the time and memory of the indefinite factor at a shift, so blocks at zero are the
+# cheapest vectors as long as they converge. Chosen by trial.
 BLOCKS_AT_ZERO = 60
 BLOCKS_AT_SHIFT = 3
 # Blocks of solids with several modes in the band, for the first estimate of the remaining time.
 USUAL_BLOCKS = 14
-GAIN = 3.0  # factor by which a further block must reduce the change, otherwise a point follows
-NEAREST = 1e-3  # least distance of two points, relative to the end of the band
+# factor by which a further block must reduce the change; otherwise a new point follows
+MIN_REDUCTION = 3.0
+MIN_POINT_DISTANCE = 1e-3  # least distance of two points, relative to the end of the band
 
 
 def definite_krylov_model(
@@ -71,7 +72,7 @@ def definite_krylov_model(
     blocks = BLOCKS_AT_ZERO
     previous: Response | None = None
     timer = ConvergenceTimer(target, CONFIRMATIONS, USUAL_BLOCKS, "Krylov block")
-    while space.vectors.shape[1] < MOST_VECTORS:
+    while space.vectors.shape[1] < MAX_VECTORS:
         columns, images = space.extend(candidates)
         V, inertia = space.vectors, M @ columns
         projection.extend(V, images if body is None else K @ columns, inertia)
@@ -81,8 +82,8 @@ def definite_krylov_model(
             basis = V @ coordinates
         response = Response(small)
         response.zero = zero_entries(pencil, basis, response, band)
-        # notches come last
-        frequency = sample_band(response, band, GRID, not small.free, (0.0, 1.0, 4.0))
+        # notches are last
+        frequency = sample_band(response, band, GRID_FREQUENCIES, not small.free, (0.0, 1.0, 4.0))
         s = 2j * np.pi * frequency
         H = response.transfer(s)
         size = np.ones((len(s), 1, 1))
@@ -104,10 +105,12 @@ def definite_krylov_model(
             return with_rounding(pencil, basis, band, result, target)
         previous = response
         blocks -= 1
-        if columns.shape[1] and (blocks >= 0 or change <= before / GAIN):
+        if columns.shape[1] and (blocks >= 0 or change <= before / MIN_REDUCTION):
             candidates = solve(inertia)
             continue
-        distant = np.abs(frequency[:, None] - np.array(used)).min(axis=1) > NEAREST * band[1]
+        distant = (
+            np.abs(frequency[:, None] - np.array(used)).min(axis=1) > MIN_POINT_DISTANCE * band[1]
+        )
         if not distant.any():
             break
         worst = float(frequency[np.argmax(np.where(distant, size.max(axis=(1, 2)), -1.0))])

@@ -18,17 +18,17 @@ import numpy as np
 
 from kc2spice.linalg.exact import RefinedSolver
 from kc2spice.rom.entries import Entries
-from kc2spice.rom.error_estimate import inaccuracy_error, relative_size
+from kc2spice.rom.error_estimate import make_inaccuracy_error, relative_size
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.response import FLANK, SHARPEST, Response, grid, sample_band
+from kc2spice.rom.response import FLANK_DISTANCE, MIN_DAMPING_RATIO, Response, grid, sample_band
 from kc2spice.rom.rounding import rounding_uncertainty, uncertainty_note
 
 # Numbers of frequencies. Chosen by trial.
-FIRST_POINTS = 12  # samples before the error is estimated
-MOST_POINTS = 90  # samples at which the method gives up
-CANDIDATES = 151  # frequencies of which the next sample is one
-# Limits of directions that are noise, over the largest singular value; the best one is used.
+FIRST_SAMPLES = 12  # samples before the error is estimated
+MAX_SAMPLES = 90  # samples at which the method gives up
+CANDIDATE_FREQUENCIES = 151  # frequencies of which the next sample is one
+# singular values, relative to the largest, below which directions are noise; the best limit is used
 NOISE_LIMITS = 10.0 ** -np.arange(13, 6, -1)
 
 
@@ -105,16 +105,16 @@ def sampled_model(
     SimulationError : not even ``limit`` is met; a model free to move at zero frequency.
     """
     known = ExactSamples(full)
-    every = grid(band, CANDIDATES, True)
-    for k in np.unique(np.linspace(0, len(every) - 2, FIRST_POINTS).astype(int)):
+    every = grid(band, CANDIDATE_FREQUENCIES, True)
+    for k in np.unique(np.linspace(0, len(every) - 2, FIRST_SAMPLES).astype(int)):
         known.add(float(every[k]))
     last = Response(known.model()[0])
     known.add(float(band[1]))
     model, _ = known.model()
     recent = [np.inf]
-    while len(known.frequency) < MOST_POINTS:
+    while len(known.frequency) < MAX_SAMPLES:
         before = Response(model)
-        points = sample_band(before, band, CANDIDATES, True)
+        points = sample_band(before, band, CANDIDATE_FREQUENCIES, True)
         points = points[~np.isclose(points[:, None], known.frequency, rtol=1e-7).any(axis=1)]
         if not points.size:
             break
@@ -127,11 +127,11 @@ def sampled_model(
         model, fit = known.model()
         recent = [*recent[-1:], max(error, fit)]
         if max(recent) <= target or (
-            len(known.frequency) > MOST_POINTS // 2 and max(recent) <= limit
+            len(known.frequency) > MAX_SAMPLES // 2 and max(recent) <= limit
         ):
             break
     if not max(recent) <= limit:
-        raise inaccuracy_error(
+        raise make_inaccuracy_error(
             "the model cannot be distinguished from rounding errors",
             f"relative error {max(recent):.1e} with {model.size} states",
             limit,
@@ -140,7 +140,7 @@ def sampled_model(
     proof = f"checked against the full model at {len(known.frequency)} frequencies with refined "
     response = Response(model)
     at, ratio = response.within(band)
-    at = at * (1 + FLANK * (ratio < SHARPEST)) if at.size else np.array(band)
+    at = at * (1 + FLANK_DISTANCE * (ratio < MIN_DAMPING_RATIO)) if at.size else np.array(band)
     proof += "solutions" + uncertainty_note(at, rounding_uncertainty(full, at), 2 * limit)
     return IntermediateModel(response, max(recent), True, proof)
 

@@ -17,17 +17,18 @@ import scipy
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.error_estimate import relative_size
 from kc2spice.rom.pencil import Pencil, Schur, absolute_entries
-from kc2spice.rom.reductors.block_krylov import DEFLATION
+from kc2spice.rom.reductors.block_krylov import DEFLATION_LIMIT
 from kc2spice.rom.reductors.exact_samples import real_parts
 from kc2spice.rom.response import Response, sample_band
-from kc2spice.rom.rigid_body import RANDOM, energy_rounding, split_rigid_body
-from kc2spice.rom.rounding import FREE, zero_entries
+from kc2spice.rom.rigid_body import ENERGY_FACTOR, energy_rounding, split_rigid_body
+from kc2spice.rom.rounding import ENERGY_ROUNDING, zero_entries
 
-# K x = B solved to less than this of B: the model is free to move at zero frequency.
-SINGULAR = 1e-6
+# Residual of K x = B, relative to B, above which the model is unsupported at zero frequency.
+SINGULAR_RESIDUAL = 1e-6
 # Numbers chosen by trial.
-SKETCH = 32  # random combinations of equations that represent all residuals
-CANDIDATES = 101  # frequencies of each grid, linear and logarithmic, of which the next point is one
+SKETCH_SIZE = 32  # random combinations of equations that represent all residuals
+# frequencies of each grid, linear and logarithmic, of which the next point is one
+CANDIDATE_FREQUENCIES = 101
 
 
 class GreedyBasis:
@@ -42,7 +43,7 @@ class GreedyBasis:
         self.basis = np.empty((pencil.size, 0))
         self.points = 0
         self.change = np.inf
-        sketch = np.random.default_rng(0).standard_normal((SKETCH, pencil.size))
+        sketch = np.random.default_rng(0).standard_normal((SKETCH_SIZE, pencil.size))
         self._sides = [_Sketch(sketch, pencil.coefficients, pencil.B)]
         if self.two_sided:
             dual = pencil.transposed()
@@ -99,7 +100,7 @@ class GreedyBasis:
         return complex(s[np.argmax(np.where(fresh, measure, -1.0))])
 
     def _candidates(self) -> np.ndarray:
-        return sample_band(self.response, self.band, CANDIDATES, self.static)
+        return sample_band(self.response, self.band, CANDIDATE_FREQUENCIES, self.static)
 
     def _add_static(self) -> bool:
         """Add the static answers if there are any; False for a model that is free to move."""
@@ -109,7 +110,7 @@ class GreedyBasis:
         except SimulationError:
             return False
         residual = self.pencil.coefficients[0] @ answers[0] - b
-        if np.linalg.norm(residual) > SINGULAR * np.linalg.norm(b):
+        if np.linalg.norm(residual) > SINGULAR_RESIDUAL * np.linalg.norm(b):
             return False
         self.extend(0.0, *answers)
         return True
@@ -157,13 +158,13 @@ class GreedyBasis:
         """
         V, coefficients = self.modal_basis, self.pencil.coefficients
         sizes, eps = list(map(absolute_entries, coefficients)), np.finfo(float).eps
-        bound = FREE * eps * (np.abs(V).T @ (sizes[0] @ np.abs(V)))
+        bound = ENERGY_ROUNDING * eps * (np.abs(V).T @ (sizes[0] @ np.abs(V)))
         energies = np.abs(np.diag(small.coefficients[0]))
         if (energies > np.diag(bound)).all():
             return small, np.eye(small.size)
         if not isinstance(coefficients[0], Schur):
-            bound = np.minimum(bound, RANDOM * energy_rounding(coefficients[0], V))
-        others = [FREE * eps * (np.abs(V).T @ (P @ np.abs(V))) for P in sizes[1:]]
+            bound = np.minimum(bound, ENERGY_FACTOR * energy_rounding(coefficients[0], V))
+        others = [ENERGY_ROUNDING * eps * (np.abs(V).T @ (P @ np.abs(V))) for P in sizes[1:]]
         result = split_rigid_body(small, 2 * np.pi * self.band[1], (bound, *others))
         if result.pencil.degree != small.degree or (self.static and result.pencil.free):
             return small, np.eye(small.size)
@@ -189,7 +190,7 @@ class _Sketch:
 
     def __init__(self, sketch: np.ndarray, coefficients: tuple[Any, ...], b: np.ndarray) -> None:
         self._rows = [np.asarray((P.T @ sketch.T).T) for P in coefficients]
-        self._images = [np.empty((SKETCH, 0)) for _ in coefficients]
+        self._images = [np.empty((SKETCH_SIZE, 0)) for _ in coefficients]
         self._b = sketch @ b
 
     def extend(self, columns: np.ndarray) -> None:
@@ -227,10 +228,10 @@ def _independent_directions(basis: np.ndarray, new: np.ndarray) -> np.ndarray:
     result = np.empty((basis.shape[0], 0))
     for column in new.T:
         length = np.linalg.norm(column)
-        for _ in range(2):  # twice is enough (Kahan, Parlett)
+        for _ in range(2):  # two passes suffice (Kahan, Parlett)
             column = column - basis @ (basis.T @ column)
             column = column - result @ (result.T @ column)
         rest = np.linalg.norm(column)
-        if rest > DEFLATION * length and basis.shape[1] + result.shape[1] < basis.shape[0]:
+        if rest > DEFLATION_LIMIT * length and basis.shape[1] + result.shape[1] < basis.shape[0]:
             result = np.column_stack([result, column / rest])
     return result

@@ -10,14 +10,19 @@ import numpy as np
 
 from kc2spice.rom.pencil import Pencil, explicit_pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
-from kc2spice.rom.reductors.balanced_truncation import NOT_STABLE, BalancedTruncation, no_gramians
+from kc2spice.rom.reductors.balanced_truncation import (
+    NOT_STABLE_TEXT,
+    BalancedTruncation,
+    explain_no_gramians,
+)
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.response import Response
 
-CONVERGED = 1e-9  # relative change of the poles at which the iteration ends
-ITERATIONS = 100  # iterations after which the method gives up. Chosen by trial.
-# Error of the balanced model, over the tolerance, above which an order is not tried. By trial.
-HOPELESS = 10.0
+POLE_TOLERANCE = 1e-9  # relative change of the poles at which the iteration ends
+MAX_ITERATIONS = 100  # iterations after which the method gives up. Chosen by trial.
+# Error of the balanced model, relative to the tolerance, above which an order is not tried. Chosen
+# by trial.
+MAX_START_ERROR = 10.0
 
 
 class Irka(Reductor):
@@ -52,11 +57,11 @@ class Irka(Reductor):
     name = "IRKA"
     reference = "Gugercin, Antoulas and Beattie, SIAM J. Matrix Anal. Appl. 30 (2008) 609"
     congruence = False
-    no_basis = NOT_STABLE
+    no_basis = NOT_STABLE_TEXT
 
     def obstacle(self, task: Task) -> str:
         """Return why the model has no Gramians, with which the iteration begins."""
-        return no_gramians(task)
+        return explain_no_gramians(task)
 
     def basis(self, task: Task) -> ReducedBasis | None:
         """Return the models of all orders, each computed when it is needed.
@@ -87,7 +92,7 @@ class OptimalModels(ReducedBasis):
 
         The iteration is skipped if the balanced model of the same order is far from it.
         """
-        limit = HOPELESS * tolerance
+        limit = MAX_START_ERROR * tolerance
         if not self.balanced_models.error(order, limit) <= limit:
             return False
         return super().is_acceptable(order, tolerance)
@@ -111,10 +116,10 @@ class OptimalModels(ReducedBasis):
         rest, inertia = balanced.coefficients
         reduced = Pencil((rest / omega, inertia), balanced.B / omega, balanced.C, balanced.D)
         former, change = np.full(count, np.inf, dtype=complex), np.inf
-        for _ in range(ITERATIONS):
+        for _ in range(MAX_ITERATIONS):
             poles, left, right = residues(reduced)
             change = float(np.abs(np.sort_complex(poles) / np.sort_complex(former) - 1).max())
-            if change <= CONVERGED:
+            if change <= POLE_TOLERANCE:
                 break
             former = poles
             reduced = interpolate_response(full, mirrored_poles(poles), left, right)

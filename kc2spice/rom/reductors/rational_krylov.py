@@ -19,11 +19,11 @@ from kc2spice.rom.rigid_body import hidden_support
 from kc2spice.rom.rounding import removed_stiffness, with_rounding
 
 # Limits of the work at which the method gives up. Chosen by trial.
-MOST_VECTORS = 600  # vectors of a basis
-MOST_POINTS = 180  # factorisations
-CONFIRMATIONS = 2  # points in a row that must meet the target, as one may be a coincidence
+MAX_VECTORS = 600  # vectors of a basis
+MAX_POINTS = 180  # factorisations
+CONFIRMATIONS = 2  # successive points that must meet the target, because one may do so by chance
 MANY_POINTS = 20  # factorisations after which a large model warns of the cause
-LARGE = 10_000  # unknowns of a large model. Chosen by trial.
+LARGE_UNKNOWNS = 10_000  # unknowns of a large model. Chosen by trial.
 USUAL_POINTS = 10  # factorisations, for the first estimate of the remaining time
 BASIS_SHARE = 0.01  # share of the tolerance at which a basis of the method ends. By trial.
 
@@ -80,7 +80,7 @@ class RationalKrylov(Reductor):
         end = 2j * np.pi * task.band[1]
         search.extend(end, *search.solve(end))
         met, limit = 0, task.core.size
-        while met < CONFIRMATIONS and search.basis.shape[1] < limit and search.points < MOST_POINTS:
+        while met < CONFIRMATIONS and search.basis.shape[1] < limit and search.points < MAX_POINTS:
             try:
                 error, grown = search.check(search.next_point())
             except SimulationError:  # no candidate is left
@@ -124,11 +124,11 @@ def rational_krylov_model(
     timer = ConvergenceTimer(target, CONFIRMATIONS, USUAL_POINTS, "frequency")
     end = 2j * np.pi * band[1]
     search.extend(end, *search.solve(end))
-    while search.points < most and search.basis.shape[1] < MOST_VECTORS:
+    while search.points < most and search.basis.shape[1] < MAX_VECTORS:
         error, grown = search.check(search.next_point())
         met = met + 1 if max(error, search.change) <= target else 0
         timer.end_step(max(error, search.change))
-        if search.points == MANY_POINTS + 1 and pencil.size >= LARGE:
+        if search.points == MANY_POINTS + 1 and pencil.size >= LARGE_UNKNOWNS:
             modes = search.response.within(band)[0].size
             text = "a narrower band, a looser tolerance or proportional damping costs less"
             warnings.warn(
@@ -137,8 +137,8 @@ def rational_krylov_model(
                 f"contains at least {modes} resonances; {text}",
                 stacklevel=2,
             )
-        # An error from before the basis grew is no longer that of the projection. A point beside
-        # a former one does not extend the basis, and does not test the rest of the band.
+        # An error from before the basis grew no longer applies to the projection. A point next to
+        # an earlier one neither extends the basis nor tests the other parts of the band.
         recent = [*recent[-1:], error] if grown or idle else [error]
         idle = 0 if grown else idle + 1
         if CONFIRMATIONS in (met, idle):

@@ -23,8 +23,8 @@ _BUILT_IN = (
     POD, TWO_SIDED_POD, BALANCED, UNSCALED, OVER_BAND, CONGRUENT, BLOCK_KRYLOV, RationalKrylov(),
     Irka(),
 )  # fmt: skip
-# Where a method that is not built in may be used.
-OWN_METHODS = (
+# description of where a user's method may be used
+USER_METHODS_TEXT = (
     "own methods are for Python only: kc.register_reductor, then kc.reduce(..., method=NAME)"
 )
 _reductors: dict[str, Reductor] = {reductor.name: reductor for reductor in _BUILT_IN}

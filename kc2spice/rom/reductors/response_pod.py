@@ -13,16 +13,19 @@ from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.snapshots import snapshots, tail_weight, weighted_states
 from kc2spice.rom.response import Response
 
-# Condition of an energy above which one motion costs no energy except for rounding.
-SOFT = 1e12
-RANK = 1e-13  # singular values of snapshots below this, relative to the largest, are rounding
+# condition of the stiffness above which a mode has no elastic energy within rounding
+MAX_STIFFNESS_CONDITION = 1e12
+# singular values of snapshots below this, relative to the largest, are rounding
+SINGULAR_VALUE_LIMIT = 1e-13
 # Limits and factors of the fit of weights. Chosen by trial.
-TIGHTENED = 150  # order up to which other weights are tried
-TRIALS = 12  # updates of the weights
-SPARE = 20  # vectors beyond the order, at least, that a better basis is made from
-SPARE_ERROR = 0.5  # share of the tolerance that the model of all of these vectors must meet
-LEAST_WEIGHT = 0.05  # squared factor of weights where the error is zero: none vanishes at once
-TAIL_FADING = 0.5  # factor of the weight above the band in each trial, as no certificate covers it
+MAX_TIGHTENED_ORDER = 150  # order up to which other weights are tried
+MAX_TRIALS = 12  # updates of the weights
+MIN_EXTRA_VECTORS = 20  # vectors beyond the order from which a better basis is made
+EXTRA_ERROR_SHARE = 0.5  # share of the tolerance that the model of all these vectors must meet
+# squared factor of a weight where the error is zero, so that no weight vanishes at once
+MIN_WEIGHT = 0.05
+# factor of the weight above the band in each trial, because no certificate covers it
+TAIL_FADING = 0.5
 
 
 class ResponsePod(Reductor):
@@ -80,8 +83,15 @@ class ResponsePod(Reductor):
         Snapshots receive larger weights at frequencies at which the error with one state fewer is
         largest (Lawson's minimax fit). The weights above the band are reduced step by step.
         """
-        size, least = min(basis.size, max(3 * order, order + SPARE)), max(basis.fixed, 1)
-        if order <= least or order > TIGHTENED or basis.error(size) > SPARE_ERROR * tolerance:
+        size, least = (
+            min(basis.size, max(3 * order, order + MIN_EXTRA_VECTORS)),
+            max(basis.fixed, 1),
+        )
+        if (
+            order <= least
+            or order > MAX_TIGHTENED_ORDER
+            or basis.error(size) > EXTRA_ERROR_SHARE * tolerance
+        ):
             return basis, order
         pencil, task = basis.pencil.leading(size), basis.task
         response = Response(pencil)
@@ -91,7 +101,7 @@ class ResponsePod(Reductor):
         base = task.estimator.reference[1].base(H, task.estimator.share) + np.finfo(float).tiny
         states = _weighted_states(task, response, s, np.ones(len(s)), not task.collocated)
         weight, tail, best = np.ones(points.inside.size), 1.0, basis
-        for _ in range(TRIALS):
+        for _ in range(MAX_TRIALS):
             factors = points.weights(weight, tail)
             columns = np.hstack([_scale_states(side, factors) for side in states])[basis.fixed :]
             V = scipy.linalg.block_diag(np.eye(basis.fixed), _principal_directions(columns)[0])
@@ -105,7 +115,7 @@ class ResponsePod(Reductor):
                     break
                 best, order = trial, order - 1
             largest = error.max(axis=(1, 2))
-            weight = weight * np.sqrt(largest / largest.max() + LEAST_WEIGHT)
+            weight = weight * np.sqrt(largest / largest.max() + MIN_WEIGHT)
             weight, tail = weight / weight.max(), TAIL_FADING * tail
         return best, order
 
@@ -171,7 +181,7 @@ def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
     dynamic = rest + omega**pencil.degree * inertia
     for energy in (rest, dynamic) if static else (dynamic,):
         energy = 0.5 * (energy + energy.T)
-        if np.linalg.cond(energy) > SOFT:
+        if np.linalg.cond(energy) > MAX_STIFFNESS_CONDITION:
             continue
         try:
             return np.asarray(
@@ -195,7 +205,9 @@ def _orthonormalise(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
 def _significant_range(columns: np.ndarray) -> np.ndarray:
     """Principal directions of the columns whose singular values are not rounding."""
     U, size = _principal_directions(columns)
-    return np.asarray(U[:, size > RANK * max(size.max(initial=0.0), np.finfo(float).tiny)])
+    return np.asarray(
+        U[:, size > SINGULAR_VALUE_LIMIT * max(size.max(initial=0.0), np.finfo(float).tiny)]
+    )
 
 
 def _principal_directions(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

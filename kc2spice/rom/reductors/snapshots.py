@@ -15,19 +15,20 @@ from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.response import Response, grid, sample_resonances
 
-# Points of each grid, linear and logarithmic. Every resonance adds snapshots of its own, so the
-# grid follows the response between resonances.
+# Points of each grid, linear and logarithmic. Every resonance adds snapshots, so the grid covers
+# the response between resonances.
 GRID_POINTS = 101
-# The tail. Chosen by trial.
-TAIL_REACH = 8.0  # end of the tail over the end of the band
+# Snapshots above the band; chosen by trial.
+TAIL_REACH = 8.0  # end of the frequencies above the band, relative to the end of the band
 TAIL_POINTS = 150
-TAIL_DECAY = 4  # power of the fall of the weight: forces of contacts are smooth on the whole
-# Range of weights at the end of the band. Chosen by trial: launches of the paper's chip by reduced
-# models of 20 to 31 states had errors of at most 3e-4, and larger ones with weights up to 1e-2.
+TAIL_DECAY = 4  # exponent with which the weight decreases above the band: contact forces are smooth
+# Smallest and largest weight at the end of the band. Chosen by trial: launches of the paper's chip
+# by reduced models of 20 to 31 states had errors of at most 3e-4, and larger ones with weights up
+# to 1e-2.
 TAIL_WEIGHTS = 4e-3, 5e-2
 TAIL_PER_ROOT = 120.0  # weight per root of the tolerance: squares of errors are minimised
-# An entry counts at least this share of its peak: the floor of the pointwise norm.
-LEAST_SHARE = {"pointwise": 1e-6, "peak": 1.0}
+# Smallest reference of an entry, relative to its peak: the floor of the pointwise norm.
+MIN_REFERENCE_SHARE = {"pointwise": 1e-6, "peak": 1.0}
 
 
 class Snapshots(NamedTuple):
@@ -91,7 +92,7 @@ def weighted_states(
     pencil = response.pencil
     H = pencil.C @ x + pencil.D
     if pencil.symmetric and pencil.collocated:
-        least = LEAST_SHARE[norm] * np.abs(np.einsum("fii->fi", H)).max(axis=0)
+        least = MIN_REFERENCE_SHARE[norm] * np.abs(np.einsum("fii->fi", H)).max(axis=0)
         size = np.sqrt(np.maximum(np.abs(np.einsum("fii->fi", complete)), least))
     else:
         size = _lengths(x, H, complete, norm)

@@ -19,7 +19,7 @@ from kc2spice.equations.networks import Network
 from kc2spice.equations.replay import select_networks_to_solve
 from kc2spice.equations.scene_laws import scene_laws, with_laws
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.surrogate import surrogate
+from kc2spice.rom.surrogate import make_surrogate
 from kc2spice.scene.model import Build
 from kc2spice.workflow.verify.full_transient import (
     FullSolution,
@@ -134,7 +134,7 @@ def _with_surrogates(networks: list[Network], stop: float, clock: Clock) -> list
         if id(law.model) not in bodies:
             with clock.time_stage("full model", f"{law.name}: basis against direct solutions"):
                 try:
-                    model, _ = surrogate(law.model, (0.0, stop))
+                    model, _ = make_surrogate(law.model, (0.0, stop))
                 except SimulationError:
                     model = law.model
             bodies[id(law.model)] = replace(law, model=model, known={})
