@@ -21,7 +21,7 @@ from typing import Any
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import Clock
-from kc2spice.parts.bodies._body_checks import TWICE
+from kc2spice.parts.bodies._body_checks import STATE_FACTOR
 from kc2spice.parts.bodies._body_model import reduction_target
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
@@ -105,7 +105,7 @@ def suggested_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> M
     checks = [check for check in error.violated if not check.coarse]
     names = [f"{check.name.removeprefix('reduction of ')}.rom.order" for check in checks]
     raised = all(check.loaded for check in checks) and all(name in automatic for name in names)
-    orders = {name: TWICE * automatic[name] for name in names} if raised else {}
+    orders = {name: STATE_FACTOR * automatic[name] for name in names} if raised else {}
     return orders if max(orders.values(), default=0) <= MAX_VECTORS else {}
 
 

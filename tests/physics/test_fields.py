@@ -24,7 +24,7 @@ from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import material
 from kc2spice.fem.solid import Solid, compute_node_shares
 from kc2spice.parts.bodies import disc, langevin
-from kc2spice.parts.bodies._pictures import OBLIQUE, draw_deformed, draw_modes
+from kc2spice.parts.bodies._pictures import OBLIQUE_SHIFT, draw_deformed, draw_modes
 from kc2spice.rom.linear_model import Port
 from kc2spice.scene.load import load_scene
 
@@ -273,7 +273,7 @@ def test_a_picture_shows_the_surface_in_the_colour_of_its_stress(kind):
     assert shown == pytest.approx(1 / (b * h), rel=1e-3)  # MPa
     dot = np.diff(panel.map.x).mean() * np.diff(panel.map.y).mean()
     stretched = L + 1e3 * factor * np.abs(z).max()
-    area = stretched * h + OBLIQUE * b * (stretched + h)
+    area = stretched * h + OBLIQUE_SHIFT * b * (stretched + h)
     assert shown.size * dot == pytest.approx(area, rel=0.05)
     assert 1.0 < stretched / L < 1.2
 

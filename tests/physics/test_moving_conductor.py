@@ -14,7 +14,7 @@ import kc2spice as kc
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock, ignore_progress
 from kc2spice.fem.magnet_rings import Winding, divide_section, reduce_to_loops
-from kc2spice.parts.magnetics.moving_conductor import ROUGH, declare
+from kc2spice.parts.magnetics.moving_conductor import MAX_RING_ERROR, declare
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.scene.load import load_scene
 
@@ -157,7 +157,7 @@ def test_rings_too_coarse_for_a_skin_are_seen_by_finer_ones():
         scene = load_scene(over(Winding(5e-3, 2e-3, 2e-3, -2e-3, 50.0), radius=10e-3, rings=count))
         part = scene.parts["disc"]
         rough[count] = part.type.build(part, scene, Clock(ignore_progress)).rough
-    assert rough[20] > ROUGH > rough[200]
+    assert rough[20] > MAX_RING_ERROR > rough[200]
 
 
 def test_a_coil_of_many_layers_has_its_inductance():

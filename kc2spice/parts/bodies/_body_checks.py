@@ -33,32 +33,46 @@ from kc2spice.scene.model import Build, Part
 from kc2spice.scene.parttype import compute_pin_forces
 from kc2spice.synthesis.realize import COARSE_WEIGHTS
 
-BEYOND = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
-OUTSIDE = "the reduced model has no error estimate above its band: widen rom.band"
-TWICE = 2  # ratio of the recommended number of states to that of a model that is too coarse
-WRONG, COARSE_ROM = 0.1, 0.01  # certified relative errors above which a run fails, or warns
+DEPOLING_ADVICE = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
+OUTSIDE_BAND_ADVICE = "the reduced model has no error estimate above its band: widen rom.band"
+STATE_FACTOR = 2  # ratio of the recommended number of states to that of a model that is too coarse
+# error estimates above which a run fails, or prints a warning
+FAILURE_ERROR, WARNING_ERROR = 0.1, 0.01
 # Error of a port's compliance above the band. A body in contact with a larger one is judged by
 # the loads of the run. Measured: at most 0.20 for shipped kicks, whose error is below 0.3 % (rms);
 # at least 0.53 for chips of 7 to 12 states, whose error is 2 to 3 %.
-UNLIKE = 0.3
-REDUCED = "the reduced model is that far off somewhere in its band: set rom.tolerance, or rom.order"
-LOADED = "rms of displacement or charge, under the run's own loads"
-FEWER = "a model of {} states answers the run's own forces and voltages that differently: set {}"
-SHARP = (
+MAX_COMPLIANCE_ERROR = 0.3
+REDUCED_ADVICE = (
+    "the reduced model is that far off somewhere in its band: set rom.tolerance, or rom.order"
+)
+LOADED_UNIT = "rms of displacement or charge, under the run's own loads"
+FEWER_STATES_ADVICE = (
+    "a model of {} states answers the run's own forces and voltages that differently: set {}"
+)
+RESONANCE_ADVICE = (
     "the reduced model is that far off at some frequency of its band, such as a sharp resonance, "
     "and what rings on after the loads of this run drifts out of phase: set rom.tolerance, or a "
     "larger rom.order, if that ringing matters"
 )
-GROWS = "the body has motions that grow by themselves: check signs and halves of its matrices"
-LOST = "the full model has motions that grow by themselves, and the reduced one does not hold them"
-STEEP = "its current within an edge is off: widen rom.band, or give the drive the edge that it has"
-TOUCHED = "a contact excites modes of the body that the reduced model lacks: widen rom.band"
-# factor on the lowest resonance; a band that ended below caused an error of 2 % in a kick
-RESONANT = 1.5
-STILL = 1e-9  # distance of equal time points, relative to the duration of a run
-KEPT = 1e-4  # share of a floating electrode's charge that a run may lose by the netlist's leak
-STORED = 0.1  # limit relative to the stored energy; after a pulse a chip rings at up to 30 MHz
-UNPRESSED = 1e-9  # zero load, relative to the largest force or energy; far above rounding
+UNSTABLE_BODY_ADVICE = (
+    "the body has motions that grow by themselves: check signs and halves of its matrices"
+)
+UNSTABLE_FULL_ADVICE = (
+    "the full model has motions that grow by themselves, and the reduced one does not hold them"
+)
+STEEP_EDGE_ADVICE = (
+    "its current within an edge is off: widen rom.band, or give the drive the edge that it has"
+)
+CONTACT_ADVICE = "a contact excites modes of the body that the reduced model lacks: widen rom.band"
+# smallest end of the band, relative to the lowest resonance; a lower end caused an error of 2 % in
+# a kick
+MIN_BAND_RATIO = 1.5
+EQUAL_TIME_TOLERANCE = 1e-9  # distance of equal time points, relative to the duration of a run
+# share of a floating electrode's charge that the leak of the netlist may remove
+MAX_CHARGE_LOSS = 1e-4
+# limit relative to the stored energy; after a pulse a chip rings at up to 30 MHz
+MAX_STORED_SHARE = 0.1
+ZERO_LOAD = 1e-9  # zero load, relative to the largest force or energy; far above rounding
 
 
 class BodyChecks(BodyNetlist[LinearKeysT]):
@@ -79,12 +93,16 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             yield from self._check_reduction(part, build, waves, result)
             if result.stable is False:
                 full_is_stable = prove_stability(model.pencil.dense(), result.band_hz).stable
-                advice, then = (LOST, "fail") if full_is_stable else (GROWS, "warn")
+                advice, then = (
+                    (UNSTABLE_FULL_ADVICE, "fail")
+                    if full_is_stable
+                    else (UNSTABLE_BODY_ADVICE, "warn")
+                )
                 yield Check(f"stability of {part.name}", 1.0, 0.0, "", advice, then)  # type: ignore[arg-type]
         if result is not None and "frequency" in waves:
             highest = float(waves["frequency"].real.max())
             limit = (1 + 1e-9) * result.band_hz[1]  # includes a last point with a rounding error
-            yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE, "warn")
+            yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE_BAND_ADVICE, "warn")
         yield from self._check_rating(part, build, waves)
         if "time" not in waves:
             return
@@ -109,16 +127,18 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             name = wave_name(part.name, ports, port)
             if port.paired and f"{name}.voltage" in waves:
                 largest = float(np.abs(waves[f"{name}.voltage"]).max())
-                yield Check(f"rating of {name}", largest, volts, "V", BEYOND, "warn")
+                yield Check(f"rating of {name}", largest, volts, "V", DEPOLING_ADVICE, "warn")
 
     def _check_leak(self, part: Part[LinearKeysT], build: Build) -> Iterator[Check]:
-        """Check of the charge that a floating electrode loses through the netlist's leak."""
+        """Return the check of the charge that a floating electrode loses through the netlist's
+        leak.
+        """
         leaked = -math.expm1(-build.scene.stop * LEAK_RATE)
         ports = names_of(paired_ports(build.model(part, LinearModel).ports))
-        for port in ports if leaked > KEPT else ():
+        for port in ports if leaked > MAX_CHARGE_LOSS else ():
             name = f"charge kept by {part.name}.{port} if it floats"
             advice = "the netlist's leak: a resistor across the electrode states the real one"
-            yield Check(name, leaked, KEPT, "of it lost", advice, "warn")
+            yield Check(name, leaked, MAX_CHARGE_LOSS, "of it lost", advice, "warn")
 
     def _check_reduction(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms, certificate: Certificate
@@ -134,24 +154,26 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         responses of this model and of a model with more states to the recorded forces and voltages.
         """
         name, error = part.name, certificate.error_estimate
-        unlike = max((size for _, size in certificate.above), default=0.0) > UNLIKE
+        unlike = max((size for _, size in certificate.above), default=0.0) > MAX_COMPLIANCE_ERROR
         contact = unlike and any(contacts_on(part, build.scene))
         loaded = None
-        if "time" in waves and (error > WRONG or contact):
+        if "time" in waves and (error > FAILURE_ERROR or contact):
             loaded = self.error_under_load(part, build, waves, build.model(part, LinearModel))
         if loaded is None:
-            yield _reduction_check(name, error, "", REDUCED)
+            yield _reduction_check(name, error, "", REDUCED_ADVICE)
             return
         worst, states = loaded
         model, target = build.model(part, LinearModel), reduction_target(part, build.scene)
-        order = TWICE * (target.order or model.order)
+        order = STATE_FACTOR * (target.order or model.order)
         default = self._stated_reduction(part, build.scene) is None and not part.parameter_ranges
         key = "rom.order" if part.keys.rom is None and not default else f"{name}.rom.order"
-        advice = FEWER.format(states, f"{key} = {order}")
-        check = _reduction_check(name, worst, LOADED, advice)
+        advice = FEWER_STATES_ADVICE.format(states, f"{key} = {order}")
+        check = _reduction_check(name, worst, LOADED_UNIT, advice)
         more = {key: order, f"{name}.rom.band": list(certificate.band_hz)} if default else {}
         yield replace(check, suggested=more, loaded=True)
-        yield Check(f"resonances of {name}", error, COARSE_ROM, "of a response", SHARP, "warn")
+        yield Check(
+            f"resonances of {name}", error, WARNING_ERROR, "of a response", RESONANCE_ADVICE, "warn"
+        )
 
     def error_under_load(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms, model: LinearModel
@@ -205,9 +227,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             lowest = build.model(part, LinearModel).facts.get("resonance_short_hz")
             if lowest is not None:
                 name = f"band of {part.name}, first resonance"
-                yield Check(name, RESONANT * lowest, high, "Hz", TOUCHED, "warn")
+                yield Check(name, MIN_BAND_RATIO * lowest, high, "Hz", CONTACT_ADVICE, "warn")
             return
-        apart = np.diff(t) > STILL * t[-1]
+        apart = np.diff(t) > EQUAL_TIME_TOLERANCE * t[-1]
         for port in self.used_ports(part, scene):
             if not port.paired or not apart.any():
                 continue
@@ -218,7 +240,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             slope = np.abs(np.diff(voltage)[apart] / np.diff(t)[apart]).max()
             name = f"band of {part.name}, drive of {port.name}"
             content = float(slope / (np.pi * np.ptp(voltage)))
-            yield Check(name, content, high, "Hz", STEEP, "warn")
+            yield Check(name, content, high, "Hz", STEEP_EDGE_ADVICE, "warn")
 
     def loads(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
@@ -281,14 +303,14 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         if pressed := self.weights(part, build.scene) == COARSE_WEIGHTS:
             forces = [*map(loads.__getitem__, names_of(mechanical_ports(model.ports)))]
             largest = np.abs(forces).max(axis=0, initial=0.0)
-            last = np.flatnonzero(largest > UNPRESSED * largest.max(initial=0.0)).max(initial=0)
+            last = np.flatnonzero(largest > ZERO_LOAD * largest.max(initial=0.0)).max(initial=0)
             gap = gap[: int(last) + 1]
-        scale = max(float(np.ptp(stored)), UNPRESSED * float(stored.max()))
+        scale = max(float(np.ptp(stored)), ZERO_LOAD * float(stored.max()))
         exactly = {} if pressed else answers
-        return Balance(entries, float(np.abs(gap).max()), scale, STORED, exact=exactly)
+        return Balance(entries, float(np.abs(gap).max()), scale, MAX_STORED_SHARE, exact=exactly)
 
 
 def _reduction_check(name: str, error: float, unit: str, advice: str) -> Check:
     """A check of a reduced model's error, which warns before it fails."""
-    limit, action = (WRONG, "fail") if error > WRONG else (COARSE_ROM, "warn")
+    limit, action = (FAILURE_ERROR, "fail") if error > FAILURE_ERROR else (WARNING_ERROR, "warn")
     return Check(f"reduction of {name}", error, limit, unit, advice, action)  # type: ignore[arg-type]

@@ -24,7 +24,7 @@ from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.parts.bodies._body_ports import BodyPorts, requires_massless_ports
 from kc2spice.parts.bodies._box import (
-    PARAMETERS,
+    RANGES_KEY,
     check_corners,
     middle_values,
     values_of_part,
@@ -51,15 +51,15 @@ if TYPE_CHECKING:
     from kc2spice.rom.enriched import Orders
 
 OverRanges = Varying | HeatOverRanges  # reduced model over ranges of parameters
-UNASKED = 1e-4  # tolerance over parameter ranges for bodies whose default is an order
-# Hz, least upper end of the band of a transient, because switching in the circuit has unknown
+RANGE_TOLERANCE = 1e-4  # tolerance over parameter ranges for bodies whose default is an order
+# Hz, smallest upper end of the band of a transient, because switching in the circuit has unknown
 # frequencies
-LEAST = 10e3
-MOTIONS = 20  # number of natural frequencies in the default band; higher ones depend on the mesh
+MIN_BAND_END = 10e3
+BAND_MODES = 20  # number of natural frequencies in the default band; higher ones depend on the mesh
 # Keys of a body that do not affect its models.
-_NO_MODEL = {"rom", "fields", "rated_voltage", "number"}
+_IRRELEVANT_KEYS = {"rom", "fields", "rated_voltage", "number"}
 # Packages and modules that every full and reduced model depends on.
-SOURCES = (
+MODEL_SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
     "kc2spice.core.domains", "kc2spice.core.gmsh_session", "kc2spice.core.naming",
     "kc2spice.core.quantities", "kc2spice.core.untrusted_files", "kc2spice.parts.bodies._box",
@@ -91,7 +91,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     def full_key(self, part: Part[LinearKeysT], scene: GovernedScene) -> Mapping[str, Any]:
         """Keys on which the full model depends."""
-        return {"keys": part.keys.model_dump(mode="json", exclude=_NO_MODEL)}
+        return {"keys": part.keys.model_dump(mode="json", exclude=_IRRELEVANT_KEYS)}
 
     def problems(self, part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         yield from check_dimensions(part.name, part.keys)
@@ -111,7 +111,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         """Settings of the keys; by default a tolerance over the band that the analysis uses.
 
         In ``ac``, the band ends 20 % above the last frequency. In a transient, it contains the
-        excited frequencies (:meth:`PartType.numerics`), up to the first :data:`MOTIONS` natural
+        excited frequencies (:meth:`PartType.numerics`), up to the first :data:`BAND_MODES` natural
         frequencies of the body. The tolerance of 1e-3 is a tenth of usual mesh errors. This
         tolerance exceeds the effect of rounding on a free thin plate, which is about 1e-4 at its
         resonances.
@@ -139,7 +139,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     def least_content(self, scene: Scene) -> float:
         """Least upper end of the band of a transient [Hz], whatever the scene excites."""
-        return LEAST
+        return MIN_BAND_END
 
     def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:
         rom = reduction_target(part, scene)
@@ -151,7 +151,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             "rom": settings,
         }
         least_end = self.least_band_end(part, scene)
-        reached = {} if least_end is None else {"sure": least_end, "motions": MOTIONS}
+        reached = {} if least_end is None else {"sure": least_end, "motions": BAND_MODES}
         return result | reached | {"massless": requires_massless_ports(part, scene)}
 
     def varying(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> OverRanges:
@@ -169,7 +169,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         if scene.analysis.type == "noise":
             problem = "a netlist with parameters has no thermal noise"
             raise wrong(
-                f"{part.name}.{PARAMETERS}", problem, ", ".join(i.key for i in keys), "none"
+                f"{part.name}.{RANGES_KEY}", problem, ", ".join(i.key for i in keys), "none"
             )
         ordered = target.order is not None and "order" in target.model_fields_set
         if ordered and specified is not None and specified.order:
@@ -190,7 +190,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                     full,
                     [item.axis for item in keys],
                     band,
-                    target.tolerance or UNASKED,
+                    target.tolerance or RANGE_TOLERANCE,
                     lambda done, of: share(done / of),
                     target.norm or "pointwise",
                 )
@@ -219,7 +219,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return reduce_over_ranges(full, axes, band, tolerance, progress, norm)
 
     def _has_constant_losses(self, part: Part[LinearKeysT]) -> bool:
-        """Whether it has losses that the matrices of a full model cannot have."""
+        """Return whether the body has losses that the matrices of a full model cannot represent."""
         return bool(loss_tangent(part)) or has_complex_constants(part)
 
     def _full_model(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> LinearModel:
@@ -293,7 +293,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
         (low, high), least_end = band, key.get("sure")
         if least_end is not None and high > least_end:
-            high = min(high, max(least_end, find_band_end(full().pencil, MOTIONS, high)))
+            high = min(high, max(least_end, find_band_end(full().pencil, BAND_MODES, high)))
         return low, high
 
     def reduce_body(
@@ -331,7 +331,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def sources(self) -> tuple[str, ...]:
         """Modules on whose text the models of this type depend, for the cache."""
         classes = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, BodyPorts))
-        return (*SOURCES, *classes)
+        return (*MODEL_SOURCES, *classes)
 
 
 def loss_tangent(part: Part) -> float:

@@ -35,8 +35,10 @@ from kc2spice.synthesis.realize import (
     subcircuit,
 )
 
-RATED = "electrodes, as stated or by the field in its ceramic; the netlist itself has no limit"
-_LONGEST = 47  # largest number of letters of the names of scene and part in the name of a library
+RATING_TEXT = (
+    "electrodes, as stated or by the field in its ceramic; the netlist itself has no limit"
+)
+_MAX_NAME_LENGTH = 47  # letters of the names of scene and part in the name of a library
 
 
 class BodyNetlist(BodyModel[LinearKeysT]):
@@ -58,7 +60,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
 
     def scene_library(self, part: Part[LinearKeysT], scene: Scene) -> str:
         """Return the names of scene and part: one folder may contain libraries of many scenes."""
-        name = f"{scene.name[: _LONGEST - len(part.name)]}_{part.name}"
+        name = f"{scene.name[: _MAX_NAME_LENGTH - len(part.name)]}_{part.name}"
         return make_identifier(name, part.name)
 
     def subcircuits(
@@ -66,7 +68,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     ) -> tuple[Subcircuit, ...]:
         name = build.libraries[part.name]
         volts = self.rated_voltage(part, build)
-        rating = f"{volts:.4g} V between {RATED}" if volts else UNRATED
+        rating = f"{volts:.4g} V between {RATING_TEXT}" if volts else UNRATED
         if not volts and paired_ports(build.model(part, LinearModel).ports):
             rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
         words: dict[str, Any] = {"title": self.headline(part), "rating": rating}

@@ -29,12 +29,17 @@ from kc2spice.scene.model import (
 from kc2spice.scene.rows import Rest
 from kc2spice.synthesis.realize import reference_pin
 
-# Kinds of ports with one pin against the common reference, and the short words of their waves.
-ANSWERS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
-# Symbols of the flows whose integral is the output of a port, by the kind of port.
-FLOWS = {row.port: row.through_variable.symbol for row in ANSWERS.values() if row.charged}
-WORDS = (*(domain.word for domain in ANSWERS.values()), *FLOWS.values())
-NO_ENERGY = 1e-13  # rounding error of an energy, relative to that of the stiffest motion
+# Kinds of ports with one pin against the common reference, and their domains.
+SINGLE_PIN_KINDS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
+# Symbols of through quantities whose integral is the output of a port, keyed by kind of port.
+FLOW_SYMBOLS_OF_PORTS = {
+    row.port: row.through_variable.symbol for row in SINGLE_PIN_KINDS.values() if row.charged
+}
+WAVE_WORDS = (
+    *(domain.word for domain in SINGLE_PIN_KINDS.values()),
+    *FLOW_SYMBOLS_OF_PORTS.values(),
+)
+ZERO_ENERGY = 1e-13  # rounding error of an energy, relative to that of the stiffest mode
 
 
 class BodyPorts(TouchablePart[LinearKeysT]):
@@ -78,7 +83,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         _require_ports(part, sorted(names - known), names_of(every))
         if scene.ports == "declared" and part.declares:
             return every
-        used = [p for p in every if p.kind not in ANSWERS or names & _names_in_scene(p)]
+        used = [p for p in every if p.kind not in SINGLE_PIN_KINDS or names & _names_in_scene(p)]
         return tuple(used) or every[:1]
 
     def used_port_names(self, part: Part[LinearKeysT], scene: JoinedScene) -> list[str]:
@@ -100,7 +105,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
                 result.append(Terminal(minus, port.across, port.flow, None if floating else "gnd"))
             shared.add(minus)
         for port in ports:
-            if port.kind in ANSWERS:
+            if port.kind in SINGLE_PIN_KINDS:
                 result.append(Terminal(port.terminals[0], port.across, port.flow))
         for port in ports:
             if not port.conservative:
@@ -125,7 +130,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         if not isinstance(model, LinearModel):
             return rest
         ports, inert = self.used_ports(part, build.scene), inert_ports(model)
-        if not has_free_motion(model):
+        if not has_energy_free_mode(model):
             charged = {port.terminals[0] for port in ports if port.charged}
             paths = tuple(pair for pair in rest.paths if pair[0] not in charged)
             return Rest(paths, inert=inert)
@@ -177,10 +182,12 @@ def required_ports(part: Part, scene: JoinedScene) -> set[str]:
         result.update(name.removeprefix(prefix) for name in names if name.startswith(prefix))
         # copies of it, with loads on all ports
         if scene.records[other.name].governs.get(part.name) == "copied":
-            result |= {port.name for port in part.type.ports(part, scene) if port.kind in ANSWERS}
+            result |= {
+                port.name for port in part.type.ports(part, scene) if port.kind in SINGLE_PIN_KINDS
+            }
     for probe in scene.probes.values():
         word, dot, _ = probe.of.removeprefix(prefix).partition(".")
-        if probe.of.startswith(prefix) and dot and word in WORDS:
+        if probe.of.startswith(prefix) and dot and word in WAVE_WORDS:
             result.add(probe.of.rpartition(".")[2])
     return result
 
@@ -227,8 +234,8 @@ def inert_ports(model: LinearModel) -> tuple[str, ...]:
     return tuple(port.terminals[0] for port in ports if inputs[port.name] <= 0)
 
 
-def has_free_motion(model: LinearModel) -> bool:
-    """Whether a motion stores no energy, such as that of a body without support."""
+def has_energy_free_mode(model: LinearModel) -> bool:
+    """Return whether a mode stores no energy, such as a rigid-body mode of an unsupported body."""
     if resonators(model) is not None:
         return False
     rest = model.pencil.dense().coefficients[0]
@@ -236,7 +243,7 @@ def has_free_motion(model: LinearModel) -> bool:
         size = np.abs(rest).max(axis=axis, keepdims=True, initial=0.0)
         rest = rest / np.where(size > 0, size, 1.0)
     values = np.linalg.svd(rest, compute_uv=False)
-    return bool(values.min(initial=np.inf) <= NO_ENERGY * values.max(initial=0.0))
+    return bool(values.min(initial=np.inf) <= ZERO_ENERGY * values.max(initial=0.0))
 
 
 def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
@@ -255,4 +262,4 @@ def flow_name(name: str, ports: Sequence[Port], port: Port) -> str:
     """Name of the wave of the flow through a port's pin: the current of an electrode."""
     if port.paired:
         return f"{wave_name(name, ports, port)}.current"
-    return f"{name}.{FLOWS[port.kind]}.{port.name}"
+    return f"{name}.{FLOW_SYMBOLS_OF_PORTS[port.kind]}.{port.name}"

@@ -18,8 +18,8 @@ from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.parametric import MAX_PARAMETERS, ParameterAxis
 from kc2spice.scene.model import GovernedScene, Part
 
-PARAMETERS = "rom.parameters"
-LEAST = 1e-3  # relative width of a range
+RANGES_KEY = "rom.parameters"
+MIN_RELATIVE_WIDTH = 1e-3  # relative width of a range
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def make_varied(
     """
     low, high = min(ends), max(ends)
     signed = low * high > 0 or (from_zero and low == 0)
-    if not signed or high - low < LEAST * abs(high) or not low <= value <= high:
+    if not signed or high - low < MIN_RELATIVE_WIDTH * abs(high) or not low <= value <= high:
         expected = f"two different numbers of one sign, the part's value {value:g} between"
         raise wrong(
             where or key,
@@ -144,7 +144,7 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
                 holder = holder[step]
             holder[steps[-1]] = value
         except (KeyError, IndexError, TypeError, ValueError):
-            raise _unknown_key(part, key, f"{part.name}.{PARAMETERS}") from None
+            raise _unknown_key(part, key, f"{part.name}.{RANGES_KEY}") from None
     try:
         keys = validate(type(part.keys), table, part.name)
         return replace(part, keys=keys.model_copy(update={"rom": part.keys.rom}))

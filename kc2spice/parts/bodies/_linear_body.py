@@ -20,9 +20,9 @@ from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies import _pictures
-from kc2spice.parts.bodies._body_checks import TWICE, BodyChecks
+from kc2spice.parts.bodies._body_checks import STATE_FACTOR, BodyChecks
 from kc2spice.parts.bodies._body_model import (
-    MOTIONS,
+    BAND_MODES,
     describe_target,
     has_complex_constants,
     loss_tangent,
@@ -43,8 +43,9 @@ from kc2spice.scene.rows import LargestRealPart, Neglected
 from kc2spice.scene.settings import Probe
 from kc2spice.synthesis.realize import COARSE_WEIGHTS
 
-FEEDING = 1e-3  # negative part of an impedance that exceeds rounding errors of a lossless body
-STEP = 1e-2  # relative step of a parameter for sensitivities by central differences
+# negative part of an impedance that exceeds rounding errors of a lossless body
+MAX_ACTIVE_SHARE = 1e-3
+SENSITIVITY_STEP = 1e-2  # relative step of a parameter for sensitivities by central differences
 
 
 class LinearBody(BodyChecks[LinearKeysT]):
@@ -71,7 +72,9 @@ class LinearBody(BodyChecks[LinearKeysT]):
         port = paired_ports(box.ports)[0].name
         result["sensitivity"] = {}
         for key in keys:
-            ends = np.clip(key.value * (1 + STEP * np.array([-1, 1])), key.low, key.high)
+            ends = np.clip(
+                key.value * (1 + SENSITIVITY_STEP * np.array([-1, 1])), key.low, key.high
+            )
             read = []
             for end in ends:
                 model = box.at(values_of_part(keys) | {key.key: float(end)})
@@ -149,7 +152,9 @@ class LinearBody(BodyChecks[LinearKeysT]):
         if z is not None:
             how = f"as the circuit shows it at {part.name}"
             f = waves["frequency"].real
-            yield _pictures.plot_impedances(part.name, f, {"": z}, how + _pictures.PEAKS)
+            yield _pictures.plot_impedances(
+                part.name, f, {"": z}, how + _pictures.IMPEDANCE_CAPTION
+            )
             return
         yield from _pictures.plot_responses(part.name, waves)
         model = build.model(part, LinearModel)
@@ -162,7 +167,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         reach = (
             ""
             if self.least_band_end(part, scene) is None
-            else f", or {MOTIONS} natural frequencies"
+            else f", or {BAND_MODES} natural frequencies"
         )
         yield f"reduced to {describe_target(rom)}{reach}; ports {ports}"
         unused = names_of(filterfalse(used.__contains__, self.ports(part, scene)))
@@ -209,13 +214,13 @@ class LinearBody(BodyChecks[LinearKeysT]):
             return
         (key,), facts = self.discretisations, build.facts(part)
         dimensions = self.dimensions(part)
-        unknowns = facts.get("unknowns", 0.0) * TWICE**dimensions
+        unknowns = facts.get("unknowns", 0.0) * STATE_FACTOR**dimensions
         most *= PLANE_UNKNOWN_RATIO if dimensions == 2 else 1.0
         cause = f"{unknowns:.0f} unknowns, more than {most:.0f}"
         finer = None
         if unknowns <= most:
             try:
-                doubled = with_values(part, {key: TWICE * _count_of_key(part, key)})
+                doubled = with_values(part, {key: STATE_FACTOR * _count_of_key(part, key)})
                 with clock.time_stage("full model", f"{part.name}: mesh half as wide"):
                     finer = self.full(doubled, build.scene, clock).facts
             except UsageError as error:
@@ -287,4 +292,4 @@ def measured_impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
     if not np.abs(current).min() > 0:
         return None
     result = np.asarray(voltage / current)
-    return None if (result.real < -FEEDING * np.abs(result)).any() else result
+    return None if (result.real < -MAX_ACTIVE_SHARE * np.abs(result)).any() else result

@@ -10,7 +10,7 @@ from typing_extensions import TypeVar
 from kc2spice.core.quantities import Section, Time, Voltage
 from kc2spice.scene.settings import PartNumber, Rom
 
-MOST = 20  # instants that one run writes
+MAX_INSTANTS = 20  # largest number of instants that a run writes
 
 
 class LinearKeys(Section):
@@ -35,7 +35,9 @@ class FieldKeys(LinearKeys):
     Whether a run computes them, or the instants for which it writes VTU files.
     """
 
-    fields: bool | Annotated[tuple[Time, ...], Field(min_length=1, max_length=MOST)] | None = Field(
+    fields: (
+        bool | Annotated[tuple[Time, ...], Field(min_length=1, max_length=MAX_INSTANTS)] | None
+    ) = Field(
         None,
         description=(
             "Whether fields are computed, or a list of times for which VTU files are written"

@@ -51,13 +51,17 @@ if TYPE_CHECKING:
     from kc2spice.bodies.fields import Extreme, NodalMotion
     from kc2spice.bodies.undamped import FiniteElementModel
 
-_TOO_COARSE = "refine the mesh (its key refine), or set error_budget, which refines all settings"
-MODES = 6  # drawn at most, the lowest ones
-_SINGULAR = "look at the VTU file: edges of clamps and corners exceed any limit when refined"
+_COARSE_MESH_ADVICE = (
+    "refine the mesh (its key refine), or set error_budget, which refines all settings"
+)
+MAX_DRAWN_MODES = 6  # number of drawn modes, lowest first
+_SINGULARITY_ADVICE = (
+    "look at the VTU file: edges of clamps and corners exceed any limit when refined"
+)
 # Word and unit of the metrics, panel and scale of the plot, and the effect of exceeding the limit.
-_QUANTITIES = {
+_FIELD_DESCRIPTIONS = {
     "principal_stress": (
-        "stress", "pa", "largest principal stress in MPa", f"it may crack; {_SINGULAR}",
+        "stress", "pa", "largest principal stress in MPa", f"it may crack; {_SINGULARITY_ADVICE}",
     ),
     "electric_field": (
         "field", "v_m", "largest field in kV/mm", "it may break down; lower the drive",
@@ -135,7 +139,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
         if recovered is None:
             return result
         for item in recovered.extremes:
-            quantity, word, *_ = _QUANTITIES[item.quantity]
+            quantity, word, *_ = _FIELD_DESCRIPTIONS[item.quantity]
             of = f"{metric_word(item.material)}_{word}"
             result[f"{quantity}_{of}"] = Metric(item.value, item.unit)
             if item.limit is not None:
@@ -152,7 +156,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
             if item.limit is not None:
                 what = item.quantity.replace("_", " ")
                 name = f"{what} in {item.material} of {part.name}"
-                advice = _QUANTITIES[item.quantity][-1]
+                advice = _FIELD_DESCRIPTIONS[item.quantity][-1]
                 yield Check(name, item.value, item.limit, item.unit, advice, "warn")
 
     def figures(
@@ -164,7 +168,7 @@ class MeshedBody(LinearBody[FieldKeysT]):
 
             device, model = self.device(part, build.scene), build.model(part, LinearModel)
             end = np.inf if model.certificate is None else model.certificate.band_hz[1]
-            hertz, columns = compute_lowest_modes(device, MODES, end)
+            hertz, columns = compute_lowest_modes(device, MAX_DRAWN_MODES, end)
             if hertz.size:
                 name, title = f"{part.name}_modes", f"Modes of {part.name}"
                 caption = "Modes that its ports excite, electrodes shorted, undamped; colours are "
@@ -250,7 +254,7 @@ def check_mesh(part: Part, build: Build) -> Iterator[Check]:
     """Yield checks of the estimated errors of a part's mesh."""
     for words, error, limit in limited_errors(build.facts(part)):
         name = f"mesh of {part.name}, {words}"
-        yield Check(name, error, limit, "relative, estimated", _TOO_COARSE, "warn")
+        yield Check(name, error, limit, "relative, estimated", _COARSE_MESH_ADVICE, "warn")
 
 
 def chosen_instants(part: Part[FieldKeys]) -> tuple[float, ...]:
@@ -357,7 +361,7 @@ def metric_word(material: str) -> str:
 def _plot_extremes(name: str, recovered: RecoveredFields) -> Figure:
     """Plot the extremes of stress and field over time."""
     panels = []
-    for quantity, (_, _, label, _) in _QUANTITIES.items():
+    for quantity, (_, _, label, _) in _FIELD_DESCRIPTIONS.items():
         rows = recovered.extremes_of(quantity)
         if quantity == "opposing_field":  # otherwise the panel above contains the same curves
             rows = [e for e in rows if e.limit and e.value > 0]

@@ -21,12 +21,13 @@ from kc2spice.scene.rows import Neglected
 if TYPE_CHECKING:
     from kc2spice.bodies.device import Block  # which loads the finite elements
 
-# W/(m^2 K) from a small surface to still air, convection and radiation together: VDI Heat Atlas,
-# 2nd ed. 2010, sections F2 and K1, for 10 mm to 50 mm at some 20 K above the air.
-COOLING = 10.0
-GLUE = 10e-6  # m, a joint pressed while it cures; the glue is epoxy
-SILVER = (2 * 5e-6, 10490.0)  # m of both fired electrodes together, kg/m^3
-UNKNOWN = "not estimated"
+# W/(m^2 K), heat transfer from a small surface to still air by convection and radiation: VDI Heat
+# Atlas, 2nd ed. 2010, sections F2 and K1, for 10 mm to 50 mm at about 20 K above the air
+COOLING_COEFFICIENT = 10.0
+GLUE_THICKNESS = 10e-6  # m, epoxy joint that is pressed while it cures
+# thickness of both fired electrodes together [m], and their density [kg/m^3]
+SILVER_LAYER = (2 * 5e-6, 10490.0)
+NOT_ESTIMATED_TEXT = "not estimated"
 
 
 @dataclass(frozen=True)
@@ -113,20 +114,23 @@ def neglected_effects(name: str, envelope: Envelope, support: str) -> Iterator[N
         f"{name}: load of the air", "its mass and its radiation", _describe_air(envelope)
     )
     if support:
-        yield Neglected(f"{name}: compliance of its mounting", support, UNKNOWN)
+        yield Neglected(f"{name}: compliance of its mounting", support, NOT_ESTIMATED_TEXT)
     yield from _glue_effect(name, envelope)
     yield from _electrode_effect(name, envelope)
-    yield Neglected(f"{name}: hysteresis, depolarisation", "linear material law", UNKNOWN)
-    kelvin = 1e-3 / (COOLING * envelope.surface)
+    yield Neglected(
+        f"{name}: hysteresis, depolarisation", "linear material law", NOT_ESTIMATED_TEXT
+    )
+    kelvin = 1e-3 / (COOLING_COEFFICIENT * envelope.surface)
     why = "constants of one temperature"
-    size = f"{kelvin:.2g} K for each mW that it dissipates, {COOLING:g} W/(m2 K) to still air"
+    size = f"{kelvin:.2g} K for each mW that it dissipates, "
+    size += f"{COOLING_COEFFICIENT:g} W/(m2 K) to still air"
     yield Neglected(f"{name}: heating by its own losses", why, size)
 
 
 def _describe_air(envelope: Envelope) -> str:
     """Size of the air's load: a mass m_a on m lowers a frequency by ``1 - (1 + m_a/m)^-1/2``."""
     if envelope.air is None:
-        return UNKNOWN
+        return NOT_ESTIMATED_TEXT
     if envelope.mass is None:
         return f"at most {1e6 * envelope.air:.2g} mg of air move with it"
     lower = 1 - (1 + envelope.air / envelope.mass) ** -0.5
@@ -141,7 +145,8 @@ def _glue_effect(name: str, envelope: Envelope) -> Iterator[Neglected]:
         return
     reach = max(starmap(shear_transfer_length, joints))
     share = 100 * reach / envelope.length
-    size = f"{1e6 * GLUE:g} um of epoxy: edges of {1e3 * reach:.2g} mm ({share:.2g} %) less coupled"
+    size = f"{1e6 * GLUE_THICKNESS:g} um of epoxy: "
+    size += f"edges of {1e3 * reach:.2g} mm ({share:.2g} %) less coupled"
     yield Neglected(f"{name}: glue between layers", "bonded where they touch", size)
 
 
@@ -154,7 +159,7 @@ def shear_transfer_length(below: Block, above: Block) -> float:
     shear = material("epoxy").C[3, 3]
     softness = 1 / (_youngs_modulus(below) * below.thickness)
     softness += 1 / (_youngs_modulus(above) * above.thickness)
-    return math.sqrt(GLUE / (shear * softness))
+    return math.sqrt(GLUE_THICKNESS / (shear * softness))
 
 
 def _youngs_modulus(block: Block) -> float:
@@ -166,9 +171,9 @@ def _electrode_effect(name: str, envelope: Envelope) -> Iterator[Neglected]:
     what, why = f"{name}: metal of electrodes, solder, wires", "equipotentials without mass"
     active = [block for block in envelope.layers if block.material.piezoelectric]
     if not active or envelope.mass is None:
-        yield Neglected(what, why, UNKNOWN)
+        yield Neglected(what, why, NOT_ESTIMATED_TEXT)
         return
-    thickness, density = SILVER
+    thickness, density = SILVER_LAYER
     added = len(active) * thickness * density * envelope.electrode / envelope.mass
     size = f"{100 * added:.2g} % of its mass at most, for 5 um of silver on both faces"
     yield Neglected(what, why, size)

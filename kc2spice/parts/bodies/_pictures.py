@@ -17,13 +17,14 @@ from kc2spice.rom.modal import Resonators
 if TYPE_CHECKING:
     from kc2spice.bodies.undamped import FiniteElementModel
 
-POINTS = 600  # number of frequencies of an impedance, in addition to those near resonances
-FINE = 4000  # number of lines of a surface mesh above which only its edges are drawn
-BENT = 0.05  # relative size of the second direction of normals at an edge
-SHOWN = 0.1  # largest displacement in the picture, relative to the body's size
-DOTS = 360  # pixels of a coloured picture along its longer side
-PEAKS = ": minimum at resonance, maximum at antiresonance."
-OBLIQUE = 0.35  # ratio of the drawn shift, to the right and upwards, to the depth
+# number of frequencies of an impedance, in addition to those near resonances
+IMPEDANCE_FREQUENCIES = 600
+MAX_MESH_LINES = 4000  # number of lines of a surface mesh above which only its edges are drawn
+MIN_BEND = 0.05  # relative size of the second direction of normals at an edge
+DISPLACEMENT_SHARE = 0.1  # largest displacement in the picture, relative to the body's size
+MAX_PIXELS = 360  # pixels of a coloured picture along its longer side
+IMPEDANCE_CAPTION = ": minimum at resonance, maximum at antiresonance."
+OBLIQUE_SHIFT = 0.35  # ratio of the drawn shift, to the right and upwards, to the depth
 
 
 def plot_impedances(
@@ -57,7 +58,7 @@ def plot_port_impedances(
         return
     low, high = model.certificate.band_hz
     low = max(low, high / 300)
-    f = np.geomspace(low, high, POINTS)
+    f = np.geomspace(low, high, IMPEDANCE_FREQUENCIES)
     if modal is not None:
         poles = modal.omega / (2 * np.pi)
         near = (poles[:, None] * (1 + 1e-3 * np.arange(-20, 21))).ravel()
@@ -71,7 +72,9 @@ def plot_port_impedances(
         port_name = name if port.name == "anode" else f"{name}_{port.name}"
         how = "of the reduced model, nothing pressing on the body, other electrodes shorted"
         if (charge != 0).all():
-            yield plot_impedances(port_name, f, {"": 1 / (2j * np.pi * f * charge)}, how + PEAKS)
+            yield plot_impedances(
+                port_name, f, {"": 1 / (2j * np.pi * f * charge)}, how + IMPEDANCE_CAPTION
+            )
 
 
 def plot_responses(name: str, waves: Waveforms) -> Iterator[Figure]:
@@ -163,7 +166,7 @@ def _enlarge(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray,
     mesh, corners = device.solid.mesh, element_corners(device.solid.mesh)
     moves = moves.reshape(len(corners), -1, 3)[:, : corners.shape[1]]
     size, largest = float(np.ptp(mesh.p, axis=1).max()), float(np.abs(moves).max())
-    factor = float(f"{SHOWN * size / largest:.1g}") if largest > 0 else 1.0
+    factor = float(f"{DISPLACEMENT_SHARE * size / largest:.1g}") if largest > 0 else 1.0
     return corners + factor * moves, factor
 
 
@@ -189,13 +192,13 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
         element, nodes = mesh.f2t[0, facets], mesh.facets[:, facets].T
         local = np.argmax(mesh.t[:, element].T[:, None, :] == nodes[:, :, None], axis=2)
     points, colours = corners[element[:, None], local], values[element[:, None], local, None]
-    flat = 1e3 * (points[..., [0, 2]] + OBLIQUE * points[..., [1]])
-    # every three corners: of a face with four all their triangles, whatever the corners' order
+    flat = 1e3 * (points[..., [0, 2]] + OBLIQUE_SHIFT * points[..., [1]])
+    # every three corners of a face: four corners make all triangles, in any order
     vertices = np.concatenate([flat, points[..., [1]], colours], axis=-1)
     corner_sets = np.array([*combinations(range(vertices.shape[1]), 3)])
     triangles = vertices[:, corner_sets].swapaxes(0, 1).reshape(-1, 3, vertices.shape[2])
     low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
-    dot = float((high - low).max()) / DOTS
+    dot = float((high - low).max()) / MAX_PIXELS
     count = np.maximum(np.ceil((high - low) / dot).astype(int), 1)
     x = low[0] + dot * (np.arange(count[0]) + 0.5)
     y = low[1] + dot * (np.arange(count[1]) + 0.5)
@@ -208,7 +211,7 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
         weights = np.column_stack([a, b, 1 - a - b])[a + b <= 1]
         result.append((weights @ triangles[steps == n]).reshape(-1, 4))
     dots = np.concatenate(result)
-    dots = dots[np.argsort(-dots[:, 2])]  # the nearest last
+    dots = dots[np.argsort(-dots[:, 2])]  # the nearest points are last
     column, row = np.clip(((dots[:, :2] - low) / dot).astype(int), 0, count - 1).T
     z = np.full((count[1], count[0]), np.nan)
     z[row, column] = dots[:, 3]
@@ -235,13 +238,13 @@ def _visible_edges(mesh: Any, fine: int) -> np.ndarray:
         np.add.at(spread, edge, np.einsum("if,jf->fij", normal, normal))
     edge = np.unique(edges)
     value = np.linalg.eigvalsh(spread[edge])
-    return np.asarray(mesh.edges[:, edge[value[:, -2] > BENT * value[:, -1]]])
+    return np.asarray(mesh.edges[:, edge[value[:, -2] > MIN_BEND * value[:, -1]]])
 
 
-def draw_edges(label: str, mesh: Any, style: str = "-", fine: int = FINE) -> Curve:
+def draw_edges(label: str, mesh: Any, style: str = "-", fine: int = MAX_MESH_LINES) -> Curve:
     """Return the edges of a mesh [mm] in oblique projection, separated by points of NaN."""
     points, edges = mesh.p[:, : mesh.nvertices], _visible_edges(mesh, fine)  # no nodes on edges
-    flat = points if len(points) == 2 else points[[0, 2]] + OBLIQUE * points[1]
+    flat = points if len(points) == 2 else points[[0, 2]] + OBLIQUE_SHIFT * points[1]
     path = np.full((2, 3, edges.shape[1]), np.nan)
     path[:, :2] = 1e3 * flat[:, edges]
     x, y = path.transpose(0, 2, 1).reshape(2, -1)

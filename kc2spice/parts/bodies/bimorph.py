@@ -42,8 +42,8 @@ from kc2spice.parts.bodies._meshed import BondedBody
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register
 
-LENGTHWISE, ACROSS = 20, 4  # elements at refine = 1
-GRADING = 1.6
+ELEMENTS_ALONG, ELEMENTS_ACROSS = 20, 4  # elements along and across the beam at refine = 1
+GRADING_RATIO = 1.6
 
 
 class BimorphLayer(Section):
@@ -196,17 +196,17 @@ def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") 
 def _make_grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
     """Lines along the beam, finer towards clamps, across it and through the layers."""
     refine, rows = beam.mesh.refine, beam.rows or 1
-    s = np.linspace(0, 1, LENGTHWISE * refine + 1)
-    if beam.patches:  # as many in each
-        s = np.linspace(0, 1, -(-LENGTHWISE * refine // beam.patches) * beam.patches + 1)
+    s = np.linspace(0, 1, ELEMENTS_ALONG * refine + 1)
+    if beam.patches:  # each strip has the same number of elements
+        s = np.linspace(0, 1, -(-ELEMENTS_ALONG * refine // beam.patches) * beam.patches + 1)
     elif beam.support == "cantilever":
-        s = s**GRADING
+        s = s**GRADING_RATIO
     elif beam.support == "clamped":
-        s = 0.5 + 0.5 * np.sign(s - 0.5) * (1 - (1 - np.abs(2 * s - 1)) ** GRADING)
+        s = 0.5 + 0.5 * np.sign(s - 0.5) * (1 - (1 - np.abs(2 * s - 1)) ** GRADING_RATIO)
     cuts = [np.linspace(*pair, (refine + 1) // 2 + 1)[:-1] for pair in pairwise(heights)]
     return (
         np.union1d(beam.length * s, list(beam.points.values())),
-        np.linspace(0, beam.width, -(-ACROSS * refine // rows) * rows + 1),
+        np.linspace(0, beam.width, -(-ELEMENTS_ACROSS * refine // rows) * rows + 1),
         np.append(np.concatenate(cuts), heights[-1]),
     )
 

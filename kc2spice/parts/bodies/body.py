@@ -49,7 +49,7 @@ from kc2spice.fem.materials import CylindricalAxes, ElementAxes, Material, mater
 from kc2spice.fem.solid import Solid, compute_node_shares
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._mesh_keys import (
-    MESH_FILE,
+    MESH_DESCRIPTION,
     MeshFile,
     MeshKeys,
     Name,
@@ -74,10 +74,10 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 
 Vector: TypeAlias = tuple[float, float, float]
-_MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
+_MOTION_NAMES = ("x", "y", "z", "rx", "ry", "rz")
 # Components of a poling along the radius, around and along the axis.
-_CYLINDRICAL = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0)}
-_REFERENCES = ("cathode", "gnd", "ground")
+_CYLINDRICAL_VECTORS = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0)}
+_REFERENCE_NAMES = ("cathode", "gnd", "ground")
 
 
 class FixedKeys(Section):
@@ -132,7 +132,7 @@ class PortKeys(Section):
     @property
     def motions(self) -> tuple[str, ...]:
         """Motions of a rigid face that are ports."""
-        return _MOTIONS if self.axis is None else (str(self.axis),)
+        return _MOTION_NAMES if self.axis is None else (str(self.axis),)
 
     @property
     def ports(self) -> tuple[Port, ...]:
@@ -243,7 +243,7 @@ class BodyKeys(MeshKeys):
     others. ``floating`` electrodes are equipotential and carry no charge.
     """
 
-    mesh: MeshFile = Field(description=MESH_FILE)
+    mesh: MeshFile = Field(description=MESH_DESCRIPTION)
     materials: dict[str, str | dict[str, Any]] = Field(
         min_length=1, description="Material of each mesh group, a name or a table"
     )
@@ -278,7 +278,7 @@ class BodyKeys(MeshKeys):
     def reference(self) -> str:
         """Electrode with the voltage zero, empty without electrodes."""
         last = next(reversed(self.electrodes), "")
-        return next((name for name in _REFERENCES if name in self.electrodes), last)
+        return next((name for name in _REFERENCE_NAMES if name in self.electrodes), last)
 
     @property
     def poling_files(self) -> dict[str, str]:
@@ -424,7 +424,7 @@ def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
         return turned
     direction = keys.poling.get(group, (0.0, 0.0, 1.0))
     if isinstance(direction, str):
-        direction = PolingKeys(direction=_CYLINDRICAL[direction])
+        direction = PolingKeys(direction=_CYLINDRICAL_VECTORS[direction])
     if isinstance(direction, PolingKeys) and direction.direction:
         about = CylindricalAxes(direction.axis, direction.through)
         _require_axis_of_revolution(keys, about, f"poling.{group}")
@@ -479,7 +479,7 @@ def _rigid_face(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> 
         problem = "an axisymmetric body cannot have rigid faces"
         raise wrong(where, problem, "rigid", "mean or base", 'write  kind = "mean"')
     nodes = _facet_nodes(solid, groups.group(str(port.group), where, 1).members)
-    unit = dict(zip(_MOTIONS, np.eye(6), strict=True))
+    unit = dict(zip(_MOTION_NAMES, np.eye(6), strict=True))
     moves = map(unit.__getitem__, port.motions)
     return fe.RigidFace(nodes, [*zip(port.ports, moves, strict=True)])
 
@@ -581,7 +581,7 @@ class Body(MeshedBody[BodyKeys]):
         yield from find_mesh_problems(part, scene)
 
     def notes(self, part: Part[BodyKeys], scene: Scene) -> Iterator[str | Neglected]:
-        """Yield the bounding box of its file, then the notes of all bodies."""
+        """Yield notes for the report: the bounding box of the mesh, then notes of all bodies."""
         sides = self.sides(part, scene)
         yield " x ".join(map("{:.4g}".format, np.multiply(1e3, sides))) + " mm"
         yield from super().notes(part, scene)

@@ -1,4 +1,4 @@
-"""The part ``disc``: circular layers on one another, with electrodes. Buzzers, diaphragms, discs.
+"""The part ``disc``: a stack of circular layers with electrodes, such as a buzzer.
 
     layers = [                                  # from the bottom up
       { material = "brass", diameter = "20 mm", thickness = "0.2 mm" },
@@ -31,7 +31,8 @@ from kc2spice.parts.bodies._meshed import BondedBody
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register
 
-_CELLS = 20  # number of cells along the largest radius (or half the height) before refinement
+# number of cells along the largest radius (or half the height) before refinement
+_RADIAL_CELLS = 20
 
 
 class Feedback(Section):
@@ -163,7 +164,7 @@ def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> Bonded
         conductors[1:-1] if series else (),
         {"centre": _face(0.0, patch / 2, top)},
         _make_supports(disc, pieces, across / 2),
-        size=max(top, across) / (2 * _CELLS),
+        size=max(top, across) / (2 * _RADIAL_CELLS),
         refine=disc.mesh.refine,
         damping=disc.damping,
         where=where,

@@ -97,11 +97,11 @@ from kc2spice.scene.parttype import find_current_into, register
 from kc2spice.scene.rows import Neglected, Rest, Vector
 from kc2spice.synthesis.heat import compute_heat_modes
 
-CELLS = 4  # elements in each layer
+LAYER_ELEMENTS = 4  # elements in each layer
 # tolerance relative to the largest temperature of a pin, over that at a frequency
-PEAK_SHARE = 0.01
-IMPEDANCE_POINTS = 300
-POINTS = 1e3  # fraction of a run whose changes of temperature are modelled
+PEAK_TOLERANCE_SHARE = 0.01
+IMPEDANCE_FREQUENCIES = 300
+RUN_POINTS = 1e3  # fraction of a run whose changes of temperature are modelled
 
 
 class Geometry:
@@ -205,7 +205,7 @@ def _read_solid(keys: HeatBodyKeys, home: Path) -> tuple[Geometry, list[tuple[np
 
 def _stack_layers(keys: HeatBodyKeys) -> tuple[Geometry, list[tuple[np.ndarray, float]]]:
     """Return a line through the layers, from the bottom up, with double nodes at its joints."""
-    layers, count = keys.layers[::-1], CELLS * keys.refine
+    layers, count = keys.layers[::-1], LAYER_ELEMENTS * keys.refine
     thickness = np.array([layer.thickness for layer in layers])
     bottoms = np.concatenate([[0.0], np.cumsum(thickness)])
     steps = bottoms[:-1, None] + thickness[:, None] * np.arange(count) / count
@@ -302,8 +302,8 @@ dc = "1 W"
         return build.scene.records[part.name].rest
 
     def least_content(self, scene: Scene) -> float:
-        """Return :data:`POINTS` over the duration of the run: heat has no resonance above it."""
-        return POINTS / scene.stop
+        """Return :data:`RUN_POINTS` divided by the duration of the run; heat has no resonance."""
+        return RUN_POINTS / scene.stop
 
     def limit_band(
         self,
@@ -364,7 +364,7 @@ dc = "1 W"
             if aims["norm"] == "peak":
                 raise
             _warn_of_cold_pins(part)
-            tolerance = aims["tolerance"] and aims["tolerance"] * PEAK_SHARE
+            tolerance = aims["tolerance"] and aims["tolerance"] * PEAK_TOLERANCE_SHARE
             changed = {**aims, "norm": "peak", "tolerance": tolerance}
             return reduce_with_interfaces(model, given, **changed)
 
@@ -396,7 +396,7 @@ dc = "1 W"
             if norm == "peak":
                 raise
             _warn_of_cold_pins(part)
-            tolerance *= PEAK_SHARE
+            tolerance *= PEAK_TOLERANCE_SHARE
             return reduce_heat_over_ranges(full, axes, band, tolerance, progress, "peak", given)
 
     def build(
@@ -531,7 +531,7 @@ def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
     moving = times[(times > 0) & (times < 1 / LEAK_RATE)]
     if not moving.size:
         return
-    t = np.geomspace(moving.min() / 10, moving.max() * 10, IMPEDANCE_POINTS)
+    t = np.geomspace(moving.min() / 10, moving.max() * 10, IMPEDANCE_FREQUENCIES)
     settled = -np.expm1(-t[:, None] / np.where(times > 0, times, np.finfo(float).tiny))
     curves = []
     for k, port in enumerate(modes.ports):

@@ -32,7 +32,7 @@ from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
 from kc2spice.parts.bodies._linear_keys import FieldKeys
 from kc2spice.parts.bodies._meshed import BondedBody
-from kc2spice.parts.bodies._neglected import UNKNOWN
+from kc2spice.parts.bodies._neglected import NOT_ESTIMATED_TEXT
 from kc2spice.scene.model import (
     Part,
     Scene,
@@ -40,7 +40,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected
 
-_CELLS = 8  # number of cells along the largest radius before refinement
+_RADIAL_CELLS = 8  # number of cells along the largest radius before refinement
 
 
 class Piece(Section):
@@ -159,7 +159,7 @@ def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin
         {"anode": planes[1::2], "cathode": planes[::2]},
         ports=ports if fixed else ports | {"back": back},
         fixed=[("xz", back)] if fixed else (),
-        size=float(boxes[:, 0, 1].max()) / _CELLS,
+        size=float(boxes[:, 0, 1].max()) / _RADIAL_CELLS,
         refine=body.mesh.refine,
         damping=body.damping,
         where=where,
@@ -231,7 +231,9 @@ stop = "100 kHz"
     def neglected(self, part: Part[LangevinKeys], scene: Scene) -> Iterator[Neglected]:
         yield from super().neglected(part, scene)
         why = "pieces are bonded and free of stress at rest"
-        yield Neglected(f"{part.name}: preload of the bolt, compliance of joints", why, UNKNOWN)
+        yield Neglected(
+            f"{part.name}: preload of the bolt, compliance of joints", why, NOT_ESTIMATED_TEXT
+        )
 
 
 register(Langevin())

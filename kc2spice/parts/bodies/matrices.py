@@ -29,7 +29,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.settings import FileName
 
-THIN = 0.02  # drawn height of a line of nodes, relative to its width
+LINE_HEIGHT = 0.02  # drawn height of a line of nodes, relative to its width
 
 
 class MatricesKeys(LinearKeys):
@@ -89,7 +89,7 @@ class Matrices(LinearBody[MatricesKeys]):
         if size is None or not size[:2].any():
             return
         wide, high = float(size[:2].max()), float(size[2] or size[:2].min())
-        high = max(high, THIN * wide)
+        high = max(high, LINE_HEIGHT * wide)
         yield Shape(0.0, -high / 2, wide, high, label=part.name)
 
     def _model(self, part: Part[MatricesKeys], scene: DeclaredScene) -> LinearModel:

@@ -19,7 +19,7 @@ from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, si
 from kc2spice.core.waveforms import Waveforms, integrate_running
 from kc2spice.fem.materials import material
-from kc2spice.parts.bodies._body_model import SOURCES, describe_target, reduction_target
+from kc2spice.parts.bodies._body_model import MODEL_SOURCES, describe_target, reduction_target
 from kc2spice.parts.bodies._body_ports import required_ports
 from kc2spice.parts.bodies._linear_keys import FieldKeys
 from kc2spice.parts.bodies._meshed import MeshedBody
@@ -49,35 +49,36 @@ if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
     from kc2spice.bodies.undamped import FiniteElementModel
 
-USUAL = 250e3  # Hz, where the paper's chip is damped by 1 %
+DAMPING_FREQUENCY = 250e3  # Hz, at which the paper's chip has a damping ratio of 1 %
 # Damping ratio at this frequency below which modes ring through a kick, so that the errors of steps
 # add up:
 # launches of chips damped by 0.01 to 0.1 % miss by up to 2.6e-4 at the reltol of those of 1 %.
 RINGING, UNDAMPED = 4e-3, 2e-4
-LOW_KICK = 0.03  # factor of reltol; kicks of 40 to 60 V are then as accurate as those of 100 V
+# factor of reltol; kicks of 40 to 60 V are then as accurate as those of 100 V
+LOW_KICK_FACTOR = 0.03
 # The same of a kick downwards: the chip leaves the sphere, rings, and strikes it at a phase that
 # every step since has moved. -100 V: 1.2e-2 at reltol 1e-4, 6e-4 at 1e-6, 1.1e-4 at 1e-7.
 DOWNWARDS, SLOWER = 2e-3, 0.1
-SWING = 2.0  # a sudden load causes twice the static displacement of an elastic body
-FLIGHT = 10e-6  # s, the longest step: a kick, its contact and the flight after it are resolved
+OVERSHOOT = 2.0  # a sudden load causes twice the static displacement of an elastic body
+MAX_TIME_STEP = 10e-6  # s, time step that resolves a kick, its contact and the flight after it
 
 
-DRIVERS = {  # types by the words of the key driver
+DRIVER_TYPES = {  # part types, keyed by the values of the key driver
     "half_bridge": "half_bridge",
     "amplifier": "amplifier",
     "charge": "charge_drive",
     "user": "netlist",
 }
-HELD = {  # meaning of the key mounting, in words
+MOUNTING_TEXTS = {  # descriptions of the values of the key mounting
     "roller": "frictionless roller under its bottom face",
     "glued": "bottom face glued down, u = 0",
     "free": "nothing holds its bottom face",
 }
 PAPER_ORDER = 30
 # Keys that the FE model depends on: pulse, driver and electrical boundary act on the circuit.
-CHIP = set(Chip.model_fields)
+CHIP_KEYS = set(Chip.model_fields)
 # Keys that do not change the paper's chip.
-FREE = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
+FREE_KEYS = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 
 
 class Drive(Section):
@@ -163,7 +164,10 @@ class PiezoStack(MeshedBody[Stack]):
         source: dict[str, Any] = {"part": "source", "pulse": wave, "pins": {"out": anode}}
         if keys.driver is None:
             return {f"{part.name}_drive": source}
-        table, name = driver(part, part.keys.driver or {}, DRIVERS, data), f"{part.name}_driver"
+        table, name = (
+            driver(part, part.keys.driver or {}, DRIVER_TYPES, data),
+            f"{part.name}_driver",
+        )
         pins = {"out": anode}
         if table["part"] == "charge_drive":
             pins = {"anode": anode, "cathode": f"{part.name}.cathode"}
@@ -239,19 +243,19 @@ class PiezoStack(MeshedBody[Stack]):
         """
         if not scene.of("contact"):
             return
-        ratio = math.pi * USUAL * part.keys.damping.beta
+        ratio = math.pi * DAMPING_FREQUENCY * part.keys.damping.beta
         close = math.sqrt(min(1.0, max(ratio, UNDAMPED) / RINGING))
         speed = _kick_speed(part, scene)
         if self.weights(part, scene) == COARSE_WEIGHTS and speed is not None:
             # Anything but sources on its anode may make any kick a slow one: 0.67 m/s behind an
             # amplifier of 5 A, which is 1.5e-3 off at the settings of 1 m/s.
             driven = not scene.joined_types(part.name, "anode") <= {"source"}
-            close *= min(1.0, LOW_KICK if driven else max(speed**8, LOW_KICK))
+            close *= min(1.0, LOW_KICK_FACTOR if driven else max(speed**8, LOW_KICK_FACTOR))
         if _retracts_first(part):
             close = min(close, DOWNWARDS)
         what = f"contacts of {part.name}, within which error control decides"
         chgtol = min(1.0, speed or 1.0)
-        yield Numerics(what, FLIGHT, decides=True, reltol=close, chgtol=chgtol)
+        yield Numerics(what, MAX_TIME_STEP, decides=True, reltol=close, chgtol=chgtol)
 
     def weights(self, part: Part[Stack], scene: DeclaredScene) -> StepWeights:
         """Weights of the modes; the ringing strikes the sphere if the kick begins downwards."""
@@ -261,8 +265,8 @@ class PiezoStack(MeshedBody[Stack]):
         voltage = highest_voltage(part, scene)
         if voltage:
             stroke = free_stroke(part.keys, voltage)
-            why = f"{SWING:g} times the free stroke of {part.name} at {voltage:g} V"
-            yield Penetration(SWING * stroke, why)
+            why = f"{OVERSHOOT:g} times the free stroke of {part.name} at {voltage:g} V"
+            yield Penetration(OVERSHOOT * stroke, why)
 
     def outline(self, part: Part[Stack], scene: Scene) -> Iterator[Shape]:
         keys = part.keys
@@ -277,7 +281,10 @@ class PiezoStack(MeshedBody[Stack]):
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
     def full_key(self, part: Part[Stack], scene: GovernedScene) -> Mapping[str, Any]:
-        shape, chip = pressure_nodes(part, scene), part.keys.model_dump(mode="json", include=CHIP)
+        shape, chip = (
+            pressure_nodes(part, scene),
+            part.keys.model_dump(mode="json", include=CHIP_KEYS),
+        )
         result = {"chip": chip, "field": part.keys.rated_field}
         return result if shape is None else result | {"pressure_basis": shape.nodes.tolist()}
 
@@ -291,7 +298,7 @@ class PiezoStack(MeshedBody[Stack]):
         if not specified.is_default:
             return specified
         plain = type(part.keys)()
-        if all(getattr(part.keys, key) == getattr(plain, key) for key in CHIP - FREE):
+        if all(getattr(part.keys, key) == getattr(plain, key) for key in CHIP_KEYS - FREE_KEYS):
             return Rom(order=PAPER_ORDER, band=specified.band)
         if "band" in specified.model_fields_set:
             return specified
@@ -405,7 +412,7 @@ def _retracts_first(part: Part[Stack]) -> bool:
 
 def describe_mounting(keys: Chip) -> str:
     """Describe the support of the bottom face and other deviations from the plain stack."""
-    words = [HELD.get(str(keys.mounting), "")]
+    words = [MOUNTING_TEXTS.get(str(keys.mounting), "")]
     if isinstance(keys.mounting, float):
         words = [f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"]
     if keys.poling == "x":
@@ -492,13 +499,13 @@ def free_stroke(keys: Chip, voltage: float) -> float:
 def _compliance_of(part: Part[Stack], shape: PressureBasis) -> LocalCompliance:
     from kc2spice.bodies.pressure import LocalCompliance, compute_local_compliance
 
-    chip = part.keys.model_dump(mode="json", include=CHIP - {"damping"})
+    chip = part.keys.model_dump(mode="json", include=CHIP_KEYS - {"damping"})
     return load_or_build(
         "indented",
         {"chip": chip, "pressure_basis": shape.nodes.tolist()},
         lambda: compute_local_compliance(part.keys, shape),
         classes=(LocalCompliance,),
-        sources=SOURCES,
+        sources=MODEL_SOURCES,
     )
 
 

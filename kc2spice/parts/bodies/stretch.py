@@ -1,5 +1,4 @@
-"""Stretching of beams and plates with held edges: bending makes them longer, and tension makes them
-stiffer.
+"""Stretching force of beams and plates with fixed edges: bending lengthens and stiffens them.
 
 Of a beam of length l whose ends stay where they are, ``e = int w'^2 dx / 2`` is how much longer it
 is when bent, and ``stiffness e^2 / 2 + tension e`` the energy of that: stiffness = E A / l (S. D.
@@ -121,11 +120,11 @@ def _declare(count: int, rows: int) -> Declaration:
             ("supports that give way", "the ends stay where they are", "not estimated"),
             ("shear in a plate's plane", "Berger's energy", "up to 12 % of the stretching's"),
         ),
-        example=EXAMPLE,
+        example=EXAMPLE_SCENE,
     )
 
 
-EXAMPLE = """
+EXAMPLE_SCENE = """
 [stretch]
 part = "stretch"
 a = ["left.a", "middle.a", "right.a"]

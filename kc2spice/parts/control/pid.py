@@ -18,7 +18,7 @@ from kc2spice.netlist.circuit import Param, positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import merge_helpers
 from kc2spice.parts.control._pid_keys import Control
-from kc2spice.parts.electronics._template import BANDWIDTH, opamp_subcircuit
+from kc2spice.parts.electronics._template import GAIN_BANDWIDTH, opamp_subcircuit
 from kc2spice.parts.magnetics.ring_magnet_coils import Coils, result_prefix
 from kc2spice.parts.mechanics import sphere
 from kc2spice.physics.declaration import Branch, Declaration, displacement, measured, voltage
@@ -39,18 +39,20 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 from kc2spice.synthesis.header import render_library
 
-SENSOR = 2e3  # V/m, 5 V at the paper's set point
-SENSE = 100.0  # Ohm, 10 V at the paper's 0.1 A
-COMMAND = 10.0  # V, largest command of the output stage, well within the signal amplifiers' rails
-SUPPLY = 400.0  # V, supply of the output stage; higher if the coils require it
-HEADROOM = 1.2  # ratio of a supply voltage to the required output
-EDGE = 1e-8  # s, of the enabling signal
-EMPTYING = 1e-6  # s, time constant in which the integral of a disabled controller decays
-SATURATED = 0.9  # fraction of time at the current limit above which the controller has no effect
+SENSOR_GAIN = 2e3  # V/m, 5 V at the paper's set point
+SENSE_RESISTANCE = 100.0  # Ohm, 10 V at the paper's 0.1 A
+# V, largest command of the output stage, well within the signal amplifiers' rails
+MAX_COMMAND = 10.0
+SUPPLY_VOLTAGE = 400.0  # V, supply of the output stage; higher if the coils require it
+SUPPLY_RATIO = 1.2  # ratio of a supply voltage to the required output
+ENABLE_EDGE = 1e-8  # s, edge of the enabling signal
+DISCHARGE_TIME = 1e-6  # s, time constant in which the integral of a disabled controller decays
+# fraction of time at the current limit above which the controller has no effect
+MAX_SATURATED_SHARE = 0.9
 
 
 # Gains of the netlist. A gain of zero has no stage, so a netlist cannot set it.
-GAINS = (
+GAIN_PARAMETERS = (
     ("kp", "kp", "A/m", "proportional gain, above zero"),
     ("ki", "ki", "A/(m.s)", "integral gain, above zero"),
     ("kd", "kd", "A.s/m", "derivative gain, above zero"),
@@ -80,7 +82,7 @@ def declare_control(control: Control, *, output: bool = True) -> Declaration:
     """
     limited = "demand/current_limit"
     within = f"(1 - above({limited} - 1) - above(-{limited} - 1))"
-    reset = f"(1 - on)*integral/{EMPTYING!r}"
+    reset = f"(1 - on)*integral/{DISCHARGE_TIME!r}"
     terms = {
         "kp": "kp/sensor*error",
         "ki": "integral",
@@ -93,7 +95,7 @@ def declare_control(control: Control, *, output: bool = True) -> Declaration:
     gains = [gain for gain in terms if getattr(control, gain)]
     target = f"on*current_limit*clip({limited})"
     ends: tuple[Branch, ...] = (voltage("command", "command", "ref"),)
-    content = f"0.5*(command - {SENSE!r}*{target})^2"  # behind an ohm
+    content = f"0.5*(command - {SENSE_RESISTANCE!r}*{target})^2"  # behind an ohm
     if output:
         ends = voltage("drop", "drive", "sense"), voltage("sensed", "sense", "ref", "returned")
         content = f"0.5*sensed^2 - {target}*drop"
@@ -114,7 +116,7 @@ def declare_control(control: Control, *, output: bool = True) -> Declaration:
             "demand": " + ".join(map(terms.__getitem__, gains)),
         },
         given=tuple(_parameters(control)),
-        constants={"sensor": repr(SENSOR)},
+        constants={"sensor": repr(SENSOR_GAIN)},
         rating="its output stays within current_limit",
         base="ref",
         metered=False,
@@ -124,7 +126,7 @@ def declare_control(control: Control, *, output: bool = True) -> Declaration:
 def _parameters(control: Control) -> Iterator[Param]:
     """Parameters that an instance may set."""
     yield Param("setpoint", control.setpoint, "m", "height of the sphere's centre")
-    for gain, item, unit, doc in GAINS:
+    for gain, item, unit, doc in GAIN_PARAMETERS:
         if getattr(control, gain):
             yield positive_parameter(item, getattr(control, item), unit, doc)
     yield positive_parameter("current_limit", control.current_limit, "A", "largest coil current")
@@ -150,10 +152,10 @@ def pid_subcircuit(
     if control.form == "ideal":
         return declared_subcircuit(header, name, declared, declared.values(control))
     limit = control.current_limit
-    sense = min(SENSE, COMMAND / limit) if output else SENSE
-    supply = max(SUPPLY, 100.0 * math.ceil(HEADROOM * limit * (load + sense) / 100.0))
+    sense = min(SENSE_RESISTANCE, MAX_COMMAND / limit) if output else SENSE_RESISTANCE
+    supply = max(SUPPLY_VOLTAGE, 100.0 * math.ceil(SUPPLY_RATIO * limit * (load + sense) / 100.0))
     doc = "input offset of the error amplifier; 1 mV is 1 um of height"
-    rail = max(15.0, HEADROOM * sense * limit)
+    rail = max(15.0, SUPPLY_RATIO * sense * limit)
     params = [
         *declared.given,
         Param("offset", 0.0, "V", doc),
@@ -172,9 +174,9 @@ def pid_subcircuit(
         rating=declared.rating + " and compliance" * output,
         gains=gains,
         weights=[f"gain_{gain[1]}" for gain in ("kp", "ki", "kd") if gain in gains],
-        sensor=SENSOR,
+        sensor=SENSOR_GAIN,
         sense=sense,
-        bandwidth=BANDWIDTH,
+        bandwidth=GAIN_BANDWIDTH,
         pi=math.pi,
         output=output,
     )
@@ -191,11 +193,11 @@ class Pid(PartType[Control]):
     ) -> Mapping[str, Mapping[str, object]]:
         switching, pins = part.keys.switching, {"out": f"{part.name}.enable"}
         if len(switching) == 1:
-            wave = {"high": 1.0, "width": 1e3, "edge": EDGE, "start": switching[0][0]}
+            wave = {"high": 1.0, "width": 1e3, "edge": ENABLE_EDGE, "start": switching[0][0]}
             return {f"{part.name}_enable": {"part": "source", "pulse": wave, "pins": pins}}
         points, state = [(0.0, 0.0)], 0.0
         for time, value in switching:
-            points += [(max(time, 1e-9), state), (max(time, 1e-9) + EDGE, value)]
+            points += [(max(time, 1e-9), state), (max(time, 1e-9) + ENABLE_EDGE, value)]
             state = value
         return {f"{part.name}_enable": {"part": "source", "pwl": tuple(points), "pins": pins}}
 
@@ -247,11 +249,11 @@ class Pid(PartType[Control]):
 
     def vectors(self, part: Part[Control], build: Build) -> Mapping[str, Vector]:
         node = "error" if part.keys.form == "ideal" else "e"
-        error = Vector(f"v(x{part.name.lower()}.{node})", 1.0 / SENSOR, "m")
+        error = Vector(f"v(x{part.name.lower()}.{node})", 1.0 / SENSOR_GAIN, "m")
         result = {f"{part.name}.error": error}
         if _drives_external_circuit(part, build.scene):
             command = f"v({build.net(part, 'command')})"
-            result["coil.wanted"] = Vector(command, 1.0 / SENSE, "A")
+            result["coil.wanted"] = Vector(command, 1.0 / SENSE_RESISTANCE, "A")
         return result
 
     def law(self, part: Part[Control], build: Build) -> laws.Equations | None:
@@ -267,7 +269,7 @@ class Pid(PartType[Control]):
         error = laws.scaled_wave(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
         results = {f"{n}.error": error}
         if external:
-            results["coil.wanted"] = laws.scaled_wave(f"{n}.command", 1.0 / SENSE)
+            results["coil.wanted"] = laws.scaled_wave(f"{n}.command", 1.0 / SENSE_RESISTANCE)
         return laws.Equations((controller,), controller.joins, results)
 
     def metrics(self, part: Part[Control], build: Build, waves: Waveforms) -> Mapping[str, object]:
@@ -294,7 +296,7 @@ class Pid(PartType[Control]):
         share = float(np.trapezoid(limited.astype(float), t)) / (t[-1] - start)
         advice = "the coils cannot give what the controller asks for: raise "
         advice, action = f"{advice}{part.name}.current_limit", build.scene.checks.saturation
-        yield Check("saturation", share, SATURATED, "of the time", advice, action)
+        yield Check("saturation", share, MAX_SATURATED_SHARE, "of the time", advice, action)
 
     def notes(self, part: Part[Control], scene: Scene) -> Iterator[str]:
         coils = "real coils" if _drives_external_circuit(part, scene) else "current-driven coils"

@@ -34,7 +34,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 
-MICROMETRES = f"{DISPLACEMENT.per_unit:g}"  # volts of a pin for one metre
+VOLTS_PER_METRE = f"{DISPLACEMENT.per_unit:g}"  # volts of a pin for one metre
 
 
 class SensorKeys(Section):
@@ -58,7 +58,7 @@ def sensor_declaration(keys: SensorKeys) -> Declaration:
         "position sensor",
         Section,
         (measured(displacement("x", "of", "ref")),),
-        states={"followed": f"{2 * math.pi:.11g}*bandwidth*({MICROMETRES}*x - followed)"},
+        states={"followed": f"{2 * math.pi:.11g}*bandwidth*({VOLTS_PER_METRE}*x - followed)"},
         outputs={"out": f"{DISPLACEMENT.factor:g}*followed + offset"},
         given=(
             Param("bandwidth", keys.bandwidth, "Hz", "of the reading", 0.0),

@@ -242,11 +242,11 @@ class ResonatorPart(NumberedPart[KeysT]):
 
     def figures(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Figure]:
         from kc2spice.parts.bodies._linear_body import measured_impedance
-        from kc2spice.parts.bodies._pictures import PEAKS, plot_impedances
+        from kc2spice.parts.bodies._pictures import IMPEDANCE_CAPTION, plot_impedances
 
         z = measured_impedance(part, waves)
         if z is not None:
-            how = f"as the circuit shows it at {part.name}{PEAKS}"
+            how = f"as the circuit shows it at {part.name}{IMPEDANCE_CAPTION}"
             yield plot_impedances(part.name, waves["frequency"].real, {"": z}, how)
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:

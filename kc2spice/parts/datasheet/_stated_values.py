@@ -19,15 +19,17 @@ import numpy as np
 
 from kc2spice.core.errors import MAX_CANDIDATES, UsageError
 
-ROUNDING = 0.005  # largest relative rounding error of a value with three digits
-STEP = 1e-5  # step of central differences in logarithms, which have errors of 1e-10 and 1e-11
+VALUE_ROUNDING = 0.005  # largest relative rounding error of a value with three digits
+# step of central differences in logarithms, which have errors of 1e-10 and 1e-11
+DIFFERENCE_STEP = 1e-5
 # relative singular value of an undetermined unknown; far above the errors of the differences
-RANK = 1e-7
-EXACT = 1e-6  # relative error of an equation that counts as solved
-ELSEWHERE = 30.0  # factor on one unknown at the start of the search for another circuit
-DISTINCT = 1e-3  # difference of the logarithm of an unknown above which two circuits differ
-SMALLEST = 1e-24  # SI, far below any value of a sheet; its inverse is far above
-LARGEST = 150.0  # logarithm of the largest unknown, far inside the range of a float
+RANK_TOLERANCE = 1e-7
+SOLUTION_TOLERANCE = 1e-6  # relative error of an equation that counts as solved
+RESTART_FACTOR = 30.0  # factor on one unknown at the start of the search for another circuit
+# difference of the logarithm of an unknown above which two circuits differ
+DISTINCT_DIFFERENCE = 1e-3
+SMALLEST_VALUE = 1e-24  # SI, far below any data-sheet value; its inverse is far above
+LARGEST_LOGARITHM = 150.0  # logarithm of the largest unknown, far inside the range of a float
 
 Relation = Callable[[np.ndarray], float]
 
@@ -62,12 +64,12 @@ class StatedValues:
         result = self._fitted
         self._require_solution(result)
         self._require_agreement(result)
-        self._require_unique(result)
+        self._require_unique_circuit(result)
         return np.exp(result)
 
     def tolerance_of(self, key: str) -> float:
         """Tolerance of a value as a difference of logarithms."""
-        return math.log1p(self.tolerance.get(key, self.rounding.get(key, ROUNDING)))
+        return math.log1p(self.tolerance.get(key, self.rounding.get(key, VALUE_ROUNDING)))
 
     def text(self, key: str, value: float) -> str:
         """``key = value unit``."""
@@ -76,15 +78,15 @@ class StatedValues:
     # --- equations --------------------------------------------------------------------------------
 
     def _logarithm(self, key: str, x: np.ndarray) -> float:
-        unknowns = np.exp(np.clip(x, -LARGEST, LARGEST))
+        unknowns = np.exp(np.clip(x, -LARGEST_LOGARITHM, LARGEST_LOGARITHM))
         value = self.relations[key](unknowns)
-        return math.log(value) if 0 < value < math.inf else -LARGEST
+        return math.log(value) if 0 < value < math.inf else -LARGEST_LOGARITHM
 
     def _gradient(self, key: str, x: np.ndarray) -> np.ndarray:
         """Derivatives (unknowns,) of the logarithm of a value by those of the unknowns."""
-        steps = STEP * np.eye(x.size)
+        steps = DIFFERENCE_STEP * np.eye(x.size)
         rows = [self._logarithm(key, x + h) - self._logarithm(key, x - h) for h in steps]
-        return np.array(rows) / (2 * STEP)
+        return np.array(rows) / (2 * DIFFERENCE_STEP)
 
     def _residual(self, key: str, x: np.ndarray) -> float:
         return self._logarithm(key, x) - math.log(self.stated[key])
@@ -119,19 +121,19 @@ class StatedValues:
 
     def _rank(self, x: np.ndarray, *more: str) -> int:
         rows = [self._gradient(key, x) for key in (*self.stated, *more)]
-        return int(np.linalg.matrix_rank(np.array(rows), tol=RANK)) if rows else 0
+        return int(np.linalg.matrix_rank(np.array(rows), tol=RANK_TOLERANCE)) if rows else 0
 
     # --- faults -----------------------------------------------------------------------------------
 
     def _require_computable(self) -> None:
         for key, value in self.stated.items():
-            if not SMALLEST < value < 1 / SMALLEST:
+            if not SMALLEST_VALUE < value < 1 / SMALLEST_VALUE:
                 unit = self.units[key.partition("[")[0]]
                 raise UsageError(
                     "this value is too small or too large",
                     where=f"{self.part}.{key}",
                     got=self.text(key, value),
-                    expected=f"{SMALLEST:g} to {1 / SMALLEST:g} {unit}".rstrip(),
+                    expected=f"{SMALLEST_VALUE:g} to {1 / SMALLEST_VALUE:g} {unit}".rstrip(),
                     hint="check the value and its unit",
                 )
 
@@ -159,7 +161,7 @@ class StatedValues:
         if len(self.stated) > x.size:
             return
         misses = {key: abs(self._residual(key, x)) for key in self.stated}
-        if max(misses.values()) > EXACT:
+        if max(misses.values()) > SOLUTION_TOLERANCE:
             self._raise_contradiction(x, misses)
 
     def _raise_contradiction(self, x: np.ndarray, misses: Mapping[str, float]) -> None:
@@ -202,17 +204,18 @@ class StatedValues:
         """Difference of a value from the one that all others imply, in logarithms."""
         return abs(self._residual(key, self._without(key)._fitted))
 
-    def _require_unique(self, x: np.ndarray) -> None:
-        """Refuse values that another circuit has as well.
+    def _require_unique_circuit(self, x: np.ndarray) -> None:
+        """Raise an error if two circuits have the same data-sheet values.
 
-        The search begins at unknowns that are :data:`ELSEWHERE` times larger or smaller, one each.
+        The search begins at unknowns that are :data:`RESTART_FACTOR` times larger or smaller, one
+        each.
         """
-        steps = math.log(ELSEWHERE) * np.eye(x.size)
+        steps = math.log(RESTART_FACTOR) * np.eye(x.size)
         for start in (*(x + steps), *(x - steps)):
             other = self._fit_from(start)
-            if np.abs(other - x).max() < DISTINCT:
+            if np.abs(other - x).max() < DISTINCT_DIFFERENCE:
                 continue
-            if all(abs(self._residual(key, other)) < EXACT for key in self.stated):
+            if all(abs(self._residual(key, other)) < SOLUTION_TOLERANCE for key in self.stated):
                 implied = [key for key in self.relations if key not in self.stated]
                 key = max(implied, key=lambda key: abs(self._difference(key, x, other)))
                 values = [self.text(key, math.exp(self._logarithm(key, y))) for y in (x, other)]

@@ -34,8 +34,8 @@ from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
 from kc2spice.scene.model import GovernedScene, Part
 from kc2spice.scene.parttype import register
 
-MOST_MODES = 8
-LOW = 1e3  # Hz, at which sheets state capacitances
+MAX_MODES = 8
+CAPACITANCE_FREQUENCY = 1e3  # Hz, at which data sheets state capacitances
 FREQUENCY_ROUNDING = 5e-4  # largest relative rounding error of a frequency with four digits
 # Elements relative to the clamped capacitance and the frequency, where the iteration begins: those
 # of a ceramic with a coupling of 0.22 and a Q factor of 100.
@@ -96,7 +96,7 @@ class BvdKeys(RatedKeys):
         None, gt=0, description="Capacitance at the frequency c_low_at, below the resonances"
     )
     c_low_at: Frequency = Field(
-        LOW, ge=0, lt=1e12, description="Frequency at which c_low was measured"
+        CAPACITANCE_FREQUENCY, ge=0, lt=1e12, description="Frequency at which c_low was measured"
     )
     tolerance: dict[str, Annotated[Ratio, Field(gt=0, lt=1)]] = Field(
         {}, description="Relative tolerance of each value by its key, such as c_low = '30 %'"
@@ -104,7 +104,7 @@ class BvdKeys(RatedKeys):
 
 
 # Values of each mode, by their keys.
-PER_MODE: Mapping[str, Callable[..., float]] = {
+MODE_VALUES: Mapping[str, Callable[..., float]] = {
     "fs": lambda circuit, mode: circuit.fs[mode],
     "fp": lambda circuit, mode: circuit.fp[mode],
     "keff": lambda circuit, mode: circuit.coupling(mode),
@@ -114,11 +114,11 @@ PER_MODE: Mapping[str, Callable[..., float]] = {
     "qm": lambda circuit, mode: circuit.quality(mode),
     "zs": lambda circuit, mode: 1 / abs(circuit.admittance(np.array(circuit.fs[mode]))),
 }
-UNITS = {
+VALUE_UNITS_OF_SHEET = {
     "fs": "Hz", "fp": "Hz", "keff": "", "cm": "F", "lm": "H", "rm": "Ohm", "qm": "", "zs": "Ohm",
     "c0": "F", "c_low": "F",
 }  # fmt: skip
-WORDS = {
+VALUE_NAMES = {
     "fs": "series resonance",
     "fp": "parallel resonance",
     "keff": "effective coupling coefficient",
@@ -168,7 +168,7 @@ stop = "10 kHz"
     def resonator(self, part: Part[BvdKeys]) -> Resonator:
         keys, modes = part.keys, self._mode_count(part)
         stated: dict[str, float] = {}
-        for name in PER_MODE:
+        for name in MODE_VALUES:
             labels = _mode_labels(name, modes)
             stated |= dict(zip(labels, getattr(keys, name), strict=False))
         stated |= {name: v for name in ("c0", "c_low") if (v := getattr(keys, name)) is not None}
@@ -182,7 +182,7 @@ stop = "10 kHz"
             stated,
             _relations(modes, keys.c_low_at),
             start,
-            UNITS,
+            VALUE_UNITS_OF_SHEET,
             {label: value for label, value in tolerance.items() if value is not None},
             {label: FREQUENCY_ROUNDING for label in stated if label[:2] in ("fs", "fp")},
         )
@@ -190,10 +190,10 @@ stop = "10 kHz"
 
     def _mode_count(self, part: Part[BvdKeys]) -> int:
         """Number of modes; UsageError if lists differ in length."""
-        counts = {name: len(v) for name in PER_MODE if (v := getattr(part.keys, name))}
+        counts = {name: len(v) for name in MODE_VALUES if (v := getattr(part.keys, name))}
         most = max(counts.values(), default=1)
         short = [name for name, count in counts.items() if count < most]
-        if short or most > MOST_MODES:
+        if short or most > MAX_MODES:
             name = min(counts, key=lambda key: counts[key]) if short else max(counts)
             raise part.wrong(
                 name,
@@ -201,21 +201,23 @@ stop = "10 kHz"
                 if short
                 else "the resonator has too many modes",
                 ", ".join(f"{key} of {count}" for key, count in counts.items()),
-                f"one entry for each of {most} modes" if short else f"at most {MOST_MODES}",
+                f"one entry for each of {most} modes" if short else f"at most {MAX_MODES}",
                 "state each value for every mode, or delete the list",
             )
         return most
 
     def _check_tolerances(self, part: Part[BvdKeys]) -> None:
         for name in part.keys.tolerance:
-            if not (name in UNITS and getattr(part.keys, name)):
-                values = [key for key in UNITS if getattr(part.keys, key)]
+            if not (name in VALUE_UNITS_OF_SHEET and getattr(part.keys, name)):
+                values = [key for key in VALUE_UNITS_OF_SHEET if getattr(part.keys, key)]
                 raise part.wrong(
                     f"tolerance.{name}",
                     "this tolerance belongs to a value that is missing",
                     name,
                     f"one of {', '.join(values)}",
-                    f"state {name}, or delete its tolerance" if name in UNITS else None,
+                    f"state {name}, or delete its tolerance"
+                    if name in VALUE_UNITS_OF_SHEET
+                    else None,
                 )
 
     def netlist(self, part: Part[BvdKeys], circuit: Resonator) -> ResonatorNetlist:
@@ -282,7 +284,7 @@ def _mode_labels(name: str, modes: int) -> list[str]:
 def _relations(modes: int, low: float) -> dict[str, Relation]:
     """All values that a sheet may state, as functions of the unknowns."""
     result: dict[str, Relation] = {}
-    for name, function in PER_MODE.items():
+    for name, function in MODE_VALUES.items():
         functions = (as_function_of_unknowns(partial(function, mode=n)) for n in range(modes))
         result |= dict(zip(_mode_labels(name, modes), functions, strict=True))
     result["c0"] = lambda unknowns: float(unknowns[0])
@@ -328,16 +330,16 @@ def _loss_key(keys: BvdKeys, modes: int) -> str:
 
 
 def _key_words(keys: BvdKeys, key: str, value: float) -> str:
-    words = f"capacitance at {keys.c_low_at:g} Hz" if key == "c_low" else WORDS[key]
+    words = f"capacitance at {keys.c_low_at:g} Hz" if key == "c_low" else VALUE_NAMES[key]
     return words + tolerance_note(value, keys.tolerance.get(key))
 
 
 def _mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
     """Parameter of one mode. The coupling of several modes is that of each mode beside c0."""
-    value = PER_MODE[key](circuit, mode)
+    value = MODE_VALUES[key](circuit, mode)
     if key == "keff":
         value = (circuit.cm[mode] / (circuit.c0 + circuit.cm[mode])) ** 0.5
-    unit, value = UNITS[key] or "-", round_to_digits(value)
+    unit, value = VALUE_UNITS_OF_SHEET[key] or "-", round_to_digits(value)
     return positive_parameter(f"{key}{end}", value, unit, _key_words(keys, key, value))
 
 

@@ -27,7 +27,7 @@ from kc2spice.scene.parttype import register
 # relative rounding error of the frequency of a crystal: a tenth of the usual tolerance
 FREQUENCY_ROUNDING = 1e-6
 START_RATIO, START_QUALITY = 1 / 300, 5e4  # c1 / c0 and Q of usual crystals
-SHUNT = 3e-12  # F, of usual crystals
+SHUNT_CAPACITANCE = 3e-12  # F, typical of crystals
 
 
 class CrystalKeys(RatedKeys):
@@ -55,7 +55,7 @@ class CrystalKeys(RatedKeys):
     )
 
 
-UNITS = {"f": "Hz", "c0": "F", "c1": "F", "l1": "H", "r1": "Ohm", "q": ""}
+CRYSTAL_UNITS = {"f": "Hz", "c0": "F", "c1": "F", "l1": "H", "r1": "Ohm", "q": ""}
 
 
 class Crystal(ResonatorPart[CrystalKeys]):
@@ -87,7 +87,7 @@ scale = "linear"
 
     def resonator(self, part: Part[CrystalKeys]) -> Resonator:
         keys = part.keys
-        stated = {key: v for key in UNITS if (v := getattr(keys, key)) is not None}
+        stated = {key: v for key in CRYSTAL_UNITS if (v := getattr(keys, key)) is not None}
         c1 = keys.c1 or START_RATIO * keys.c0
         if keys.l1 and not keys.c1:
             c1 = 1 / ((TWO_PI * keys.f) ** 2 * keys.l1)
@@ -95,7 +95,7 @@ scale = "linear"
         relations = _relations(keys.cl)
         rounding = {"f": FREQUENCY_ROUNDING}
         start = np.array([keys.c0, keys.f, c1, r1])
-        values = StatedValues(part.name, stated, relations, start, UNITS, {}, rounding)
+        values = StatedValues(part.name, stated, relations, start, CRYSTAL_UNITS, {}, rounding)
         return Resonator.from_unknowns(values.solve())
 
     def netlist(self, part: Part[CrystalKeys], circuit: Resonator) -> ResonatorNetlist:
@@ -114,11 +114,15 @@ scale = "linear"
         motion = "c1" if keys.c1 or not keys.l1 else "l1"
         value = circuit.cm[0] if motion == "c1" else circuit.lm[0]
         words = "motional capacitance" if motion == "c1" else "motional inductance"
-        params.append(positive_parameter(motion, round_to_digits(value), UNITS[motion], words))
+        params.append(
+            positive_parameter(motion, round_to_digits(value), CRYSTAL_UNITS[motion], words)
+        )
         loss = "r1" if keys.r1 else "q"
         value = circuit.rm[0] if loss == "r1" else circuit.quality(0)
         words = "motional resistance" if loss == "r1" else "Q factor"
-        params.append(positive_parameter(loss, round_to_digits(value), UNITS[loss] or "-", words))
+        params.append(
+            positive_parameter(loss, round_to_digits(value), CRYSTAL_UNITS[loss] or "-", words)
+        )
         inverse = f"{TWO_PI**2!r}*f*f*l1" + f"-1/{loaded}" * bool(loaded)
         cm = "c1" if motion == "c1" else f"1/({inverse})"
         equations = {

@@ -60,8 +60,9 @@ from kc2spice.scene.rows import Neglected, Rest
 
 AIR_STIFFNESS = AIR_DENSITY * SOUND_SPEED**2  # Pa, rho c^2
 # Unknowns, and a usual woofer of 17 cm where the iteration begins, in SI.
-INDUCTIVE = 1e-6  # s, le / re of a sheet without le: a corner frequency of 159 kHz, above audio
-WOOFER = {"re": 6.0, "bl": 6.0, "mms": 15e-3, "cms": 1e-3, "rms": 1.0, "sd": 13e-3}
+# s, le / re of a data sheet without le: a corner frequency of 159 kHz, above audio
+INDUCTANCE_TIME = 1e-6
+EXAMPLE_WOOFER = {"re": 6.0, "bl": 6.0, "mms": 15e-3, "cms": 1e-3, "rms": 1.0, "sd": 13e-3}
 Area = Annotated[float, si("m2")]
 
 
@@ -103,12 +104,12 @@ class LoudspeakerKeys(ConductorKeys, NumberedKeys):
     )
 
 
-UNITS = {
+DRIVER_UNITS = {
     "fs": "Hz", "re": "Ohm", "qms": "", "qes": "", "qts": "", "bl": "N/A", "mms": "kg",
     "cms": "m/N", "rms": "N s/m", "sd": "m2", "vas": "m3", "zmax": "Ohm",
 }  # fmt: skip
 # Parameters of the netlist with their units and words.
-PARAMS = {
+DRIVER_PARAMETERS = {
     "fs": ("Hz", "resonance frequency in free air"),
     "re": ("Ohm", "DC resistance of the voice coil"),
     "qms": ("-", "mechanical Q factor"),
@@ -133,7 +134,7 @@ def thiele_small(driver: Mapping[str, float]) -> dict[str, float]:
 
 
 def _relation(key: str, names: tuple[str, ...]) -> Relation:
-    area = {"sd": WOOFER["sd"]}
+    area = {"sd": EXAMPLE_WOOFER["sd"]}
     return lambda values: thiele_small(area | dict(zip(names, values.tolist(), strict=True)))[key]
 
 
@@ -217,7 +218,7 @@ stop = "1 kHz"
     def solve(self, part: Part[LoudspeakerKeys]) -> SpeakerParameters:
         """Parameters from the keys; UsageError if the keys do not determine the values."""
         keys = part.keys
-        stated = {key: value for key in UNITS if (value := getattr(keys, key)) is not None}
+        stated = {key: value for key in DRIVER_UNITS if (value := getattr(keys, key)) is not None}
         for name in keys.tolerance:
             if name not in stated:
                 raise part.wrong(
@@ -226,16 +227,16 @@ stop = "1 kHz"
                     name,
                     f"one of {', '.join(stated)}",
                 )
-        names = tuple(name for name in WOOFER if name != "sd" or keys.sd or keys.vas)
-        known = [key for key in UNITS if key not in ("sd", "vas") or "sd" in names]
-        start = np.array([stated.get(name, WOOFER[name]) for name in names])
+        names = tuple(name for name in EXAMPLE_WOOFER if name != "sd" or keys.sd or keys.vas)
+        known = [key for key in DRIVER_UNITS if key not in ("sd", "vas") or "sd" in names]
+        start = np.array([stated.get(name, EXAMPLE_WOOFER[name]) for name in names])
         relations = {key: _relation(key, names) for key in known}
         tolerance = dict(keys.tolerance)
-        values = StatedValues(part.name, stated, relations, start, UNITS, tolerance, {})
+        values = StatedValues(part.name, stated, relations, start, DRIVER_UNITS, tolerance, {})
         unknowns = zip(names, values.solve().tolist(), strict=True)
-        sizes = thiele_small({"sd": WOOFER["sd"]} | dict(unknowns))
-        le = INDUCTIVE * sizes["re"] if keys.le is None else keys.le
-        return SpeakerParameters(**{key: sizes[key] for key in PARAMS}, le=le)
+        sizes = thiele_small({"sd": EXAMPLE_WOOFER["sd"]} | dict(unknowns))
+        le = INDUCTANCE_TIME * sizes["re"] if keys.le is None else keys.le
+        return SpeakerParameters(**{key: sizes[key] for key in DRIVER_PARAMETERS}, le=le)
 
     def _parameters(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> SpeakerParameters:
         record = scene.record(part)
@@ -246,7 +247,7 @@ stop = "1 kHz"
     def declared(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> Declaration:
         driver, tolerance = self._parameters(part, scene), part.keys.tolerance
         params = []
-        for key, (unit, words) in PARAMS.items():
+        for key, (unit, words) in DRIVER_PARAMETERS.items():
             value = round_to_digits(getattr(driver, key))
             note = words + tolerance_note(value, tolerance.get(key))
             params.append(positive_parameter(key, value, unit, note))

@@ -28,7 +28,7 @@ from kc2spice.scene.rows import Neglected, Numerics
 # fraction of the operate time due to the rise of the current, if the sheet does not state the
 # inductance
 SHARE = 0.9
-HALF = math.log(2)  # time constants from one end of the armature's way to its middle
+HALF_WAY_TIME = math.log(2)  # time constants from one end of the armature's travel to its middle
 
 
 class RelayKeys(ConductorKeys, NumberedKeys):
@@ -92,11 +92,11 @@ def solve_timing(part: Part[RelayKeys]) -> Timing:
     if keys.operate_time is None:
         assert keys.inductance is not None
         electrical = keys.inductance / keys.resistance * rise
-        return Timing(keys.inductance, (1 / SHARE - 1) * electrical / HALF)
+        return Timing(keys.inductance, (1 / SHARE - 1) * electrical / HALF_WAY_TIME)
     if keys.inductance is None:
         electrical = SHARE * keys.operate_time
         inductance = electrical / rise * keys.resistance
-        return Timing(inductance, (keys.operate_time - electrical) / HALF)
+        return Timing(inductance, (keys.operate_time - electrical) / HALF_WAY_TIME)
     electrical = keys.inductance / keys.resistance * rise
     if electrical >= keys.operate_time:
         most = keys.operate_time / rise * keys.resistance
@@ -108,7 +108,7 @@ def solve_timing(part: Part[RelayKeys]) -> Timing:
             f"inductance below {most:.4g} H",
             "correct or delete one of the two values",
         )
-    return Timing(keys.inductance, (keys.operate_time - electrical) / HALF)
+    return Timing(keys.inductance, (keys.operate_time - electrical) / HALF_WAY_TIME)
 
 
 def relay_law(params: tuple[Param, ...], changeover: bool) -> Declaration:

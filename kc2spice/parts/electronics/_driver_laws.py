@@ -16,13 +16,14 @@ from kc2spice.netlist.circuit import Param
 from kc2spice.physics.declaration import Branch, Declaration, measured, voltage
 from kc2spice.physics.law import DeclaredLaw
 
-OUTPUT = 0.1  # Ohm, output resistance of an operational amplifier
-STATIC_GAIN = 1e7  # of an operational amplifier
+OUTPUT_RESISTANCE = 0.1  # Ohm, output resistance of an operational amplifier
+STATIC_GAIN = 1e7  # voltage gain of an operational amplifier at zero frequency
 RAIL_STIFFNESS = 1e3  # 1/V, rate beyond a rail relative to the slew rate
-TURN = repr(2 * math.pi)
-SERIES = "series_resistance"  # Ohm, of the last resistor of each circuit, ``Rout``
+FULL_TURN = repr(2 * math.pi)
+# parameter with the resistance [Ohm] of the last resistor of each circuit, ``Rout``
+SERIES_PARAMETER = "series_resistance"
 GATE, THRESHOLD = 12.0, 3.0  # V, supply of the gates; threshold voltage of the transistors
-SATURATION = 1e-14  # A, of the diodes between source and drain
+SATURATION_CURRENT = 1e-14  # A, of the diodes between source and drain
 THERMAL_VOLTAGE = BOLTZMANN * DEFAULT_TEMPERATURE / ELEMENTARY_CHARGE  # V, at 27 C
 
 
@@ -37,13 +38,13 @@ def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
         "high-voltage amplifier",
         Section,
         _declare_nodes("out", "drive"),
-        content=f"0.5*(drive - out)^2/{SERIES} + 0.5*drive^2/20000 - drive*delivered",
+        content=f"0.5*(drive - out)^2/{SERIES_PARAMETER} + 0.5*drive^2/20000 - drive*delivered",
         signals={"delivered": _write_output_current("drive")},
         states={
             "compensation": _write_compensation_rate("(command - v_drive)/20", str(sink), "rail")
         },
         given=tuple(parameters),
-        constants={SERIES: "resistance", "unity": f"{TURN}*20*bandwidth"},
+        constants={SERIES_PARAMETER: "resistance", "unity": f"{FULL_TURN}*20*bandwidth"},
     )
 
 
@@ -59,7 +60,7 @@ def declare_charge_drive(parameters: Iterable[Param]) -> Declaration:
         Section,
         _declare_nodes("anode", "cathode", "drive"),
         coenergy="0.5*sense*cathode^2",
-        content=f"0.5*(drive - anode)^2/{SERIES} - drive*delivered"
+        content=f"0.5*(drive - anode)^2/{SERIES_PARAMETER} - drive*delivered"
         " + 0.5*sense*cathode^2 + 0.5*capacitance*(anode - cathode)^2",
         signals={
             "delivered": _write_output_current("drive"),
@@ -67,7 +68,7 @@ def declare_charge_drive(parameters: Iterable[Param]) -> Declaration:
         },
         states={"compensation": _write_compensation_rate("target - v_cathode", "-rail", "rail")},
         given=tuple(parameters),
-        constants={SERIES: "resistance", "unity": f"{TURN}*{product}"},
+        constants={SERIES_PARAMETER: "resistance", "unity": f"{FULL_TURN}*{product}"},
     )
 
 
@@ -83,12 +84,12 @@ def declare_linear_drive(parameters: Iterable[Param], sense: float) -> Declarati
         Section,
         _declare_nodes("drive", "ret", "power", "inverting", "middle"),
         coenergy="0.5*constant/(1000*ratio)*(middle - drive)^2",
-        content=f"0.5*(power - drive)^2/{SERIES} - power*delivered + 0.5*ret^2/{sense!r}"
+        content=f"0.5*(power - drive)^2/{SERIES_PARAMETER} - power*delivered + 0.5*ret^2/{sense!r}"
         " + 0.5*(ret - inverting)^2/1000 + 0.5*(inverting - middle)^2/(1000*ratio)",
         signals={"delivered": _write_output_current("power")},
         states={"compensation": _write_compensation_rate("command - v_inverting", "-rail", "rail")},
         given=tuple(parameters),
-        constants={SERIES: "1", "unity": f"{TURN}*gbw"},
+        constants={SERIES_PARAMETER: "1", "unity": f"{FULL_TURN}*gbw"},
     )
 
 
@@ -102,7 +103,7 @@ def declare_half_bridge(parameters: Iterable[Param]) -> Declaration:
             - SATURATION (exp(v_sd / THERMAL_VOLTAGE) - 1)
     """
     supplies = "0.5*(tank - rail)^2/supply_resistance + 0.5*bridge^2/leakage"
-    output = f"0.5*(bridge - out)^2/{SERIES}"
+    output = f"0.5*(bridge - out)^2/{SERIES_PARAMETER}"
     gates = (
         "0.5*(high - bridge - gate_high)^2/gate_resistance + 0.5*(low - gate_low)^2/gate_resistance"
     )
@@ -124,14 +125,17 @@ def declare_half_bridge(parameters: Iterable[Param]) -> Declaration:
             "current_low": _write_transistor_current("v_low", "v_bridge", "0"),
         },
         given=tuple(parameters),
-        constants={SERIES: "resistance", "kp": f"2*current_limit/({GATE - THRESHOLD!r})^2"},
+        constants={
+            SERIES_PARAMETER: "resistance",
+            "kp": f"2*current_limit/({GATE - THRESHOLD!r})^2",
+        },
     )
 
 
 def _write_transistor_current(gate: str, drain: str, source: str) -> str:
     """Return the current [A] of a transistor from ``drain`` to ``source``."""
     ends = (f"max(0, {gate} - {end} - {THRESHOLD!r})^2" for end in (source, drain))
-    diode = f"{SATURATION!r}*(exp(({source} - {drain})/{THERMAL_VOLTAGE!r}) - 1)"
+    diode = f"{SATURATION_CURRENT!r}*(exp(({source} - {drain})/{THERMAL_VOLTAGE!r}) - 1)"
     return f"0.5*kp*({' - '.join(ends)}) - {diode}"
 
 
@@ -147,7 +151,7 @@ def _declare_nodes(*names: str) -> tuple[Branch, ...]:
 
 def _write_output_current(node: str) -> str:
     """Return the limited current [A] that an operational amplifier delivers to a node."""
-    return f"current_limit*clip((compensation - v_{node})/({OUTPUT!r}*current_limit))"
+    return f"current_limit*clip((compensation - v_{node})/({OUTPUT_RESISTANCE!r}*current_limit))"
 
 
 def _write_compensation_rate(difference: str, low: str, high: str) -> str:
@@ -176,7 +180,7 @@ def build_driver_equations(
     """
     values, pins = declared.values(Section()), ("command", *terminals)
     results = {f"{name}.{pin}": laws.scaled_wave(f"{name}.{pin}") for pin in pins}
-    conductance = 1.0 / values[SERIES]
+    conductance = 1.0 / values[SERIES_PARAMETER]
     ends = ((conductance, f"{name}.{inner_node}"), (-conductance, f"{name}.{pins[1]}"))
     results[f"{name}.i"] = laws.Reading(ends)
     law = DeclaredLaw(name, declared, tuple(values.values()))

@@ -22,7 +22,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import merge_helpers
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics._driver_laws import (
-    OUTPUT,
+    OUTPUT_RESISTANCE,
     STATIC_GAIN,
     build_driver_equations,
     make_parameters,
@@ -44,7 +44,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.rows import Vector
 from kc2spice.synthesis.header import ROOM_TEXT, render_library
 
-BANDWIDTH = 1e9  # Hz, gain-bandwidth product of a fast decompensated amplifier
+GAIN_BANDWIDTH = 1e9  # Hz, gain-bandwidth product of a fast decompensated amplifier
 
 Level = Literal["pole", "slew"]
 _NOTHING: Mapping[str, Any] = {}
@@ -142,8 +142,8 @@ def opamp_subcircuit(
     pins = [Terminal(pin, "V", "A") for pin in ("inp", "inn", "out", "vcc", "vee", "ref")]
     params = (
         positive_parameter("a0", STATIC_GAIN, "-", "gain at rest"),
-        positive_parameter("gbw", BANDWIDTH, "Hz", "gain-bandwidth product"),
-        positive_parameter("rout", OUTPUT, "Ohm", "output resistance"),
+        positive_parameter("gbw", GAIN_BANDWIDTH, "Hz", "gain-bandwidth product"),
+        positive_parameter("rout", OUTPUT_RESISTANCE, "Ohm", "output resistance"),
         Param("offset", 0.0, "V", "input offset"),
     )
     title, rating = "operational amplifier", "its output stays between vee and vcc"
@@ -164,8 +164,10 @@ def opamp_subcircuit(
     return render_library("opamp_slew", header, "opamp_slew", title, pins, params + limits, **words)
 
 
-SLACK = 1e-3  # margin over span or current: rails sag by millivolts, saved points have reltol
-LOADED = "its load drives it beyond its rails, where diodes of a real output would conduct"
+RAIL_MARGIN = 1e-3  # margin over span or current: rails sag by millivolts, saved points have reltol
+OVERDRIVE_ADVICE = (
+    "its load drives it beyond its rails, where diodes of a real output would conduct"
+)
 
 
 class Load(NamedTuple):
@@ -235,8 +237,12 @@ class Driver(TemplatePart[KeysT]):
         name, i = f"{part.name}.{self.terminals[0]}", f"{part.name}.i"
         if self.opamp == "slew" and {"time", name, i} <= set(waves.data):
             low, high = self.rails(part)
-            inner = waves[name] + (getattr(part.keys, "resistance", 0.0) + OUTPUT) * waves[i]
-            yield rails_check(part.name, inner, low, high, SLACK * (high - low), LOADED)
+            inner = (
+                waves[name] + (getattr(part.keys, "resistance", 0.0) + OUTPUT_RESISTANCE) * waves[i]
+            )
+            yield rails_check(
+                part.name, inner, low, high, RAIL_MARGIN * (high - low), OVERDRIVE_ADVICE
+            )
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str]:
         settings = (f"{key} {value:g}" for key, value in part.keys if value is not None)

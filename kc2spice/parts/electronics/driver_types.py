@@ -20,7 +20,7 @@ from kc2spice.core.quantities import (
     Voltage,
 )
 from kc2spice.netlist.circuit import Param, positive_parameter
-from kc2spice.parts.control.pid import SENSE
+from kc2spice.parts.control.pid import SENSE_RESISTANCE
 from kc2spice.parts.electronics._driver_laws import (
     declare_amplifier,
     declare_charge_drive,
@@ -152,7 +152,7 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
     schema = LinearDriverKeys
     template, heading = "driver_linear", "current source for the coils"
     noise = ("R", "Rout", "Rsense")
-    constants: ClassVar = {"sense": SENSE}
+    constants: ClassVar = {"sense": SENSE_RESISTANCE}
     inner_node = "power"
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
@@ -166,8 +166,8 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """``drive = command + (command - V(ret)) ratio (1 + 1 / (s L / R))``, ``ratio = 2 pi f L /
         100 Ohm``, through an amplifier of five times the bandwidth ``f``."""
-        ratio = 2 * math.pi * keys.bandwidth * load.inductance / SENSE
-        resistance = load.resistance + SENSE
+        ratio = 2 * math.pi * keys.bandwidth * load.inductance / SENSE_RESISTANCE
+        resistance = load.resistance + SENSE_RESISTANCE
         limit = positive_parameter("current_limit", 2 * load.current, "A", "largest output current")
         return (*parameters(keys, "rail", "slew"), limit), {
             "inductance": load.inductance,
@@ -179,7 +179,8 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
         }
 
 
-RIPPLE = 3  # number of carrier harmonics with 99.9 % of the energy of a triangular current ripple
+# number of carrier harmonics with 99.9 % of the energy of a triangular current ripple
+RIPPLE_HARMONICS = 3
 
 
 class PwmKeys(Section):
@@ -201,14 +202,20 @@ class PwmDrive(CoilDriver[PwmKeys]):
     noise = "no noise: it switches, which an operating point knows nothing of"
     # V, peak of the triangle, and the controller's rails over it; Ohm, in the return, and V for
     # each ampere in it
-    constants: ClassVar = {"carrier": 10.0, "headroom": 1.2, "shunt": 1, "sense": SENSE}
+    constants: ClassVar = {"carrier": 10.0, "headroom": 1.2, "shunt": 1, "sense": SENSE_RESISTANCE}
 
     def for_load(self, keys: PwmKeys, load: Load) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """``u = command + (command - 100 Ohm i) ratio (1 + 1 / (s L / R))``, ``ratio = 2 pi f L
         carrier / (100 Ohm rail)``, against a triangle of ``carrier``."""
         resistance = load.resistance + 2 * keys.resistance + self.constants["shunt"]
         r2 = (
-            1e5 * 2 * math.pi * keys.bandwidth * load.inductance * self.constants["carrier"] / SENSE
+            1e5
+            * 2
+            * math.pi
+            * keys.bandwidth
+            * load.inductance
+            * self.constants["carrier"]
+            / SENSE_RESISTANCE
         )
         return parameters(keys, "rail", "frequency", "resistance", "edge"), {
             "inductance": load.inductance,
@@ -229,7 +236,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
 
 def _ripple_frequency(carrier: float, constant: float) -> float:
     """Frequency [Hz] of the last harmonic of a ripple that matters, whatever it acts behind."""
-    return RIPPLE * carrier
+    return RIPPLE_HARMONICS * carrier
 
 
 for _driver in (Amplifier, ChargeDrive, HalfBridge, LinearDrive, PwmDrive):

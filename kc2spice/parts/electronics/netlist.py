@@ -24,7 +24,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.read import read_cards
 from kc2spice.netlist.scope import Scope, build_scope, has_vector
 from kc2spice.netlist.spelling import require_name as checked
-from kc2spice.parts.electronics._template import SLACK, pin_voltages, rails_check
+from kc2spice.parts.electronics._template import RAIL_MARGIN, pin_voltages, rails_check
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import (
     Build,
@@ -40,15 +40,18 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 from kc2spice.scene.settings import FileName
 
-# Letter of an element and its parameter that is its current; "" for those that have a branch.
-_CURRENTS = {"r": "i", "c": "i", "l": "i", "b": "i", "d": "id", "m": "id", "j": "id", "q": "ic",
-             "v": "", "e": "", "h": ""}  # fmt: skip
-# Kinds of pins: units of 1 V and 1 A, which a signal has not.
-KINDS = {f"{unit}/{flow}": (unit, flow) for unit, flow in PIN_UNITS} | {"V": ("V", SIGNAL)}
-OTHERS = ", ".join(kind for kind in KINDS if kind not in ("V/A", "V"))
+# Parameter that is the current of an element, keyed by letter; "" for elements with a branch.
+_CURRENT_PARAMETERS = {
+    **dict.fromkeys("rclb", "i"), **dict.fromkeys("dmj", "id"), "q": "ic", **dict.fromkeys("veh", ""),
+}  # fmt: skip
+# Kinds of pins: what 1 V and 1 A represent; a signal carries no current.
+PIN_KINDS = {f"{unit}/{flow}": (unit, flow) for unit, flow in PIN_UNITS} | {"V": ("V", SIGNAL)}
+OTHER_KINDS = ", ".join(kind for kind in PIN_KINDS if kind not in ("V/A", "V"))
 
 
-RATED = "the circuit does not keep what ratings says of it: a diode drop or a glitch beyond?"
+RATING_ADVICE = (
+    "the circuit does not keep what ratings says of it: a diode drop or a glitch beyond?"
+)
 
 
 class Rating(Section):
@@ -97,7 +100,7 @@ class Netlist(PartType[NetlistKeys]):
     def pins(self, part: Part[NetlistKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         result = []
         for name in _pins(part, scene):
-            unit, flow = KINDS[part.keys.units.get(name, "V/A")]
+            unit, flow = PIN_KINDS[part.keys.units.get(name, "V/A")]
             ground = name in ("ref", "base")
             result.append(
                 Terminal(name, unit, flow, "gnd" if ground else None, required=not ground)
@@ -138,7 +141,7 @@ class Netlist(PartType[NetlistKeys]):
                 continue
             nodes = dict.fromkeys((*pins, *chain.from_iterable(e.ends for e in scope.elements)))
             choices = [*filter("0".__ne__, nodes)]
-            choices += [f"i({e.key})" for e in scope.elements if e.kind in _CURRENTS]
+            choices += [f"i({e.key})" for e in scope.elements if e.kind in _CURRENT_PARAMETERS]
             yield UsageError(
                 "the netlist has no such pin, node or current",
                 where=f"probes.{name}.of",
@@ -194,15 +197,15 @@ class Netlist(PartType[NetlistKeys]):
             name, volts = f"{part.name}.{pin}", waves.data.get(f"{part.name}.{pin}")
             if volts is None or "time" not in waves:
                 continue
-            slack = SLACK * float(np.abs(volts).max())
+            slack = RAIL_MARGIN * float(np.abs(volts).max())
             low = -np.inf if rating.low is None else rating.low
             high = np.inf if rating.high is None else rating.high
-            yield rails_check(name, volts, low, high, slack, RATED)
+            yield rails_check(name, volts, low, high, slack, RATING_ADVICE)
             if rating.slew is not None:
                 ahead = np.stack([volts, -volts]) - rating.slew * waves["time"]
                 most = float((ahead - np.minimum.accumulate(ahead, axis=1)).max())
                 name = f"{name} within its slew rate"
-                yield Check(name, most, slack, "V ahead", RATED, wiring=True)
+                yield Check(name, most, slack, "V ahead", RATING_ADVICE, wiring=True)
 
     def notes(self, part: Part[NetlistKeys], scene: Scene) -> Iterator[str]:
         yield f".subckt {part.keys.subckt} of {part.keys.file}"
@@ -297,7 +300,7 @@ def _inner_vector(node: str, part: str = "") -> str:
         return f"v({instance}{low})"
     path, element = instance + (f"{match[1]}." if match[1] else ""), match[2]
     name = f"{element[0]}.{path}{element}" if path else element
-    read = _CURRENTS.get(element[0], "i")
+    read = _CURRENT_PARAMETERS.get(element[0], "i")
     return f"i({name})" if read == "" else f"@{name}[{read}]"
 
 

@@ -74,23 +74,25 @@ class Kind(NamedTuple):
         return self.quantity.symbol
 
 
-KINDS = {name: Kind(*place) for name, place in QUANTITIES.items()}
+SOURCE_TYPES = {name: Kind(*place) for name, place in QUANTITIES.items()}
 # by inductance and mass; all other quantities are motions and flows
-SMOOTHED = ("voltage", "force")
-SHAPES = ("dc", "pulse", "sine", "pwl", "file")
+SMOOTHED_KINDS = ("voltage", "force")
+WAVEFORM_KEYS = ("dc", "pulse", "sine", "pwl", "file")
 MAX_ROWS = 100_000  # rows of a file
 # points per period of a sine: linear interpolation has an error of 4e-4 of the amplitude
-PER_PERIOD = 125
-EDGE = 0.5  # factor on the reciprocal of the edge time, above which 1e-4 of the spectrum remains
+POINTS_PER_PERIOD = 125
+# factor on the reciprocal of the edge time, above which 1e-4 of the spectrum remains
+EDGE_FACTOR = 0.5
 # Harmonics of a sine that is switched on. With 3, a mode above the band was wrong by 1.3 %.
-HARMONICS = 8.0
-DEVIATION = 1e-3  # largest deviation of an ideal source from its definition, relative to its swing
+RESOLVED_HARMONICS = 8.0
+# largest deviation of an ideal source from its definition, relative to its swing
+MAX_DEVIATION = 1e-3
 
 
 class SourceKeys(Section):
     """One of ``dc``, ``pulse``, ``sine``, ``pwl`` and ``file``; numbers in the kind's SI unit."""
 
-    kind: Literal[tuple(KINDS)] = Field(  # type: ignore[valid-type]
+    kind: Literal[tuple(SOURCE_TYPES)] = Field(  # type: ignore[valid-type]
         "voltage", description="Quantity that the source prescribes"
     )
     dc: float | str | None = Field(None, description="Constant value, in the unit of the source")
@@ -129,12 +131,12 @@ class SourceKeys(Section):
 
     @property
     def _stated_shapes(self) -> list[str]:
-        return [name for name in SHAPES if getattr(self, name) is not None]
+        return [name for name in WAVEFORM_KEYS if getattr(self, name) is not None]
 
     @property
     def unit(self) -> str:
         """SI unit of its values."""
-        return KINDS[self.kind].unit
+        return SOURCE_TYPES[self.kind].unit
 
     @property
     def waveform(self) -> Waveform:
@@ -198,7 +200,7 @@ class Source(PartType[SourceKeys]):
     source = "ideal source"
 
     def pins(self, part: Part[SourceKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        pins = KINDS[part.keys.kind].domain.units
+        pins = SOURCE_TYPES[part.keys.kind].domain.units
         return (Terminal("out", *pins, required=True), Terminal("ret", *pins, "gnd"))
 
     def numerics(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[Numerics]:
@@ -214,12 +216,12 @@ class Source(PartType[SourceKeys]):
         return part.keys.amplitude != 0
 
     def highest_frequency(self, part: Part[SourceKeys], scene: DeclaredScene) -> HighestFrequency:
-        share = 1.0 if part.keys.kind in SMOOTHED else 0.0
+        share = 1.0 if part.keys.kind in SMOOTHED_KINDS else 0.0
         return partial(_filtered_frequency, part.keys.waveform, scene.stop, share)
 
     def at_rest(self, part: Part[SourceKeys], scene: WiredScene) -> Rest:
         pair = (("out", "ret"),)
-        if KINDS[part.keys.kind].letter == "V":
+        if SOURCE_TYPES[part.keys.kind].letter == "V":
             wave = part.keys.waveform
             moves = wave.amplitude or np.ptp(np.array(wave.points)[:, 1])
             kinked = part.keys.kind == "displacement" and moves  # a sine too, where it starts
@@ -228,7 +230,7 @@ class Source(PartType[SourceKeys]):
         return Rest(pushed=("out", "ret") if constant else ())
 
     def cards(self, part: Part[SourceKeys], build: Build) -> tuple[Item, ...]:
-        kind = KINDS[part.keys.kind]
+        kind = SOURCE_TYPES[part.keys.kind]
         ends = [build.net(part, "out"), build.net(part, "ret")]
         if kind.letter == "I":  # the current leaves the source at "out" and enters it at "ret"
             ends.reverse()
@@ -247,13 +249,13 @@ class Source(PartType[SourceKeys]):
             yield part.name, "folded"
 
     def settable(self, part: Part[SourceKeys], build: Build) -> Mapping[str, SweptSource]:
-        kind = KINDS[part.keys.kind]
+        kind = SOURCE_TYPES[part.keys.kind]
         if _sweeps_back(part, build.scene):
             return {"dc": SweptSource(f"V{build.inner_name(part, part.name, 'swept')}", kind.scale)}
         return {"dc": SweptSource(f"{kind.letter}{part.name}", kind.scale)}
 
     def vectors(self, part: Part[SourceKeys], build: Build) -> Mapping[str, Vector]:
-        n, kind, result = part.name, KINDS[part.keys.kind], {}
+        n, kind, result = part.name, SOURCE_TYPES[part.keys.kind], {}
         flow = kind.domain.through_variable
         name, factor, unit = f"{n}.{flow.symbol}", flow.factor, flow.unit
         if kind.letter == "V":
@@ -270,7 +272,7 @@ class Source(PartType[SourceKeys]):
 
     def checks(self, part: Part[SourceKeys], build: Build, waves: Waveforms) -> Iterator[Check]:
         """Compare the source with its definition at every time point of the run."""
-        result = waves.data.get(f"{part.name}.{KINDS[part.keys.kind].sets}")
+        result = waves.data.get(f"{part.name}.{SOURCE_TYPES[part.keys.kind].sets}")
         if result is None or "time" not in waves:
             return
         wave = part.keys.waveform
@@ -278,7 +280,7 @@ class Source(PartType[SourceKeys]):
         swing = float(np.ptp(expected)) or float(np.abs(expected).max()) or 1.0
         off, name = float(np.abs(result - expected).max()) / swing, f"{part.name} drives as defined"
         advice = "the netlist's source is not the scene's: please report it"
-        yield Check(name, off, DEVIATION, "of its swing", advice, wiring=True)
+        yield Check(name, off, MAX_DEVIATION, "of its swing", advice, wiring=True)
 
     def law(self, part: Part[SourceKeys], build: Build) -> laws.Equations:
         n, keys = part.name, part.keys
@@ -287,7 +289,7 @@ class Source(PartType[SourceKeys]):
         law = laws.IdealSource(n, "signal" if unloaded else keys.kind, wave, size)
         signal = law.signal
         pins = (("out", f"{n}.out"),) if signal else (("out", f"{n}.out"), ("ret", f"{n}.ret"))
-        domain = KINDS[keys.kind].domain
+        domain = SOURCE_TYPES[keys.kind].domain
         across, through = (f"{n}.{item.symbol}" for item, _ in domain.quantities)
         results = {across: laws.scaled_wave(f"{n}.out")}
         if not signal:
@@ -335,16 +337,20 @@ def _sweep_cards(
 
 
 def drive_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
-    """Yield the largest steps and frequencies of a wave: sines that start, or edges (``EDGE``)."""
+    """Yield the largest steps and frequencies of a wave: sines that start, or edges
+    (``EDGE_FACTOR``).
+    """
     if not wave.straight:
         f = wave.frequency
-        what = f"1/{PER_PERIOD} of a period of {name}, a sine at {f:g} Hz"
-        yield Numerics(what, 1 / (PER_PERIOD * f), HARMONICS * f, period=1 / f)
+        what = f"1/{POINTS_PER_PERIOD} of a period of {name}, a sine at {f:g} Hz"
+        yield Numerics(what, 1 / (POINTS_PER_PERIOD * f), RESOLVED_HARMONICS * f, period=1 / f)
     else:
         times, values = np.array(wave.points).T
         moving = np.diff(times)[np.diff(values) != 0]
         if moving.size:
-            yield Numerics(f"edges of {name}, {moving.min():g} s", content=EDGE / moving.min())
+            yield Numerics(
+                f"edges of {name}, {moving.min():g} s", content=EDGE_FACTOR / moving.min()
+            )
 
 
 def _drives_signals_alone(part: Part[SourceKeys], build: Build) -> bool:

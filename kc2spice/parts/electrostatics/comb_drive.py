@@ -31,7 +31,7 @@ register(
             "electrostatic comb drive, with a stop",
             CombDriveKeys,
             (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
-            constants={"eps0": repr(EPSILON_0)} | _stop.CONSTANTS,
+            constants={"eps0": repr(EPSILON_0)} | _stop.STOP_CONSTANTS,
             energy=_stop.energy("x - travel"),
             stops={"the stop": "x - travel"},
             forces={"x": _stop.lost_force("x - travel", "x_rate")},
@@ -48,7 +48,7 @@ register(
                     "the fingers stay in the middle of their gaps",
                     "not estimated",
                 ),
-                _stop.NEGLECTED,
+                _stop.STOP_NEGLECTED,
             ),
             rating="not known; compare the field v / gap with the breakdown of what is in the gap",
         )

@@ -68,11 +68,14 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Vector
 
-PATCH = "patch"  # begins the names of a body's ports that are one row of patches
-ROUNDED = 1e-9  # error of the force over the displacement at an operating point, due to iterations
-UNSTABLE = 1e-5  # change of the capacitance, relative; above rounding errors of ngspice at rest
-TERMS = 99  # odd m and n up to this number; the remaining terms contribute 1e-4 of the damping
-FINER = 2  # ratio of the branches of the film in verify to those in the netlist
+PATCH_PREFIX = "patch"  # prefix of the ports of a body that are one row of patches
+# error of the force over the displacement at an operating point, due to iterations
+ITERATION_ROUNDING = 1e-9
+# change of the capacitance, relative; above rounding errors of ngspice at rest
+MAX_CAPACITANCE_CHANGE = 1e-5
+# odd m and n up to this number; the remaining terms contribute 1e-4 of the damping
+MAX_SERIES_INDEX = 99
+REFINEMENT_RATIO = 2  # ratio of the branches of the film in verify to those in the netlist
 # number of branches that follows from the scene: the motion may be faster than the drive
 FEWEST, MOST = 3, 100
 
@@ -177,10 +180,10 @@ class Gap(PatchedPart[GapKeys]):
     def build(
         self, part: Part[GapKeys], scene: Scene, clock: Clock, full: bool = False
     ) -> int | None:
-        """For a ``full`` model, the result is the film with :data:`FINER` times the branches of the
-        netlist.
+        """For a ``full`` model, the result is the film with :data:`REFINEMENT_RATIO` times the
+        branches of the netlist.
         """
-        return FINER * count_film_branches(part, scene) or None if full else None
+        return REFINEMENT_RATIO * count_film_branches(part, scene) or None if full else None
 
     def law(self, part: Part[GapKeys], build: Build) -> laws.Equations:
         """Return the law without the pins of branches that the netlist does not have."""
@@ -232,7 +235,7 @@ class Gap(PatchedPart[GapKeys]):
         name, most = f"{part.name} where nothing rests", float(rises.max() / capacitance.max())
         advice = "the sweep turns next to a fold, or steps over it: other points, or a wider one"
         what = "of its capacitance, more as the voltage falls"
-        yield Check(name, most, UNSTABLE, what, advice)
+        yield Check(name, most, MAX_CAPACITANCE_CHANGE, what, advice)
 
     def metrics(self, part: Part[GapKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Return the voltages of pull-in and release and the largest travel, or small signals.
@@ -249,7 +252,7 @@ class Gap(PatchedPart[GapKeys]):
             moved, force = np.mean(of["x"], axis=0)[-1], np.sum(of["force"], axis=0)[-1]
             law = force / moved if moved else 0.0
             omega = 2 * np.pi * waves["frequency"][-1].real
-            damping = law.imag if abs(law.imag) > ROUNDED * abs(law) else 0.0
+            damping = law.imag if abs(law.imag) > ITERATION_ROUNDING * abs(law) else 0.0
             return {
                 "gap_stiffness_n_m": Metric(law.real, "N/m"),
                 "gap_damping_n_s_m": Metric(damping / omega, "N s/m"),
@@ -275,7 +278,7 @@ def patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
         return (name,)
     body = scene.part(name, f"{part.name}.a")
     offered = body.type.ports(body, scene) if isinstance(body.type, LinearBody) else ()
-    row = [port.name for port in offered if port.name.startswith(PATCH)]
+    row = [port.name for port in offered if port.name.startswith(PATCH_PREFIX)]
     if not row:
         problem, hint = f"{name} has no patches", "patches = 10, or name its ports"
         raise part.wrong("a", problem, repr(name), "a body with patches, or ports", hint)
@@ -327,7 +330,10 @@ def _check_film(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator
     film, frequency = part.keys.film, 0.0
     if film is None:
         return
-    of, words = f"{part.name}.force*", f"force of {part.name}, {FINER} times the film's branches"
+    of, words = (
+        f"{part.name}.force*",
+        f"force of {part.name}, {REFINEMENT_RATIO} times the film's branches",
+    )
     yield Gate(words, of, {"rom_vs_fom": film.tolerance}, "largest")
     if "frequency" in waves:
         frequency = float(waves["frequency"].real[-1])
@@ -351,7 +357,7 @@ def _declare(text: str, count: int, film_branches: int, top: float) -> Declarati
     """
     keys = GapKeys.model_validate_json(text)
     shares = keys.shares or (1 / count,) * count
-    numbers: dict[str, float | str] = {"eps0": EPSILON_0, **_stop.CONSTANTS}
+    numbers: dict[str, float | str] = {"eps0": EPSILON_0, **_stop.STOP_CONSTANTS}
     sign = "-" if keys.side == "below" else "+"
     branches = [voltage("v", "plus", "minus")]
     gaps, capacitances, energy, damping = [], [], [], []
@@ -404,7 +410,7 @@ def _declare(text: str, count: int, film_branches: int, top: float) -> Declarati
         limits=limits,
         neglected=tuple(_neglected(keys, film_branches, top)),
         rating="not known; compare v / gap with the breakdown of what is in the gap",
-        example=EXAMPLE,
+        example=EXAMPLE_SCENE,
     )
 
 
@@ -424,7 +430,7 @@ def _neglected(keys: GapKeys, branches: int, top: float) -> Iterator[tuple[str, 
         what = "a spring of the gas that stiffens as the gap closes"
         yield what, "it is that at rest", "of the order of gap / what is left"
     yield "tilt within a patch", "one displacement each", "more patches show it"
-    yield _stop.NEGLECTED
+    yield _stop.STOP_NEGLECTED
 
 
 def _series_terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -432,7 +438,7 @@ def _series_terms(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     The dampers are multiplied by gap^3, the springs by gap. The largest dampers stand first.
     """
-    area, odd = film.length * film.width, np.arange(1, TERMS + 1, 2)
+    area, odd = film.length * film.width, np.arange(1, MAX_SERIES_INDEX + 1, 2)
     m, n = np.reshape(np.meshgrid(odd, odd), (2, -1))
     S = 4 * area / (np.pi**2 * m * n)
     q = np.pi**2 * (m**2 / film.length**2 + n**2 / film.width**2)
@@ -458,7 +464,7 @@ def _split_series(
     return result, float(dampers[branches:].sum())
 
 
-EXAMPLE = """
+EXAMPLE_SCENE = """
 [gap]
 part = "gap"
 a = "mass.a"
@@ -481,5 +487,5 @@ stiffness = "1 N/m"
 part = "source"
 dc = "3 V"
 """
-_USUAL = GapKeys(a="mass.a", area=1e-8, gap=2e-6, travel=1.5e-6, side="above")
-register(Gap(_declare(_USUAL.model_dump_json(), 1, 0, 0.0)))
+_EXAMPLE_KEYS = GapKeys(a="mass.a", area=1e-8, gap=2e-6, travel=1.5e-6, side="above")
+register(Gap(_declare(_EXAMPLE_KEYS.model_dump_json(), 1, 0, 0.0)))

@@ -36,7 +36,7 @@ register(
             "electrostatic actuator of two parallel plates, with a stop",
             ParallelPlateKeys,
             (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
-            constants={"eps0": repr(EPSILON_0)} | _stop.CONSTANTS,
+            constants={"eps0": repr(EPSILON_0)} | _stop.STOP_CONSTANTS,
             energy=_stop.energy("x - travel"),
             stops={"the stop": "x - travel"},
             forces={"x": _stop.lost_force("x - travel", "x_rate")},
@@ -49,7 +49,7 @@ register(
                     "of the order of gap / width",
                 ),
                 ("squeezed air", "a damper between a and b stands for it", "not estimated"),
-                _stop.NEGLECTED,
+                _stop.STOP_NEGLECTED,
             ),
             rating="not known; compare v / (gap - x) with the breakdown of what is in the gap",
         )

@@ -34,7 +34,7 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Governed, SweptSource, Vector
 
-HEIGHTS = 2001  # at which the lookup is read: five per segment
+LOOKUP_HEIGHTS = 2001  # heights at which the lookup is read: five per segment
 
 
 class CurrentCasesKeys(Section):
@@ -57,7 +57,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def expand(
         self, part: Part[CurrentCasesKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        sweep = {"type": "dc", "sweep": f"{part.name}.height", "points": HEIGHTS}
+        sweep = {"type": "dc", "sweep": f"{part.name}.height", "points": LOOKUP_HEIGHTS}
         return {"analysis": sweep}
 
     def pins(self, part: Part[CurrentCasesKeys], scene: JoinedScene) -> tuple[Terminal, ...]:

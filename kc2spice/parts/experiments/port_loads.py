@@ -39,7 +39,8 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Governed, Vector
 
-SPECK = 1e-24  # F; in series with 1/SPECK volts it carries one coulomb, whatever the anode does
+# F; in series with 1/CHARGE_CAPACITANCE volts it carries one coulomb at any voltage of the anode
+CHARGE_CAPACITANCE = 1e-24
 
 
 class PortLoadsKeys(Section):
@@ -197,8 +198,8 @@ class PortLoads(PartType[PortLoadsKeys]):
                 result.append(volts)
                 nets.append((f"{name}.anode", f"{name}_volts.out"))
             elif load == "anode":
-                speck = element(f"{name}_speck", "capacitor", SPECK)
-                result += [replace(volts, ac=1.0 / SPECK), speck]
+                speck = element(f"{name}_speck", "capacitor", CHARGE_CAPACITANCE)
+                result += [replace(volts, ac=1.0 / CHARGE_CAPACITANCE), speck]
                 nets += [(f"{name}_volts.out", f"{name}_speck.a")]
                 nets += [(f"{name}.anode", f"{name}_speck.b")]
             for ring in rings:

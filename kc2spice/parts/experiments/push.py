@@ -33,7 +33,7 @@ from kc2spice.scene.rows import Governed, Numerics, SweptSource, Vector
 
 
 class PushKeys(Section):
-    """The lowest point of a sphere is pushed down in equal steps."""
+    """Keys of an experiment that pushes the lowest point of a sphere down in equal steps."""
 
     depth: Length = Field(50e-6, gt=0, description="Largest indentation depth")
     steps: Count = Field(

@@ -61,21 +61,22 @@ from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected, Numerics
 
 Conductivity = Annotated[float, si("1/(Ohm m)")]
-SOURCES = ("kc2spice.fem.magnet_rings", __name__)
-CLOSER = 0.1  # ratio of tolerances, full to reduced model
+LOOP_SOURCES = ("kc2spice.fem.magnet_rings", __name__)
+TOLERANCE_RATIO = 0.1  # ratio of tolerances, full to reduced model
 SWING = 0.05
-MOST_TURNS = 5
-FINER = 2  # ratio of rings and of frequency, full to reduced model
-CIRCLES = "closed form of coaxial circles"  # source of the couplings without rings
-LEAST = 1e3  # Hz, frequency up to which eddy currents are always resolved
-SCREENED = 0.5  # inductance of a coil over a conductor, relative to that without it
-BEYOND = 2.0  # largest frequency of a run's currents, relative to the resolved frequency
+MAX_TURNS = 5
+REFINEMENT_RATIO = 2  # ratio of rings and of frequency, full to reduced model
+CIRCLE_METHOD = "closed form of coaxial circles"  # source of the couplings without rings
+MIN_FREQUENCY = 1e3  # Hz, frequency up to which eddy currents are always resolved
+SCREENED_RATIO = 0.5  # inductance of a coil over a conductor, relative to that without it
+# largest frequency of a run's currents, relative to the resolved frequency
+MAX_FREQUENCY_RATIO = 2.0
 # fraction of energy below the highest frequency; a short sine has energy above its own frequency
 SEEN = 0.99
-ROUGH = 0.02  # largest relative error of flux, force and loss by the rings
+MAX_RING_ERROR = 0.02  # largest relative error of flux, force and loss by the rings
 # largest change of the path of a magnet if the tolerance of its field is ten times smaller
 MOVED = 1e-3
-LEAST_CHANGE = 0.1  # least part of the error of the rings that finer rings are assumed to show
+MIN_CHANGE = 0.1  # least part of the error of the rings that finer rings are assumed to show
 
 
 class CoilKeys(Section):
@@ -224,7 +225,7 @@ def declare(part: Part[Moving], model: Ladder) -> Declaration:
         low=f"y - {model.low:.11g}",
         high=f"{model.high:.11g} - y",
         reach=f", currents up to {model.frequency:g} Hz" if eddies else "",
-        mesh=_ring_error(model) or f"none: {CIRCLES}",
+        mesh=_ring_error(model) or f"none: {CIRCLE_METHOD}",
     )
 
 
@@ -311,10 +312,12 @@ class MovingBody(DeclaredPart[MovingT]):
         couplings of a closer fit.
         """
         keys, frequency = part.keys, self.resolved_frequency(part, scene)
-        tolerance = (CLOSER if full else 1.0) * keys.tolerance
-        rings = (FINER if full else 1) * getattr(keys, "rings", 1)
+        tolerance = (TOLERANCE_RATIO if full else 1.0) * keys.tolerance
+        rings = (REFINEMENT_RATIO if full else 1) * getattr(keys, "rings", 1)
         if full and frequency:
-            frequency = FINER * max(frequency, highest_frequency(scene, _shortest_lag(part, scene)))
+            frequency = REFINEMENT_RATIO * max(
+                frequency, highest_frequency(scene, _shortest_lag(part, scene))
+            )
 
         def build() -> Ladder:
             fixed = []
@@ -328,7 +331,7 @@ class MovingBody(DeclaredPart[MovingT]):
 
         shape, settings = {"tolerance", "rings", "frequency"}, (tolerance, rings, frequency)
         key = {"keys": keys.model_dump(exclude=shape, mode="json"), "of": settings}
-        sources = (*SOURCES, type(self).__module__)
+        sources = (*LOOP_SOURCES, type(self).__module__)
         try:
             return load_or_build(self.name, key, build, classes=(Ladder,), sources=sources)
         except UsageError as error:  # the range of heights causes this error
@@ -341,7 +344,7 @@ class MovingBody(DeclaredPart[MovingT]):
             return {}
         result = turning_points(waves["time"], waves[f"{part.name}.y"])
         metrics = {}
-        for k, (time, height) in enumerate(result[:MOST_TURNS], 1):
+        for k, (time, height) in enumerate(result[:MAX_TURNS], 1):
             metrics[f"{part.name}_turn{k}_s"] = Metric(time, "s")
             metrics[f"{part.name}_turn{k}_m"] = Metric(height, "m")
         return metrics
@@ -357,13 +360,15 @@ class MovingBody(DeclaredPart[MovingT]):
             finer = f"{result.rings} rings of {part.name} against finer ones"
             more = f"raise {part.name}.rings"
             unit = "of flux, force and loss"
-            yield Check(finer, result.rough, ROUGH, unit, more, "warn", discretisation=True)
+            yield Check(
+                finer, result.rough, MAX_RING_ERROR, unit, more, "warn", discretisation=True
+            )
             highest = _highest_run_frequency(part, build, waves)
             what = f"highest frequency of the currents of {part.name}"
             advice = f"raise {part.name}.frequency to it"
-            limit = BEYOND * result.frequency
+            limit = MAX_FREQUENCY_RATIO * result.frequency
             yield Check(what, highest, limit, "Hz", advice, "warn", discretisation=True)
-            limits = {"rom_vs_fom": ROUGH, "ngspice_vs_fom": ROUGH}
+            limits = {"rom_vs_fom": MAX_RING_ERROR, "ngspice_vs_fom": MAX_RING_ERROR}
             of = f"{part.name}.{_current_name('*')}_v"
             yield Gate(f"coils' voltages of {part.name}", of, limits, "largest")
         elif "time" in waves:
@@ -382,7 +387,7 @@ class MovingBody(DeclaredPart[MovingT]):
             yield Figure(f"{part.name}_height", title, caption, (panel,), main=True)
 
     def discretisation(self, part: Part[MovingT], build: Build) -> str:
-        return _ring_error(build.model(part, Ladder)) or f"no mesh: {CIRCLES}"
+        return _ring_error(build.model(part, Ladder)) or f"no mesh: {CIRCLE_METHOD}"
 
     @abstractmethod
     def field(
@@ -433,7 +438,8 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
     def resolved_frequency(self, part: Part[MovingConductorKeys], scene: Scene) -> float:
         """Frequency [Hz] up to which its eddy currents are resolved."""
         return float(
-            part.keys.frequency or max(LEAST, highest_frequency(scene, _shortest_lag(part, scene)))
+            part.keys.frequency
+            or max(MIN_FREQUENCY, highest_frequency(scene, _shortest_lag(part, scene)))
         )
 
     def field(
@@ -457,9 +463,9 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         The error is of second order in the size of a ring, in proportion to the reciprocal of their
         number. The change by finer rings is part of the error as well.
         """
-        finer = _divide_body(keys, FINER * rings, ladder.frequency)
+        finer = _divide_body(keys, REFINEMENT_RATIO * rings, ladder.frequency)
         changed = compare_rings(finer, ladder, windings(keys), fixed, keys.conductivity)
-        return replace(ladder, rough=changed / max(1 - ladder.rings / finer.r.size, LEAST_CHANGE))
+        return replace(ladder, rough=changed / max(1 - ladder.rings / finer.r.size, MIN_CHANGE))
 
     def notes(self, part: Part[MovingConductorKeys], scene: Scene) -> Iterator[str | Neglected]:
         keys, frequency = part.keys, self.resolved_frequency(part, scene)
@@ -528,7 +534,7 @@ def _shortest_lag(part: Part[Moving], scene: WiredScene) -> float:
         part.keys.coils, part.keys.coils.values(), windings(part.keys), strict=True
     ):
         ohms = coil.resistance + _series_resistance(part, scene, {f"{name}_p", f"{name}_n"})
-        result.append(SCREENED * winding.couple_winding(winding) / ohms)
+        result.append(SCREENED_RATIO * winding.couple_winding(winding) / ohms)
     return min(result, default=0.0)
 
 

@@ -70,12 +70,13 @@ UNRATED = "not known; compare the coils' currents with what their wire stands"
 USUAL_CURRENT = 0.1  # A, current of the shown and compared forces if a scene states no limit
 FINER = 2  # ratio of cells along each edge of the mesh in verify to cells of the table
 # heights per interval of the denser table that the table of the netlist is compared with
-DENSER = 4
-POINTS = 201  # points of each lookup; the error between them is 6e-6 of the largest force
-COARSE = 1e-2  # largest error of the spline between heights, relative to the largest force
-COPPER = 3.45e6  # J/(m3 K), of volume: 385 J/(kg K) at 8960 kg/m3
-COILS = ("lower", "upper")
-SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__)
+DENSITY_RATIO = 4
+LOOKUP_POINTS = 201  # points of each lookup; the error between them is 6e-6 of the largest force
+# largest error of the spline between heights, relative to the largest force
+MAX_SPLINE_ERROR = 1e-2
+COPPER_HEAT_CAPACITY = 3.45e6  # J/(m3 K), per volume: 385 J/(kg K) at 8960 kg/m3
+COIL_NAMES = ("lower", "upper")
+TABLE_SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__)
 
 
 class Coils(ConductorKeys, Catch):
@@ -99,19 +100,19 @@ class Coils(ConductorKeys, Catch):
 
 # One current i through both coils, i2 = i and i1 = -i, as the control loop wires them: functions of
 # height, by powers of i, each the sum of the table's coefficients times these weights.
-SERIES = {
+SERIES_COEFFICIENTS = {
     name: tuple((-1) ** a * (a + b == power) for a, b in CURRENT_EXPONENTS.values())
     for power, name in enumerate(("c0", "d1", "d2"))
 }
 
-PLACE = (
+POSITION_PINS = (
     Terminal.signal("y", DISPLACEMENT),
     Terminal.speed("v", TRANSLATION),
     Terminal.of(BASE, TRANSLATION, GROUND),
 )
-ENDS = ("lp", "ln", "up", "un")  # pins of the lower and the upper coil
-PINS = (*(Terminal(end, "V", "A") for end in ENDS), *PLACE)
-SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *PLACE)
+COIL_PINS = ("lp", "ln", "up", "un")  # pins of the lower and the upper coil
+ALL_PINS = (*(Terminal(end, "V", "A") for end in COIL_PINS), *POSITION_PINS)
+SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *POSITION_PINS)
 
 
 def rated_heating(keys: Coils) -> float:
@@ -120,15 +121,16 @@ def rated_heating(keys: Coils) -> float:
     Without cooling, the integral is ``rise c A^2 / resistivity`` for any number of turns.
     """
     section = np.pi / 4 * keys.wire_diameter**2
-    return float(keys.rated_rise * COPPER * section**2 / keys.resistivity)
+    return float(keys.rated_rise * COPPER_HEAT_CAPACITY * section**2 / keys.resistivity)
 
 
 def _force_contributions(values: np.ndarray, current: float) -> np.ndarray:
-    """Contributions of each of :data:`SERIES` to the force at ``current`` [A] (3, heights).
+    """Contributions of each of :data:`SERIES_COEFFICIENTS` to the force at ``current`` [A] (3,
+    heights).
 
     ``values`` (heights, 6) are the coefficients of the table.
     """
-    weights = np.array(list(SERIES.values()), dtype=float)
+    weights = np.array(list(SERIES_COEFFICIENTS.values()), dtype=float)
     return current ** np.arange(3)[:, None] * (weights @ values.T)
 
 
@@ -160,7 +162,7 @@ def coils_subcircuit(
         declared,
         given=tuple(
             positive_parameter(f"resistance_{coil}", float(ohm), "Ohm", f"of the {coil} coil")
-            for coil, ohm in zip(COILS, table.resistance, strict=True)
+            for coil, ohm in zip(COIL_NAMES, table.resistance, strict=True)
         ),
         validity=f"sphere's centre from {low:g} to {high:g} {DISPLACEMENT.pin_unit}, "
         f"constant forces beyond; linear magnetics; {COLD if wire is None else HOT}",
@@ -253,7 +255,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
                 "radius", "the radius is outside of the force table", got, expected, hint
             )
         copper = keys.turns * np.pi / 4 * keys.wire_diameter**2
-        for coil in COILS:
+        for coil in COIL_NAMES:
             body = getattr(keys, coil)
             fill = float(copper / (body.height * (body.outer - body.inner)))
             why = f"{keys.turns} turns of {keys.wire_diameter:g} m wire do not fit into "
@@ -287,7 +289,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
 
     def _unit(self, part: Part[Coils], count: int) -> Catch:
         """Keys on which a table depends, besides the sphere's radius."""
-        alone = {"remanence": 1.0, "shift": 0.0, "points": POINTS, "positions": count}
+        alone = {"remanence": 1.0, "shift": 0.0, "points": LOOKUP_POINTS, "positions": count}
         return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields} | alone)
 
     def model_key(self, part: Part[Coils], scene: Scene) -> Mapping[str, Any]:
@@ -301,7 +303,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         A ``full`` table is so dense that the interpolation error of its splines is ``DENSER**4``
         times smaller. Air box and ring move together.
         """
-        keys, count = part.keys, (DENSER if full else 1) * (part.keys.positions - 1) + 1
+        keys, count = part.keys, (DENSITY_RATIO if full else 1) * (part.keys.positions - 1) + 1
         unit = self._unit(part, count)
         key = {**self.model_key(part, scene), "positions": count}
 
@@ -311,7 +313,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             with clock.time_stage("magnetics", "field of the catch actuator") as share:
                 return compute_catch_table(unit, key["radius"], share)
 
-        table = load_or_build("catch", key, build, classes=(EMTable,), sources=SOURCES)
+        table = load_or_build("catch", key, build, classes=(EMTable,), sources=TABLE_SOURCES)
         return table.scale_magnets(keys.remanence, keys.shift)
 
     def library(self, part: Part[Coils], scene: Scene) -> str:
@@ -384,7 +386,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             stated = coils.add_heat_pin(stated, *_coil_heat.wire_values(part.keys))
         law = coils.make_law(n, stated, table, height_offset(part, "y", scene))
         results = {}
-        for coil, (wave, sign) in zip(COILS, ends, strict=True):
+        for coil, (wave, sign) in zip(COIL_NAMES, ends, strict=True):
             results[f"{prefix}.{coil}.current"] = laws.scaled_wave(f"{n}.{wave}", sign)
         if apart:
             results[f"{prefix}.voltage"] = laws.wave_difference(f"{n}.up", f"{n}.lp")
@@ -412,14 +414,14 @@ class RingMagnetCoils(TouchablePart[Coils]):
         from kc2spice.fem.magnet_field import compute_catch_table, count_compared_positions
 
         table, keys = build.model(part, EMTable), part.keys
-        unknowns = FINER**2 * table.facts["unknowns"]
+        unknowns = REFINEMENT_RATIO**2 * table.facts["unknowns"]
         if unknowns > PLANE_UNKNOWN_RATIO * most:
             cause = f"{unknowns:.0f} unknowns, more than {PLANE_UNKNOWN_RATIO * most:.0f}"
             yield f"{part.name}: no mesh half as wide ({cause}); {self.discretisation(part, build)}"
             return
         settings = {
             "positions": count_compared_positions(keys.positions),
-            "refine": FINER * keys.refine,
+            "refine": REFINEMENT_RATIO * keys.refine,
         }
         unit = self._unit(part, settings["positions"]).model_copy(update=settings)
         key = {**self.model_key(part, build.scene), "finer": settings}
@@ -428,17 +430,19 @@ class RingMagnetCoils(TouchablePart[Coils]):
             with clock.time_stage("full model", f"{part.name}: mesh half as wide") as share:
                 return compute_catch_table(unit, key["radius"], share)
 
-        fine = load_or_build("catch", key, finer, classes=(EMTable,), sources=SOURCES)
+        fine = load_or_build("catch", key, finer, classes=(EMTable,), sources=TABLE_SOURCES)
         fine = fine.scale_magnets(keys.remanence, keys.shift)
         step = (table.y.size - 1) // (fine.y.size - 1)
-        current = largest_current(part, build.scene) or USUAL_CURRENT
+        current = largest_current(part, build.scene) or DEFAULT_CURRENT
         pull = _force_contributions(fine.coefficients, current)
         change = _force_contributions(table.coefficients[::step], current) - pull
         changed = np.abs(change).sum(axis=0).max() / np.abs(pull).sum(axis=0).max()
-        yield Check(f"mesh of {part.name} half as wide, force", float(changed), COARSE)
+        yield Check(f"mesh of {part.name} half as wide, force", float(changed), MAX_SPLINE_ERROR)
         changed = np.abs(table.inductance[::step] - fine.inductance).max()
         changed /= np.abs(fine.inductance).max()
-        yield Check(f"mesh of {part.name} half as wide, inductance", float(changed), COARSE)
+        yield Check(
+            f"mesh of {part.name} half as wide, inductance", float(changed), MAX_SPLINE_ERROR
+        )
 
     def checks(
         self, part: Part[Coils], build: Build, waves: Waveforms
@@ -463,14 +467,14 @@ class RingMagnetCoils(TouchablePart[Coils]):
         name, action = f"field of {part.name} between its positions", build.scene.checks.range
         advice = f"too few heights: raise {part.name}.positions"
         unit = "of the largest force"
-        yield Check(name, coarse, COARSE, unit, advice, action, discretisation=True)
-        of, limits = f"{sphere_of(part, build.scene).name}.y", {"rom_vs_fom": COARSE}
-        words = f"height over its way, {DENSER} times the positions of {part.name}"
+        yield Check(name, coarse, MAX_SPLINE_ERROR, unit, advice, action, discretisation=True)
+        of, limits = f"{sphere_of(part, build.scene).name}.y", {"rom_vs_fom": MAX_SPLINE_ERROR}
+        words = f"height over its way, {DENSITY_RATIO} times the positions of {part.name}"
         yield Gate(words, of, limits, "travel", discretisation=True)
         for words, error in mesh_errors(build.facts(part)).items():
-            if error > COARSE:
+            if error > MAX_SPLINE_ERROR:
                 name, advice = f"mesh of {part.name}, {words}", f"raise {part.name}.refine"
-                yield Check(name, error, COARSE, "relative, estimated", advice, "warn")
+                yield Check(name, error, MAX_SPLINE_ERROR, "relative, estimated", advice, "warn")
         advice = f"the sphere left the field table: widen {part.name}.y_min and {part.name}.y_max, "
         advice += "or kick it less"
         table, travel = build.model(part, EMTable), float(np.ptp(y))
@@ -483,7 +487,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
     ) -> Iterator[Figure | FileWriter]:
         prefix = result_prefix(part)
         currents = _coil_currents(part, waves)
-        if "time" in waves and len(currents) == len(COILS):
+        if "time" in waves and len(currents) == len(COIL_NAMES):
             t = 1e3 * waves["time"]
             curves = [Curve(f"{coil} coil", t, 1e3 * i) for coil, i in currents.items()]
             if f"{prefix}.wanted" in waves:
@@ -504,7 +508,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         yield FileWriter(file, lambda path: np.savez_compressed(path, **arrays))
 
     def notes(self, part: Part[Coils], scene: Scene) -> Iterator[str | Neglected]:
-        """Yield the assumptions; eddy currents decay within ``mu sigma R^2 / pi^2`` of a sphere."""
+        """Yield the assumptions of the model."""
         yield f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
         if has_real_coils(part, scene):
             yield "coils with R, L(y), M(y) and back-EMF"
@@ -537,7 +541,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
 def plot_force(part: Part[Coils], build: Build) -> Figure:
     """Plot the force over height without current, with equal currents, and with opposite ones."""
     table = build.model(part, EMTable)
-    limit = largest_current(part, build.scene) or USUAL_CURRENT
+    limit = largest_current(part, build.scene) or DEFAULT_CURRENT
     fine = np.linspace(table.y[0], table.y[-1], 401)
     curves = []
     for lower, upper in ((0.0, 0.0), (limit, limit), (limit, -limit), (-limit, limit)):
@@ -569,7 +573,7 @@ def result_prefix(part: Part[Coils]) -> str:
 
 def has_real_coils(part: Part[Coils], scene: DeclaredScene) -> bool:
     """Whether a circuit drives the terminals of its coils: they have inductance and back-EMF."""
-    joined = any(scene.is_target(part.name, pin) or pin in part.pins for pin in ENDS)
+    joined = any(scene.is_target(part.name, pin) or pin in part.pins for pin in COIL_PINS)
     return bool(part.keys.driver) or joined
 
 
@@ -581,7 +585,7 @@ def _has_coil_terminals(part: Part[Coils], scene: DeclaredScene) -> bool:
 def _coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]:
     """Return the recorded currents [A] of the coils, the upper one first."""
     result = {}
-    for coil in reversed(COILS):
+    for coil in reversed(COIL_NAMES):
         name = f"{result_prefix(part)}.{coil}.current"
         if name in waves:
             result[coil] = waves[name]
@@ -590,7 +594,7 @@ def _coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]
 
 def _is_driven(part: Part[Coils], scene: JoinedScene) -> bool:
     """Whether the part joins pins, or another part joins a pin of its coils."""
-    targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", *ENDS)}
+    targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", *COIL_PINS)}
     for other in scene.parts.values():
         joined = (*other.pins.values(), *scene.joins[other.name].values())
         if other is not part and not targets.isdisjoint(joined):

@@ -19,14 +19,17 @@ from kc2spice.core.quantities import (
 )
 
 # N/m; a mass of one gram on this spring rings at 160 GHz, which no simulator can resolve
-STIFFEST = 1e15
+MAX_STIFFNESS = 1e15
 
 
 class ContactKeys(Section):
     """Penalty contact, one spring per port of ``a`` (paper eq. 10)."""
 
     penalty: Stiffness = Field(
-        1e8, gt=0, le=STIFFEST, description="Penalty stiffness of one ring in one symmetry sector"
+        1e8,
+        gt=0,
+        le=MAX_STIFFNESS,
+        description="Penalty stiffness of one ring in one symmetry sector",
     )
     rings: Rings = Field(
         "needed",

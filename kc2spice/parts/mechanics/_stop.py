@@ -17,7 +17,7 @@ from pydantic import Field
 
 from kc2spice.core.quantities import Ratio, Section, si
 
-SLOW = 1e-4  # m/s; a strike as slow rises by a nanometre under 5 m/s2
+MIN_STRIKE_VELOCITY = 1e-4  # m/s; at this velocity, an impact rebounds by a nanometre under 5 m/s2
 
 
 class StoppedCoordinate(Section):
@@ -37,11 +37,11 @@ class StoppedCoordinate(Section):
     )
 
 
-CONSTANTS = {
+STOP_CONSTANTS = {
     "loss": "(1 - restitution*restitution)/(1 + restitution*restitution)",
-    "slow": repr(SLOW),
+    "slow": repr(MIN_STRIKE_VELOCITY),
 }
-NEGLECTED = (
+STOP_NEGLECTED = (
     "sticking and wear of the stop, rebounds by the speed",
     "one stiffness, one restitution",
     "not estimated",

@@ -27,13 +27,14 @@ if TYPE_CHECKING:
     from kc2spice.bodies.pressure import IndentationLaw, LocalCompliance, PressureBasis
     from kc2spice.core.waveforms import Waveforms
 
-FLOOR = "floor"  # port of a rigid plane
-PATCH = "patch"  # port of an elastic sphere
+FLOOR_PORT = "floor"  # port of a rigid plane
+SPHERE_PATCH = "patch"  # port of an elastic sphere
 # Ratio of the error of the pressure basis to the change by a basis half as wide. The measured ratio
 # is 1.8, from a basis a quarter as wide.
-REFINED = 3.0
-_FLIGHT = 20e-6  # several periods of the chip: a shorter gap is a bounce within the kick
-_SPARE = 1.25  # margin of an indentation: a body is no half-space, and few rings carry the force
+REFINEMENT_LIMIT = 3.0
+_MIN_FLIGHT = 20e-6  # s, several periods of the chip; a shorter flight is a bounce within the kick
+# margin of an indentation, because a body is not a half-space and few rings carry the force
+_INDENTATION_MARGIN = 1.25
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,7 @@ class Pair:
                 )
             return offers[0]
         if selected == GROUND:
-            return Surface(GROUND, (FLOOR,), (0.0,))
+            return Surface(GROUND, (FLOOR_PORT,), (0.0,))
         targets = (selected,) if isinstance(selected, str) else selected
         names = {target.partition(".")[0] for target in targets}
         if len(names) != 1:
@@ -300,7 +301,7 @@ class Pair:
         result = self.a.compliance(shape)
         if not self.b.elastic:
             return result, self.a.pace
-        surface = find_surface(self.scene.parts[self.b.elastic], self.scene, (PATCH,))
+        surface = find_surface(self.scene.parts[self.b.elastic], self.scene, (SPHERE_PATCH,))
         assert surface is not None
         assert surface.compliance is not None
         other = surface.compliance(shape)
@@ -338,7 +339,7 @@ class Pair:
             law = _indentation_law(shape, result.compliance + result.patch, self.b.radius)
             deepest = min(self.deepest_penetration.depth or math.inf, law.depth)
             forces.append(law.force(np.linspace(0.5, 1.0, 50) * deepest))
-        return REFINED * float(np.abs(forces[1] / forces[0] - 1).max())
+        return REFINEMENT_LIMIT * float(np.abs(forces[1] / forces[0] - 1).max())
 
     # --- motion -----------------------------------------------------------------------------------
 
@@ -352,7 +353,7 @@ class Pair:
         result = self.b.height(self.b.ports[0], waves) if depth is None else -depth
         if not self.b.elastic or result is None:
             return result
-        dent = waves.data.get(f"{self.b.elastic}.u.{PATCH}")
+        dent = waves.data.get(f"{self.b.elastic}.u.{SPHERE_PATCH}")
         return None if dent is None else result + dent
 
 
@@ -402,7 +403,7 @@ def impact_penetration(
                 assert pair.b.modulus is not None
                 modulus = 1 / (1 / modulus + 1 / pair.b.modulus)
             depth = (15 * energy / (8 * modulus * math.sqrt(pair.b.radius))) ** 0.4
-            yield Penetration(_SPARE * float(depth), why)
+            yield Penetration(_INDENTATION_MARGIN * float(depth), why)
 
 
 # --- how both sides part --------------------------------------------------------------------------
@@ -426,11 +427,11 @@ def find_separation(
     flights = []
     for last in np.flatnonzero(loaded[:-1] & ~loaded[1:]):
         again = np.flatnonzero(loaded[last + 1 :])
-        if again.size == 0 or t[last + 1 + again[0]] - t[last] >= _FLIGHT:
+        if again.size == 0 or t[last + 1 + again[0]] - t[last] >= _MIN_FLIGHT:
             flights.append(_extrapolate_release(t, v, force, int(last)))
     if not flights:
         return None
-    kicked = [item for item in flights if item[0] <= busy + _FLIGHT] or flights[:1]
+    kicked = [item for item in flights if item[0] <= busy + _MIN_FLIGHT] or flights[:1]
     fastest = max(map(itemgetter(1), kicked))
     return next(item for item in kicked if item[1] >= min(fastest, fastest / 2))
 

@@ -17,7 +17,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms, integrate_running
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import (
-    PATCH,
+    SPHERE_PATCH,
     Pair,
     find_separation,
     last_source_change,
@@ -42,24 +42,27 @@ from kc2spice.scene.model import (
 from kc2spice.scene.parttype import register
 from kc2spice.scene.rows import Neglected, Numerics, Rest, Vector
 
-# Gate of a launch against the full model: of the reduction's certified error, whose band it
-# exceeds; what it is where there is no certificate; and the largest one. A pointwise error at a
-# sharp resonance may be any number, and runs warn of loads that are answered off by a hundredth.
-REDUCED, BEYOND, WORST_LAUNCH = 0.4, 1e-3, 1e-2
-# energy that the springs may gain or lose, relative to the energy that passed through them
-MISSING = 1e-3
-CARRYING = 3.0  # basis functions across a contact's radius: 5e-3 off, half as many 3e-2
-COARSE_BASIS = 3e-2  # error estimate of the force by the pressure basis functions: see CARRYING
-OPEN = 0.95  # largest motion of an omitted ring, relative to its gap
-# Contact events of a kick that a reltol is good for, times that reltol: every event adds the error
-# of a step. Among 37 kicks of chips damped by 0.01 to 0.05 %, kicks above this limit had launch
-# errors of 9e-4.
-EVENTS = 4e-3
-ALOFT = 1e-8  # m over the body at t = 0 that a sphere at rest on it may have
-EXCITED = 500e3  # Hz, frequency at which a contact excites bodies
-CURVED, DAMPED = 0.1, 0.01  # factors of solver.reltol for Hertzian and for damped contacts
-FEW = 20  # number of events that any reltol resolves
-CARRIED = "dent"  # pin that meets the port of an elastic sphere
+# Pass limits of the launch velocity against the full-order model: as a multiple of the error
+# estimate of the reduction, whose band it exceeds; without a certificate, relative; and the largest
+# relative limit. A pointwise error at a sharp resonance may be any number, and runs print a warning
+# of loads with an error above 1 %.
+ESTIMATE_FACTOR, DEFAULT_LAUNCH_LIMIT, MAX_LAUNCH_LIMIT = 0.4, 1e-3, 1e-2
+# largest energy that the springs may gain or lose, relative to the energy that passed through them
+MAX_ENERGY_ERROR = 1e-3
+# basis functions across the radius of a contact: the error is 5e-3, with half as many 3e-2
+FUNCTIONS_PER_RADIUS = 3.0
+MAX_BASIS_ERROR = 3e-2  # largest error estimate of the force due to the pressure basis functions
+MAX_RING_MOTION = 0.95  # largest motion of an omitted ring, relative to its gap
+# Contact events of a kick multiplied by reltol, up to which this reltol is sufficient: every event
+# adds the error of a step. Among 37 kicks of chips damped by 0.01 to 0.05 %, kicks above this limit
+# had launch errors of 9e-4.
+MAX_EVENT_RELTOL = 4e-3
+MAX_START_HEIGHT = 1e-8  # m above the body at t = 0 that counts as resting on it
+CONTACT_FREQUENCY = 500e3  # Hz, frequency at which a contact excites bodies
+# factors of solver.reltol for Hertzian and for damped contacts
+CURVED_RELTOL_FACTOR, DAMPED_RELTOL_FACTOR = 0.1, 0.01
+MIN_EVENTS = 20  # number of events that any reltol resolves
+INDENTATION_PIN = "dent"  # pin that meets the port of an elastic sphere
 
 
 class Contact(DeclaredPart[ContactKeys]):
@@ -92,7 +95,9 @@ class Contact(DeclaredPart[ContactKeys]):
         pair = make_pair(part, scene)
         joins = pair.a.joins(("va", "a") if pair.a.rigid else pair.ports, scene)
         joins |= pair.b.joins(("v", "bottom") if pair.b.rigid else ("b",), scene)
-        return joins | ({CARRIED: f"{pair.b.elastic}.{PATCH}"} if pair.b.elastic else {})
+        return joins | (
+            {INDENTATION_PIN: f"{pair.b.elastic}.{SPHERE_PATCH}"} if pair.b.elastic else {}
+        )
 
     def at_rest(self, part: Part[ContactKeys], scene: WiredScene) -> Rest:
         """Return clamps, and paths through surfaces that touch at rest."""
@@ -110,9 +115,11 @@ class Contact(DeclaredPart[ContactKeys]):
         Rebounds that lose 0 to 70 % of their energy then have errors of 1.5e-4.
         """
         curved = part.keys.law == "hertz" or part.keys.shape == "pressure"
-        reltol = DAMPED if part.keys.damping else CURVED if curved else 1.0
+        reltol = (
+            DAMPED_RELTOL_FACTOR if part.keys.damping else CURVED_RELTOL_FACTOR if curved else 1.0
+        )
         what = "contact, as far as a body has motions"
-        yield Numerics(what, content=EXCITED, reltol=reltol)
+        yield Numerics(what, content=CONTACT_FREQUENCY, reltol=reltol)
 
     def problems(self, part: Part[ContactKeys], scene: GovernedScene) -> Iterator[UsageError]:
         pair = make_pair(part, scene)
@@ -145,7 +152,7 @@ class Contact(DeclaredPart[ContactKeys]):
             row = Vector(item["friction"], 1.0, "N", ("rail",), ("slide",))
             result[f"{n}.friction"] = row
         total = "+".join(item[f"force.{port}"] for port in pair.ports)
-        ends = {"force": (("v", "b", CARRIED), ("va",))}
+        ends = {"force": (("v", "b", INDENTATION_PIN), ("va",))}
         for word, by in _sum_factors(pair).items():
             result[f"{n}.{word}"] = Vector(total, by, "N", *ends.get(word, ()))
         return result
@@ -171,9 +178,9 @@ class Contact(DeclaredPart[ContactKeys]):
         if "time" in waves and not pair.starts_moving:
             steps = motion_error_limit(build.scene.solver)
             certificate = getattr(build.models.get(pair.a.part), "certificate", None)
-            reduced = BEYOND
+            reduced = DEFAULT_LAUNCH_LIMIT
             if certificate:
-                reduced = min(REDUCED * certificate.error_estimate, WORST_LAUNCH)
+                reduced = min(ESTIMATE_FACTOR * certificate.error_estimate, MAX_LAUNCH_LIMIT)
             limits = dict.fromkeys(SOLUTION_PAIRS, gates.launch_full_model or steps + reduced)
             limits["ngspice_vs_rom"] = gates.launch_velocity or steps
             yield Gate("launch velocity", "launch_velocity_m_s", limits, leads=True)
@@ -222,7 +229,7 @@ class Contact(DeclaredPart[ContactKeys]):
         """Yield the change of the force with pressure basis functions half as wide."""
         if part.keys.shape == "pressure":
             name = f"force of {part.name}, pressure basis functions half as wide"
-            yield Check(name, make_pair(part, build.scene).basis_error(), COARSE_BASIS)
+            yield Check(name, make_pair(part, build.scene).basis_error(), MAX_BASIS_ERROR)
 
     def discretisation(self, part: Part[ContactKeys], build: Build) -> str:
         return f"mesh: {SPACING_NOTE}" if part.keys.shape == "pressure" else ""
@@ -279,7 +286,7 @@ def _declare(
     groove: float | None = None,
 ) -> Declaration:
     ports, rigid = pair.ports, (pair.a.rigid, pair.b.rigid)
-    carried, gaps = CARRIED if pair.b.elastic else "", (pair.keys.gap,) * len(ports)
+    carried, gaps = INDENTATION_PIN if pair.b.elastic else "", (pair.keys.gap,) * len(ports)
     words = {"rigid": rigid, "under": under, "carried": carried, "groove": groove}
     return declare_contact(ports, gaps, law, **words)
 
@@ -352,7 +359,7 @@ def _balance_energy(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator
     kinetic = 0.0 if v is None else mass * float((v**2).max()) / 2
     scale = max(float(np.abs(np.diff(gained)).sum()), resting, kinetic)
     advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
-    yield Balance(entries, float(np.abs(missing).max()), scale, MISSING, advice)
+    yield Balance(entries, float(np.abs(missing).max()), scale, MAX_ENERGY_ERROR, advice)
 
 
 def _check_start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
@@ -364,7 +371,7 @@ def _check_start(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Ch
     advice = f"forces on {other} balance there before anything moves: change them (magnets: "
     advice += f"polarity, remanence or position), or give {other}.height and velocity at t = 0"
     name, action = f"{other} starts at rest on {pair.a.part}", pair.scene.checks.start
-    yield Check(name, above, ALOFT, "m", advice, action)
+    yield Check(name, above, MAX_START_HEIGHT, "m", advice, action)
 
 
 def _check_events(pair: Pair, waves: Waveforms) -> Iterator[Check]:
@@ -386,7 +393,7 @@ def _check_events(pair: Pair, waves: Waveforms) -> Iterator[Check]:
     reltol = waves.stats.get("reltol", scene.solver.reltol)
     advice = "so many decide the launch that the errors of their steps add up: lower "
     advice += "solver.reltol; a launch after hundreds of contact events may be ill-conditioned"
-    limit, action = max(FEW, EVENTS / reltol), scene.checks.touches
+    limit, action = max(MIN_EVENTS, MAX_EVENT_RELTOL / reltol), scene.checks.touches
     yield Check("touches", most, limit, "contact events", advice, action, coarse=True)
 
 
@@ -413,7 +420,15 @@ def _check_open_ports(
         gap, highest = float(pair.gaps[len(ports)]), float(rise.max())
         advice = f"set {n}.rings to more than {len(ports)}, or to 'all'"
         suggested = {f"{n}.rings": len(ports) + 1} if pair.keys.rings == "needed" else {}
-        yield Check("ring_left_out", highest, OPEN * gap, "m", advice, action, suggested=suggested)
+        yield Check(
+            "ring_left_out",
+            highest,
+            MAX_RING_MOTION * gap,
+            "m",
+            advice,
+            action,
+            suggested=suggested,
+        )
     elif pair.pushed_depth(waves) is None:
         advice = "the contact outgrows the modelled rings: more rings or a wider ring_spacing"
         yield Check("outer_ring", float(force[-1].max()), 0.0, "N", advice, action)
@@ -423,7 +438,7 @@ def _check_depth(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Ch
     """Yield checks of the indentation, for a law of pressure.
 
     The law holds until the contact is as wide as half of its patch. It is inaccurate if a few basis
-    functions carry the contact (:data:`CARRYING`).
+    functions carry the contact (:data:`FUNCTIONS_PER_RADIUS`).
     """
     height = pair.a.height(pair.a.ports[0], waves)
     if pair.keys.shape != "pressure" or height is None:
@@ -433,7 +448,10 @@ def _check_depth(pair: Pair, waves: Waveforms, place: np.ndarray) -> Iterator[Ch
     advice += " ones"
     yield Check("depth of the contact", deepest, pair.normal.depth, "m", advice, checks.range)
     if deepest > 0.0 and pair.b.radius is not None:
-        widest, spacing = math.sqrt(deepest * pair.b.radius) / CARRYING, pair.keys.spacing
+        widest, spacing = (
+            math.sqrt(deepest * pair.b.radius) / FUNCTIONS_PER_RADIUS,
+            pair.keys.spacing,
+        )
         advice = "so few of them carry that the force is more than 5e-3 off: lower "
         advice += f"{pair.part.name}.spacing"
         yield Check("basis of the pressure", spacing, widest, "m", advice, checks.penetration)

@@ -16,7 +16,7 @@ from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_keys import LinearKeys
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import PATCH, Surface, make_pair
+from kc2spice.parts.mechanics._touching import SPHERE_PATCH, Surface, make_pair
 from kc2spice.parts.mechanics.sphere import SphereKeys, sphere_material
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.model import (
@@ -33,7 +33,8 @@ from kc2spice.synthesis.realize import COARSE_WEIGHTS, StepWeights
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, TransverselyIsotropicSphere
 
-BAND = 2.0  # multiple of the lowest frequency that limits the band; the sphere breathes below it
+# multiple of the lowest frequency that limits the band; the sphere breathes below it
+BAND_RATIO = 2.0
 
 
 class ElasticSphereKeys(LinearKeys):
@@ -67,7 +68,7 @@ elastic = true
         return 2
 
     def ports(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> tuple[Port, ...]:
-        return (Port(PATCH, TRANSLATION.port),)
+        return (Port(SPHERE_PATCH, TRANSLATION.port),)
 
     def problems(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
         yield from super().problems(part, scene)
@@ -97,7 +98,7 @@ elastic = true
 
         A contact touches the sphere, so this part has no other surface.
         """
-        if ports != (PATCH,):
+        if ports != (SPHERE_PATCH,):
             return None
 
         compliance, pace = partial(self._compliance_of, part, scene), _body(part, scene).rayleigh[1]
@@ -133,7 +134,9 @@ elastic = true
         specified: Rom | None = part.keys.rom
         if specified is not None:
             return specified
-        return Rom(tolerance=1e-3, band=(0.0, float(f"{BAND * _body(part, scene).oblate:.3g}")))
+        return Rom(
+            tolerance=1e-3, band=(0.0, float(f"{BAND_RATIO * _body(part, scene).oblate:.3g}"))
+        )
 
     def weights(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> StepWeights:
         """Weights without free ringing, which has no effect on other parts.

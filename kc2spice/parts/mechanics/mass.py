@@ -32,7 +32,7 @@ from kc2spice.scene.rows import FrameShake, Rest
 from kc2spice.scene.settings import Probe
 from kc2spice.scene.start_conditions import find_floating_nets, find_rigid_groups
 
-_FRAME = "frame"  # pin of the acceleration of a frame; of a second one frame2
+_FRAME_PIN = "frame"  # pin of the acceleration of a frame; of a second one frame2
 
 
 class MassKeys(Section):
@@ -60,7 +60,7 @@ class MassKeys(Section):
 
 def _frames(count: int) -> list[str]:
     """Pins of the accelerations of a frame: ``frame``, ``frame2``, ``frame3``."""
-    return [_FRAME + str(k) * (k > 1) for k in range(1, 1 + count)]
+    return [_FRAME_PIN + str(k) * (k > 1) for k in range(1, 1 + count)]
 
 
 @cache

@@ -44,18 +44,20 @@ from kc2spice.synthesis.header import SIGN_TEXT
 
 AIR_VISCOSITY = 1.825e-5  # Pa s
 STEEL_DENSITY = 7850.0  # kg/m^3
-AT_REST = State(0.0, 0.0)
+REST_STATE = State(0.0, 0.0)
 SETTLING_BAND = 0.05  # relative to the step from rest to set point
-WORK = 1e-4  # largest missing fraction of the work; a launch then has an error of about 1e-3
+# largest missing fraction of the work; a launch then has an error of about 1e-3
+MAX_WORK_ERROR = 1e-4
 
 
 def _default_density(keys: dict[str, Any]) -> float:
     """Density [kg/m^3] of the material of a sphere, that of steel without one."""
     material = keys.get("material")
-    return STEEL_DENSITY if material is None else _stuff(material).density
+    return STEEL_DENSITY if material is None else _load_material(material).density
 
 
-def _stuff(name_or_table: str | dict[str, Any]) -> Material:
+def _load_material(name_or_table: str | dict[str, Any]) -> Material:
+    """Return the material of a sphere from its name or its table."""
     try:
         return material(name_or_table, "sphere.material")
     except UsageError as error:
@@ -101,7 +103,7 @@ class SphereKeys(Section):
     ) -> str | dict[str, Any] | None:
         """Refuse a material that is not in the table."""
         if material is not None:
-            _stuff(material)
+            _load_material(material)
         return material
 
     @field_validator("elastic")
@@ -150,7 +152,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     schema = SphereKeys
 
     def declared(self, part: Part[SphereKeys], scene: GovernedScene) -> Declaration:
-        keys, begin = part.keys, scene.initial_states.get(part.name, AT_REST)
+        keys, begin = part.keys, scene.initial_states.get(part.name, REST_STATE)
         return rigid_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
 
     def expand(
@@ -284,7 +286,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         if v[0] != 0.0:
             entries["kinetic at the start"] = mass * float(v[0] ** 2) / 2
         advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
-        yield Balance(entries, abs(float(gap[-1])), turnover, WORK, advice)
+        yield Balance(entries, abs(float(gap[-1])), turnover, MAX_WORK_ERROR, advice)
 
     def figures(self, part: Part[SphereKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
         y = waves.data.get(f"{part.name}.y")
@@ -308,7 +310,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         n, scene, states = part.name, build.scene, build.scene.initial_states
         if not states and (scene.joined(n, "v") or scene.joined(n, "bottom")):
             return None
-        begin = states.get(n, AT_REST)
+        begin = states.get(n, REST_STATE)
         return begin.height, begin.velocity
 
     def law(self, part: Part[SphereKeys], build: Build) -> laws.Equations:
@@ -340,7 +342,7 @@ def sphere_of(part: Part, scene: DeclaredScene) -> Part[SphereKeys]:
 
 def sphere_material(part: Part[SphereKeys]) -> Material:
     """Material of the sphere, by default steel, with the density of the sphere."""
-    return replace(_stuff(part.keys.material or "steel"), density=part.keys.density)
+    return replace(_load_material(part.keys.material or "steel"), density=part.keys.density)
 
 
 def _elastic_part(part: Part[SphereKeys]) -> str:
@@ -375,7 +377,7 @@ def initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
     ball, states = _sphere_at(part, pin, scene), scene.initial_states
     if ball is None or not states:
         return None
-    return float(ball.keys.radius + states.get(ball.name, AT_REST).height)
+    return float(ball.keys.radius + states.get(ball.name, REST_STATE).height)
 
 
 def _sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | None:
