@@ -42,8 +42,11 @@ from kc2spice.scene.settings import FileName
 
 # Parameter that is the current of an element, keyed by letter; "" for elements with a branch.
 _CURRENT_PARAMETERS = {
-    **dict.fromkeys("rclb", "i"), **dict.fromkeys("dmj", "id"), "q": "ic", **dict.fromkeys("veh", ""),
-}  # fmt: skip
+    **dict.fromkeys("rclb", "i"),
+    **dict.fromkeys("dmj", "id"),
+    **dict.fromkeys("veh", ""),
+    "q": "ic",
+}
 # Kinds of pins: what 1 V and 1 A represent; a signal carries no current.
 PIN_KINDS = {f"{unit}/{flow}": (unit, flow) for unit, flow in PIN_UNITS} | {"V": ("V", SIGNAL)}
 OTHER_KINDS = ", ".join(kind for kind in PIN_KINDS if kind not in ("V/A", "V"))
