@@ -241,8 +241,8 @@ def _write_linkages(
         yield f"* {name}: {henry:.6g} H times the inverse of the inductances, less its mean"
         yield from _write_lookup(name, lookups, (inverse - mean)[:, k, l])
     for k, branch in enumerate(linkages.branches):
-        motion = substitute_names(plus(*lookups.split(linkages.motional[k])), nodes)
-        yield from _write_linkage(linkages.declaration, branch, henry, text(motion), nodes)
+        motion = substitute_names(add_trees(*lookups.split(linkages.motional[k])), nodes)
+        yield from _write_linkage(linkages.declaration, branch, henry, format_tree(motion), nodes)
         n, base, terms = branch.name, lookups.base, []
         yield _comment("current", branch, node=n)
         for l, other in enumerate(linkages.branches):
@@ -264,7 +264,7 @@ def _write_linkage(
     """Write the resistance of a branch, and the flux linkage as a state."""
     n, base, inner = b.name, reference_node(declaration), f"rest_{b.name}"
     drop = declaration.direct_flow(b)
-    resistance = derivative(drop, n)
+    resistance = differentiate_tree(drop, n)
     varying = names(resistance) & declaration.variables
     if varying - {TEMPERATURE}:
         raise UsageError(
@@ -274,10 +274,12 @@ def _write_linkage(
         )
     yield _comment("linkage", b, node=f"l_{n}", scale=f"{henry:.6g}")
     if varying:
-        law = over(CircuitVariable("v", (b.plus, inner)), resistance)
-        yield Element.behaviour(f"B{inner}", b.plus, inner, "I", text(substitute_names(law, nodes)))
+        law = divide_trees(CircuitVariable("v", (b.plus, inner)), resistance)
+        yield Element.behaviour(
+            f"B{inner}", b.plus, inner, "I", format_tree(substitute_names(law, nodes))
+        )
     else:
-        yield Element.of(f"R{inner}", b.plus, inner, f"{{{text(resistance)}}}")
+        yield Element.of(f"R{inner}", b.plus, inner, f"{{{format_tree(resistance)}}}")
     yield Element.of(f"G{inner}", inner, b.minus, n, base, "1")
     yield Element.of(f"Cl_{n}", f"l_{n}", base, henry)
     yield Element.of(f"Gl_{n}", base, f"l_{n}", inner, b.minus, "1")

@@ -77,10 +77,10 @@ def declare_coils(height: str = _RAISED_HEIGHT) -> Declaration:
         Section,
         (_HEIGHT_BRANCH, current("i1", "lp", "ln"), current("i2", "up", "un")),
         coenergy=_write_coenergy(height),
-        content="0.5*({}*i1^2 + {}*i2^2)".format(*_COILS),
-        tables=_TABLES,
+        content="0.5*({}*i1^2 + {}*i2^2)".format(*_COIL_RESISTANCES),
+        tables=_TABLE_NAMES,
         conductors=("i1", "i2"),
-        **_choose_pins(height, _COILS),
+        **_choose_pins(height, _COIL_RESISTANCES),
     )
 
 
@@ -90,7 +90,7 @@ def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
     resistance = f"({' + '.join(_COIL_RESISTANCES)})"
     ends = voltage("v", "drive", "ret"), measured(voltage("across", "drive", "ret"))
     physics = {"signals": {"i": f"across/{resistance}"}, "content": f"0.5*v^2/{resistance}"}
-    return _declare_force("-i", "i", _COILS, height, ends, **physics, conductors=("v",))
+    return _declare_force("-i", "i", _COIL_RESISTANCES, height, ends, **physics, conductors=("v",))
 
 
 def add_heat_pin(declared: Declaration, coefficient: float, reference: float) -> Declaration:
@@ -132,7 +132,7 @@ def _declare_force(
         (_HEIGHT_BRANCH, *branches),
         forces={"y": Writer().write(force)},
         ideal_work=True,
-        tables=(*_TABLES, *(p + SLOPE for p in _TABLES)),
+        tables=(*_TABLE_NAMES, *(p + SLOPE_SUFFIX for p in _TABLE_NAMES)),
         **_choose_pins(height, names),
         **physics,
     )
@@ -175,7 +175,7 @@ def make_law(
     The magnet is ``raised`` [m] above its coordinate.
     """
     known = {param.name: param.default for param in declaration.given}
-    known |= dict(zip(_COILS, table.resistance.tolist(), strict=True)) | given
+    known |= dict(zip(_COIL_RESISTANCES, table.resistance.tolist(), strict=True)) | given
     known |= {"raised": raised, "y_min": float(table.y[0]), "y_max": float(table.y[-1])}
     values = tuple(known[param.name] for param in declaration.given)
     return DeclaredLaw(name, declaration, values, tables=_table_functions(table.coenergy))

@@ -99,7 +99,7 @@ class Lookups:
         if len(arguments) > 1 or (arguments and len(ranges) > 1):
             raise UsageError(
                 "the tables differ in their arguments or ranges",
-                got=", ".join(sorted(map(text, arguments))),
+                got=", ".join(sorted(map(format_tree, arguments))),
                 expected="one common argument and range for all tables of a part",
             )
         if arguments:

@@ -203,7 +203,7 @@ def read_rom(path: Path | str) -> LinearModel:
         raise UsageError(
             "this file does not exist",
             where=str(path),
-            expected=_ROM_FILES,
+            expected=_EXPECTED_FILE,
             hint="run kc2spice reduce MODEL, which writes NAME_rom/NAME_rom.npz",
         )
     if path.suffix not in (".npz", ".json", ".M", ".E", ".K", ".A", ".B", ".C", ".D"):
@@ -211,7 +211,7 @@ def read_rom(path: Path | str) -> LinearModel:
             "this file is not a reduced model",
             where=str(path),
             got=f"a file that ends with {path.suffix or 'no suffix'}",
-            expected=_ROM_FILES,
+            expected=_EXPECTED_FILE,
             hint="run kc2spice reduce MODEL, which writes NAME_rom/NAME_rom.npz",
         )
     try:

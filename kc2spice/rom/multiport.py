@@ -122,7 +122,7 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
             got=f"{100 * least:.2g} % deviation for the most accurate of {len(fits)} models"
             if result
             else f"{len(fits)} models that are not passive",
-            expected=f"less than {100 * POOR:g} %",
+            expected=f"less than {100 * POOR_DEVIATION:g} %",
             hint="check the units of frequency and impedance, and the sign of the phase",
         )
     return result

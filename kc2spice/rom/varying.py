@@ -301,7 +301,7 @@ def make_resonators(
                 if error <= tolerance:
                     return result, error
     problem = "the ranges of the parameters are too wide for polynomials of the modes"
-    raise range_error(problem, dense_model.frame.name, f"an error of {best:.2g}", tolerance)
+    raise make_range_error(problem, dense_model.frame.name, f"an error of {best:.2g}", tolerance)
 
 
 def make_range_error(problem: str, name: str, got: str, tolerance: float) -> SimulationError:

@@ -98,7 +98,7 @@ def _build(arrays: dict[str, np.ndarray], record: dict[str, Any], name: str) -> 
     exponents = arrays["exponents"]
     if exponents.dtype.kind != "i" or (exponents.size and not exponents.min() >= 0):
         raise ValueError("an exponent is not a whole number of at least 0")
-    if exponents.max(initial=0) > _HIGHEST or sum(blocks) != states or min(blocks) < 1:
+    if exponents.max(initial=0) > _MAX_DEGREE or sum(blocks) != states or min(blocks) < 1:
         raise ValueError("an exponent or block number is out of range")
     return Varying(
         ports=ports,

@@ -85,7 +85,7 @@ def test_a_body_of_complex_constants_gives_no_power():
 
 def test_losses_that_leave_no_capacitance_are_refused():
     with pytest.raises(UsageError, match="losses are too large"):
-        complex_constants(modes((0.0, 250e3)), ComplexConstants(0.9, 0.9, 40e3))
+        complex_constants_model(modes((0.0, 250e3)), ComplexConstants(0.9, 0.9, 40e3))
 
 
 DISC = {

@@ -57,13 +57,13 @@ def varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
         none or without the part's value, values that the part cannot have.
     """
     ranges = part.parameter_ranges
-    where = f"{part.name}.{PARAMETERS}"
-    if len(ranges) > MOST_PARAMETERS:
+    where = f"{part.name}.{RANGES_KEY}"
+    if len(ranges) > MAX_PARAMETERS:
         raise wrong(
             where,
             "rom.parameters contains too many parameters",
             f"{len(ranges)}",
-            f"at most {MOST_PARAMETERS}",
+            f"at most {MAX_PARAMETERS}",
         )
     result = []
     for key, ends in ranges.items():

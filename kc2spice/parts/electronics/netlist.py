@@ -81,7 +81,8 @@ class NetlistKeys(Section):
     units: dict[str, str] = Field(
         default_factory=dict,
         description=(
-            f"Unit of each pin that is not electrical: {OTHERS}, or V for a signal; by default V/A"
+            f"Unit of each pin that is not electrical: {OTHER_KINDS}, or V for a "
+            "signal; by default V/A"
         ),
     )
     ratings: dict[str, Rating] = Field(
@@ -123,8 +124,8 @@ class Netlist(PartType[NetlistKeys]):
     def problems(self, part: Part[NetlistKeys], scene: GovernedScene) -> Iterator[UsageError]:
         pins = _pins(part, scene)
         for name, kind in part.keys.units.items():
-            if name not in pins or kind not in KINDS:
-                expected = f"one of {', '.join(KINDS)} for one of {', '.join(pins)}"
+            if name not in pins or kind not in PIN_KINDS:
+                expected = f"one of {', '.join(PIN_KINDS)} for one of {', '.join(pins)}"
                 yield part.wrong(
                     f"units.{name}", "this unit of a pin is not supported", repr(kind), expected
                 )

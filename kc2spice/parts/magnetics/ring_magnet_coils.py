@@ -67,8 +67,8 @@ MAGNET_CONDUCTIVITY = 150e3  # S/m, paper table A1
 COLD = "coils at the temperature of their data, nothing heats up"
 HOT = "resistances linear in the temperature, which both coils have in common"
 UNRATED = "not known; compare the coils' currents with what their wire stands"
-USUAL_CURRENT = 0.1  # A, current of the shown and compared forces if a scene states no limit
-FINER = 2  # ratio of cells along each edge of the mesh in verify to cells of the table
+DEFAULT_CURRENT = 0.1  # A, current of the shown and compared forces if a scene states no limit
+REFINEMENT_RATIO = 2  # ratio of cells along each edge of the mesh in verify to cells of the table
 # heights per interval of the denser table that the table of the netlist is compared with
 DENSITY_RATIO = 4
 LOOKUP_POINTS = 201  # points of each lookup; the error between them is 6e-6 of the largest force
@@ -140,7 +140,7 @@ def coils_subcircuit(
     name: str = "coil",
     *,
     apart: bool = True,
-    points: int = POINTS,
+    points: int = LOOKUP_POINTS,
     rating: str = UNRATED,
     wire: tuple[float, float] | None = None,
 ) -> Subcircuit:
@@ -170,7 +170,7 @@ def coils_subcircuit(
         sign=SIGN_TEXT,
         mesh=f"error estimate of the field: {errors}" if errors else "",
     )
-    ends = PINS if apart else SERIES_PINS
+    ends = ALL_PINS if apart else SERIES_PINS
     if wire is not None:
         stated, ends = coils.add_heat_pin(stated, *wire), (*ends, *_coil_heat.PINS)
     pins = tuple(Pin(end.name, end.unit, end.flow) for end in ends)
@@ -199,9 +199,13 @@ class RingMagnetCoils(TouchablePart[Coils]):
         thermal = _coil_heat.PINS if is_heated(part, scene) else ()
         if not has_real_coils(part, scene):
             rest = None if _is_driven(part, scene) else "gnd"
-            return (*(replace(end, default=rest) for end in SERIES_PINS[:2]), *PLACE, *thermal)
+            return (
+                *(replace(end, default=rest) for end in SERIES_PINS[:2]),
+                *POSITION_PINS,
+                *thermal,
+            )
         ends = (
-            replace(pin, default=f"{part.name}.un") if pin.name == "ln" else pin for pin in PINS
+            replace(pin, default=f"{part.name}.un") if pin.name == "ln" else pin for pin in ALL_PINS
         )
         return (*ends, *thermal)
 
@@ -223,7 +227,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         if keys.y_min >= keys.y_max:
             got = f"{keys.y_min:g} … {keys.y_max:g} m"
             yield part.wrong("y_min", "the range of positions is empty", got, "y_min < y_max")
-        bodies: dict[str, Ring] = {item: getattr(keys, item) for item in ("ring", *COILS)}
+        bodies: dict[str, Ring] = {item: getattr(keys, item) for item in ("ring", *COIL_NAMES)}
         for body_name, body in bodies.items():
             # part, key, meaning, and the limit of another part with the required order
             rules = (
@@ -453,7 +457,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         currents = _coil_currents(part, waves)
         if is_heated(part, build.scene):
             table, prefix = build.model(part, EMTable), result_prefix(part)
-            resistance = dict(zip(COILS, table.resistance.tolist(), strict=True))
+            resistance = dict(zip(COIL_NAMES, table.resistance.tolist(), strict=True))
             yield from _coil_heat.balance_heat(part.keys, prefix, resistance, currents, waves)
             rise = part.keys.rated_rise
             yield from _coil_heat.check_temperature(part.name, prefix, rise, waves)

@@ -105,7 +105,7 @@ def reductor_named(method: str | Reductor) -> Reductor:
         return method
     if method not in _reductors:
         error = unknown("this reduction method does not exist", method, _reductors, "method")
-        error.hint = error.hint or OWN_METHODS
+        error.hint = error.hint or USER_METHODS_TEXT
         raise error
     return _reductors[method]
 
