@@ -541,7 +541,10 @@ def test_electrode_at_nodes_gives_the_capacitance(tmp_path):
         ({"K": K}, ("the model lacks matrices", "M")),
         ({"K": K, "M": M, "A": K}, ("the model lacks matrices",)),
         ({"K": K, "M": M[:3, :3]}, ("matrix M", "3 x 3", "6 x 6")),
-        ({"K": np.pad(K, 1), "M": np.pad(M, 1), "B": np.ones((N + 2, 1))}, ("zero in all matrices", "row 1")),
+        (
+            {"K": np.pad(K, 1), "M": np.pad(M, 1), "B": np.ones((N + 2, 1))},
+            ("zero in all matrices", "row 1"),
+        ),
     ],
 )
 def test_models_that_are_none(tmp_path, matrices, words):
