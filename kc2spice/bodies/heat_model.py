@@ -156,24 +156,24 @@ def _highest_frequency(solid: HeatSolid) -> float:
     basis = solid.geometry.basis(1)
     sizes = np.asarray(basis.dx).sum(axis=1) ** (1 / mesh.dim())
     for number, material in enumerate(solid.materials):
-        own = sizes[solid.geometry.owner == number]
-        if own.size:
+        element_sizes = sizes[solid.geometry.owner == number]
+        if element_sizes.size:
             diffusivity = material.conductivity.max() / material.capacity
-            result = max(result, float(np.pi * diffusivity / (2 * own.min() ** 2)))
+            result = max(result, float(np.pi * diffusivity / (2 * element_sizes.min() ** 2)))
     return result
 
 
 def _constrain_temperatures(solid: HeatSolid, setup: HeatSetup) -> sparse.csc_array:
     """Return ``P`` (nodes, z): free nodes first, then one column for each isothermal face."""
-    taken = np.zeros(solid.count, int)
-    taken[setup.fixed] = 1
+    constraint_count = np.zeros(solid.count, int)
+    constraint_count[setup.fixed] = 1
     for port, nodes in setup.isothermal:
-        if taken[nodes].any():
+        if constraint_count[nodes].any():
             problem = "this face has common nodes with another face of prescribed temperature"
             hint = "choose groups of faces without common nodes"
             raise wrong(f"isothermal.{port.name}", problem, hint=hint)
-        taken[nodes] = 1
-    blocks = [sparse.eye_array(solid.count, format="csc")[:, np.flatnonzero(taken == 0)]]
+        constraint_count[nodes] = 1
+    blocks = [sparse.eye_array(solid.count, format="csc")[:, np.flatnonzero(constraint_count == 0)]]
     for _, nodes in setup.isothermal:
         column = np.zeros((solid.count, 1))
         column[nodes] = 1.0

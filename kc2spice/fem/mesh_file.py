@@ -547,7 +547,7 @@ def _measure_shares(
 
 
 def _require_inside(places: np.ndarray, name: str) -> np.ndarray:
-    """Check that a group lies on the elements of the body: no place is -1."""
+    """Raise an error if a part of a group is not on the elements of the body (index -1)."""
     if (places < 0).any():
         raise UsageError(
             "this group does not lie on the elements of the body",

@@ -413,14 +413,14 @@ def balance_energy(
         return np.asarray(evaluate_tree(tree, known) * np.ones_like(time))
 
     stored = over_time(d.stored_energy)
-    lost, rise = _compute_step_heat(d, known, means, time), np.diff(stored)
-    heat, brought, forces = lost, np.zeros_like(lost), []
+    dissipated, rise = _compute_step_heat(d, known, means, time), np.diff(stored)
+    heat, brought, forces = dissipated, np.zeros_like(dissipated), []
     given_off = None
     for b in d.open_branches:
         known_as = f"{part.name}.{b.across if b.flows else b.through}"
         pins = waves.data.get(known_as, np.zeros_like(time))
         if b == d.heat_branch:
-            heat = given_off = _integrate_steps(-pins, time, lost)
+            heat = given_off = _integrate_steps(-pins, time, dissipated)
             continue
         if b.moves:
             forces.append((pins, np.diff(recorded[b.name])))
@@ -458,8 +458,10 @@ def _compute_step_heat(
     for name, values in known.items():
         if np.size(values) > 1:
             first[name], last[name] = values[:-1], values[1:]
-    lost = declaration.dissipation
-    power = evaluate_tree(lost, {**first, **means}) + evaluate_tree(lost, {**last, **means})
+    dissipated = declaration.dissipation
+    power = evaluate_tree(dissipated, {**first, **means}) + evaluate_tree(
+        dissipated, {**last, **means}
+    )
     return np.asarray(power / 2 * np.diff(time))
 
 

@@ -184,6 +184,7 @@ def _list_blocks(T: np.ndarray, start: int = 0) -> Iterator[tuple[int, int]]:
 
 
 def _block_size(T: np.ndarray, start: int) -> int:
+    """Return the size (1 or 2) of the diagonal block of a real Schur form at ``start``."""
     return next(_list_blocks(T, start))[1]
 
 

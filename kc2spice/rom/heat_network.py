@@ -80,7 +80,7 @@ class FosterNetwork(EqualByContent):
 
     def ladder(self) -> HeatLadder:
         """Convert the network to Cauer's form by its continued fraction."""
-        resistance, times = self._distinct()
+        resistance, times = self._merge_equal_times()
         capacities, resistances = list[float](), list[float]()
         with localcontext() as context:
             context.prec = DIGITS_PER_MODE * (len(times) + 1)
@@ -94,8 +94,8 @@ class FosterNetwork(EqualByContent):
                 resistances.append(float(drop))
         return HeatLadder(np.array(resistances), np.array(capacities), self.direct)
 
-    def _distinct(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return resistances and time constants, with modes of the same time constant joined."""
+    def _merge_equal_times(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return resistances and time constants; modes with equal times are merged."""
         order = np.argsort(self.time_constant)
         times, resistance = self.time_constant[order], self.resistance[order]
         first = np.r_[True, np.diff(times) > EQUAL_TIME * times[1:]]

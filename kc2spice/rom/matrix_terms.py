@@ -147,10 +147,10 @@ def _drop_rounding(terms: Sequence[Any], largest: np.ndarray) -> list[Any]:
     size = sum_products(largest, map(abs, terms))
     result = []
     for matrix, factor in zip(terms, largest, strict=True):
-        kept = matrix.multiply(factor * abs(matrix) > NEGLIGIBLE * size)
-        kept = sparse.csc_array(kept)
-        kept.eliminate_zeros()
-        result.append(kept)
+        significant = matrix.multiply(factor * abs(matrix) > NEGLIGIBLE * size)
+        significant = sparse.csc_array(significant)
+        significant.eliminate_zeros()
+        result.append(significant)
     return result
 
 

@@ -122,8 +122,8 @@ def _common_value(matrix: np.ndarray) -> float | None:
     The value is positive or zero, and at most each entry on the diagonal. Otherwise the result is
     None.
     """
-    beside = matrix[~np.eye(len(matrix), dtype=bool)]
-    shared = float(beside[0]) if beside.size else 0.0
-    if shared < 0 or (beside != shared).any() or (np.diag(matrix) < shared).any():
+    off_diagonal = matrix[~np.eye(len(matrix), dtype=bool)]
+    shared = float(off_diagonal[0]) if off_diagonal.size else 0.0
+    if shared < 0 or (off_diagonal != shared).any() or (np.diag(matrix) < shared).any():
         return None
     return shared

@@ -168,7 +168,7 @@ class _Search:
 
     @property
     def lossy(self) -> Pencil:
-        """The small model with structural damping."""
+        """Reduced model with structural damping."""
         parts = np.diag(self.squares) + 1j * self.H, self.other_damping, np.eye(self.squares.size)
         return Pencil(parts, self.B, self.C, self.small.D)
 

@@ -136,6 +136,7 @@ def unsettled_share(network: FosterNetwork, last: float) -> float:
 
 
 def _criterion(fit: TransientFit) -> float:
+    """Return the Bayesian information criterion of a fit."""
     parameters = 2 * len(fit.network.resistance)
     excess = float(np.sum((fit.residual / fit.noise) ** 2))
     return excess + parameters * float(np.log(len(fit.residual)))
@@ -149,10 +150,10 @@ def _fit_resistances(samples: StepSamples, constants: np.ndarray) -> tuple[np.nd
         columns = np.hstack([columns, one, -one])
     table = samples.group(np.column_stack([columns, samples.value]))
     size = np.linalg.norm(table[:, :-1], axis=0)
-    found, _ = nnls(table[:, :-1] / size, table[:, -1], maxiter=NNLS_STEPS * columns.shape[1])
-    found = found / size
+    solution, _ = nnls(table[:, :-1] / size, table[:, -1], maxiter=NNLS_STEPS * columns.shape[1])
+    solution = solution / size
     n = len(constants)
-    return found[:n], float(found[n] - found[n + 1]) if samples.offset else 0.0
+    return solution[:n], float(solution[n] - solution[n + 1]) if samples.offset else 0.0
 
 
 def _residual(
@@ -225,10 +226,10 @@ def _refine(
         x, low, high = np.r_[x, start], np.r_[low, -np.inf], np.r_[high, np.inf]
     scale = np.linalg.norm(slopes(x), axis=0)
     x_scale = 1 / np.where(scale > 0, scale, 1.0)
-    found = least_squares(
+    solution = least_squares(
         residual, x, slopes, bounds=(low, high), x_scale=x_scale, max_nfev=POLISH, **EXACT
     )
-    R, t, start = split(found.x)
+    R, t, start = split(solution.x)
     order = np.argsort(t)
     network = FosterNetwork(R[order], t[order])
     return TransientFit(network, start, _residual(samples, R, t, start), noise)

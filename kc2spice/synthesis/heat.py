@@ -114,12 +114,12 @@ def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
     for size in map(np.linalg.eigvalsh, (K, E)):
         if size[0] < -ZERO_EIGENVALUE * np.abs(size).max():
             raise _make_not_passive_error(model, "a matrix E or K with a negative eigenvalue")
-    stored, lost = _separate_stored_heat(E, K)
+    stored, conducted = _separate_stored_heat(E, K)
     capacity = np.linalg.eigvalsh(stored.T @ E @ stored)
     if capacity.size and capacity[0] <= ZERO_EIGENVALUE * np.abs(E).max():
         raise _make_not_passive_error(model, "a matrix E and a matrix K that are both singular")
-    times, shapes = scipy.linalg.eigh(lost.T @ E @ lost, lost.T @ K @ lost)
-    shapes = lost @ shapes
+    times, shapes = scipy.linalg.eigh(conducted.T @ E @ conducted, conducted.T @ K @ conducted)
+    shapes = conducted @ shapes
     if stored.size:
         capacity, axes = np.linalg.eigh(stored.T @ E @ stored)
         leaking = stored @ axes / np.sqrt(capacity * LEAK_RATE)
@@ -160,11 +160,13 @@ def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.
     values, vectors = np.linalg.eigh(scale[:, None] * K * scale)
     vectors = scale[:, None] * vectors
     null = values <= ZERO_EIGENVALUE * max(values[-1], 0.0)
-    stored, lost = vectors[:, null], vectors[:, ~null]
+    stored, conducted = vectors[:, null], vectors[:, ~null]
     if stored.size:
         heat = stored.T @ E
-        lost = lost - stored @ np.linalg.lstsq(heat @ stored, heat @ lost, rcond=None)[0]
-    return stored, lost
+        conducted = (
+            conducted - stored @ np.linalg.lstsq(heat @ stored, heat @ conducted, rcond=None)[0]
+        )
+    return stored, conducted
 
 
 def _make_not_passive_error(model: LinearModel, got: str) -> UsageError:

@@ -357,16 +357,16 @@ dc = "1 W"
         A pin behind thick insulation stays so cold at high frequencies that rounding exceeds the
         tolerance there. The error is then relative to the largest temperature of each pin.
         """
-        given = self.given_ports(part, model)
+        prescribed_ports = self.given_ports(part, model)
         try:
-            return reduce_with_interfaces(model, given, **aims)
+            return reduce_with_interfaces(model, prescribed_ports, **aims)
         except SimulationError:
             if aims["norm"] == "peak":
                 raise
             _warn_of_cold_pins(part)
             tolerance = aims["tolerance"] and aims["tolerance"] * PEAK_TOLERANCE_SHARE
             changed = {**aims, "norm": "peak", "tolerance": tolerance}
-            return reduce_with_interfaces(model, given, **changed)
+            return reduce_with_interfaces(model, prescribed_ports, **changed)
 
     def given_ports(self, part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
         """Ports of a model whose temperatures are given: isothermal faces, and fluids of films."""
@@ -389,15 +389,19 @@ dc = "1 W"
         """
         from kc2spice.rom.heat_ranges import reduce_heat_over_ranges
 
-        given = self.given_ports(part, full({axis.name: axis.middle for axis in axes}))
+        prescribed_ports = self.given_ports(part, full({axis.name: axis.middle for axis in axes}))
         try:
-            return reduce_heat_over_ranges(full, axes, band, tolerance, progress, norm, given)
+            return reduce_heat_over_ranges(
+                full, axes, band, tolerance, progress, norm, prescribed_ports
+            )
         except SimulationError:
             if norm == "peak":
                 raise
             _warn_of_cold_pins(part)
             tolerance *= PEAK_TOLERANCE_SHARE
-            return reduce_heat_over_ranges(full, axes, band, tolerance, progress, "peak", given)
+            return reduce_heat_over_ranges(
+                full, axes, band, tolerance, progress, "peak", prescribed_ports
+            )
 
     def build(
         self, part: Part[HeatBodyKeys], scene: Scene, clock: Clock, full: bool = False

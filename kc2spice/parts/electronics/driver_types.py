@@ -148,6 +148,8 @@ class LinearDriverKeys(InputNoise):
 
 
 class LinearDrive(CoilDriver[LinearDriverKeys]):
+    """Part type of a linear current source for coils."""
+
     name, title = "linear_drive", "current source for coils, linear amplifier between two rails"
     schema = LinearDriverKeys
     template, heading = "driver_linear", "current source for the coils"

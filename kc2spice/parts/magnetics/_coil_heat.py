@@ -59,13 +59,13 @@ def balance_heat(
         power += resistance[coil] * current**2
     power *= resistance_ratio(keys, waves[f"{prefix}.{TEMPERATURE}"])
     step, flow = np.diff(waves["time"]), -waves[f"{prefix}.{HEAT}"]
-    lost, left = ((wave[1:] + wave[:-1]) / 2 * step for wave in (power, flow))
-    missing = float(np.abs(np.cumsum(lost - left)).max(initial=0.0))
+    dissipated, left = ((wave[1:] + wave[:-1]) / 2 * step for wave in (power, flow))
+    missing = float(np.abs(np.cumsum(dissipated - left)).max(initial=0.0))
     entries = {
-        "lost in the wire": float(lost.sum()),
+        "lost in the wire": float(dissipated.sum()),
         f"given off by the pin {HEAT}": float(left.sum()),
     }
-    yield Balance(entries, missing, float(lost.sum()), _UNEXPLAINED)
+    yield Balance(entries, missing, float(dissipated.sum()), _UNEXPLAINED)
 
 
 def check_temperature(

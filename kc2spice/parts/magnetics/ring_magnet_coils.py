@@ -271,6 +271,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         yield from check_range(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
 
     def penetrations(self, part: Part[Coils], scene: GovernedScene) -> Iterator[Penetration]:
+        """Yield the indentation of the sphere after a fall from the end of the table."""
         sphere = sphere_of(part, scene)
         drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)
         speed = math.sqrt(max(0.0, drop))

@@ -202,7 +202,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
 
 
 def _frame_accelerations(part: Part[MassKeys], scene: GovernedScene) -> tuple[FrameShake, ...]:
-    """Accelerations that shake its frame."""
+    """Return the accelerations that shake the frame of the mass."""
     frame = scene.frames.get((part.name, "a"))
     return () if frame is None else frame.shakes
 
