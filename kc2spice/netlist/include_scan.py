@@ -263,27 +263,27 @@ def _find_deck_effects(
     """Yield each effect of a card on the whole deck, the expected card, and the remedy."""
     key, options = card.keyword, accuracy_options((card,))
     if part and key in ANALYSES | _OUTPUT_COMMANDS:
-        what = "asks for an analysis" if key in ANALYSES else "asks for an output"
+        what = "contains an analysis" if key in ANALYSES else "contains an output command"
         yield (
-            f"{what} of its own",
+            what,
             _PART_FILE_CONTENT,
-            "drop this line: the scene has analysis and results",
+            "delete this line: the scene defines analysis and results",
         )
     if part and options:
         what = "temperature" if key == ".temp" else f"option {next(iter(options))}"
         hint = (
-            "drop this line; accuracy is set by the scene's [solver], the temperature of a "
-            "device by temp=… on its own card"
+            "delete this line; set the accuracy in the table [solver] of the scene, and the "
+            "temperature of a device by temp=… on its card"
         )
         yield f"sets the {what} of the whole deck", _PART_FILE_CONTENT, hint
     if part and outside and (key in (".ic", ".nodeset") or (key and not key.startswith("."))):
         what = "has a card outside of all subcircuits, which acts on nodes of the whole deck"
-        yield what, _PART_FILE_CONTENT, "put it into the .subckt or drop it"
+        yield what, _PART_FILE_CONTENT, "move this card into the .subckt, or delete it"
     if not part and "interp" in options:
-        hint = "drop it: events lie between the points that it keeps"
+        hint = "delete this option, because it removes time points that the results need"
         yield "sets the option interp", "results at every time point", hint
     if key.startswith(".global"):
-        hint = "make it a pin: it would be one with any node of its name"
+        hint = "replace the global node by a pin of the subcircuit"
         yield "makes nodes global", "nodes of subcircuits", hint
     defined = _FUNCTION_LINE.match(card.written)
     words = card.words[1:] if key in (".param", ".params") else ()

@@ -204,7 +204,7 @@ RING = {"inner": "2 mm", "outer": "4 mm"}
         ({"layers": [BRASS, CERAMIC | {"diameter": "14 s"}]}, "wrong unit"),
         ({"layers": [BRASS, CERAMIC | {"thickness": 0}]}, "> 0"),
         ({"layers": [BRASS, CERAMIC | {"glue": 1}]}, "unknown key"),
-        ({"layers": [BRASS, CERAMIC | {"material": "PZT"}]}, "no such material"),
+        ({"layers": [BRASS, CERAMIC | {"material": "PZT"}]}, "this material does not exist"),
         ({"layers": [BRASS, CERAMIC | {"material": "quartz"}]}, "isotropic about its axis"),
         ({"layers": [BRASS, CERAMIC], "support": {"node": "21 mm"}}, "outside of the body"),
         ({"layers": [BRASS, CERAMIC], "support": "glued"}, "support"),

@@ -66,9 +66,9 @@ def test_positive_voltage_lifts_the_tip_of_a_unimorph_either_way_up():
 
 
 def test_bad_keys():
-    with pytest.raises(UsageError, match="wiring without"):
+    with pytest.raises(UsageError, match="wiring needs a piezoelectric layer"):
         bimorph_body(bimorph(("steel", 1e-3), length=1e-2, width=1e-3, wiring="series"))
-    with pytest.raises(UsageError, match="no such material"):
+    with pytest.raises(UsageError, match="this material does not exist"):
         bimorph_body(bimorph(("unobtainium", 1e-3), length=1e-2, width=1e-3))
     with pytest.raises(ValidationError, match="not on the beam"):
         bimorph(("steel", 1e-3), length=1e-2, width=1e-3, points={"far": 2e-2})

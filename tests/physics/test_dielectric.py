@@ -115,7 +115,7 @@ def test_a_tangent_that_the_clamped_body_cannot_have_is_refused():
 
 
 def test_a_full_model_says_that_it_has_no_loss():
-    with pytest.warns(UserWarning, match="loss_tangent: 0.02: .* without it"):
+    with pytest.warns(UserWarning, match="loss_tangent: 0.02: .* neglects it"):
         kc.build(kc.load_scene(BUZZER, {"disc.damping.loss_tangent": TANGENT}))
 
 

@@ -265,7 +265,7 @@ def test_folded_elements_are_refused(kind):
     points, blocks = blocks_of(*grid((1, 1, 1), SIDES), kind)
     points = points.copy()
     points[0] = [4, 1.5, 0.8]
-    with pytest.raises(UsageError, match="turned inside out"):
+    with pytest.raises(UsageError, match="negative volume"):
         require_right_handed(points, blocks, "mesh")
 
 

@@ -397,7 +397,7 @@ def test_sizes_that_change_places_are_refused():
     [
         (lambda model, k: replace(model, C=2 * model.C), "no model with parameters"),
         (lambda model, k: model if k < 2 else kc.LinearModel(M=[[1.0]], K=[[k]], B=[[1.0, 0.0]]),
-         "changes its cells"),
+         "number of mesh cells changes"),
     ],
 )  # fmt: skip
 def test_models_without_a_common_form_are_refused(change, said):

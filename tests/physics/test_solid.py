@@ -156,5 +156,5 @@ def test_elements_turned_inside_out_are_refused():
     mesh = MeshTet2.from_mesh(MeshTet.init_tensor(*(np.linspace(0, 1, 2),) * 3))
     doflocs = mesh.doflocs.copy()
     doflocs[:, mesh.nvertices] += 0.6
-    with pytest.raises(UsageError, match="inside out"):
+    with pytest.raises(UsageError, match="negative volume"):
         Solid(MeshTet2(doflocs, mesh.t), (STEEL,), np.zeros(mesh.nelements, int))

@@ -130,7 +130,7 @@ def test_shear_agrees_with_solid_elements_over_the_whole_section():
         ({"poling": "x"}, "glued"),
         ({"material": "quartz"}, "6mm"),
         ({"material": "steel"}, "6mm"),
-        ({"material": "PZT"}, "no such material"),
+        ({"material": "PZT"}, "this material does not exist"),
         ({"material": {"permittivity": {"eps11": 100, "eps33": 100}}}, "positive definite"),
         ({"top_cap": {"thickness": 0}}, "> 0"),
         ({"depth": 0.2e-3, "mesh": {**SMALL, "rings": 3}}, "smaller side"),

@@ -99,7 +99,7 @@ def test_newtons_cradle_against_plain_equations(tmp_path):
 def test_hertz_asks_for_what_it_cannot_know():
     with pytest.raises(UsageError, match="modulus"):
         bounce(law="hertz")
-    with pytest.raises(UsageError, match="one point"):
+    with pytest.raises(UsageError, match="only to a sphere at one port"):
         load_scene("impact", ["contact.law=hertz", "contact.rings=3"])
 
 

@@ -47,8 +47,8 @@ REFUSED = {
     ".noise v(out) V1 dec 10 1 1k": "analysis",
     ".print tran v(out)": "output",
     ".global supply_out": "global",
-    ".ic v(supply_out)=3": "outside of every subcircuit",
-    "R1 supply_out 0 1": "outside of every subcircuit",
+    ".ic v(supply_out)=3": "outside of all subcircuits",
+    "R1 supply_out 0 1": "outside of all subcircuits",
 }
 
 

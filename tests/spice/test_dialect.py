@@ -254,7 +254,7 @@ def test_xyce_is_told_what_it_does_otherwise():
 
 
 def test_unknown_dialects_are_refused(loop):
-    with pytest.raises(UsageError, match="unknown dialect") as caught:
+    with pytest.raises(UsageError, match="this dialect does not exist") as caught:
         translate_deck(loop, "hspice")
     assert caught.value.expected == "one of " + ", ".join(dialect_names())
 

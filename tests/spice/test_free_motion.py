@@ -100,7 +100,7 @@ NO_REST = {
 @pytest.mark.parametrize("case", NO_REST)
 def test_what_has_no_equilibrium_is_told_before_a_run(case):
     tables, name = NO_REST[case]
-    with pytest.raises(UsageError, match=f"nothing holds {name}") as caught:
+    with pytest.raises(UsageError, match=f"{name} has no support") as caught:
         load_scene({"name": "free", **tables})
     assert "spring" in caught.value.expected
 

@@ -232,7 +232,7 @@ def test_a_quarter_bends_as_a_quarter_of_a_plate():
 def test_rows_of_a_plate_have_a_width_and_patches_alike():
     for keys, what in (
         ({"rows": 2, "width": 1.0}, "not a multiple of the number of rows"),
-        ({"rows": 3}, "a width"),
+        ({"rows": 3}, "rows and width"),
     ):
         scene = {
             "name": "plate",

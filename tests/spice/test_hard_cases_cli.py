@@ -527,7 +527,7 @@ def colliding(folder):
 
 
 case("node names that collide", "ports called q1 and charge", "export", colliding, code=2,
-     words="name is taken")  # fmt: skip
+     words="already contains this name")  # fmt: skip
 
 
 # --- all of them ---------------------------------------------------------------------------------

@@ -117,7 +117,7 @@ def test_a_sharp_resonance_that_is_off_fails_no_pulse(tmp_path, order, code):
         assert "rom.order = 2" in done.stderr
         return
     assert "under the loads of this run a model of 2 states has an error of" in done.stderr
-    assert "run again with bar.rom.order = " in done.stderr
+    assert "the run is repeated with bar.rom.order = " in done.stderr
     waves = np.load(tmp_path / "out" / "waveforms.npz")
     time = np.unique(waves["time"])
     exact = pushed(tmp_path, time)
@@ -187,7 +187,7 @@ def test_a_contact_that_the_default_reduction_misses_runs_again_with_more_states
     done = command(tmp_path, STRUCK, "run", "--json", "--quiet")
     assert done.exit_code == 0, done.output
     assert "reduction of bar" in done.stderr
-    assert "run again with bar.rom.order = 10" in done.stderr
+    assert "the run is repeated with bar.rom.order = 10" in done.stderr
     record = json.loads(done.stdout)
     (check,) = (c for c in record["checks"] if c["name"] == "reduction of bar")
     assert check["unit"].endswith("under the run's own loads")

@@ -153,7 +153,7 @@ def test_a_part_without_equations_is_named(tmp_path):
     )
     with (
         pytest.warns(UserWarning, match="own without equations"),
-        pytest.warns(UserWarning, match=r"body.current: the least value is read at the scene's"),
+        pytest.warns(UserWarning, match=r"body.current: the minimum is taken at the frequencies"),
     ):
         found = kc.run(tmp_path / "s.toml")
     s = 2j * np.pi * found.frequency

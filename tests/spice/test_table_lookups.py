@@ -75,7 +75,7 @@ def test_a_lookup_is_constant_beyond_its_ends(header, tmp_path):
     [
         ({"energy": "bend(x)*stiff(x)"}, "cannot contain a function or product of tables"),
         ({"energy": "exp(bend(x)/1e-3)"}, "cannot contain a function or product of tables"),
-        ({"energy": "bend(x) + bend(2*x)"}, "several arguments or ranges"),
+        ({"energy": "bend(x) + bend(2*x)"}, "differ in their arguments or ranges"),
         (
             {"branches": (SPRING, voltage("v", "p", "n")), "content": "0.5*v^2*stiff(x)"},
             "only in forces and inductances",

@@ -134,13 +134,13 @@ def test_a_parameter_of_the_wrong_kind_is_refused():
         kc.ModelParameter("k", 3.0, 1.0, 2.0)
     with pytest.raises(UsageError, match="not a valid range"):
         kc.ModelParameter("k", 0.0, -1.0, 2.0)
-    with pytest.raises(UsageError, match="no name"):
+    with pytest.raises(UsageError, match="not a valid name"):
         kc.ModelParameter("2k", 1.0, 1.0, 2.0)
     with pytest.raises(UsageError, match="list of parameters is not valid"):
         loaded_beam(parameters=())
     with pytest.raises(UsageError, match="list of parameters is not valid"):
         loaded_beam(parameters=(PARAMETERS[0], PARAMETERS[0]))
-    with pytest.raises(UsageError, match="no such parameter"):
+    with pytest.raises(UsageError, match="the model has no such parameter"):
         loaded_beam().at({"thick": 1.0})
 
 

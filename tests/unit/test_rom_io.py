@@ -87,7 +87,7 @@ def test_objects_are_never_unpickled(tmp_path):
 def test_models_beyond_memory_are_refused_before_work(tmp_path, monkeypatch):
     model = read_model(saved(tmp_path, chain()))
     monkeypatch.setattr("kc2spice.linalg.factor.available_bytes", lambda: 1000.0)
-    with pytest.raises(UsageError, match="too large"):
+    with pytest.raises(UsageError, match="needs more memory"):
         reduce_model(model, band=(0.0, 0.1), tolerance=1e-3)
 
 

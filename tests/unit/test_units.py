@@ -62,7 +62,7 @@ def test_is_rounded_once(mantissa, prefix):
         ("3 bananas", "m", "unknown unit"),
         ("3 m/", "m", "unknown unit"),
         ("2,5 mm", "m", "a comma in a number"),
-        ("25", "s", "the unit of this value is missing"),
+        ("25", "s", "needs a unit"),
         ("fast", "m/s", "not a quantity"),
         ("", "m", "not a quantity"),
         (True, "m", "not a quantity"),

@@ -104,7 +104,11 @@ def reltol_1e_2_is_noticed(bench):
     return 0.0
 
 
-@case("node names that collide", "ports called as inner nodes are", refused="name is taken")
+@case(
+    "node names that collide",
+    "ports called as inner nodes are",
+    refused="already contains this name",
+)
 def ports_named_like_inner_nodes(bench):
     """q1 and charge are nodes of the subcircuit itself: two nodes would become one in silence."""
     model, names = chip(6), ("q1", "charge")
