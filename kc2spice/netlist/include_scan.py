@@ -140,7 +140,7 @@ class _Reader:
             )
             if reason:
                 raise make_forbidden_line_error(
-                    f"the name of an included file is not allowed: {reason}", self.main, where, raw
+                    f"includes a file whose name is not allowed: {reason}", self.main, where, raw
                 )
         return target
 

@@ -97,7 +97,7 @@ def test_matlab_files_say_what_tables_say(tmp_path):
     scipy.io.savemat(tmp_path / "two.mat", {"f": f, "y": np.moveaxis(two, 0, 2)})
     assert np.abs(read_measured(tmp_path / "two.mat").Y - two).max() < 1e-12
     scipy.io.savemat(tmp_path / "bad.mat", {"f": F, "z": Z[:50]})
-    with pytest.raises(kc.errors.UsageError, match="beside 401 frequencies"):
+    with pytest.raises(kc.errors.UsageError, match="does not match 401 frequencies"):
         reduce_file(tmp_path / "bad.mat", tmp_path / "out")
     scipy.io.savemat(tmp_path / "fe.mat", {"K": np.eye(3), "M": np.eye(3), "f": np.ones(3)})
     assert not is_measured(tmp_path / "fe.mat")
@@ -107,8 +107,8 @@ def test_matlab_files_say_what_tables_say(tmp_path):
     ("header", "columns", "said"),
     [
         ("f_hz,x_ohm,r_ohm", lambda Z: (F, Z.real, Z.imag), "swap the columns"),
-        ("f_hz,r_ohm,x_ohm", lambda Z: (F, -Z.real, Z.imag), "gives power"),
-        ("f_hz,r_ohm,x_ohm", lambda Z: (Z.real, F, Z.imag), "up and down"),
+        ("f_hz,r_ohm,x_ohm", lambda Z: (F, -Z.real, Z.imag), "delivers power"),
+        ("f_hz,r_ohm,x_ohm", lambda Z: (Z.real, F, Z.imag), "increase and decrease"),
         ("a,b,c", lambda Z: (F, Z.real, Z.imag), "columns a, b, c"),
         ("f_hz,r_ohm,x_ohm", lambda Z: (F[:5], Z.real[:5], Z.imag[:5]), "5 frequencies"),
         ("f_hz,r_ohm,x_ohm", lambda Z: (F, 1 + F / F, np.sin(F**2)), "no passive model"),

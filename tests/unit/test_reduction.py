@@ -143,7 +143,7 @@ def test_displacements_of_a_balanced_model_are_those_of_the_full_model(name, met
 def test_states_that_do_not_fit_and_models_without_a_basis_are_errors():
     model = kc.LinearModel(**families.chain(40))
     rom = kc.reduce(model, tolerance=1e-3, band=(0, 0.1))
-    with pytest.raises(UsageError, match="states do not fit"):
+    with pytest.raises(UsageError, match="states does not match"):
         rom.reconstruct(np.zeros(rom.order + 1))
     with pytest.raises(UsageError, match="no basis"):
         model.reconstruct(np.zeros(40))

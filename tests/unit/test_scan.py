@@ -265,7 +265,7 @@ def test_names_in_a_scene_cannot_lead_elsewhere(name):
     with pytest.raises(UsageError) as caught:
         read_included_netlist(name, home)
     assert caught.value.exit_code == 2
-    assert "includes" in str(caught.value)
+    assert "the name of an included file is not allowed" in str(caught.value)
     with pytest.raises(UsageError):
         load_scene("bring_your_own", {"include": [name]})
 
@@ -277,7 +277,7 @@ def test_links_do_not_lead_out(tmp_path):
     home.mkdir()
     (home / "link.lib").symlink_to(secret)
     (home / "user.cir").write_text(".include link.lib\n")
-    with pytest.raises(UsageError, match="leads out"):
+    with pytest.raises(UsageError, match="outside of the directory"):
         read_checked_circuit(home / "user.cir")
 
 

@@ -55,7 +55,7 @@ def fake(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("text", "words", "got"),
     [("echo hello", "does not print its version", "hello"),
-     ("exec sleep 30", "does not run", "no answer")],
+     ("exec sleep 30", "does not start", "no answer")],
 )  # fmt: skip
 def test_a_program_that_is_no_ngspice_is_refused(text, words, got, fake, monkeypatch):
     fake(text)
