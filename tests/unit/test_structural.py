@@ -36,10 +36,10 @@ def test_an_imaginary_part_that_is_no_loss_is_refused():
     K = np.diag([1.0, 2.0])
     one_sided = np.array([[0.1, 0.05], [0.0, 0.1]])
     for bad in (K * (1 - 0.1j), K + 1j * np.diag([0.1, -0.1]), K + 1j * one_sided):
-        with pytest.raises(UsageError, match="matrix K cannot be used"):
+        with pytest.raises(UsageError, match="matrix K is not a valid structural damping"):
             LinearModel(M=np.eye(2), K=bad, B=np.eye(2))
     for bad in (-0.1, np.nan, "much"):
-        with pytest.raises(UsageError, match="the loss factor cannot be used"):
+        with pytest.raises(UsageError, match="the loss factor is not a valid structural damping"):
             LinearModel(M=np.eye(2), K=K, B=np.eye(2), loss_factor=bad)
     with pytest.raises(UsageError, match="defined twice"):
         LinearModel(M=np.eye(2), K=K * (1 + 0.1j), B=np.eye(2), loss_factor=0.1)
@@ -49,7 +49,7 @@ def test_an_imaginary_part_that_is_no_loss_is_refused():
         model = LinearModel(M=np.eye(2), K=K + 1j * loss, B=np.eye(2))
         with pytest.raises(UsageError, match="no state-space form"):
             model.state_space()
-        with pytest.raises(UsageError, match="within a tolerance"):
+        with pytest.raises(UsageError, match="cannot be reduced to an order"):
             reduce_model(model, order=1, band=(0.0, 1.0))
     model = LinearModel(M=np.eye(2), E=np.diag([0.1, 0.3]), K=K + 0.1j * np.eye(2), B=np.eye(2))
     with pytest.raises(
@@ -290,7 +290,7 @@ def test_a_support_that_rounding_hides_is_left_out_with_a_warning(support, where
     model, exact, resonance = supported_chain(40, support, where)
     with pytest.warns(UserWarning, match="the stiffness of a support is below") as caught:
         rom = reduce_model(model, tolerance=1e-4, band=(0.0, 20.0), norm="peak")
-    text = next(str(w.message) for w in caught if "so soft" in str(w.message))
+    text = next(str(w.message) for w in caught if "stiffness of a support" in str(w.message))
     stated = float(text.split("at about ")[1].split(" Hz")[0])
     assert stated == pytest.approx(resonance, rel=0.1)
     f = np.array([100 * resonance, 1.0, 10.0])

@@ -71,7 +71,7 @@ def test_two_sweeps_do_not_write_one_table(tmp_path):
         RowStore(tmp_path / "rows", 6, "d")
     with opened(tmp_path / "rows"):
         pass
-    with pytest.raises(UsageError, match="contains another sweep"):
+    with pytest.raises(UsageError, match="results of another sweep"):
         RowStore(tmp_path / "rows", 6, "other")
 
 
