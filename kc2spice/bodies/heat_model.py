@@ -32,6 +32,7 @@ from kc2spice.fem.heat_conduction import (
 from kc2spice.fem.solid import sum_matrices
 from kc2spice.rom.linear_model import LinearModel, Port
 
+HEAT_CAPACITY_NAME = "heat_capacity_j_per_k"  # fact: heat capacity of the whole body
 # name of the frequency up to which the mesh resolves the response
 MESH_LIMIT_NAME = "mesh_limit_hz"
 # Share of the error of a thermal resistance that recovered heat flows show: 0.32 for uniform heat
@@ -116,7 +117,7 @@ def make_heat_model(solid: HeatSolid, setup: HeatSetup) -> HeatModel:
             P = sparse.hstack([P, sparse.csc_array((P.shape[0], 1))], format="csc")
             ports.append(film.port)
     temperature = sparse.csc_array(P)
-    facts = {"unknowns": float(P.shape[1]), "heat_capacity_j_per_k": capacity}
+    facts = {"unknowns": float(P.shape[1]), HEAT_CAPACITY_NAME: capacity}
     facts[MESH_LIMIT_NAME] = _highest_frequency(solid)
     if _conducts_away(setup):
         answers = splu(K).solve(B)

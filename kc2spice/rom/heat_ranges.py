@@ -60,7 +60,7 @@ SAMPLES = 8  # random samples of the ranges for each parameter, beside their cor
 CHECKS = 4  # and a corner: full models that nothing is made from
 ROUNDS = 4  # times that checked values become samples, because the error was too large there
 MOST_VALUES = 40  # values of the parameters whose reduced models the basis spans
-DEPENDENT = 1e-13  # square of a dependent direction, relative to the largest
+DEPENDENT = 1e-12  # size of a dependent direction, relative to the largest
 CLIPPED = 1e-6  # size of a negative eigenvalue that is rounding, relative to the largest one
 FACT_DEGREE = 6  # highest degree of the polynomials of facts
 
@@ -282,17 +282,23 @@ class _Basis:
 
     The unknowns that are not given are ``psi T_i + W c``, with the static answers ``psi`` at the
     middle of the ranges. A direction of W is a mode of a reduced model, scaled by its largest share
-    in the static response of a port, or a change of the static answers.
+    in the static response of a port, or a difference of static answers to ``psi``. If some terms
+    keep all heat, the rows of ``psi`` sum to one, so that a temperature of the whole body is a
+    vector of ones and zeros in these coordinates.
     """
 
     def __init__(self, ranges: _Ranges, points: Sequence[np.ndarray]) -> None:
         self.ranges = ranges
         middle = ranges.model(ranges.values(np.zeros(len(ranges.terms.axes))))
         self.middle = split_given(middle, ranges.given)
+        self.psi = self.middle.psi
+        if any(ranges.isolated):
+            missing = 1.0 - self.psi.sum(axis=1, keepdims=True)
+            self.psi = self.psi + missing / self.psi.shape[1]
         self.conductance, stored = self.middle.inner.pencil.coefficients
         rates = self.conductance.diagonal() / np.maximum(stored.diagonal(), np.finfo(float).tiny)
         rate = float(rates[stored.diagonal() > 0].max(initial=2 * np.pi * ranges.band[1]))
-        self.product = stored + self.conductance / rate
+        self.content = np.sqrt(stored.diagonal() + self.conductance.diagonal() / rate)
         self.columns: list[np.ndarray] = []
         self.count = 0
         for x in points:
@@ -320,8 +326,8 @@ class _Basis:
         total = np.sqrt((gains**2).sum(axis=1, keepdims=True))
         share = (gains / np.where(total > 0, total, 1.0)).max(axis=0)
         self.columns.append(modes * share)
-        change = parts.psi - self.middle.psi
-        size = self._norms(self.middle.psi)
+        change = parts.psi - self.psi
+        size = self._norms(self.psi)
         self.columns.append(change / np.where(size > 0, size, 1.0))
 
     def _norms(self, columns: np.ndarray) -> np.ndarray:
@@ -331,16 +337,18 @@ class _Basis:
     def orthonormal(self) -> np.ndarray:
         """Return directions (others, directions), orthonormal in the product of K, largest first.
 
-        The product ``G = E + K / s``, with the highest rate s of single unknowns, decides whether
-        columns are independent. For slow modes ``x'K x`` is a difference of far larger numbers.
+        Columns are independent by their heat contents, the diagonal of ``G = E + K / s`` with the
+        highest rate s of single unknowns. For slow modes ``x'K x`` is a difference of far larger
+        numbers.
         """
         X = np.hstack(self.columns)
-        size = np.sqrt(np.einsum("ij,ij->j", X, self.product @ X))
-        Q = X[:, size > 0] / size[size > 0]
-        for least in (DEPENDENT, 0.0):  # the second time orthonormal to rounding
-            squares, T = np.linalg.eigh(Q.T @ (self.product @ Q))
-            independent = squares > least * squares[-1]
-            Q = Q @ (T[:, independent] / np.sqrt(squares[independent]))
+        scaled = self.content[:, None] * X
+        size = np.linalg.norm(scaled, axis=0)
+        Q, R, _ = scipy.linalg.qr(
+            scaled[:, size > 0] / size[size > 0], mode="economic", pivoting=True
+        )
+        independent = np.abs(np.diag(R)) > DEPENDENT * np.abs(R[0, 0])
+        Q = Q[:, : int(independent.sum())] / self.content[:, None]
         stiff, shapes = np.linalg.eigh(Q.T @ (self.conductance @ Q))
         Q = Q @ (shapes / np.sqrt(np.maximum(stiff, np.finfo(float).eps * stiff[-1])))
         U, _, _ = np.linalg.svd(Q.T @ (self.conductance @ X), full_matrices=False)
@@ -351,7 +359,7 @@ class _Basis:
         middle, ranges = self.middle, self.ranges
         n = len(middle.at)
         V = np.zeros((ranges.frame.order, n + W.shape[1]))
-        V[middle.at, :n], V[middle.others, :n] = np.eye(n), middle.psi
+        V[middle.at, :n], V[middle.others, :n] = np.eye(n), self.psi
         V[middle.others, n:] = W
         stiff = [_project(K, V) for K in ranges.terms.K]
         constant = np.zeros((V.shape[1], 1))

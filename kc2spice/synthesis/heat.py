@@ -32,6 +32,8 @@ from kc2spice.rom.linear_model import LinearModel, Port
 
 # relative eigenvalue that counts as zero: heat that no path conducts away
 ZERO_EIGENVALUE = 1e-13
+# time constant, relative to the largest one, that counts as zero: no heat capacity
+ZERO_TIME = 1e-14
 ZERO_SHARE = 1e-9  # share of a mode at every port, relative to the largest, that counts as zero
 _NETWORK_COMMENT = """\
 * Heat network: 1 V is 1 K of temperature rise over the pin {base}, 1 A is 1 W into the pin.
@@ -118,14 +120,17 @@ def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
     capacity = np.linalg.eigvalsh(stored.T @ E @ stored)
     if capacity.size and capacity[0] <= ZERO_EIGENVALUE * np.abs(E).max():
         raise _make_not_passive_error(model, "a matrix E and a matrix K that are both singular")
-    times, shapes = scipy.linalg.eigh(conducted.T @ E @ conducted, conducted.T @ K @ conducted)
-    shapes = conducted @ shapes
+    shapes = conducted
+    for _ in range(2):  # the second time orthonormal to rounding, even if K is almost singular
+        times, turned = scipy.linalg.eigh(shapes.T @ E @ shapes, shapes.T @ K @ shapes)
+        shapes = shapes @ turned
+    times = np.where(times > ZERO_TIME * times.max(initial=0.0), times, 0.0)
     if stored.size:
         capacity, axes = np.linalg.eigh(stored.T @ E @ stored)
         leaking = stored @ axes / np.sqrt(capacity * LEAK_RATE)
         times = np.concatenate([times, np.full(capacity.size, 1 / LEAK_RATE)])
         shapes = np.hstack([shapes, leaking])
-    return np.maximum(times[::-1], 0.0), shapes[:, ::-1]
+    return times[::-1], shapes[:, ::-1]
 
 
 def diagonalise_heat_model(model: LinearModel) -> LinearModel:

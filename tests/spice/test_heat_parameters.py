@@ -14,6 +14,7 @@ from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.fem.thermal_materials import find_thermal_material
 from kc2spice.netlist.printers.dialect_registry import dialect_names
 from kc2spice.workflow.export import export_scene
+from kc2spice.workflow.verify.bodies import compare_responses
 from kc2spice.workflow.verify.verify import verify_scenes
 
 ELEMENTS = 4  # quadratic elements in each layer
@@ -360,6 +361,21 @@ def test_all_dialects_write_films_as_parameters(tmp_path, dialect):
         assert '"air"' in symbols.read_text(encoding="utf-8")
 
 
-def test_a_body_with_ranges_and_a_film_pin_is_verified_three_ways(tmp_path):
-    report = verify_scenes([kc.load_scene(FANNED)], tmp_path)["scenes"]["fanned"]
+@pytest.mark.parametrize("ranges", [True, False])
+def test_a_body_with_a_film_pin_is_verified_three_ways(tmp_path, ranges):
+    module = MODULE if ranges else {key: MODULE[key] for key in MODULE if key != "rom"}
+    scene = kc.load_scene({**FANNED, "module": module})
+    report = verify_scenes([scene], tmp_path)["scenes"]["fanned"]
     assert report["passed"], [item for item in report["checks"] if not item["passed"]]
+
+
+def test_errors_of_given_temperatures_are_found():
+    """A slab between two nodes: an error of 1 % of its conductance counts as 1 %."""
+
+    def impedance(conductance):
+        K = conductance * np.array([[1.0, -1.0], [-1.0, 1.0]]) + np.diag([0.0, 2.0])
+        return np.linalg.inv(K)[None]
+
+    exact, wrong = impedance(3.0), impedance(3.03)
+    assert compare_responses(wrong, exact, [1]) == pytest.approx(0.01, rel=0.02)
+    assert compare_responses(exact, exact, [1]) == 0.0

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kc2spice.bodies.heat_model import HEAT_CAPACITY_NAME
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Clock
@@ -70,7 +71,9 @@ def verify_body(
         at = _select_frequencies(rom, at, min(count, FULL_FREQUENCIES))
         with clock.time_stage("full model", f"{part.name} at {at.size} frequencies"):
             exact = _solve_full_response(part, build, full, at)
-        errors["rom_vs_fom"] = compare_responses(solve_reduced(rom, at), exact, given)
+        errors["rom_vs_fom"] = compare_responses(
+            solve_reduced(rom, at), exact, given, _stored_heat(rom, at)
+        )
         certificate = rom.certificate
         limit = (
             SOLVER_ROUNDING
@@ -117,7 +120,7 @@ def list_netlist_checks(
     electrical = [port.name for port in rom.ports if port.paired]
     leaked = MAX_LEAK_RATIO * leakage_share(frequency) if electrical else 0.0
     every_column = list(range(len(rom.inputs)))
-    error = compare_responses(emitted, exact, given)
+    error = compare_responses(emitted, exact, given, _stored_heat(rom, frequency))
     checks = [Check(f"{name}: netlist to ROM, all ports", error, max(gate, leaked))]
     rows = []
     for port in electrical:
@@ -150,7 +153,12 @@ def solve_reduced(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
     return DirectResponse(rom.pencil.dense()).transfer(2j * np.pi * frequency)
 
 
-def compare_responses(response: np.ndarray, exact: np.ndarray, given: Sequence[int]) -> float:
+def compare_responses(
+    response: np.ndarray,
+    exact: np.ndarray,
+    given: Sequence[int] = (),
+    stored: np.ndarray | float = 0.0,
+) -> float:
     """Return the largest relative error of a response (frequencies, outputs, inputs).
 
     Responses H of heat flows to temperatures decay exponentially between distant ports. If the
@@ -159,14 +167,22 @@ def compare_responses(response: np.ndarray, exact: np.ndarray, given: Sequence[i
         T_s = (H_ss - H_sc H_cc^-1 H_cs) q_s + H_sc H_cc^-1 T_c,
 
     the first term relative to its entries, and the second one relative to T_c. The heat flow of
-    given temperatures, ``H_cc^-1``, is relative to its entries.
+    given temperatures, ``H_cc^-1``, is relative to its entries plus ``stored`` (frequencies,)
+    [W/K], the heat flow that changes the temperature of the whole body. The certificate states the
+    error of the inner temperatures relative to that heat flow.
     """
     if not given:
         return relative_error(response, exact)
     found, expected = (_give_temperatures(H, given) for H in (response, exact))
-    errors = [relative_error(found[k], expected[k]) for k in (0, 2) if expected[k].size]
-    shares = np.abs(found[1] - expected[1]).max(initial=0.0)
-    return max([*errors, float(shares)])
+    inner = relative_error(found[0], expected[0]) if expected[0].size else 0.0
+    shares = float(np.abs(found[1] - expected[1]).max(initial=0.0))
+    base = np.abs(expected[2]) + np.reshape(stored, (-1, 1, 1))
+    return max(inner, shares, float((np.abs(found[2] - expected[2]) / base).max()))
+
+
+def _stored_heat(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
+    """Return ``w C`` (frequencies,) [W/K] of the heat capacity of a whole body."""
+    return 2 * np.pi * frequency * rom.facts.get(HEAT_CAPACITY_NAME, 0.0)
 
 
 def _give_temperatures(
