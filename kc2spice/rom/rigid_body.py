@@ -198,7 +198,7 @@ def hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
     if support.any() and low < SUPPORT_RATIO * frequency:
         warnings.warn(
             "the stiffness of a support is below the rounding errors of the stiffness matrix: "
-            "the model neglects the support and its resonance at about {frequency:.2g} Hz; "
+            f"the model neglects the support and its resonance at about {frequency:.2g} Hz; "
             "model the support as a part of the circuit",
             stacklevel=2,
         )

@@ -88,7 +88,7 @@ class DiscLayer(Section):
             if filled or not ring.inner < ring.outer <= largest:
                 raise ValueError(
                     "the feedback electrode does not fit: inner must be less than outer, and "
-                    "outer at most {largest:g} m, and a part of the main electrode must remain"
+                    f"outer at most {largest:g} m, and a part of the main electrode must remain"
                 )
         return self
 
