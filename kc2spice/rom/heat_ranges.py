@@ -16,18 +16,18 @@ to the responses. (P. Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 import scipy
-from scipy import sparse
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import names_of
 from kc2spice.rom.entries import reference_share
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.first_step import intermediate_model
+from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.interface_modes import (
     DENSE,
     ROUNDING,
@@ -38,15 +38,13 @@ from kc2spice.rom.interface_modes import (
     reduce_with_interfaces,
     split_given,
 )
-from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
+from kc2spice.rom.linear_model import Certificate, LinearModel, Norm
 from kc2spice.rom.matrix_terms import MatrixTerms, find_terms
 from kc2spice.rom.parametric import (
     Full,
     ParameterAxis,
     Values,
     list_exponents,
-    polynomials,
-    require_within,
 )
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import is_semidefinite, prove_stability
@@ -63,55 +61,6 @@ MOST_VALUES = 40  # values of the parameters whose reduced models the basis span
 DEPENDENT = 1e-12  # size of a dependent direction, relative to the largest
 CLIPPED = 1e-6  # size of a negative eigenvalue that is rounding, relative to the largest one
 FACT_DEGREE = 6  # highest degree of the polynomials of facts
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class HeatOverRanges:
-    """Heat model ``E(p) x' + K(p) x = B q``, ``T = B'x`` over ranges of parameters.
-
-    ``terms`` are those of the reduced matrices. ``facts`` are coefficients of polynomials of the
-    logarithms of positive facts with ``exponents``.
-    """
-
-    terms: MatrixTerms
-    B: np.ndarray
-    ports: tuple[Port, ...]
-    exponents: np.ndarray
-    facts: Mapping[str, np.ndarray] = field(default_factory=dict)
-    name: str = "model"
-    certificate: Certificate | None = None
-    defaults: Mapping[str, float] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    descriptions: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def order(self) -> int:
-        """Number of temperatures that are states."""
-        return len(self.B)
-
-    @property
-    def box(self) -> dict[str, ParameterAxis]:
-        """Every parameter's axis by its name."""
-        return {axis.name: axis for axis in self.terms.axes}
-
-    def at(self, values: Values) -> LinearModel:
-        """The model at values of all parameters.
-
-        Raises
-        ------
-        UsageError : a parameter is missing or outside of its range.
-        """
-        require_within(self.terms.axes, values)
-        x = np.array([[axis.coordinate(values[axis.name]) for axis in self.terms.axes]])
-        products = polynomials(x, self.exponents)[0]
-        return LinearModel(
-            **self.terms.at(values),
-            B=self.B,
-            ports=self.ports,
-            certificate=self.certificate,
-            facts={name: float(f"{np.exp(products @ c):.10g}") for name, c in self.facts.items()},
-            name=self.name,
-        )
 
 
 def reduce_heat_over_ranges(
@@ -377,7 +326,7 @@ class _Basis:
         )
 
 
-def _project(matrix: sparse.csc_array, V: np.ndarray) -> np.ndarray:
+def _project(matrix: scipy.sparse.csc_array, V: np.ndarray) -> np.ndarray:
     """Return ``V' matrix V`` without negative eigenvalues that are rounding.
 
     Conductances of an insulated body have an eigenvalue of zero, which is the difference of far

@@ -16,10 +16,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.parametric import Full, ParameterAxis, Values
@@ -33,7 +33,7 @@ EXACT = 1e-9  # relative difference of an entry that is rounding
 NEGLIGIBLE = 1e-12  # share of a term in an entry that is rounding
 LETTERS = "EK"
 
-_Matrices = Mapping[str, sparse.csc_array]
+_Matrices: TypeAlias = "Mapping[str, scipy.sparse.csc_array]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis]) -> MatrixTerms:
             raise _no_terms_error(frame.name, "the mesh changes its cells within the ranges")
         if np.abs(model.B - frame.B).max() > EXACT * np.abs(frame.B).max():
             raise _no_terms_error(frame.name, "the places of its heat sources change")
-        K, E = map(sparse.csc_array, model.pencil.coefficients)
+        K, E = map(scipy.sparse.csc_array, model.pencil.coefficients)
         return {"E": E, "K": K}
 
     def interpolate(choice: Sequence[tuple[int, ...]]) -> MatrixTerms:
@@ -148,7 +148,7 @@ def _drop_rounding(terms: Sequence[Any], largest: np.ndarray) -> list[Any]:
     result = []
     for matrix, factor in zip(terms, largest, strict=True):
         significant = matrix.multiply(factor * abs(matrix) > NEGLIGIBLE * size)
-        significant = sparse.csc_array(significant)
+        significant = scipy.sparse.csc_array(significant)
         significant.eliminate_zeros()
         result.append(significant)
     return result

@@ -20,7 +20,7 @@ from kc2spice.netlist.elements import Line
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import format_number, require_distinct
 from kc2spice.netlist.spelling import require_name as checked_name
-from kc2spice.rom.heat_ranges import HeatOverRanges
+from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.varying import Varying
 from kc2spice.synthesis.emitted import MICRO

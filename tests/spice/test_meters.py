@@ -98,8 +98,8 @@ def text(deck):
 def test_a_scene_that_asks_for_nothing_has_no_meter(scene, tmp_path):
     analysis, drive = "type='transient'\nstop=1e-5", "dc = 1.0"
     plain = text(kc.deck(scene(analysis, drive, probes={})))
-    assert "_find_meter" not in plain
-    assert text(kc.deck(scene(analysis, drive))).count("_find_meter") > 0
+    assert "_meter" not in plain
+    assert text(kc.deck(scene(analysis, drive))).count("_meter") > 0
 
 
 def test_a_source_of_the_name_of_a_meter_keeps_its_own(scene):

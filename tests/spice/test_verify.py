@@ -89,7 +89,7 @@ def test_each_solution_is_compared_with_both_others(wrong, tmp_path, monkeypatch
         )  # fmt: skip
     if wrong == "rom":
         monkeypatch.setattr(
-            module, "solve",
+            module, "solve_laws",
             lambda *asked: dataclasses.replace(
                 found := solve_laws(*asked), results=scaled(found.results)
             ),
@@ -317,7 +317,7 @@ def test_a_launch_that_is_off_fails_whatever_a_sharp_resonance_is_off(faster, mo
     )
     quick = Waveforms(launched.data | {"sphere.v": faster * launched["sphere.v"]}, {})
     gates = [("contact", g) for g in contact_gates(build, launched)]
-    ours, exact = (module.solution(item, build) for item in (quick, launched))
+    ours, exact = (module.complete_solution(item, build) for item in (quick, launched))
     checks, _ = module.gate_limits(gates, "rom_vs_fom", ours, exact)
     (launch,) = (c for c in checks if c.name.startswith("launch velocity"))
     assert launch.passed is (faster == 1.0)

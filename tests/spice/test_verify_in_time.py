@@ -31,8 +31,8 @@ def test_too_few_branches_of_a_film_fail_in_time(tmp_path, branches, passed):
 
 
 def test_a_finer_integration_that_takes_too_long_is_given_up(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "LONGER", 0.0)
-    monkeypatch.setattr(module, "SPARE", 0.0)
+    monkeypatch.setattr(module, "TIME_FACTOR", 0.0)
+    monkeypatch.setattr(module, "EXTRA_SECONDS", 0.0)
     scene = load_scene(SCENE, {"plate.film.branches": 3})
     record = module.verify_scenes([scene], tmp_path / "out")["scenes"]["film"]
     assert any("given up after 0 s" in note for note in record["notes"])

@@ -33,7 +33,7 @@ from kc2spice.parts.bodies._box import (
 )
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.complex_constants import ComplexConstants
-from kc2spice.rom.heat_ranges import HeatOverRanges
+from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
 from kc2spice.rom.matrix_terms import MatrixTerms
 from kc2spice.rom.modal import resonators

@@ -87,7 +87,7 @@ from kc2spice.parts.bodies._meshed import (
 )
 from kc2spice.parts.bodies._pictures import draw_edges, element_corners, map_surface
 from kc2spice.rom.enriched import Orders
-from kc2spice.rom.heat_ranges import HeatOverRanges
+from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.interface_modes import reduce_with_interfaces
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.parametric import Full, ParameterAxis

@@ -1,0 +1,61 @@
+"""Reduced heat model over ranges of parameters, as :mod:`kc2spice.rom.heat_ranges` computes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
+from kc2spice.rom.matrix_terms import MatrixTerms
+from kc2spice.rom.parametric import ParameterAxis, Values, polynomials, require_within
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HeatOverRanges:
+    """Heat model ``E(p) x' + K(p) x = B q``, ``T = B'x`` over ranges of parameters.
+
+    ``terms`` are those of the reduced matrices. ``facts`` are coefficients of polynomials of the
+    logarithms of positive facts with ``exponents``.
+    """
+
+    terms: MatrixTerms
+    B: np.ndarray
+    ports: tuple[Port, ...]
+    exponents: np.ndarray
+    facts: Mapping[str, np.ndarray] = field(default_factory=dict)
+    name: str = "model"
+    certificate: Certificate | None = None
+    defaults: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    descriptions: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def order(self) -> int:
+        """Number of temperatures that are states."""
+        return len(self.B)
+
+    @property
+    def box(self) -> dict[str, ParameterAxis]:
+        """Every parameter's axis by its name."""
+        return {axis.name: axis for axis in self.terms.axes}
+
+    def at(self, values: Values) -> LinearModel:
+        """The model at values of all parameters.
+
+        Raises
+        ------
+        UsageError : a parameter is missing or outside of its range.
+        """
+        require_within(self.terms.axes, values)
+        x = np.array([[axis.coordinate(values[axis.name]) for axis in self.terms.axes]])
+        products = polynomials(x, self.exponents)[0]
+        return LinearModel(
+            **self.terms.at(values),
+            B=self.B,
+            ports=self.ports,
+            certificate=self.certificate,
+            facts={name: float(f"{np.exp(products @ c):.10g}") for name, c in self.facts.items()},
+            name=self.name,
+        )
