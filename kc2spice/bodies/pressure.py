@@ -293,7 +293,7 @@ def _grow_points(start: float, end: float, step: float) -> np.ndarray:
 class IndentationLaw:
     """Force law of a sphere: ``sum_k c_k s^(3 + k)`` [N] at the indentation x [m].
 
-    ``s = sqrt(x / depth)`` is the contact's radius relative to the widest one. The first term is
+    ``s = sqrt(x / depth)`` is the contact radius divided by its maximum. The first term is
     Hertz's law, and the others are effects of layers and of the body's size. ``depth`` [m] is the
     largest indentation of the law.
     """

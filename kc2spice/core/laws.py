@@ -258,7 +258,7 @@ class Device(ABC):
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Through quantities that the law exerts."""
+        """Through variables (force, current, heat flow) that the law applies to its ports."""
         return ()
 
     @property

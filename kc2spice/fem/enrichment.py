@@ -78,7 +78,7 @@ class Enrichment:
         return int(self.numbers.max()) + 1
 
     def dielectric(self) -> np.ndarray:
-        """Mask (count,) of the functions in materials with an electric field."""
+        """Mask (count,) of the enrichment functions in piezoelectric and dielectric materials."""
         field = np.array([m.piezoelectric or m.dielectric for m in self.solid.materials])
         result = np.zeros(self.count, bool)
         result[self.numbers[:, field[self.solid.owner]]] = True

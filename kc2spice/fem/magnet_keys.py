@@ -48,7 +48,8 @@ class Catch(Section):
         gt=-1e-3,
         lt=1e-3,
         description=(
-            "Mounting error: distance of ring, coils and force table above the nominal position"
+            "Mounting error: height of the ring, the coils and the tabulated force above the "
+            "nominal position"
         ),
     )
     positions: Annotated[Count, Notch(2.0, spaces=True, model=True)] = Field(

@@ -121,7 +121,7 @@ class Branch:
 
     @property
     def lossy_variable(self) -> str:
-        """Variable of its losses: the rate of a displacement, otherwise the coordinate."""
+        """Variable on which its losses depend: a velocity for a displacement, or the coordinate."""
         return self.rate if self.moves else self.name
 
     @property

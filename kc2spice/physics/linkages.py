@@ -52,7 +52,7 @@ class Linkages:
 
     @property
     def currents(self) -> list[str]:
-        """Names of the currents."""
+        """Names of the currents, in the order of the coils."""
         return names_of(self.branches)
 
     @cached_property

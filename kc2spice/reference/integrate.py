@@ -385,7 +385,7 @@ def solve_transient(
 
 
 def _find_jump(interval: Interval, t: float, z: np.ndarray, left: np.ndarray) -> int | None:
-    """Return the index of a guard that a jump of algebraic unknowns makes negative.
+    """Return the index of an event function that becomes negative at a jump of algebraic unknowns.
 
     ``left`` are the guards before the jump, nan for those that have switched.
     """

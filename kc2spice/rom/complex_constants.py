@@ -126,7 +126,7 @@ def complex_constants_model(model: Resonators, losses: ComplexConstants) -> Line
     UsageError : modes without inertia, or a loss so large that the instantaneous capacitance is not
         positive.
     """
-    from scipy.linalg import block_diag  # imported here, because the command line loads this module
+    from scipy.linalg import block_diag  # imported here, so that the command line starts faster
 
     known, n = model.certificate, model.order
     assert known is not None

@@ -48,7 +48,7 @@ def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple
 
 
 def fit_outputs(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Fit other outputs C of fewer states, with the least largest error."""
+    """Fit the output matrix C of a model with fewer states, so that its largest error is least."""
     estimator = basis.task.estimator
     s = snapshots(estimator, estimator.exact).s
     H, peak = estimator.exact.transfer(s), estimator.reference[1].peak

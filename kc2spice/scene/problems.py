@@ -257,7 +257,7 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_place(where: str, place: float, scene: Scene) -> Iterator[UsageError]:
-    """Yield an error of a place that is not on the scale of the analysis."""
+    """Yield an error if the position of a probe is outside of the sweep of the analysis."""
     selected, part_unit = scene.analysis, getattr(place, "unit", "")
     unit = _scale_unit(scene)
     if part_unit and unit is not None and part_unit != unit:

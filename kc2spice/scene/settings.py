@@ -348,7 +348,7 @@ class Analysis(Section):
     )
     start: Frequency = Field(0.0, ge=0, description="Lowest frequency of an ac or noise analysis")
     points: Annotated[Count, Notch(2.0, spaces=True)] = Field(
-        200, ge=2, le=200_000, description="Least number of frequencies or of swept values"
+        200, ge=2, le=200_000, description="Smallest number of points of a response or sweep"
     )
     scale: Literal["log", "linear"] = Field(
         default_factory=_default_scale,

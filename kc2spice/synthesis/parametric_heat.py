@@ -107,7 +107,7 @@ def heat_subcircuit_over_ranges(
 
 
 def _make_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _Network:
-    """Return the modes at the defaults, and the change of their matrices with each factor."""
+    """Return the network: modes at the defaults, and how their matrices change with each factor."""
     values = {key: p.default for key, p in zip(model.box, parameters, strict=True)}
     rom = model.at(values)
     times, shapes = decouple_heat(rom)

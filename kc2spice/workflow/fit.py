@@ -176,7 +176,7 @@ def fit(
         got = f"{measured.Y.shape[1]} ports"
         hint = "measure the impedance between the electrodes, or save one port alone"
         raise UsageError(
-            "the data does not contain the impedance of one port",
+            "the data is not the impedance of a part with one port",
             where=measured.where,
             got=got,
             expected="one port",

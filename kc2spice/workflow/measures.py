@@ -91,7 +91,7 @@ def _find_wave(scene: Scene, result: Vector | None, sweep_scale: float) -> _Wave
 
 
 def _list_probe_measures(name: str, probe: Probe, wave: _Wave) -> Iterator[Measure]:
-    """Yield the measure of a probe; none if no card computes it.
+    """Yield the measure of a probe, or nothing if no card computes this probe.
 
     In ``ac`` it is the magnitude of a voltage.
     """

@@ -267,5 +267,5 @@ def test_other_parts_and_several_ports_are_refused():
     with pytest.raises(kc.errors.UsageError, match="cannot have"):  # less than its electrodes
         kc.fit(BUZZER, "disc", data, ["layers[1].diameter"])
     two = MeasuredAdmittance("two", "two.s2p", data.f, np.tile(np.eye(2), (len(data.f), 1, 1)))
-    with pytest.raises(kc.errors.UsageError, match="impedance of one port"):
+    with pytest.raises(kc.errors.UsageError, match="impedance of a part with one port"):
         kc.fit(BUZZER, "disc", two, ["layers[0].thickness"])

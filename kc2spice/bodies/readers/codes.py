@@ -168,7 +168,7 @@ def _parse_dofs(data: bytes) -> raw.Dofs:
     pairs = [word.partition(b".")[::2] for word in words]
     node, kind = np.array(pairs).astype(np.int64).T
     if not ((kind >= 0) & (kind <= 6)).all():
-        raise ValueError(f"the file has the unknown direction {kind[(kind < 0) | (kind > 6)][0]}")
+        raise ValueError(f"the file contains the direction code {kind[(kind < 0) | (kind > 6)][0]}")
     return raw.Dofs(node, np.where(kind == 0, raw.DOF_NUMBERS["temp"], kind))
 
 

@@ -105,7 +105,7 @@ class HeatBodyKeys(MeshKeys):
     fixed: tuple[str, ...] = Field((), description="Groups of faces at the ambient temperature")
     films: tuple[FilmKeys, ...] = Field((), description="Faces that transfer heat to a fluid")
     interfaces: tuple[InterfaceKeys, ...] = Field(
-        (), description="Joints between groups with a thermal resistance"
+        (), description="Joints with a thermal resistance, each between two groups"
     )
 
     @property

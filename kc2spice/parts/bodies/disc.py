@@ -56,7 +56,7 @@ class DiscLayer(Section):
 
     material: str | dict[str, Any] = Field(description="Material of the layer, a name or a table")
     diameter: Width = Field(gt=0, description="Outer diameter of the layer")
-    thickness: Thickness = Field(gt=0, description="Thickness of the layer")
+    thickness: Thickness = Field(gt=0, description="Thickness of one layer of the disc")
     electrodes: Length | None = Field(
         None,
         gt=0,

@@ -44,7 +44,7 @@ def balance_heat(
     keys : ConductorKeys
         Temperature coefficient and reference temperature of the wire.
     prefix : str
-        First word of the results of the coils.
+        Prefix of the names of the coil results.
     resistance : mapping of str to float
         Resistance of each coil at the reference temperature [Ohm].
     currents : mapping of str to numpy.ndarray

@@ -339,7 +339,7 @@ class MovingBody(DeclaredPart[MovingT]):
             raise part.wrong("y_max", *details) from None
 
     def metrics(self, part: Part[MovingT], build: Build, waves: Waveforms) -> Mapping[str, object]:
-        """Heights and times at which it turns back, see :func:`turning_points`."""
+        """Heights and times of the turning points of the body, see :func:`turning_points`."""
         if "time" not in waves or f"{part.name}.y" not in waves:
             return {}
         result = turning_points(waves["time"], waves[f"{part.name}.y"])

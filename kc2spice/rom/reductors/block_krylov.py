@@ -63,7 +63,7 @@ class BlockKrylov(Reductor):
         return "its stiffness matrix is not positive definite"
 
     def basis(self, task: Task) -> ReducedBasis:
-        """Return the projection of the full-order model on nested Krylov vectors."""
+        """Return nested Krylov vectors and the full-order model projected on them."""
         if not task.intermediate.proof:  # created by this method for a prescribed order
             V = task.intermediate.basis
             return ReducedBasis(task, task.intermediate.pencil, vectors=V, coordinates="full order")

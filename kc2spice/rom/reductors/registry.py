@@ -72,7 +72,7 @@ def register_reductor(reductor: Reductor) -> Reductor:
 
 
 def _require_reductor(value: object, where: str) -> None:
-    """Check that a value is a method with a name."""
+    """Raise an error if a value is not a reductor or has no name."""
     if isinstance(value, Reductor) and isinstance(value.name, str) and value.name:
         return
     expected, hint, got = "an instance of a subclass of kc.Reductor with a name", None, repr(value)

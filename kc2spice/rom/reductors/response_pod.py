@@ -78,7 +78,7 @@ class ResponsePod(Reductor):
     def tighten(
         self, basis: ReducedBasis, order: int, tolerance: float
     ) -> tuple[ReducedBasis, int]:
-        """Return vectors of which fewer meet the tolerance.
+        """Return a basis of which fewer vectors meet the tolerance.
 
         Snapshots receive larger weights at frequencies at which the error with one state fewer is
         largest (Lawson's minimax fit). The weights above the band are reduced step by step.

@@ -685,7 +685,7 @@ def _max_unknowns() -> float:
 
 
 class _TooLongError(Exception):
-    """End of an integration that takes too long, at a ``share`` of its run."""
+    """An integration exceeded its time limit; ``share`` is the completed fraction."""
 
     def __init__(self, share: float) -> None:
         super().__init__(share)
