@@ -80,8 +80,8 @@ PARAMETERS = {
         metavar="MODEL",
         help="NAME of the files NAME.M .E .K .B .C (Matrix Market or Harwell-Boeing; first order "
         ".A .B .C .D .E); a .npz or .mat file; a file of Abaqus, CalculiX, Nastran or Ansys; "
-        "SCENE:PART, a body of a scene; or a measured response (.s1p, .s2p, .csv, .txt, .zma, "
-        ".mat), or the table of a thermal transient. "
+        "SCENE:PART, a body of a scene; a measured response (.s1p, .s2p, .csv, .txt, .zma, "
+        ".mat); or the table of a thermal transient. "
         "NAME.toml in the same folder contains ports, units and band.",
     ),
     "target": typer.Argument(

@@ -211,7 +211,7 @@ TRANSLATION = Domain(
     rate=VELOCITY,
     frame="acceleration",
     path="a spring, a contact, a clamped body or a displacement source between it and gnd",
-    adrift="nothing holds {part}",
+    adrift="{part} has no support",
 )
 DISPLACEMENT = TRANSLATION.across
 ROTATION = Domain(
@@ -228,7 +228,7 @@ ROTATION = Domain(
     response="moved",
     reference=BASE,
     path="a torsion spring, a clamped body or an angle source between it and gnd",
-    adrift="nothing holds {part}",
+    adrift="{part} has no support",
 )
 ACCELERATION = Domain(
     "acceleration",

@@ -134,7 +134,7 @@ def _storage_errors(
     stored = next((name for name in result.parts if name not in pushed), result.parts[0])
     later = "" if kind in ("op", "dc", "ac", "noise") else f"; or a {flow} that is zero at t = 0"
     yield UsageError(
-        f"{domain.adrift.format(part=stored)}: it has no operating point",
+        f"{domain.adrift.format(part=stored)}, so the scene has no operating point",
         where=stored,
         got=", ".join([f"analysis {kind}", *(f"{flow} of {name}" for name in pushed)]),
         expected=f"{domain.path}{later}",

@@ -633,7 +633,7 @@ def _refine_end(descent: _Descent, end: _DescentResult) -> _DescentResult:
     raise UsageError(
         "the fit does not converge",
         where=body.data.where,
-        got=f"no end in {RANGE_COUNT} rounds at which mesh and reduced model agree",
+        got=f"values of mesh and reduced model that differ after {RANGE_COUNT} rounds",
         expected=f"within {CONVERGED_CHANGE:g} standard errors",
         hint="vary fewer keys, or give narrower ranges",
     )

@@ -90,7 +90,10 @@ def with_larger_orders(run: Run, work: Path, clock: Clock) -> Run:
             return run
         run = better
     for name in (check.name for check in _violated_checks(run).values()):
-        warnings.warn(f"{name}: {MAX_RERUNS} further runs do not suffice", stacklevel=3)
+        warnings.warn(
+            f"{name}: the error still exceeds its limit after {MAX_RERUNS} further runs",
+            stacklevel=3,
+        )
     return run
 
 

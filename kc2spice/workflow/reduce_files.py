@@ -191,7 +191,7 @@ _OF_TRANSIENT = (
 )
 _OF_MEASUREMENT = (
     "this option applies only to a measured response",
-    "no such option with matrices, which determine the response",
+    "a measured response, or matrices without this option",
 )
 
 

@@ -346,7 +346,7 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
             why = (
                 "nothing more to refine"
                 if runs.has_runs_left
-                else f"{MAX_RUNS} runs do not suffice"
+                else f"the budget is not met after {MAX_RUNS} runs"
             )
             break
         notches = moved

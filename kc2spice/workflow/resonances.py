@@ -59,8 +59,8 @@ def with_resonances(deck: Deck, build: Build) -> Deck:
     narrow = [(f, width) for f, width in resonances if step * width < _frequency_spacing(build, f)]
     if len(narrow) > MAX_RESONANCES:
         warnings.warn(
-            f"{len(narrow)} resonances are narrower than the distance of the frequencies; the "
-            f"first {MAX_RESONANCES} are resolved: raise analysis.points or narrow the range",
+            f"{len(narrow)} resonances are narrower than the frequency step, and only the first "
+            f"{MAX_RESONANCES} are resolved; raise analysis.points or use a narrower range",
             stacklevel=2,
         )
     commands = [

@@ -126,7 +126,7 @@ class _Sets(dict[str, list[int]]):
     def add(self, name: str, members: Sequence[int]) -> None:
         """Add nodes to a set."""
         if len(members) + sum(map(len, self.values())) > MAX_ROWS:
-            raise ValueError(f"node sets of more than {MAX_ROWS} nodes")
+            raise ValueError(f"the node sets have more than {MAX_ROWS} nodes")
         self.setdefault(name, []).extend(members)
 
 

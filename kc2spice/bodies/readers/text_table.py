@@ -89,7 +89,7 @@ def read_tables(text: str) -> list[TextTable]:
     """
     count = max(text.count("\n"), text.count("\r"))
     if count > MAX_LINES:
-        raise ValueError(f"{count} lines, more than {MAX_LINES}")
+        raise ValueError(f"the file has {count} lines, more than {MAX_LINES}")
     lines = split_lines(text)
     runs, separator, most = list[_Run](), None, 0
     for candidate in (*SEPARATORS, None):
