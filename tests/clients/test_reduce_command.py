@@ -169,6 +169,6 @@ def test_an_unknown_method_lists_five_methods(tmp_path):
     done = run(tmp_path / "rod", "--method", "truncation of modes", "--out", tmp_path / "out")
     assert done.exit_code == 2
     text = " ".join(done.output.split())
-    assert "--method: unknown method" in text
+    assert "--method: this reduction method does not exist" in text
     assert "balanced truncation" in text
     assert "in all" in text
