@@ -58,7 +58,7 @@ class ThermalMaterialTable(Section):
     like: str | None = Field(
         None, description="Built-in material whose properties apply where this table has no value"
     )
-    density: Density = Field(gt=0, description="Density")
+    density: Density = Field(gt=0, description="Mass density of the material")
     specific_heat: SpecificHeat = Field(gt=0, description="Specific heat capacity")
     conductivity: Conductivity | tuple[Conductivity, Conductivity, Conductivity] = Field(
         description="Thermal conductivity: one value, or three values along x, y and z"
