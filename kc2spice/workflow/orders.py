@@ -67,7 +67,8 @@ class LargerOrder:
         return (
             f"reduction of {self.part}: under the loads of this run a model of {before} states has "
             f"an error of {error:.2%}, more than {self.limit:.2%}, and one of {after} states "
-            f"{smaller:.2%}: run again with {keys}, about {self.seconds:.2g} s of CPU"
+            f"{smaller:.2%}; the run is repeated with {keys}, which takes about "
+            f"{self.seconds:.2g} s of CPU"
         )
 
 

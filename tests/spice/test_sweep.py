@@ -74,7 +74,7 @@ def test_a_finished_sweep_is_not_run_again_and_its_other_numbers_are_there(charg
 def test_another_sweep_does_not_overwrite_it(charge):
     scene, out, _ = charge
     said = sweep(scene, "wire.resistance=1,2", out=out, code=2)
-    assert "contains another sweep" in said
+    assert "contains the results of another sweep" in said
     assert len(rows(out / "sweep.csv")) == 8
 
 
