@@ -31,8 +31,8 @@ WIDE_RANGE = 20.0  # ratio of frequencies above which their axis is logarithmic
 OPERATING_RESULTS = 6  # results at the operating point that a terminal shows
 LEAD_TEXT = "Finite-element models, reduced, exported as a netlist and run in ngspice."
 NETS_NOTE = (
-    "Pins by what they carry: blue electrical, orange mechanical, green signals. The names of the "
-    "nets are those of the netlist."
+    "Colours of pins: blue electrical, orange mechanical, green signals, grey others. The names of "
+    "the nets are those of the netlist."
 )
 FIGURES_NOTE = (
     "Move the pointer to read values, drag to enlarge, double-click to see all; click a name of a "
