@@ -84,7 +84,7 @@ def shapes(text):
     """The cards without names' and values' digits, each once: the same for any number of states.
     Coefficients of polynomials are left out where they are rounding, so their cards are no shape.
     """
-    text = re.sub(r"(?m)^\.param .*$", "", text)
+    text = re.sub(r"(?m)^\.param .*$(\n\+.*$)*", "", text)
     number = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?((meg|[tgkmunpf])(?!\w))?")
     return {number.sub("#", line) for line in text.splitlines()}
 
