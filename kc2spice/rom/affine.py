@@ -21,6 +21,7 @@ from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.parametric import MAX_PARAMETERS, ParameterAxis, Values
 from kc2spice.rom.pencil import Matrix
+from kc2spice.rom.ranges import RangeTask
 from kc2spice.rom.reduce import Target, choose_band, require_valid
 from kc2spice.rom.stability import is_semidefinite
 from kc2spice.rom.varying import Varying, reduce_over_ranges
@@ -268,7 +269,7 @@ def reduce_affine(
         for ends in product(*((axis.low, axis.high) for axis in affine.axes)):
             _require_semidefinite(affine, dict(zip(middle, ends, strict=True)))
         limits = choose_band(model, reduced_form(model.pencil), parse_band(band))
-        result = reduce_over_ranges(
+        task = RangeTask(
             lambda values: _proportional(affine.at(values)),
             affine.axes,
             limits,
@@ -276,6 +277,7 @@ def reduce_affine(
             progress,
             norm,
         )
+        result = reduce_over_ranges(task)
     except np.linalg.LinAlgError:
         raise _make_indefinite_error(affine, "a value inside of the ranges") from None
     units = {item.name: item.unit for item in affine.parameters}

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kc2spice.rom.linear_model import Certificate, LinearModel, Port
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.matrix_terms import MatrixTerms
 from kc2spice.rom.parametric import ParameterAxis, Values, polynomials, require_within
+from kc2spice.rom.ranges import ModelOverRanges
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class HeatOverRanges:
+class HeatOverRanges(ModelOverRanges):
     """Heat model ``E(p) x' + K(p) x = B q``, ``T = B'x`` over ranges of parameters.
 
     ``terms`` are those of the reduced matrices. ``facts`` are coefficients of polynomials of the
@@ -22,14 +23,8 @@ class HeatOverRanges:
 
     terms: MatrixTerms
     B: np.ndarray
-    ports: tuple[Port, ...]
     exponents: np.ndarray
     facts: Mapping[str, np.ndarray] = field(default_factory=dict)
-    name: str = "model"
-    certificate: Certificate | None = None
-    defaults: Mapping[str, float] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    descriptions: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def order(self) -> int:
@@ -38,16 +33,9 @@ class HeatOverRanges:
 
     @property
     def box(self) -> dict[str, ParameterAxis]:
-        """Every parameter's axis by its name."""
         return {axis.name: axis for axis in self.terms.axes}
 
     def at(self, values: Values) -> LinearModel:
-        """The model at values of all parameters.
-
-        Raises
-        ------
-        UsageError : a parameter is missing or outside of its range.
-        """
         require_within(self.terms.axes, values)
         x = np.array([[axis.coordinate(values[axis.name]) for axis in self.terms.axes]])
         products = polynomials(x, self.exponents)[0]

@@ -15,7 +15,7 @@ to the responses. (P. Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -38,7 +38,7 @@ from kc2spice.rom.interface_modes import (
     reduce_with_interfaces,
     split_given,
 )
-from kc2spice.rom.linear_model import Certificate, LinearModel, Norm
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.matrix_terms import MatrixTerms, find_terms
 from kc2spice.rom.parametric import (
     Full,
@@ -46,6 +46,7 @@ from kc2spice.rom.parametric import (
     Values,
     list_exponents,
 )
+from kc2spice.rom.ranges import RangeTask, certify_over_ranges, record_facts
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import is_semidefinite, prove_stability
 from kc2spice.rom.varying import interpolate_facts, make_range_error
@@ -63,87 +64,80 @@ CLIPPED = 1e-6  # size of a negative eigenvalue that is rounding, relative to th
 FACT_DEGREE = 6  # highest degree of the polynomials of facts
 
 
-def reduce_heat_over_ranges(
-    full: Full,
-    axes: Sequence[ParameterAxis],
-    band: tuple[float, float],
-    tolerance: float,
-    progress: Callable[[int, int], None] = lambda done, of: None,
-    norm: Norm = "pointwise",
-    given: Sequence[str] = (),
-) -> HeatOverRanges:
-    """Reduce the heat models ``full(values)`` over the ranges of ``axes``.
+class HeatReduction:
+    """Reductions of heat models over the same ranges, which share the terms of the matrices.
 
-    The temperatures of the ports ``given`` are given, as those of isothermal faces are. The
-    certificate holds for all values in the ranges. Its error is the largest relative difference, in
-    the ``norm``, times :data:`SAFETY` for values in between. Differences are those to reduced
-    models of the same terms at samples of the ranges, and to full models at :data:`CHECKS` values
-    and a corner that the model was not made from.
+    ``prescribed`` are the names of ports whose temperatures are prescribed, as those of isothermal
+    faces are.
 
     Raises
     ------
     UsageError : matrices that are no sum of terms with powers of the parameters as factors.
-    SimulationError : the tolerance is not met.
     """
-    facts: list[tuple[Values, Mapping[str, float]]] = []
 
-    def compute_full(values: Values) -> LinearModel:
-        model = full(values)
-        facts.append((dict(values), model.facts))
-        return model
+    def __init__(
+        self, full: Full, axes: Sequence[ParameterAxis], prescribed: Collection[str] = ()
+    ) -> None:
+        self._compute_full, self._facts = record_facts(full)
+        self._frame = self._compute_full({axis.name: axis.middle for axis in axes})
+        self._terms = find_terms(self._compute_full, axes, self._frame)
+        self._term_facts = tuple(self._facts)
+        self._prescribed = [name for name in names_of(self._frame.ports) if name in prescribed]
 
-    terms = find_terms(compute_full, axes)
-    frame = full({axis.name: axis.middle for axis in axes})
-    ranges = _Ranges(terms, frame, (band, tolerance, norm), tuple(given))
-    sobol = scipy.stats.qmc.Sobol(len(axes), seed=5)
-    corners = [np.array(corner) for corner in product((-1.0, 1.0), repeat=len(axes))]
-    points = [*corners, *(sobol.random(SAMPLES * len(axes)) * 2 - 1)]
-    samples = []
-    for number, x in enumerate(points):
-        progress(number, len(points))
-        samples.append(ranges.reference(ranges.model(ranges.values(x)), ranges.values(x)))
-    checks = scipy.stats.qmc.Sobol(len(axes), seed=11)
-    basis = _Basis(ranges, [np.zeros(len(axes)), *corners])
-    for _ in range(ROUNDS):
-        result, inner = _find_smallest(basis, samples, FINAL_SHARE * tolerance / SAFETY)
-        draws = checks.random(CHECKS) * 2 - 1
-        fresh = []
-        for x in (*draws, np.sign(draws[0])):
-            values = ranges.values(x)
-            fresh.append(ranges.reference(compute_full(values), values))
-        error = SAFETY * max(inner, *(item.error(result) for item in fresh))
-        if error <= tolerance:
-            return _finish(ranges, result, error, facts)
-        samples += fresh
-    problem = "the error cannot be estimated over the ranges of the parameters"
-    got = f"{error:.2g} at a point that nothing was made from"
-    raise make_range_error(problem, frame.name, got, tolerance)
+    def reduce(self, task: RangeTask) -> HeatOverRanges:
+        """Reduce the models over the ranges of the axes.
 
+        The certificate holds for all values in the ranges. Its error is the largest relative
+        difference, in the norm of the task, times :data:`SAFETY` for values in between. Differences
+        are those to reduced models of the same terms at samples of the ranges, and to full models
+        at :data:`CHECKS` values and a corner that the model was not made from.
 
-def _finish(
-    ranges: _Ranges,
-    result: HeatOverRanges,
-    error: float,
-    facts: Sequence[tuple[Values, Mapping[str, float]]],
-) -> HeatOverRanges:
-    """Add the certificate and the facts of full models."""
-    axes = ranges.terms.axes
-    semidefinite = all(map(is_semidefinite, (*result.terms.E, *result.terms.K)))
-    proof = prove_stability(result.at(ranges.values(np.zeros(len(axes)))).pencil, ranges.band)
-    certificate = Certificate(
-        band_hz=ranges.band,
-        error_estimate=error,
-        method=f"over the box: difference to {CHECKS + 1} full models that nothing was made from",
-        stable=proof.stable,
-        passive=proof.passive and semidefinite,
-        norm=ranges.norm,
-    )
-    positive = []
-    for values, item in facts:
-        positive.append((values, {name: np.log(v) for name, v in item.items() if v > 0}))
-    exponents = list_exponents(len(axes), FACT_DEGREE)
-    known = interpolate_facts(axes, exponents, positive)
-    return replace(result, certificate=certificate, exponents=exponents, facts=known)
+        Raises
+        ------
+        SimulationError : the tolerance is not met.
+        """
+        axes, tolerance = task.axes, task.tolerance
+        self._facts[:] = self._term_facts
+        ranges = _Ranges(self._terms, self._frame, task, self._prescribed)
+        sobol = scipy.stats.qmc.Sobol(len(axes), seed=5)
+        corners = [np.array(corner) for corner in product((-1.0, 1.0), repeat=len(axes))]
+        points = [*corners, *(sobol.random(SAMPLES * len(axes)) * 2 - 1)]
+        samples = []
+        for number, x in enumerate(points):
+            task.progress(number, len(points))
+            samples.append(ranges.reference(ranges.model(ranges.values(x)), ranges.values(x)))
+        checks = scipy.stats.qmc.Sobol(len(axes), seed=11)
+        basis = _Basis(ranges, [np.zeros(len(axes)), *corners])
+        for _ in range(ROUNDS):
+            result, inner = _find_smallest(basis, samples, FINAL_SHARE * tolerance / SAFETY)
+            draws = checks.random(CHECKS) * 2 - 1
+            fresh = []
+            for x in (*draws, np.sign(draws[0])):
+                values = ranges.values(x)
+                fresh.append(ranges.reference(self._compute_full(values), values))
+            error = SAFETY * max(inner, *(item.error(result) for item in fresh))
+            if error <= tolerance:
+                return self._finish(ranges, result, error)
+            samples += fresh
+        problem = "the error cannot be estimated over the ranges of the parameters"
+        got = f"{error:.2g} at a point that nothing was made from"
+        raise make_range_error(problem, self._frame.name, got, tolerance)
+
+    def _finish(self, ranges: _Ranges, result: HeatOverRanges, error: float) -> HeatOverRanges:
+        """Add the certificate and the facts of full models."""
+        axes = ranges.terms.axes
+        semidefinite = all(map(is_semidefinite, (*result.terms.E, *result.terms.K)))
+        middle = result.at(ranges.values(np.zeros(len(axes))))
+        proof = prove_stability(middle.pencil, ranges.task.band)
+        certificate = certify_over_ranges(
+            ranges.task, error, CHECKS + 1, proof, passive=semidefinite
+        )
+        positive = []
+        for values, item in self._facts:
+            positive.append((values, {name: np.log(v) for name, v in item.items() if v > 0}))
+        exponents = list_exponents(len(axes), FACT_DEGREE)
+        known = interpolate_facts(axes, exponents, positive)
+        return replace(result, certificate=certificate, exponents=exponents, facts=known)
 
 
 class _Ranges:
@@ -153,11 +147,10 @@ class _Ranges:
         self,
         terms: MatrixTerms,
         frame: LinearModel,
-        aims: tuple[tuple[float, float], float, Norm],
-        given: tuple[str, ...],
+        task: RangeTask,
+        given: Sequence[str],
     ) -> None:
-        self.terms, self.frame, self.given = terms, frame, given
-        self.band, self.tolerance, self.norm = aims
+        self.terms, self.frame, self.task, self.given = terms, frame, task, given
         self.isolated = [bool(given) and keeps_all_heat(K) for K in terms.K]
 
     def values(self, x: np.ndarray) -> dict[str, float]:
@@ -177,9 +170,9 @@ class _Ranges:
         inner = _live_ports(parts.inner)
         if inner.order <= DENSE:
             inner, _ = modal_coordinates(inner)
-        limits = 0.01 * self.tolerance, 0.3 * self.tolerance
-        space = intermediate_model(inner.pencil, self.band, *limits)
-        estimator = space.estimator(self.band, self.norm)
+        limits = 0.01 * self.task.tolerance, 0.3 * self.task.tolerance
+        space = intermediate_model(inner.pencil, self.task.band, *limits)
+        estimator = space.estimator(self.task.band, self.task.norm)
         return _Reference(self, values, parts, names_of(inner.ports), estimator, space.error)
 
 
@@ -211,7 +204,7 @@ class _Reference:
 
     def _static_error(self, ours: GivenTemperatures) -> float:
         """Largest relative error of the static answers to given temperatures."""
-        share = reference_share(self.ranges.norm)
+        share = reference_share(self.ranges.task.norm)
         size = float(self.parts.inner.pencil.coefficients[0].diagonal().max())
         result = 0.0
         pairs = (
@@ -246,7 +239,7 @@ class _Basis:
             self.psi = self.psi + missing / self.psi.shape[1]
         self.conductance, stored = self.middle.inner.pencil.coefficients
         rates = self.conductance.diagonal() / np.maximum(stored.diagonal(), np.finfo(float).tiny)
-        rate = float(rates[stored.diagonal() > 0].max(initial=2 * np.pi * ranges.band[1]))
+        rate = float(rates[stored.diagonal() > 0].max(initial=2 * np.pi * ranges.task.band[1]))
         self.content = np.sqrt(stored.diagonal() + self.conductance.diagonal() / rate)
         self.columns: list[np.ndarray] = []
         self.count = 0
@@ -258,9 +251,9 @@ class _Basis:
         ranges, n = self.ranges, len(self.middle.at)
         self.count += 1
         model = ranges.model(values)
-        aims = {"tolerance": SAMPLE_SHARE * ranges.tolerance, "order": None}
+        aims = {"tolerance": SAMPLE_SHARE * ranges.task.tolerance, "order": None}
         small = reduce_with_interfaces(
-            model, ranges.given, band=ranges.band, norm=ranges.norm, **aims
+            model, ranges.given, band=ranges.task.band, norm=ranges.task.norm, **aims
         )
         if small.basis is None:
             raise no_congruence_error(model)

@@ -22,6 +22,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import UsageError
+from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.parametric import Full, ParameterAxis, Values
 
 # Powers of a parameter in the terms: the first ones that represent the matrices are taken. A range
@@ -71,22 +72,23 @@ def sum_products(factors: Iterable[float], matrices: Iterable[Any]) -> Any:
     return sum(others, start=first)
 
 
-def find_terms(full: Full, axes: Sequence[ParameterAxis]) -> MatrixTerms:
+def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) -> MatrixTerms:
     """Return the terms of E and K of the heat models ``full(values)``.
+
+    ``frame`` is the model in the middle of the ranges.
 
     Raises
     ------
     UsageError : a parameter whose matrices are no such sum, or that changes B or the number of
         unknowns.
     """
-    middle = {axis.name: axis.middle for axis in axes}
     scales = np.array([axis.middle if axis.low else axis.high for axis in axes])
-    frame = full(middle)
 
     @cache
     def matrices_at(coordinates: tuple[float, ...]) -> _Matrices:
         pairs = zip(axes, coordinates, strict=True)
-        model = full({axis.name: axis.value(x) for axis, x in pairs})
+        values = {axis.name: axis.value(x) for axis, x in pairs}
+        model = full(values) if any(coordinates) else frame
         if model.order != frame.order:
             raise _no_terms_error(frame.name, "the mesh changes its cells within the ranges")
         if np.abs(model.B - frame.B).max() > EXACT * np.abs(frame.B).max():

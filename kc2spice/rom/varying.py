@@ -17,8 +17,8 @@ stays: T. Kato, Perturbation Theory for Linear Operators, II.4.)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -27,9 +27,8 @@ import scipy
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.first_step import intermediate_model
-from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
+from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.parametric import (
-    Full,
     ParameterAxis,
     ParameterPolynomials,
     Parametric,
@@ -39,6 +38,7 @@ from kc2spice.rom.parametric import (
     polynomials,
     reduce_over_parameters,
 )
+from kc2spice.rom.ranges import ModelOverRanges, RangeTask, certify_over_ranges, record_facts
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import prove_stability
 
@@ -71,7 +71,7 @@ NOTCH_RESOLUTION = 1e-2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Varying(ParameterPolynomials):
+class Varying(ParameterPolynomials, ModelOverRanges):
     """Resonators ``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` over ranges.
 
     ``E = alpha + beta L L'``.
@@ -82,11 +82,8 @@ class Varying(ParameterPolynomials):
     Cholesky factor of D among electrical ports in the same way. ``exp(T rayleigh)`` (2,), with
     zeros according to ``damped``, times the powers of ``losses``, are alpha and beta. ``facts`` are
     polynomials too.
-    ``defaults``, ``units`` and ``descriptions`` of the parameters are empty for a body of a scene,
-    whose keys state them.
     """
 
-    ports: tuple[Port, ...]
     blocks: tuple[int, ...]
     diagonal: np.ndarray
     below: np.ndarray
@@ -96,11 +93,6 @@ class Varying(ParameterPolynomials):
     rayleigh: np.ndarray
     damped: tuple[bool, bool]
     facts: Mapping[str, np.ndarray]
-    name: str = "model"
-    certificate: Certificate | None = None
-    defaults: Mapping[str, float] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    descriptions: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def order(self) -> int:
@@ -113,12 +105,6 @@ class Varying(ParameterPolynomials):
         return [k for k, port in enumerate(self.ports) if port.electrical]
 
     def at(self, values: Values) -> LinearModel:
-        """The model at values of all parameters.
-
-        Raises
-        ------
-        UsageError : a parameter is missing or outside of its range.
-        """
         T = self.products(values)
         L = np.tensordot(T, self.below, 1) + np.diag(np.exp(T @ self.diagonal))
         pair = np.where(self.damped, np.exp(T @ self.rayleigh), 0.0).tolist()
@@ -141,20 +127,13 @@ class Varying(ParameterPolynomials):
         )
 
 
-def reduce_over_ranges(
-    full: Full,
-    axes: Sequence[ParameterAxis],
-    band: tuple[float, float],
-    tolerance: float,
-    progress: Callable[[int, int], None] = lambda done, of: None,
-    norm: Norm = "pointwise",
-) -> Varying:
-    """Reduce the models ``full(values)`` over the ranges of ``axes``.
+def reduce_over_ranges(task: RangeTask) -> Varying:
+    """Reduce the models of a task over the ranges of its axes.
 
     The certificate holds for all values in the ranges. Its error is the largest relative
-    difference, in the ``norm``, times :data:`SAFETY_FACTOR` for points in between. The error is the
-    difference to full models at :data:`FULL_CHECKS` points and a corner that the model was not made
-    from, and to the dense model at other points. ``facts`` of the full models remain.
+    difference, in the norm of the task, times :data:`SAFETY_FACTOR` for points in between. The
+    error is the difference to full models at :data:`FULL_CHECKS` points and a corner that the model
+    was not made from, and to the dense model at other points. ``facts`` of the full models remain.
 
     Raises
     ------
@@ -162,11 +141,10 @@ def reduce_over_ranges(
         collocated ports; whose mesh changes its cells in the box; or that a port moves freely.
     SimulationError : the tolerance is not met.
     """
-    facts: list[tuple[dict[str, float], Mapping[str, float]]] = []
+    full, facts = record_facts(task.full)
 
     def compute_full(values: Values) -> LinearModel:
         model = full(values)
-        facts.append((dict(values), model.facts))
         if model.rayleigh is None:
             raise UsageError(
                 "a model with parameters needs damping in proportion to mass and stiffness",
@@ -175,31 +153,15 @@ def reduce_over_ranges(
             )
         return model
 
-    result, error = _certify(compute_full, axes, band, tolerance, progress, norm)
-    form = prove_stability(
-        result.at(_values_at(result.box, np.zeros(len(axes)))).pencil.dense(), band
-    )
-    certificate = Certificate(
-        band_hz=band,
-        error_estimate=error,
-        method=f"over the box: difference to {FULL_CHECKS + 1} full models that nothing was made "
-        "from",
-        stable=form.stable,
-        passive=form.passive,
-        norm=norm,
-    )
+    result, error = _certify(replace(task, full=compute_full))
+    middle = result.at(_values_at(result.box, np.zeros(len(task.axes))))
+    proof = prove_stability(middle.pencil.dense(), task.band)
+    certificate = certify_over_ranges(task, error, FULL_CHECKS + 1, proof)
     known = interpolate_facts(result.axes, result.exponents, facts)
     return replace(result, certificate=certificate, facts=known)
 
 
-def _certify(
-    full: Full,
-    axes: Sequence[ParameterAxis],
-    band: tuple[float, float],
-    tolerance: float,
-    progress: Callable[[int, int], None],
-    norm: Norm,
-) -> tuple[Varying, float]:
+def _certify(task: RangeTask) -> tuple[Varying, float]:
     """Return the resonators, and :data:`SAFETY_FACTOR` times their largest error.
 
     The error is the difference to full models.
@@ -208,22 +170,27 @@ def _certify(
     much from full models, or if its resonators do. Each degree is compared with separate full
     models.
     """
+    axes, band, tolerance = task.axes, task.band, task.tolerance
     sobol = scipy.stats.qmc.Sobol(len(axes), seed=11)
     degree: int | None = None
     while True:
-        dense_model = reduce_over_parameters(full, axes, band, degree=degree, progress=progress)
+        dense_model = reduce_over_parameters(
+            task.full, axes, band, degree=degree, progress=task.progress
+        )
         draws = sobol.random(FULL_CHECKS) * 2 - 1
         points = [_values_at(dense_model.box, x) for x in (*draws, np.sign(draws[0]))]
         checks = []
         for k, values in enumerate(points):
-            progress(k, len(points))
-            space = intermediate_model(full(values).pencil, band, 0.01 * tolerance, 0.3 * tolerance)
-            checks.append((values, space.estimator(band, norm), space.error))
+            task.progress(k, len(points))
+            space = intermediate_model(
+                task.full(values).pencil, band, 0.01 * tolerance, 0.3 * tolerance
+            )
+            checks.append((values, space.estimator(band, task.norm), space.error))
         degree = higher_degree(dense_model)
         error = SAFETY_FACTOR * _difference(dense_model, checks)
         if error > tolerance and degree is not None:
             continue
-        result, inner = make_resonators(dense_model, band, RESONATOR_SHARE * tolerance, norm)
+        result, inner = make_resonators(dense_model, band, RESONATOR_SHARE * tolerance, task.norm)
         error = SAFETY_FACTOR * max(inner, _difference(result, checks))
         if error <= tolerance:
             return result, error

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import Protocol
 
 import numpy as np
 
@@ -13,35 +12,12 @@ from kc2spice.netlist.circuit import Element, Param, Parameters
 from kc2spice.netlist.elements import Line
 from kc2spice.netlist.spelling import format_number
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.parametric import ParameterAxis, Values
+from kc2spice.rom.ranges import ModelOverRanges
 
 # Random points of the parameter range at which the emitted circuit is compared, beside its corners.
 INSIDE = 6
 RANGE_STOPS = """
 * Outside of its range a parameter stops the simulator at these cards: nothing is extrapolated."""
-
-
-class ModelOverRanges(Protocol):
-    """Reduced model over ranges of parameters."""
-
-    @property
-    def box(self) -> dict[str, ParameterAxis]:
-        """Every parameter's axis by its name."""
-
-    @property
-    def defaults(self) -> Mapping[str, float]:
-        """Default of each parameter by its name."""
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Unit of each parameter by its name."""
-
-    @property
-    def descriptions(self) -> Mapping[str, str]:
-        """Description of each parameter by its name."""
-
-    def at(self, values: Values) -> LinearModel:
-        """The model at values of all parameters."""
 
 
 def list_parameters(model: ModelOverRanges) -> list[Param]:

@@ -22,6 +22,7 @@ from kc2spice.netlist.spelling import format_number, require_distinct
 from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.linear_model import LinearModel, Port
+from kc2spice.rom.ranges import ModelOverRanges
 from kc2spice.rom.varying import Varying
 from kc2spice.synthesis.emitted import MICRO
 from kc2spice.synthesis.header import mesh_comment
@@ -70,7 +71,7 @@ _DOMAINS = (ELECTRICAL, TRANSLATION, ROTATION)
 
 
 def parametric_subcircuit(
-    model: Varying | HeatOverRanges,
+    model: ModelOverRanges,
     name: str,
     parameters: Sequence[Param] | None = None,
     header: Header | None = None,
@@ -125,6 +126,14 @@ def parametric_subcircuit(
     >>> kc.parametric_subcircuit(reduced, "spring").text.splitlines()[1]
     '* use: X1 tip base spring stiffness=50'
     """
+    if not isinstance(model, Varying | HeatOverRanges):
+        raise UsageError(
+            "this object is not a reduced model over ranges of parameters",
+            where="model",
+            got=f"{type(model).__name__} {model!r}"[:120],
+            expected="a kc2spice.rom.varying.Varying, such as kc.reduce returns for a "
+            "kc.AffineModel",
+        )
     if parameters is None:
         parameters = list_parameters(model)
     if isinstance(model, HeatOverRanges):

@@ -16,6 +16,7 @@ from kc2spice.core.progress import Clock
 from kc2spice.parts.bodies._box import with_values
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.rom.parametric import ParameterAxis, reduce_over_parameters
+from kc2spice.rom.ranges import RangeTask
 from kc2spice.rom.varying import reduce_over_ranges
 from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
 
@@ -117,7 +118,9 @@ def oscillators(repelling: float):
 )
 def test_modes_that_cross_or_repel_in_the_box_do_not_jump(repelling, norm):
     full, band = oscillators(repelling), (0.0, 2 / (2 * np.pi))
-    found = reduce_over_ranges(full, [ParameterAxis("a", 0.7, 1.4)], band, 1e-4, norm=norm)
+    found = reduce_over_ranges(
+        RangeTask(full, [ParameterAxis("a", 0.7, 1.4)], band, 1e-4, norm=norm)
+    )
     assert max(found.blocks) >= 2  # the two that meet are one block
     assert found.certificate.norm == norm
     f, share = np.linspace(0.1, 1, 200) * band[1], 1.0 if norm == "peak" else 1e-6
@@ -142,7 +145,7 @@ def test_the_error_of_a_box_holds_at_its_corners():
 
     low, high = 0.85, 1.18
     axes = [ParameterAxis("a", low, high), ParameterAxis("b", low, high)]
-    found = reduce_over_ranges(full, axes, (0.0, 1.5 / (2 * np.pi)), 1e-2)
+    found = reduce_over_ranges(RangeTask(full, axes, (0.0, 1.5 / (2 * np.pi)), 1e-2))
     f = np.linspace(0.1, 1, 150) * found.certificate.band_hz[1]
     for a, b in ((low, low), (low, high), (high, low), (high, high)):
         H, exact = (
@@ -163,7 +166,7 @@ def thin_plate(values: dict) -> LinearModel:
 def test_polynomials_of_a_thin_plate_have_a_higher_degree():
     """The error of polynomials of degree 6 in the stiff spring changes the soft motion by 70 %."""
     found = reduce_over_ranges(
-        thin_plate, [ParameterAxis("a", 0.7, 1.4)], (0.0, 2 / (2 * np.pi)), 1e-2
+        RangeTask(thin_plate, [ParameterAxis("a", 0.7, 1.4)], (0.0, 2 / (2 * np.pi)), 1e-2)
     )
     f = np.linspace(0.1, 1, 200) * found.certificate.band_hz[1]
     for a in np.linspace(0.7, 1.4, 41):
@@ -173,7 +176,9 @@ def test_polynomials_of_a_thin_plate_have_a_higher_degree():
 
 def test_a_range_too_wide_for_the_highest_degree_is_refused():
     with pytest.raises(SimulationError) as told:
-        reduce_over_ranges(thin_plate, [ParameterAxis("a", 0.3, 3.0)], (0.0, 2 / (2 * np.pi)), 1e-2)
+        reduce_over_ranges(
+            RangeTask(thin_plate, [ParameterAxis("a", 0.3, 3.0)], (0.0, 2 / (2 * np.pi)), 1e-2)
+        )
     assert told.value.hint == "narrow the ranges in rom.parameters"
 
 
@@ -189,7 +194,7 @@ def test_the_notch_of_a_transfer_between_ports_is_within_the_tolerance():
 
     tolerance = 1e-2
     found = reduce_over_ranges(
-        full, [ParameterAxis("a", 0.8, 1.25)], (0.0, 3 / (2 * np.pi)), tolerance
+        RangeTask(full, [ParameterAxis("a", 0.8, 1.25)], (0.0, 3 / (2 * np.pi)), tolerance)
     )
     for a in (0.83, 0.97, 1.1):
         notch = np.sqrt((4 * a + a * a) / (1 + a)) / (2 * np.pi)
@@ -201,7 +206,7 @@ def test_the_notch_of_a_transfer_between_ports_is_within_the_tolerance():
 def test_mechanical_ports_of_a_box_answer_in_ngspice_as_the_full_model(tmp_path):
     """1 N into the first port, at a value of the parameter that is not the default."""
     full, band = oscillators(0.1), (0.0, 2 / (2 * np.pi))
-    found = reduce_over_ranges(full, [ParameterAxis("a", 0.7, 1.4)], band, 1e-4)
+    found = reduce_over_ranges(RangeTask(full, [ParameterAxis("a", 0.7, 1.4)], band, 1e-4))
     part = parametric_subcircuit(found, "box", [kc.Param("a", 1.0, "-", "tuning", 0.7, 1.4)])
     assert [pin.name for pin in part.pins] == ["one", "two", "base"]
     deck = [
@@ -219,8 +224,8 @@ def test_mechanical_ports_of_a_box_answer_in_ngspice_as_the_full_model(tmp_path)
 
 
 def test_the_norm_of_a_scene_is_that_of_its_box(monkeypatch):
-    def told(*given):
-        raise UsageError(f"norm {given[-1]}")
+    def told(task):
+        raise UsageError(f"norm {task.norm}")
 
     monkeypatch.setattr("kc2spice.rom.varying.reduce_over_ranges", told)
     disc = {**BUZZER["disc"], "rom": {**BUZZER["disc"]["rom"], "norm": "peak"}}
@@ -277,7 +282,7 @@ def test_a_soft_mode_below_a_stiff_one_is_refused_over_a_box():
         return LinearModel(M=np.eye(2), K=K, B=np.ones((2, 1)), rayleigh=(0.01, 0.0), ports=ports)
 
     with pytest.raises(UsageError, match="needs a body with a support"):
-        reduce_over_ranges(full, [ParameterAxis("a", 0.9, 1.1)], (0.0, 1.0), 1e-3)
+        reduce_over_ranges(RangeTask(full, [ParameterAxis("a", 0.9, 1.1)], (0.0, 1.0), 1e-3))
 
 
 def test_the_example_without_parameters_keeps_its_netlist(tmp_path: Path):

@@ -8,7 +8,7 @@ import math
 import stat
 import warnings
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -33,11 +33,10 @@ from kc2spice.parts.bodies._box import (
 )
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.complex_constants import ComplexConstants
-from kc2spice.rom.heat_over_ranges import HeatOverRanges
-from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
-from kc2spice.rom.matrix_terms import MatrixTerms
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import resonators
-from kc2spice.rom.parametric import Full, Loss, ParameterAxis
+from kc2spice.rom.parametric import Loss, ParameterAxis
+from kc2spice.rom.ranges import ModelOverRanges, RangeTask
 from kc2spice.rom.varying import Varying
 from kc2spice.scene.model import (
     GovernedScene,
@@ -50,7 +49,6 @@ from kc2spice.scene.settings import Rom
 if TYPE_CHECKING:
     from kc2spice.rom.enriched import Orders
 
-OverRanges = Varying | HeatOverRanges  # reduced model over ranges of parameters
 RANGE_TOLERANCE = 1e-4  # tolerance over parameter ranges for bodies whose default is an order
 # Hz, smallest upper end of the band of a transient, because switching in the circuit has unknown
 # frequencies
@@ -74,6 +72,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
     state to what order or tolerance, and over which band, it is reduced.
     """
 
+    # classes of the reduced model over ranges of parameters, which the cache stores
+    range_classes: tuple[type, ...] = (Varying, Loss)
     ranges_from_zero = False  # whether ranges of parameters may begin at zero
     material_table: type[BaseModel] = MaterialTable  # form of its materials in a scene
 
@@ -154,7 +154,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         reached = {} if least_end is None else {"sure": least_end, "motions": BAND_MODES}
         return result | reached | {"massless": requires_massless_ports(part, scene)}
 
-    def varying(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> OverRanges:
+    def varying(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> ModelOverRanges:
         """Return the reduced model over the ranges of ``rom.parameters``."""
         keys = varied_keys(part)
         middle = with_values(part, middle_values(keys))
@@ -177,7 +177,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             raise wrong(f"{part.name}.rom.order", problem, target.order, "rom.tolerance")
         key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
 
-        def build() -> OverRanges:
+        def build() -> ModelOverRanges:
             def full(values: Mapping[str, float]) -> LinearModel:
                 other = with_values(part, values)
                 return self.varied(other, scene, clock, middle).select(key["ports"])
@@ -185,8 +185,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             band = self.limit_band(target.band, key, lambda: full(middle_values(keys)))
             text = f"model of {part.name} over {len(keys)} parameters"
             with clock.time_stage("reduce", text) as share:
-                return self.reduce_ranges(
-                    part,
+                task = RangeTask(
                     full,
                     [item.axis for item in keys],
                     band,
@@ -194,29 +193,19 @@ class BodyModel(BodyPorts[LinearKeysT]):
                     lambda done, of: share(done / of),
                     target.norm or "pointwise",
                 )
+                return self.reduce_ranges(part, task)
 
-        def load() -> OverRanges:
-            classes = (
-                Varying, HeatOverRanges, MatrixTerms, ParameterAxis, Loss, Certificate, Port
-            )  # fmt: skip
+        def load() -> ModelOverRanges:
+            classes = (*self.range_classes, ParameterAxis, Certificate, Port)
             return load_or_build("box", key, build, classes=classes, sources=self.sources())
 
         return scene.workspace.get_or_compute(f"range of {part.name}", key, load)
 
-    def reduce_ranges(
-        self,
-        part: Part[LinearKeysT],
-        full: Full,
-        axes: Sequence[ParameterAxis],
-        band: tuple[float, float],
-        tolerance: float,
-        progress: Callable[[int, int], None],
-        norm: Norm,
-    ) -> OverRanges:
-        """Reduce the models ``full(values)`` of the part over the ranges of ``axes``."""
+    def reduce_ranges(self, part: Part[LinearKeysT], task: RangeTask) -> ModelOverRanges:
+        """Reduce the models of the part over the ranges of a task."""
         from kc2spice.rom.varying import reduce_over_ranges
 
-        return reduce_over_ranges(full, axes, band, tolerance, progress, norm)
+        return reduce_over_ranges(task)
 
     def _has_constant_losses(self, part: Part[LinearKeysT]) -> bool:
         """Return whether the body has losses that the matrices of a full model cannot represent."""

@@ -28,11 +28,11 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from skfem.mesh import MeshLine
@@ -90,7 +90,8 @@ from kc2spice.rom.enriched import Orders
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.interface_modes import reduce_with_interfaces
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
-from kc2spice.rom.parametric import Full, ParameterAxis
+from kc2spice.rom.matrix_terms import MatrixTerms
+from kc2spice.rom.ranges import RangeTask
 from kc2spice.scene.checks import Balance, Check, Metric
 from kc2spice.scene.model import Build, DeclaredScene, GovernedScene, Part, Scene, WiredScene
 from kc2spice.scene.parttype import find_current_into, register
@@ -102,6 +103,8 @@ LAYER_ELEMENTS = 4  # elements in each layer
 PEAK_TOLERANCE_SHARE = 0.01
 IMPEDANCE_FREQUENCIES = 300
 RUN_POINTS = 1e3  # fraction of a run whose changes of temperature are modelled
+
+ModelT = TypeVar("ModelT", LinearModel, HeatOverRanges)
 
 
 class Geometry:
@@ -256,6 +259,7 @@ class HeatBody(LinearBody[HeatBodyKeys]):
     schema = HeatBodyKeys
     source = "FE (heat conduction)"
     ports_of_files = True
+    range_classes = (HeatOverRanges, MatrixTerms)
     ranges_from_zero = True
     material_table = ThermalMaterialTable
     example = """
@@ -358,50 +362,32 @@ dc = "1 W"
         tolerance there. The error is then relative to the largest temperature of each pin.
         """
         prescribed_ports = self.given_ports(part, model)
-        try:
-            return reduce_with_interfaces(model, prescribed_ports, **aims)
-        except SimulationError:
-            if aims["norm"] == "peak":
-                raise
-            _warn_of_cold_pins(part)
-            tolerance = aims["tolerance"] and aims["tolerance"] * PEAK_TOLERANCE_SHARE
-            changed = {**aims, "norm": "peak", "tolerance": tolerance}
+        tolerance = aims["tolerance"]
+
+        def reduce(norm: Norm, share: float) -> LinearModel:
+            changed = {**aims, "norm": norm, "tolerance": tolerance and share * tolerance}
             return reduce_with_interfaces(model, prescribed_ports, **changed)
+
+        return _reduce_warm_or_cold(part, aims["norm"], reduce)
 
     def given_ports(self, part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
         """Ports of a model whose temperatures are given: isothermal faces, and fluids of films."""
-        known = {*part.keys.isothermal, *part.keys.film_pins}
+        known = _prescribed_names(part)
         return [*filter(known.__contains__, names_of(model.ports))]
 
-    def reduce_ranges(
-        self,
-        part: Part[HeatBodyKeys],
-        full: Full,
-        axes: Sequence[ParameterAxis],
-        band: tuple[float, float],
-        tolerance: float,
-        progress: Callable[[int, int], None],
-        norm: Norm,
-    ) -> HeatOverRanges:
+    def reduce_ranges(self, part: Part[HeatBodyKeys], task: RangeTask) -> HeatOverRanges:
         """Reduce the models over ranges of films and other keys, with the same given temperatures.
 
         The norm follows from rounding as in :meth:`reduce_body`.
         """
-        from kc2spice.rom.heat_ranges import reduce_heat_over_ranges
+        from kc2spice.rom.heat_ranges import HeatReduction
 
-        prescribed_ports = self.given_ports(part, full({axis.name: axis.middle for axis in axes}))
-        try:
-            return reduce_heat_over_ranges(
-                full, axes, band, tolerance, progress, norm, prescribed_ports
-            )
-        except SimulationError:
-            if norm == "peak":
-                raise
-            _warn_of_cold_pins(part)
-            tolerance *= PEAK_TOLERANCE_SHARE
-            return reduce_heat_over_ranges(
-                full, axes, band, tolerance, progress, "peak", prescribed_ports
-            )
+        reduction = HeatReduction(task.full, task.axes, _prescribed_names(part))
+
+        def reduce(norm: Norm, share: float) -> HeatOverRanges:
+            return reduction.reduce(replace(task, norm=norm, tolerance=share * task.tolerance))
+
+        return _reduce_warm_or_cold(part, task.norm, reduce)
 
     def build(
         self, part: Part[HeatBodyKeys], scene: Scene, clock: Clock, full: bool = False
@@ -508,12 +494,29 @@ dc = "1 W"
             yield Neglected(what, why, "lower temperatures than modelled: use a mesh")
 
 
-def _warn_of_cold_pins(part: Part[HeatBodyKeys]) -> None:
+def _prescribed_names(part: Part[HeatBodyKeys]) -> set[str]:
+    """Return the names of isothermal faces and of the fluids of films."""
+    return {*part.keys.isothermal, *part.keys.film_pins}
+
+
+def _reduce_warm_or_cold(
+    part: Part[HeatBodyKeys], norm: Norm, reduce: Callable[[Norm, float], ModelT]
+) -> ModelT:
+    """Reduce in a norm, otherwise relative to the largest temperature of each pin.
+
+    ``reduce(norm, share)`` reduces to this share of the tolerance.
+    """
+    try:
+        return reduce(norm, 1.0)
+    except SimulationError:
+        if norm == "peak":
+            raise
     warnings.warn(
         f"{part.name}: rounding errors exceed the tolerance at pins with small temperatures; "
         f"the error estimate is relative to the largest temperature of each pin",
         stacklevel=3,
     )
+    return reduce("peak", PEAK_TOLERANCE_SHARE)
 
 
 def _plot_temperatures(name: str, waves: Waveforms) -> Iterator[Figure]:

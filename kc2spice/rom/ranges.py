@@ -1,0 +1,95 @@
+"""Task, reduced model and certificate of reductions over ranges of parameters.
+
+In: full-order models as a function of the parameters. Out: a :class:`ModelOverRanges`. See
+:mod:`kc2spice.rom.varying` for resonators and :mod:`kc2spice.rom.heat_ranges` for heat networks.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
+from kc2spice.rom.parametric import Full, ParameterAxis, Values
+
+if TYPE_CHECKING:
+    from kc2spice.rom.stability import StabilityProof
+
+
+@dataclass(frozen=True)
+class RangeTask:
+    """Full-order models ``full(values)`` over the ranges of ``axes``, and the aims of a reduction.
+
+    The largest relative error over ``band`` [Hz] in the ``norm`` must be within ``tolerance``. The
+    function ``progress`` is called with the number of models that were computed, and with the
+    number that are needed.
+    """
+
+    full: Full
+    axes: Sequence[ParameterAxis]
+    band: tuple[float, float]
+    tolerance: float
+    progress: Callable[[int, int], None] = lambda done, of: None
+    norm: Norm = "pointwise"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ModelOverRanges(ABC):
+    """Reduced-order model over ranges of parameters.
+
+    ``defaults``, ``units`` and ``descriptions`` of the parameters are empty for a body of a scene,
+    whose keys state them.
+    """
+
+    ports: tuple[Port, ...]
+    name: str = "model"
+    certificate: Certificate | None = None
+    defaults: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    descriptions: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    @abstractmethod
+    def box(self) -> dict[str, ParameterAxis]:
+        """Every parameter's axis by its name."""
+
+    @abstractmethod
+    def at(self, values: Values) -> LinearModel:
+        """The model at values of all parameters.
+
+        Raises
+        ------
+        UsageError : a parameter is missing or outside of its range.
+        """
+
+
+def record_facts(full: Full) -> tuple[Full, list[tuple[Values, Mapping[str, float]]]]:
+    """Return ``full`` as a function that appends the values and facts of its models to a list."""
+    facts: list[tuple[Values, Mapping[str, float]]] = []
+
+    def compute_full(values: Values) -> LinearModel:
+        model = full(values)
+        facts.append((dict(values), model.facts))
+        return model
+
+    return compute_full, facts
+
+
+def certify_over_ranges(
+    task: RangeTask, error: float, checks: int, proof: StabilityProof, *, passive: bool = True
+) -> Certificate:
+    """Return the certificate of an error over the ranges.
+
+    ``checks`` is the number of full-order models that confirm the error and were not used for the
+    reduction.
+    """
+    return Certificate(
+        band_hz=task.band,
+        error_estimate=error,
+        method=f"over the box: difference to {checks} full models that nothing was made from",
+        stable=proof.stable,
+        passive=proof.passive and passive,
+        norm=task.norm,
+    )
