@@ -36,22 +36,22 @@ class SharedValue(Generic[T]):
     """Value that is computed at its first use and shared by several objects."""
 
     def __init__(self) -> None:
-        self._translate_values: list[T] = []
+        self._values: list[T] = []
 
     @property
     def known(self) -> T | None:
         """The value, None before its first use."""
-        return self._translate_values[0] if self._translate_values else None
+        return self._values[0] if self._values else None
 
     def get(self, compute: Callable[[], T]) -> T:
         """Return the value, which ``compute`` returns at the first use."""
-        if not self._translate_values:
-            self._translate_values.append(compute())
-        return self._translate_values[0]
+        if not self._values:
+            self._values.append(compute())
+        return self._values[0]
 
     def join(self, other: SharedValue[T]) -> None:
         """Share the value of ``other`` from now on."""
-        self._translate_values = other._translate_values
+        self._values = other._values
 
 
 @dataclass(frozen=True, eq=False)
