@@ -36,6 +36,7 @@ from kc2spice.rom.interface_modes import (
     modal_coordinates,
     no_congruence_error,
     reduce_with_interfaces,
+    select_live_ports,
     split_given,
 )
 from kc2spice.rom.linear_model import LinearModel
@@ -167,19 +168,13 @@ class _Ranges:
     def reference(self, model: LinearModel, values: Values) -> _Reference:
         """Return what a reduced model is compared with at these values."""
         parts = split_given(model, self.given)
-        inner = _live_ports(parts.inner)
+        inner = select_live_ports(parts.inner)
         if inner.order <= DENSE:
             inner, _ = modal_coordinates(inner)
         limits = 0.01 * self.task.tolerance, 0.3 * self.task.tolerance
         space = intermediate_model(inner.pencil, self.task.band, *limits)
         estimator = space.estimator(self.task.band, self.task.norm)
         return _Reference(self, values, parts, names_of(inner.ports), estimator, space.error)
-
-
-def _live_ports(model: LinearModel) -> LinearModel:
-    """Return a model without ports that nothing feels."""
-    live = np.flatnonzero(np.abs(model.B).max(axis=0) > 0)
-    return model.select([model.ports[k].name for k in live])
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,12 +247,12 @@ class _Basis:
         self.count += 1
         model = ranges.model(values)
         aims = {"tolerance": SAMPLE_SHARE * ranges.task.tolerance, "order": None}
+        parts = split_given(model, ranges.given)
         small = reduce_with_interfaces(
-            model, ranges.given, band=ranges.task.band, norm=ranges.task.norm, **aims
+            model, ranges.given, parts, band=ranges.task.band, norm=ranges.task.norm, **aims
         )
         if small.basis is None:
             raise no_congruence_error(model)
-        parts = split_given(model, ranges.given)
         W = small.basis[parts.others][:, n:]
         K, E = (W.T @ (matrix @ W) for matrix in parts.inner.pencil.coefficients)
         _, shapes = modal_coordinates(

@@ -34,13 +34,19 @@ DENSE = 1500  # unknowns up to which the modes of a model are computed
 ROUNDING = 1e-12  # sum of a row of conductances without a path to the ambient, relative
 
 
-def reduce_with_interfaces(model: LinearModel, given: Sequence[str], **aims: Any) -> LinearModel:
+def reduce_with_interfaces(
+    model: LinearModel,
+    given: Sequence[str],
+    parts: GivenTemperatures | None = None,
+    **aims: Any,
+) -> LinearModel:
     """Reduce a heat model whose ports ``given`` have given temperatures.
 
     Parameters
     ----------
     model : heat model with E and K; the column of B of each port that is given contains one 1.
     given : names of these ports.
+    parts : the result of :func:`split_given` if it is known.
     aims : arguments of :func:`kc2spice.rom.reduce.reduce_model`.
 
     Returns
@@ -55,9 +61,8 @@ def reduce_with_interfaces(model: LinearModel, given: Sequence[str], **aims: Any
     """
     if not given:
         return _reduce_definite(model, aims)
-    parts = split_given(model, given)
-    live = np.flatnonzero(np.abs(parts.inner.B).max(axis=0) > 0)
-    small = _reduce_definite(parts.inner.select([parts.inner.ports[k].name for k in live]), aims)
+    parts = parts or split_given(model, given)
+    small = _reduce_definite(select_live_ports(parts.inner), aims)
     if small.basis is None:
         raise no_congruence_error(model)
     n, at, others = len(parts.at), parts.at, parts.others
@@ -135,6 +140,12 @@ def split_given(model: LinearModel, given: Sequence[str]) -> GivenTemperatures:
     shares = model.B[np.ix_(at, sources)].T + model.B[np.ix_(others, sources)].T @ psi
     conductance = np.asarray(K[at][:, at].toarray() + K[at][:, others] @ psi)
     return GivenTemperatures(at, others, psi, shares, conductance, inner)
+
+
+def select_live_ports(model: LinearModel) -> LinearModel:
+    """Return the model without ports that act on no unknown."""
+    live = np.flatnonzero(np.abs(model.B).max(axis=0) > 0)
+    return model.select([model.ports[k].name for k in live])
 
 
 def _reduce_definite(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel:
