@@ -264,7 +264,7 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
     if not isinstance(deck, Deck):
         got = type(deck).__name__
         raise UsageError(
-            "this file is not a deck",
+            "this object is not a deck",
             where="deck",
             got=got,
             hint="to simulate a scene, write kc.run(SCENE)",
