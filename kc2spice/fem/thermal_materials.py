@@ -99,11 +99,17 @@ class ThermalMaterialTable(Section):
 
 
 @cache
+def _load_tables() -> Mapping[str, dict[str, Any]]:
+    """Return the tables of the file by name, of which some contain no density."""
+    path = Path(__file__).parent / "thermal_materials.toml"
+    return tomllib.loads(path.read_text("utf-8"))
+
+
+@cache
 def load_thermal_library() -> Mapping[str, Mapping[str, Any]]:
     """Return the tables of the library by name, each with its density."""
-    path = Path(__file__).parent / "thermal_materials.toml"
     result = {}
-    for name, table in tomllib.loads(path.read_text("utf-8")).items():
+    for name, table in _load_tables().items():
         density = {} if "density" in table else {"density": material(name).density}
         result[name] = density | table
     return result
@@ -112,7 +118,7 @@ def load_thermal_library() -> Mapping[str, Mapping[str, Any]]:
 @cache
 def list_thermal_names() -> Mapping[str, str]:
     """Names of the library by these names in lower case."""
-    return dict(zip(map(str.lower, load_thermal_library()), load_thermal_library(), strict=True))
+    return {name.lower(): name for name in _load_tables()}
 
 
 def find_thermal_material(
@@ -150,14 +156,14 @@ def find_resistance_coefficient(name: str) -> float:
     >>> find_resistance_coefficient("copper")
     0.00393
     """
-    table = load_thermal_library().get(list_thermal_names().get(name.lower(), ""), {})
+    table = _load_tables().get(list_thermal_names().get(name.lower(), ""), {})
     if "resistance_coefficient" not in table:
         raise _make_unknown_material_error(name, "material of a conductor")
     return float(table["resistance_coefficient"])
 
 
 def _make_unknown_material_error(name: str, where: str) -> UsageError:
-    names = list(load_thermal_library())
+    names = list(_load_tables())
     hint = did_you_mean(name, names)
     hint = hint or 'write a table: { density = …, conductivity = "… W/(m K)", specific_heat = … }'
     expected = f"one of {list_candidates(name, names, 'docs/reference/thermal_materials.md')}"
