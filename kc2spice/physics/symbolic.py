@@ -1,7 +1,7 @@
 """Operations on expressions: exact derivatives, simplification, compiled functions.
 
-The trees are those of :mod:`kc2spice.netlist.parse_simplified`. Besides arithmetic there are
-``exp``, ``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``, the one-sided
+The trees are those of :mod:`kc2spice.netlist.expression`. Besides arithmetic there are ``exp``,
+``ln``, ``sqrt``, ``sin``, ``cos``, ``sinh``, ``cosh``, ``tanh``, ``atan``, the one-sided
 ``max(0, e)``, ``above(e)``, which is 1 where e is above zero and 0 elsewhere, ``clip(e)``, which is
 e between -1 and 1, ``poly(e, c0, c1, ...)``, a power series of numbers, tables, and ``integral(f,
 x)``, that of ``f(x)`` from zero to ``x``, which exists as a number and by its derivative but has no

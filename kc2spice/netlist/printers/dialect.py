@@ -92,7 +92,7 @@ class Dialect(Printer, ABC):
     are those of each kind of card. ``temperature`` is the name of the temperature in expressions.
 
     ``deck`` is the deck that is printed, None for a library alone, and :attr:`analysis` its
-    analysis. :meth:`refuse` is the error for a construct that the simulator lacks.
+    analysis. :meth:`refusal` is the error for a construct that the simulator lacks.
     """
 
     dialect: ClassVar[str] = ""

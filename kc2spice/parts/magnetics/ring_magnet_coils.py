@@ -305,8 +305,8 @@ class RingMagnetCoils(TouchablePart[Coils]):
     def build(self, part: Part[Coils], scene: Scene, clock: Clock, full: bool = False) -> EMTable:
         """Compute the table for unit remanence, then scale and shift it, which is exact.
 
-        A ``full`` table is so dense that the interpolation error of its splines is ``DENSER**4``
-        times smaller. Air box and ring move together.
+        A ``full`` table is so dense that the interpolation error of its splines is
+        ``DENSITY_RATIO**4`` times smaller. Air box and ring move together.
         """
         keys, count = part.keys, (DENSITY_RATIO if full else 1) * (part.keys.positions - 1) + 1
         unit = self._unit(part, count)
