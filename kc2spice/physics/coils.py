@@ -20,9 +20,7 @@ from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import Writer, substitute_names
 from kc2spice.physics.declaration import (
-    COEFFICIENT,
     HEAT,
-    REFERENCE,
     Branch,
     Declaration,
     branch,
@@ -30,6 +28,7 @@ from kc2spice.physics.declaration import (
     displacement,
     measured,
     voltage,
+    write_resistance_ratio,
 )
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.lookups import TableFunction
@@ -102,8 +101,8 @@ def add_heat_pin(declared: Declaration, coefficient: float, reference: float) ->
     if not declared.signals:
         return result
     rise = measured(branch("temperature", "rise", HEAT, AMBIENT))
-    ratio = f"(1 + {COEFFICIENT}*(rise - {REFERENCE}))"
-    signals = {name: f"({text})/{ratio}" for name, text in declared.signals.items()}
+    ratio = write_resistance_ratio("rise")
+    signals = {name: f"({text})/({ratio})" for name, text in declared.signals.items()}
     return replace(result, branches=(*result.branches, rise), signals=signals)
 
 

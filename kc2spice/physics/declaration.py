@@ -53,7 +53,6 @@ from kc2spice.netlist.expression import (
     walk_tree,
 )
 from kc2spice.physics.symbolic import (
-    ONE,
     ZERO,
     add_trees,
     differentiate_tree,
@@ -215,6 +214,11 @@ def _unknown_name(
         or did_you_mean(first, choices)
         or f"add the key {first} to the section of keys, or use one of these names",
     )
+
+
+def write_resistance_ratio(temperature: str = TEMPERATURE) -> str:
+    """Write ``R / R0 = 1 + alpha (T - T0)`` of conductors at a ``temperature``."""
+    return f"1 + {COEFFICIENT}*({temperature} - {REFERENCE})"
 
 
 ONE_TEMPERATURE = (
@@ -428,8 +432,8 @@ class Declaration:
         neglected = [row for row in self.neglected if row[0] != HEATING]
         change: dict[str, Any] = {"neglected": (*neglected, ONE_TEMPERATURE)}
         if self.conductors:
-            ratio = f"1 + {COEFFICIENT}*({TEMPERATURE} - {REFERENCE})"
-            change["limits"] = {**self.limits, "the range of resistances": ratio}
+            limits = {**self.limits, "the range of resistances": write_resistance_ratio()}
+            change["limits"] = limits
             change["given"] = (
                 *self.given,
                 Param(COEFFICIENT, coefficient, "1/K", "rise of resistances for each kelvin"),
@@ -646,13 +650,8 @@ class Declaration:
         slope = self._slope("content", branch.lossy_variable)
         if not self.heated or branch.name not in self.conductors:
             return slope
-        return (multiply_trees if branch.flows else divide_trees)(slope, self.resistance_ratio)
-
-    @property
-    def resistance_ratio(self) -> Tree:
-        """Resistance of the conductors relative to that at the reference temperature."""
-        rise = subtract_trees(Name(TEMPERATURE), Name(REFERENCE))
-        return add_trees(ONE, multiply_trees(Name(COEFFICIENT), rise))
+        ratio = parse_simplified(write_resistance_ratio())
+        return (multiply_trees if branch.flows else divide_trees)(slope, ratio)
 
     def delayed_flow(self, branch: Branch) -> Tree:
         """Force of a displacement after its lag."""

@@ -10,7 +10,14 @@ from kc2spice.core.domains import AMBIENT, THERMAL
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.physics.conductors import ConductorKeys, conductor_values
-from kc2spice.physics.declaration import HEAT, TEMPERATURE
+from kc2spice.physics.declaration import (
+    COEFFICIENT,
+    HEAT,
+    REFERENCE,
+    TEMPERATURE,
+    write_resistance_ratio,
+)
+from kc2spice.physics.symbolic import evaluate_tree, parse_simplified
 from kc2spice.scene.checks import Balance, Check, Metric
 from kc2spice.scene.model import GROUND, Terminal
 
@@ -27,7 +34,8 @@ def wire_values(keys: ConductorKeys) -> tuple[float, float]:
 def resistance_ratio(keys: ConductorKeys, temperature: np.ndarray) -> np.ndarray:
     """Resistance at a ``temperature`` [K] over ambient relative to the stated one."""
     coefficient, reference = wire_values(keys)
-    return np.asarray(1 + coefficient * (temperature - reference))
+    values = {TEMPERATURE: temperature, COEFFICIENT: coefficient, REFERENCE: reference}
+    return np.asarray(evaluate_tree(parse_simplified(write_resistance_ratio()), values))
 
 
 def balance_heat(
