@@ -256,6 +256,10 @@ class DeclaredPart(PartType[KeysT]):
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
         yield "; ".join(self.resolved_declaration(part, scene).equations)
+        yield from self.neglected(part, scene)
+
+    def neglected(self, part: Part[KeysT], scene: Scene) -> Iterator[Neglected]:
+        """Yield the effects that the declaration of a part neglects."""
         yield from starmap(Neglected, self.resolved_declaration(part, scene).neglected)
 
 

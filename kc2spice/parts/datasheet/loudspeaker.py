@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import starmap
 from typing import Annotated, Any
 
 import numpy as np
@@ -338,7 +337,7 @@ stop = "1 kHz"
         yield Neglected("large strokes", "Bl and compliance are constant", "see part voice_coil")
         yield Neglected("radiation", "mms includes the mass of the air", "resistance not estimated")
         yield Neglected("eddy currents in the pole", "le is constant", "impedance above 1 kHz")
-        yield from starmap(Neglected, self.resolved_declaration(part, scene).neglected)
+        yield from self.neglected(part, scene)
 
 
 register(Loudspeaker())

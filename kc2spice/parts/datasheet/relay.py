@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import starmap
 
 from pydantic import Field
 
@@ -230,7 +229,7 @@ pins = { a = "relay.com", b = "gnd" }
             "inductance that depends on the armature", "one value", "the dip of the coil's current"
         )
         yield Neglected("arcs", "contacts are resistances", "not estimated")
-        yield from starmap(Neglected, self.resolved_declaration(part, scene).neglected)
+        yield from self.neglected(part, scene)
 
 
 register(Relay())

@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
-from itertools import combinations_with_replacement, starmap
+from itertools import combinations_with_replacement
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -474,7 +474,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
             f"{len(keys.coils)} coils, eddy currents as loops to {keys.tolerance:g} of flux and "
             f"force up to {highest}, exact in currents, power series of the height"
         )
-        yield from starmap(Neglected, self.resolved_declaration(part, scene).neglected)
+        yield from self.neglected(part, scene)
         depth = 1e3 * _skin_depth(keys, frequency)
         yield Neglected(
             f"eddy currents above {frequency:.4g} Hz",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from itertools import product, starmap
+from itertools import product
 from typing import Annotated
 
 from pydantic import Field
@@ -117,7 +117,7 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
 
     def notes(self, part: Part[MovingMagnetKeys], scene: Scene) -> Iterator[str | Neglected]:
         yield f"{len(part.keys.coils)} coils, exact in currents, power series of the height"
-        yield from starmap(Neglected, self.resolved_declaration(part, scene).neglected)
+        yield from self.neglected(part, scene)
         keys = part.keys
         extra = keys.mu_r - 1
         factor = demagnetising_factor(keys.inner, keys.radius, keys.thickness)
