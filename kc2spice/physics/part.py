@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from kc2spice.core import laws
-from kc2spice.core.domains import AMBIENT, SIGNALS, TRANSLATION, VELOCITY
+from kc2spice.core.domains import SIGNALS, TRANSLATION, VELOCITY
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import names_of
 from kc2spice.core.waveforms import Waveforms, integrate_running
@@ -69,12 +69,6 @@ def sweep_numerics(part: Part, scene: DeclaredScene) -> Iterator[Numerics]:
         yield Numerics(part.name, options={"reltol": change})
 
 
-def branch_terminal(pin: Pin) -> Terminal:
-    """Make the terminal of a pin of heat or of its reference, which is ground by default."""
-    default = "gnd" if pin.name == AMBIENT else None
-    return Terminal(pin.name, pin.unit, pin.flow, default, required=default is None)
-
-
 class DeclaredPart(PartType[KeysT]):
     """The part type of a declaration."""
 
@@ -117,8 +111,7 @@ class DeclaredPart(PartType[KeysT]):
         return declaration.with_heat_pin(coefficient, reference)
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterator[UsageError]:
-        if not is_heated(part, scene):
-            yield from refuse_conductor_keys(part)
+        yield from refuse_conductor_keys(part, scene)
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         d, result = self.resolved_declaration(part, scene), []

@@ -11,7 +11,6 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
-from kc2spice.core.domains import AMBIENT, TRANSLATION
 from kc2spice.core.figure import Figure
 from kc2spice.core.quantities import (
     AIR_DENSITY,
@@ -41,9 +40,8 @@ from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
 from kc2spice.physics.cards import subcircuit_items
 from kc2spice.physics.conductors import ConductorKeys
-from kc2spice.physics.declaration import HEAT
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.part import branch_terminal, declared_subcircuit, make_pins
+from kc2spice.physics.part import declared_subcircuit
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import (
     Build,
@@ -255,19 +253,8 @@ stop = "1 kHz"
 
     def pins(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Pins of the motor, of which the cone may stay free."""
-        motion = TRANSLATION.units
-        minus, frame = (
-            None if scene.is_target(part.name, pin) else "gnd" for pin in ("minus", "frame")
-        )
-        declared = make_pins(self.resolved_declaration(part, scene))
-        thermal = (branch_terminal(pin) for pin in declared if pin.name in (HEAT, AMBIENT))
-        return (
-            Terminal("plus", "V", "A", required=True),
-            Terminal("minus", "V", "A", minus, required=minus is None),
-            Terminal("cone", *motion),
-            Terminal("frame", *motion, frame, required=frame is None),
-            *thermal,
-        )
+        pins = super().pins(part, scene)
+        return tuple(replace(pin, required=False) if pin.name == "cone" else pin for pin in pins)
 
     def inertial(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[str, ...]:
         return ("cone",)
