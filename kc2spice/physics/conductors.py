@@ -58,8 +58,10 @@ def is_heated(part: Part, scene: DeclaredScene) -> bool:
     return HEAT in part.pins or scene.is_target(part.name, HEAT)
 
 
-def refuse_conductor_keys(part: Part) -> Iterator[UsageError]:
-    """Yield errors of keys that have no effect without a pin of heat."""
+def refuse_conductor_keys(part: Part, scene: DeclaredScene) -> Iterator[UsageError]:
+    """Yield errors of keys that have no effect, because the scene does not join the pin of heat."""
+    if is_heated(part, scene):
+        return
     for key in (COEFFICIENT, REFERENCE):
         value = getattr(part.keys, key, None)
         if value is not None:

@@ -163,10 +163,7 @@ class LinearElement(DeclaredPart[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
-        return super().subcircuits(part, build, header) if self._is_heated_in(part, build) else ()
-
-    def _is_heated_in(self, part: Part[KeysT], build: Build) -> bool:
-        return is_heated(part, build.scene)
+        return super().subcircuits(part, build, header) if is_heated(part, build.scene) else ()
 
     def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterator[tuple[str, ...]]:
         if is_heated(part, scene):
@@ -176,7 +173,7 @@ class LinearElement(DeclaredPart[KeysT]):
         yield from ((f"R{n}", "noise"), (f"G{n}", "noise"), (n.lower(), "noise"))
 
     def cards(self, part: Part[KeysT], build: Build) -> tuple[Item, ...]:
-        if self._is_heated_in(part, build):
+        if is_heated(part, build.scene):
             return super().cards(part, build)
         a, b = build.net(part, "a"), build.net(part, "b")
         admittance = multiply_trees(self._unit, self.admittance_law[1])
@@ -228,7 +225,7 @@ class LinearElement(DeclaredPart[KeysT]):
         return Element.of(R, node, "0", value), Element.of(G, a, b, node, "0", gain)
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
-        if self._is_heated_in(part, build):
+        if is_heated(part, build.scene):
             return super().vectors(part, build)
         across, n, b = branch_voltage(build, part, self.branch), part.name, self.branch
         voltage, flow = b.domain.across, b.domain.through_variable

@@ -220,8 +220,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         return {"y": f"{ball}.y", "v": f"{ball}.v"}
 
     def problems(self, part: Part[Coils], scene: GovernedScene) -> Iterator[UsageError]:
-        if not is_heated(part, scene):
-            yield from refuse_conductor_keys(part)
+        yield from refuse_conductor_keys(part, scene)
         keys, name, ball = part.keys, part.name, sphere_of(part, scene)
         radius = ball.keys.radius
         if keys.y_min >= keys.y_max:
