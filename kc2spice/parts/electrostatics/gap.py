@@ -31,7 +31,6 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
-from kc2spice.core.domains import AMBIENT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import names_of
 from kc2spice.core.progress import Clock
@@ -51,7 +50,6 @@ from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.mechanics import _stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.physics.declaration import HEAT
-from kc2spice.physics.part import make_pins
 from kc2spice.physics.symbolic import evaluate_tree
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
 from kc2spice.scene.highest_frequency import highest_frequency
@@ -152,12 +150,8 @@ class PatchedPart(DeclaredPart[KeysT]):
     """Part that acts on a row of patches ``p1`` …, whose number follows from its key ``a``."""
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        ends = {"minus": "gnd", "b": "gnd", AMBIENT: "gnd"}
-        result = []
-        for pin in make_pins(self.resolved_declaration(part, scene)):
-            end, required = ends.get(pin.name), pin.name in ("plus", HEAT)
-            result.append(Terminal(pin.name, pin.unit, pin.flow, end, required=required))
-        return tuple(result)
+        pins = super().pins(part, scene)
+        return tuple(replace(pin, required=pin.name in ("plus", HEAT)) for pin in pins)
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
         return {f"p{k}": port for k, port in enumerate(patch_ports(part, scene), 1)}
