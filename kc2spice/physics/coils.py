@@ -14,16 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.domains import AMBIENT
 from kc2spice.core.magnets import CURRENT_EXPONENTS, Coenergy, EMTable, Piecewise
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import Writer, substitute_names
 from kc2spice.physics.declaration import (
-    HEAT,
+    HEAT_BRANCH,
     Branch,
     Declaration,
-    branch,
     current,
     displacement,
     measured,
@@ -100,7 +98,7 @@ def add_heat_pin(declared: Declaration, coefficient: float, reference: float) ->
     result = declared.with_heat_pin(coefficient, reference)
     if not declared.signals:
         return result
-    rise = measured(branch("temperature", "rise", HEAT, AMBIENT))
+    rise = measured(replace(HEAT_BRANCH, name="rise"))
     ratio = write_resistance_ratio("rise")
     signals = {name: f"({text})/({ratio})" for name, text in declared.signals.items()}
     return replace(result, branches=(*result.branches, rise), signals=signals)
@@ -173,7 +171,7 @@ def make_law(
 
     The magnet is ``raised`` [m] above its coordinate.
     """
-    known = {param.name: param.default for param in declaration.given}
+    known = dict(declaration.defaults)
     known |= dict(zip(_COIL_RESISTANCES, table.resistance.tolist(), strict=True)) | given
     known |= {"raised": raised, "y_min": float(table.y[0]), "y_max": float(table.y[-1])}
     values = tuple(known[param.name] for param in declaration.given)

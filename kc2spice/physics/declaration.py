@@ -221,6 +221,7 @@ def write_resistance_ratio(temperature: str = TEMPERATURE) -> str:
     return f"1 + {COEFFICIENT}*({temperature} - {REFERENCE})"
 
 
+HEAT_BRANCH = branch("temperature", TEMPERATURE, HEAT, AMBIENT, HEAT)
 ONE_TEMPERATURE = (
     "differences of temperature within the part",
     "all losses heat one place",
@@ -376,10 +377,10 @@ class Declaration:
 
     # --- heat -------------------------------------------------------------------------------------
 
-    @cached_property
+    @property
     def heat_branch(self) -> Branch | None:
         """Branch at the pin of heat, None without one."""
-        return next((b for b in self.acting_branches if self.heated and b.plus == HEAT), None)
+        return HEAT_BRANCH if self.heated else None
 
     @property
     def offers_heat_pin(self) -> bool:
@@ -428,7 +429,6 @@ class Declaration:
         coefficient = temperature_coefficient
         if coefficient is None:
             coefficient = self.temperature_coefficient
-        branches = (*self.branches, branch("temperature", TEMPERATURE, HEAT, AMBIENT, HEAT))
         neglected = [row for row in self.neglected if row[0] != HEATING]
         change: dict[str, Any] = {"neglected": (*neglected, ONE_TEMPERATURE)}
         if self.conductors:
@@ -439,7 +439,7 @@ class Declaration:
                 Param(COEFFICIENT, coefficient, "1/K", "rise of resistances for each kelvin"),
                 Param(REFERENCE, reference_temperature, "K", "rise at which resistances hold"),
             )
-        return replace(self, branches=branches, heated=True, **change)
+        return replace(self, branches=(*self.branches, HEAT_BRANCH), heated=True, **change)
 
     # --- names ------------------------------------------------------------------------------------
 
@@ -537,20 +537,20 @@ class Declaration:
         return map_operands(tree, self.name_power_series) if name is None else Name(name)
 
     @cached_property
-    def _number_keys(self) -> tuple[str, ...]:
+    def number_keys(self) -> tuple[str, ...]:
         """Keys that are numbers."""
         fields = self.keys.model_fields.items()
         return tuple(name for name, entry in fields if entry.annotation is float)
 
     @cached_property
-    def _defaults(self) -> dict[str, float]:
+    def defaults(self) -> dict[str, float]:
         """Values of the parameters that are no keys."""
         return {param.name: param.default for param in self.given}
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
         """Keys that are numbers, and parameters that are no keys."""
-        return (*self._number_keys, *self._defaults)
+        return (*self.number_keys, *self.defaults)
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
@@ -769,8 +769,8 @@ class Declaration:
 
     def values(self, keys: Section) -> dict[str, float]:
         """Values of all parameters of a part by name, in SI."""
-        result = {name: float(getattr(keys, name)) for name in self._number_keys}
-        result |= self._defaults
+        result = {name: float(getattr(keys, name)) for name in self.number_keys}
+        result |= self.defaults
         for name, tree in self.constant_trees.items():
             result[name] = float(evaluate_tree(tree, result))
         return result

@@ -157,17 +157,11 @@ class DeclaredPart(PartType[KeysT]):
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
         result, d = {}, self.resolved_built_declaration(part, build)
         for b in d.branches:
-            voltage = b.domain.across
             if b.plus and {build.net(part, b.plus), build.net(part, b.minus)} != {"0"}:
-                across = branch_voltage(build, part, b)
-                result[f"{part.name}.{b.across}"] = Vector(across, voltage.factor, voltage.unit)
+                result[f"{part.name}.{b.across}"] = across_vector(build, part, b)
             if not b.through:
                 continue
-            through, of = f"i(v.x{part.name}.{meter_name(b)})", b.domain.through_variable
-            if b.moves:
-                through = _inner_voltage(build, part, force_node(b), b.minus)
-            ends = (b.minus,), (b.plus,)
-            result[f"{part.name}.{b.through}"] = Vector(through.lower(), of.factor, of.unit, *ends)
+            result[f"{part.name}.{b.through}"] = flow_vector(build, part, b)
             if b in d.inertial_branches:
                 speed = f"v(x{part.name}.speed_{b.name})".lower()
                 result[f"{part.name}.v"] = Vector(speed, VELOCITY.factor, VELOCITY.unit)
@@ -354,9 +348,9 @@ def declared_subcircuit(
     linkages = find_linkages(d)
     inner = [*map(checked, d.signals), *tables, *(linkages.currents if linkages else ())]
     require_distinct([*ends, *inner], _INNER_NODE_PATTERN, where=name)
-    keys, given = [], set(names_of(d.given))
+    keys = []
     for key in list_schema_keys(d.keys):
-        if key.name in d.numbers and key.name not in given:
+        if key.name in d.number_keys:
             unit = (key.unit or "-").replace(" ", "*")
             keys.append(Param(key.name, values[key.name], unit, key.doc))
     params = (*keys, *d.given)
@@ -369,6 +363,21 @@ def declared_subcircuit(
     tree = Circuit(items=(circuit,))
     facts: dict[str, Any] = {"no_module": d.no_module, "head_lines": len(head)}
     return Subcircuit(name, pins, params, tree, title=title, **facts)
+
+
+def across_vector(build: Build, part: Part, branch: Branch) -> Vector:
+    """Return the result across a branch."""
+    quantity = branch.domain.across
+    return Vector(branch_voltage(build, part, branch), quantity.factor, quantity.unit)
+
+
+def flow_vector(build: Build, part: Part, branch: Branch) -> Vector:
+    """Return the flow through a branch, into its upper pin."""
+    flow, quantity = f"i(v.x{part.name}.{meter_name(branch)})", branch.domain.through_variable
+    if branch.moves:
+        flow = _inner_voltage(build, part, force_node(branch), branch.minus)
+    ends = (branch.minus,), (branch.plus,)
+    return Vector(flow.lower(), quantity.factor, quantity.unit, *ends)
 
 
 def branch_voltage(build: Build, part: Part, branch: Branch) -> str:

@@ -43,8 +43,8 @@ from kc2spice.parts.mechanics._touching import Penetration, TouchablePart, impac
 from kc2spice.parts.mechanics.sphere import height_offset, sphere_of
 from kc2spice.physics import coils
 from kc2spice.physics.conductors import ConductorKeys, is_heated, refuse_conductor_keys
-from kc2spice.physics.declaration import HEAT, ONE_TEMPERATURE, TEMPERATURE
-from kc2spice.physics.part import declared_subcircuit
+from kc2spice.physics.declaration import HEAT, HEAT_BRANCH, ONE_TEMPERATURE, TEMPERATURE
+from kc2spice.physics.part import across_vector, declared_subcircuit, flow_vector
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
 from kc2spice.scene.model import (
     GROUND,
@@ -356,16 +356,9 @@ class RingMagnetCoils(TouchablePart[Coils]):
             across = format_voltage(up, lp) or "v(0)"
             result[f"{prefix}.voltage"] = Vector(across, 1.0, "V")
         if is_heated(part, build.scene):
-            result |= self._thermal_vectors(part, build)
+            result[f"{prefix}.{TEMPERATURE}"] = across_vector(build, part, HEAT_BRANCH)
+            result[f"{prefix}.{HEAT}"] = flow_vector(build, part, HEAT_BRANCH)
         return result
-
-    def _thermal_vectors(self, part: Part[Coils], build: Build) -> dict[str, Vector]:
-        """Results of the pin of heat: its temperature rise [K] and the heat flow into it [W]."""
-        across = format_voltage(build.net(part, HEAT), build.net(part, AMBIENT)) or "v(0)"
-        meter = f"i(v.x{part.name}.vmeter_{TEMPERATURE})".lower()
-        flow = Vector(meter, 1.0, "W", (AMBIENT,), (HEAT,))
-        prefix = result_prefix(part)
-        return {f"{prefix}.{TEMPERATURE}": Vector(across, 1.0, "K"), f"{prefix}.{HEAT}": flow}
 
     def forces(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
         y = waves.data.get(f"{sphere_of(part, build.scene).name}.y")
