@@ -32,7 +32,8 @@ FREQUENCIES = 20
 BANDS = {"elastic": (0.0, 140e3), "clamped": (0.0, 60e3), "free": (1e3, 90e3)}  # Hz
 SIDES = 5, 7, 9, 11  # elements of an elastic solid along its shortest half edge
 SIZES = 2.0, 1.4, 1.15  # mm, of the elements of piezoelectric bodies
-REPEATS, REPEATED = 3, 2  # runs of each of so many smallest sizes, whose medians are stated
+REPEATED_RUNS = 3  # runs of a small model; the tables contain the medians of their times
+REPEATED_SIZES = 2  # number of the smallest sizes that are run more than once
 QUICK = {"elastic": (3, 4), "clamped": (4.0, 2.4), "free": (4.0, 2.4)}
 # As the command line sets them: threads of BLAS cost more than they save.
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -264,7 +265,7 @@ def measure(kind, sizes, work, before=None):
     """Yield a table row for each size of one kind of model, with the results of all stages."""
     for index, size in enumerate(sizes):
         path = work / f"{kind}_{size}.npz"
-        repeats = REPEATS if index < REPEATED else 1
+        repeats = REPEATED_RUNS if index < REPEATED_SIZES else 1
         row = {"model": median_stage("model", kind, path, repeats, size=size)}
         if before is not None:
             row["before"] = median_stage("reduce", kind, path, repeats, package=before)
@@ -293,7 +294,9 @@ def print_table(title, heads, rows, cells):
         cpu, memory = (growth(done, "reduce", key) for key in ("cpu", "memory"))
         print(f"\nCPU time of the reduction grows with the power {cpu:.2f} of the unknowns, "
               f"memory with the power {memory:.2f}.")  # fmt: skip
-    print(f"CPU times and memory of the first {REPEATED} rows are medians of {REPEATS} runs.")
+    print(
+        f"CPU times and memory of the first {REPEATED_SIZES} rows are medians of {REPEATED_RUNS} runs."
+    )
     residual = max(row["error"]["residual"] for row in done)
     print(f"The reference solutions have residuals of at most {residual:.0e}.", flush=True)
 

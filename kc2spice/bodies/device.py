@@ -116,7 +116,7 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
         or the mesh needs more memory than there is.
     """
     timer = StepTimer()
-    bare, volts = constrain_solid(solid, setup), _estimate_depoling_voltage(solid, setup)
+    bare, volts = make_undamped_model(solid, setup), _estimate_depoling_voltage(solid, setup)
     steps = FREE_STEPS if bare.shift else SUPPORTED_STEPS
     timer.begin_step(1, steps)
     unknowns = bare.displacement.shape[1] + bare.potential.shape[1]
@@ -132,8 +132,11 @@ def make_device(solid: Solid, setup: Setup) -> FiniteElementModel:
     return replace(bare, model=_add_damping(model, solid, bare.displacement, setup))
 
 
-def constrain_solid(solid: Solid, setup: Setup) -> FiniteElementModel:
-    """Make the model of a solid without its damping and characteristic values."""
+def make_undamped_model(solid: Solid, setup: Setup) -> FiniteElementModel:
+    """Make the model of a solid with its constraints and ports, without damping.
+
+    Characteristic values are not computed.
+    """
     full = assemble_solid(solid)
     P, motions = _constrain_displacements(solid, setup)
     Q, R, pins = _constrain_potentials(full.K_pp, setup)

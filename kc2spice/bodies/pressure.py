@@ -45,7 +45,7 @@ from scipy import sparse
 from skfem import LinearForm
 from skfem.mesh import MeshQuad, MeshQuad2
 
-from kc2spice.bodies.device import ForceShape, Setup, constrain_solid
+from kc2spice.bodies.device import ForceShape, Setup, make_undamped_model
 from kc2spice.bodies.fields import FieldProbe, largest_principal_stress
 from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
 from kc2spice.bodies.stack import make_layer_materials, make_stack_setup
@@ -159,7 +159,7 @@ def compute_local_compliance(chip: Chip, shape: PressureBasis) -> LocalComplianc
     pressure = shape.pressure(LocalCompliance(S, 0.0).shares)
     coarse = float(
         _port_compliance(
-            constrain_solid(*make_stack_setup(Chip(**chip_keys), pressure=pressure)).model
+            make_undamped_model(*make_stack_setup(Chip(**chip_keys), pressure=pressure)).model
         )[0, 0]
     )
     lowest = float(np.linalg.eigvalsh(S - coarse)[0])
@@ -252,7 +252,7 @@ def _model_stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementM
         "cathode",
         shapes=[*map(ForceShape, ports, _basis_load_vectors(solid, shape, top).T)],
     )
-    return constrain_solid(solid, setup)
+    return make_undamped_model(solid, setup)
 
 
 def _basis_ports(shape: PressureBasis) -> list[Port]:

@@ -282,7 +282,7 @@ class Device(ABC):
         return (1e-3,) * len(self.states)
 
     @property
-    def affine(self) -> bool:
+    def is_affine(self) -> bool:
         """Whether ``evaluate`` is affine in ``e`` within a mode."""
         return False
 
@@ -457,11 +457,12 @@ class PortBody(Device):
         return self._port_matrices[0] @ e
 
     @cached_property
-    def at_rest(self) -> Relation:
+    def static_relation(self) -> Relation:
         """Static relation of loads and displacements.
 
-        A scene with a constant load on an unsupported body is rejected. Any
-        finite relation keeps the body in place; this one is the response to a growing load.
+        A scene with a constant load on an unsupported body is rejected. For other unsupported
+        bodies, any finite relation keeps the body in place. The relation used is the response to
+        a growing load.
         """
         try:
             H = self.transfer(0.0)
@@ -477,7 +478,7 @@ class PortBody(Device):
 
     def mode(self, e: np.ndarray) -> Relation:
         """Return the relation at rest."""
-        return self.at_rest
+        return self.static_relation
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return ``out`` and its derivative from the relation of the mode."""
@@ -498,7 +499,7 @@ class PortBody(Device):
     def small(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives of ``out`` and of the charges at ``s``."""
         load, stored, _, _ = self._port_matrices
-        H = self.transfer(s) if s else self.at_rest.H
+        H = self.transfer(s) if s else self.static_relation.H
         return self._compute_slope(H), stored @ H @ load
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:

@@ -115,7 +115,7 @@ def _write_items(
 ) -> Iterator[Line]:
     for name, tree in declaration.constant_trees.items():
         yield Parameters({name: f"{{{format_tree(tree)}}}"})
-    nodes, rest = _variable_trees(declaration), reference_node(declaration)
+    nodes, rest = _variable_trees(declaration), reference_pin_name(declaration)
     linkages = find_linkages(declaration)
     lookups = Lookups(tables, _list_laws(declaration, linkages), rest)
     if lookups.argument:
@@ -166,7 +166,7 @@ def _single_voltages(declaration: Declaration, linkages: Linkages | None) -> dic
     0 V.
     """
     inner = inner_nodes(declaration)
-    for name in linkages.currents if linkages else ():
+    for name in linkages.current_names if linkages else ():
         inner[name] = name
     return {name: CircuitVariable("v", (node,)) for name, node in inner.items()}
 
@@ -262,7 +262,7 @@ def _write_linkage(
     declaration: Declaration, b: Branch, henry: float, motion: str, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
     """Write the resistance of a branch, and the flux linkage as a state."""
-    n, base, inner = b.name, reference_node(declaration), f"rest_{b.name}"
+    n, base, inner = b.name, reference_pin_name(declaration), f"rest_{b.name}"
     drop = declaration.direct_flow(b)
     resistance = differentiate_tree(drop, n)
     varying = names(resistance) & declaration.variables
@@ -374,7 +374,7 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
 
 def _variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
     """Return the expression of each coordinate, rate, state and signal in node voltages."""
-    rest = reference_node(declaration)
+    rest = reference_pin_name(declaration)
     series = declaration.power_series.values()
     inner = {**dict(zip(series, series, strict=True)), **inner_nodes(declaration)}
     result: dict[str, Tree] = {n: CircuitVariable("v", (node, rest)) for n, node in inner.items()}
@@ -427,11 +427,11 @@ def _format_power_of_ten(value: float) -> Number:
 def _coordinate_nodes(declaration: Declaration, b: Branch) -> tuple[str, str]:
     """Nodes whose voltage is the coordinate of a branch."""
     separate = b.less or b.name in declaration.lags
-    return (f"x_{b.name}", reference_node(declaration)) if separate else (b.plus, b.minus)
+    return (f"x_{b.name}", reference_pin_name(declaration)) if separate else (b.plus, b.minus)
 
 
-def reference_node(declaration: Declaration) -> str:
-    """Reference pin of loops and inner nodes."""
+def reference_pin_name(declaration: Declaration) -> str:
+    """Name of the pin to which loops and inner nodes refer."""
     pins = (b.minus for b in declaration.branches if b.moves)
     return declaration.base or next(pins, "") or declaration.open_branches[0].minus
 
@@ -463,7 +463,7 @@ def _time_integral(quantity: Quantity) -> tuple[str, str]:
 
 def _write_states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
     """Write the signals, then the states."""
-    base = reference_node(declaration)
+    base = reference_pin_name(declaration)
     for name, tree in declaration.signal_trees.items():
         yield f"*   {name} = {format_tree(tree)}"
         yield from _write_node(name, tree, nodes, base)
@@ -509,7 +509,7 @@ def _write_coordinate(declaration: Declaration, b: Branch) -> Iterator[Line]:
     With two lags in series, each a quarter of the time, ``x + lag x'`` is
     ``x + 4 (2 x - first + second - first)`` to first order in the lag.
     """
-    n, base, lag = b.name, reference_node(declaration), declaration.lags.get(b.name)
+    n, base, lag = b.name, reference_pin_name(declaration), declaration.lags.get(b.name)
     node = f"in_{n}" if lag else f"x_{n}"
     words = f" less {b.less}" * bool(b.less) + f" + {lag} times its rate" * bool(lag)
     yield _comment("place", b, node=f"x_{n}", words=words)
@@ -646,9 +646,9 @@ def _write_edges(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterato
         if inputs & inner or (len(inputs) == 1 and inputs <= set(moved)):
             result.append((argument, moved.get(next(iter(inputs)))))
     if declaration.stops:
-        yield from pivot_cards(reference_node(declaration))
+        yield from pivot_cards(reference_pin_name(declaration))
     for k, (argument, b) in enumerate(result):
-        base = declaration.base or (b.minus if b else reference_node(declaration))
+        base = declaration.base or (b.minus if b else reference_pin_name(declaration))
         yield f"* {_FLOW_COMMENTS['edge'].format(argument=format_tree(argument))}"
         yield f"* edge {k + 1}" if k else _EDGE_SWITCH
         watched: Tree = Binary("*", Number("1e10"), substitute_names(argument, nodes))

@@ -136,7 +136,7 @@ class DeclaredLaw(Device):
         return (*map(_input_name, d.branches), *rates, *self.states)
 
     @cached_property
-    def affine(self) -> bool:
+    def is_affine(self) -> bool:
         d = self.declaration
         laws = (*d.state_rates.values(), *d.output_trees.values())
         trees = (*map(d.direct_flow, d.acting_branches), *laws)

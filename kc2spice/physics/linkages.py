@@ -39,7 +39,7 @@ class Linkages:
         ------
         UsageError : inductances that depend on currents.
         """
-        flux, currents = map(self.declaration.stored_quantity, self.branches), self.currents
+        flux, currents = map(self.declaration.stored_quantity, self.branches), self.current_names
         rows = [tuple(differentiate_tree(tree, name) for name in currents) for tree in flux]
         for tree in chain.from_iterable(rows):
             if saturating := sorted(names(tree).intersection(currents)):
@@ -51,14 +51,14 @@ class Linkages:
         return tuple(rows)
 
     @property
-    def currents(self) -> list[str]:
+    def current_names(self) -> list[str]:
         """Names of the currents, in the order of the coils."""
         return names_of(self.branches)
 
     @cached_property
     def motional(self) -> tuple[Tree, ...]:
         """Voltage [V] of each branch by motion without currents."""
-        still = dict.fromkeys(self.currents, ZERO)
+        still = dict.fromkeys(self.current_names, ZERO)
         result = []
         for branch in self.branches:
             flux = add_trees(substitute_names(self.declaration.stored_quantity(branch), still))

@@ -24,7 +24,7 @@ from kc2spice.physics.cards import (
     has_losses,
     inner_nodes,
     meter_name,
-    reference_node,
+    reference_pin_name,
     subcircuit_items,
 )
 from kc2spice.physics.conductors import conductor_values, is_heated, refuse_conductor_keys
@@ -166,7 +166,7 @@ class DeclaredPart(PartType[KeysT]):
                 speed = f"v(x{part.name}.speed_{b.name})".lower()
                 result[f"{part.name}.v"] = Vector(speed, VELOCITY.factor, VELOCITY.unit)
         for name, node in inner_nodes(d).items():
-            value = _inner_voltage(build, part, node, reference_node(d)).lower()
+            value = _inner_voltage(build, part, node, reference_pin_name(d)).lower()
             result[f"{part.name}.{name}"] = Vector(value, 1.0, "SI")
         return result
 
@@ -346,7 +346,7 @@ def declared_subcircuit(
     d, pins = declaration, tuple(pins) or make_pins(declaration)
     ends = tuple(names_of(pins))
     linkages = find_linkages(d)
-    inner = [*map(checked, d.signals), *tables, *(linkages.currents if linkages else ())]
+    inner = [*map(checked, d.signals), *tables, *(linkages.current_names if linkages else ())]
     require_distinct([*ends, *inner], _INNER_NODE_PATTERN, where=name)
     keys = []
     for key in list_schema_keys(d.keys):

@@ -26,7 +26,7 @@ class Interval:
         self.F, self.const = system.F, system.const
         self.curved = []
         for device, mode in zip(system.devices, modes, strict=True):
-            if not device.law.affine:
+            if not device.law.is_affine:
                 self.curved.append((device, mode))
                 continue
             out, slope = device.law.evaluate(np.zeros(len(device.inputs)), mode)

@@ -187,7 +187,7 @@ class _StepIntegrator:
             else:
                 self.others.append((k, device.law))
         self.bodies: dict[int, _BodyIntegrator] = {}
-        self.affine = all(law.affine for _, law in self.others)
+        self.is_affine = all(law.is_affine for _, law in self.others)
 
     def interval(self, t: float) -> Interval:
         """Make the system of equations of the interval about ``t``, in the present modes."""
@@ -228,7 +228,7 @@ class _StepIntegrator:
             z = z + change
             es = interval.inputs(t, z)
             small = np.abs(change).max() <= 1e-10 * (1e-3 + np.abs(z).max())
-            if not self._switch_devices(es, count) and (self.affine or small):
+            if not self._switch_devices(es, count) and (self.is_affine or small):
                 for k, body in self.bodies.items():
                     body.finish_stage(es[k], second)
                 return z

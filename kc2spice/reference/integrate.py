@@ -362,7 +362,7 @@ def solve_transient(
                     "a contact opens and closes infinitely often", where=f"t = {t:.9e} s"
                 )
             interval = Interval(system, modes, within)
-            if (jumped := _find_jump(interval, t, z, left)) is not None:
+            if (jumped := _find_triggered_guard(interval, t, z, left)) is not None:
                 modes, left[jumped] = _switch_mode(system, modes, jumped), np.nan
                 continue
             steps, fired = _integrate_interval(
@@ -384,7 +384,9 @@ def solve_transient(
     return Trajectory(system, time, tuple(segments), tuple(events))
 
 
-def _find_jump(interval: Interval, t: float, z: np.ndarray, left: np.ndarray) -> int | None:
+def _find_triggered_guard(
+    interval: Interval, t: float, z: np.ndarray, left: np.ndarray
+) -> int | None:
     """Return the index of an event function that becomes negative at a jump of algebraic unknowns.
 
     ``left`` are the guards before the jump, nan for those that have switched.

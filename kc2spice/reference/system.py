@@ -344,7 +344,7 @@ class _Assembly:
             A[0, 0] = -1.0
         level = np.maximum(1e6 * np.abs(M).max(axis=1), np.abs(A).max(axis=1))
         for law, _, into in self.attached:
-            if not law.affine:
+            if not law.is_affine:
                 level = np.where(level == 0.0, np.abs(W.T @ into).max(axis=1, initial=0.0), level)
         level = 1.0 / np.where(level == 0.0, 1.0, level)
         W = W * level

@@ -278,7 +278,7 @@ def find_basis_within(
     if target.method is not None:
         return require_order([_prescribed_basis(task, reductors[0])], tolerance)
     basis, order = select_fewest_states(
-        task, reductors, tolerance, tighten=not target.contact, keep_form=target.keep_form
+        task, reductors, tolerance, shorten=not target.contact, keep_form=target.keep_form
     )
     return (basis, order) if target.contact else find_lower_order(basis, order, tolerance)
 

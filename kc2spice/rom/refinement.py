@@ -43,11 +43,13 @@ def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple
     if basis.relaxing:
         return fit_relaxations(basis, order, tolerance)
     if not basis.congruence and order <= MAX_ORDER:
-        return fit_outputs(basis, order, tolerance)
+        return fit_output_matrix(basis, order, tolerance)
     return basis, order
 
 
-def fit_outputs(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
+def fit_output_matrix(
+    basis: ReducedBasis, order: int, tolerance: float
+) -> tuple[ReducedBasis, int]:
     """Fit the output matrix C of a model with fewer states, so that its largest error is least."""
     estimator = basis.task.estimator
     s = snapshots(estimator, estimator.exact).s

@@ -34,7 +34,9 @@ MAX_STATES = 2000  # first-order states
 DECOUPLING_TOLERANCE = 1e-10  # largest relative difference to direct solutions
 # ratio of successive squared frequencies above which the lower one is a rigid-body mode
 RIGID_MODE_RATIO = 1e8
-MAX_CONDITION = 1e10  # condition of eigenvectors; an unsupported body has a Jordan block
+# Largest condition number of the eigenvectors with which a model is decoupled; the eigenvectors of
+# an unsupported body do not span its states, so that their condition number is larger.
+MAX_CONDITION = 1e10
 Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
 

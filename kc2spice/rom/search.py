@@ -16,8 +16,9 @@ from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
 # States up to which another method is tried only to state in the certificate how many states
 # definite matrices cost; chosen by trial to limit the work.
 MAX_COMPARED_STATES = 200
-# Definite matrices become resonators, which prove stability. Other models are used only if they
-# save at least a tenth of the states: 10 instead of 11.
+# Largest order of a general projection, relative to the order of a congruence, for which the
+# projection is used: it must save a tenth of the states, such as 10 states instead of 11. A
+# congruence of definite matrices becomes resonators, whose form proves stability.
 SAVING_RATIO = 0.91
 
 
@@ -54,7 +55,7 @@ def select_basis(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
 
 
 def select_fewest_states(
-    task: Task, reductors: Sequence[Reductor], tolerance: float, *, tighten: bool, keep_form: bool
+    task: Task, reductors: Sequence[Reductor], tolerance: float, *, shorten: bool, keep_form: bool
 ) -> tuple[ReducedBasis, int]:
     """Return the basis and the order of the fewest states.
 
@@ -62,7 +63,8 @@ def select_fewest_states(
 
     A congruence preserves the form of definite matrices, and with it passive resonators. Other
     projections replace it only if all ports are signals and they save a tenth of the states. With
-    ``keep_form`` this never happens. ``tighten`` lets a reductor improve the basis of a congruence.
+    ``keep_form`` this never happens. ``shorten`` lets a reductor find a shorter basis of a
+    congruence.
 
     Raises
     ------
@@ -84,8 +86,8 @@ def select_fewest_states(
         assert other is not None
         text = f"{other[0].origin}, where a congruence needs more than {most} states; "
         return _prefix_origin(other, text)
-    if tighten:
-        basis, order = reductor.tighten(basis, order, tolerance)
+    if shorten:
+        basis, order = reductor.shorten_basis(basis, order, tolerance)
         order = find_least_order(basis, tolerance, basis.states(order)) or order
     states = basis.states(order)
     if other is None and (signals or basis.states(basis.size) <= MAX_COMPARED_STATES):

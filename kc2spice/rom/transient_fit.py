@@ -73,7 +73,8 @@ class StepSamples(EqualByContent):
     def group(self, table: np.ndarray) -> np.ndarray:
         """Return weighted means (groups, columns) of a table (n, columns) over groups of samples.
 
-        Sums of their squares differ from those of all samples by the scatter within the groups.
+        The sum of the squared means is smaller than the sum of the weighted squares of all samples.
+        The difference is the scatter within the groups.
         """
         first, scale = self._groups
         return np.asarray(

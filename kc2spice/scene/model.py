@@ -217,7 +217,7 @@ class Record(Generic[T]):
     """
 
     part: Part
-    governs: Mapping[str, State | Governed] = field(default_factory=dict)
+    governed_parts: Mapping[str, State | Governed] = field(default_factory=dict)
     highest_frequency: HighestFrequency | None = None
     detail: T | None = None
     rest: Rest = field(default_factory=Rest)
@@ -712,7 +712,9 @@ class PartType(Generic[KeysT]):
         file = getattr(part.keys, "file", None)
         return () if file is None else (file,)
 
-    def governs(self, part: Part[KeysT], scene: DeclaredScene) -> Mapping[str, State | Governed]:
+    def governed_parts(
+        self, part: Part[KeysT], scene: DeclaredScene
+    ) -> Mapping[str, State | Governed]:
         """Return parts whose initial state or motion this part prescribes, or that it copies.
 
         See :class:`State` and :data:`Governed`.
@@ -775,7 +777,7 @@ class PartType(Generic[KeysT]):
         """
         return None
 
-    def library(self, part: Part[KeysT], scene: Scene) -> str:
+    def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
         """Return the name of the subcircuit, which is the name of the type if unique."""
         return self.name if len(scene.of(self.name)) == 1 else part.name
 

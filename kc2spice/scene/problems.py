@@ -41,7 +41,7 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
         yield from _check_swept_key(scene)
     for name, probe in scene.probes.items():
         for key, place in probe.places.items():
-            yield from _check_place(f"probes.{name}.{key}", place, scene)
+            yield from _check_probe_position(f"probes.{name}.{key}", place, scene)
 
 
 def _check_parts(scene: Scene) -> Iterator[UsageError]:
@@ -256,7 +256,7 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
                          expected=expected)  # fmt: skip
 
 
-def _check_place(where: str, place: float, scene: Scene) -> Iterator[UsageError]:
+def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[UsageError]:
     """Yield an error if the position of a probe is outside of the sweep of the analysis."""
     selected, part_unit = scene.analysis, getattr(place, "unit", "")
     unit = _scale_unit(scene)

@@ -82,18 +82,18 @@ def with_governed(scene: Scene) -> Scene:
 
     Details may depend on each other; each is computed at its first use.
     """
-    governs: dict[str, Mapping[str, State | Governed]] = {}
+    governed_parts: dict[str, Mapping[str, State | Governed]] = {}
     records: dict[str, Record[Any]] = {}
     for name, part in scene.parts.items():
-        governs[name] = part.type.governs(part, scene)
+        governed_parts[name] = part.type.governed_parts(part, scene)
         frequency = part.type.highest_frequency(part, scene)
-        records[name] = Record(part, governs[name], frequency)
+        records[name] = Record(part, governed_parts[name], frequency)
     scene = replace(
         scene,
         records=records,
-        movers=_find_movers(governs),
-        initial_states=_find_initial_states(governs),
-        without_cards=_find_without_cards(governs),
+        movers=_find_movers(governed_parts),
+        initial_states=_find_initial_states(governed_parts),
+        without_cards=_find_without_cards(governed_parts),
     )
     for part in scene.parts.values():
         detail = part.type.detail(part, scene)
@@ -101,10 +101,10 @@ def with_governed(scene: Scene) -> Scene:
     return scene
 
 
-def _find_movers(governs: Mapping[str, Mapping[str, State | Governed]]) -> dict[str, str]:
+def _find_movers(governed_parts: Mapping[str, Mapping[str, State | Governed]]) -> dict[str, str]:
     """Return the first part that prescribes all motion of each moved part."""
     result: dict[str, str] = {}
-    for owner, answer in governs.items():
+    for owner, answer in governed_parts.items():
         for name, governed in answer.items():
             if governed == "moved":
                 result.setdefault(name, owner)
@@ -112,14 +112,14 @@ def _find_movers(governs: Mapping[str, Mapping[str, State | Governed]]) -> dict[
 
 
 def _find_initial_states(
-    governs: Mapping[str, Mapping[str, State | Governed]],
+    governed_parts: Mapping[str, Mapping[str, State | Governed]],
 ) -> dict[str, State]:
     """Return the stated states at t = 0; a transient then has no operating point.
 
     A state from another part replaces the state from the keys of a part.
     """
     result: dict[str, State] = {}
-    for owner, answer in governs.items():
+    for owner, answer in governed_parts.items():
         for name, state in answer.items():
             if isinstance(state, State) and (name != owner or name not in result):
                 result[name] = state
@@ -127,10 +127,10 @@ def _find_initial_states(
 
 
 def _find_without_cards(
-    governs: Mapping[str, Mapping[str, State | Governed]],
+    governed_parts: Mapping[str, Mapping[str, State | Governed]],
 ) -> frozenset[str]:
     """Return the parts without cards, which other parts copy or move."""
-    rows = chain.from_iterable(answer.items() for answer in governs.values())
+    rows = chain.from_iterable(answer.items() for answer in governed_parts.values())
     return frozenset(name for name, governed in rows if isinstance(governed, str))
 
 

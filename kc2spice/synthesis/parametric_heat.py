@@ -87,7 +87,7 @@ def heat_subcircuit_over_ranges(
     values = {key: p.default for key, p in zip(model.box, parameters, strict=True)}
     rom = model.at(values)
     pins, base = heat_pins(rom, name)
-    network = _make_network(model, parameters)
+    network = _make_modal_network(model, parameters)
     body = [
         *range_cards(parameters),
         *(parameter_card(f"change{t}", text) for t, text in enumerate(network.changes, 1)),
@@ -106,8 +106,8 @@ def heat_subcircuit_over_ranges(
     )  # fmt: skip
 
 
-def _make_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _Network:
-    """Return the network: modes at the defaults, and how their matrices change with each factor."""
+def _make_modal_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _Network:
+    """Return the network of the modes at the defaults, and of their couplings over the ranges."""
     values = {key: p.default for key, p in zip(model.box, parameters, strict=True)}
     rom = model.at(values)
     times, shapes = decouple_heat(rom)
@@ -156,7 +156,7 @@ def _without_rounding(matrix: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Network:
-    """Modes of the defaults, and changes (changes, modes, modes) of their K and E."""
+    """Modes at the defaults, and the changes (changes, modes, modes) of their K and E."""
 
     modes: HeatModes
     changes: tuple[str, ...]

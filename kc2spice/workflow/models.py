@@ -65,7 +65,7 @@ def name_subcircuits(scene: Scene) -> dict[str, str]:
     If parts of different types use the same name, the names of these parts replace it.
     """
     parts = scene.parts.values()
-    names = {part.name: part.type.library(part, scene) for part in parts}
+    names = {part.name: part.type.subcircuit_name(part, scene) for part in parts}
     types: dict[str, set[str]] = {}
     for part in parts:
         types.setdefault(names[part.name].lower(), set()).add(part.type.name)

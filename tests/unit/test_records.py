@@ -73,7 +73,7 @@ def test_a_scene_asks_each_part_once_while_it_is_loaded(monkeypatch):
     calls = count_calls(monkeypatch)
     scene = kc.load_scene("kick_and_catch")
     once = (
-        "governs",
+        "governed_parts",
         "highest_frequency",
         "detail",
         "default_joins",

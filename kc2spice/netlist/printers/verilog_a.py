@@ -438,7 +438,7 @@ def _table_expression(name: str, x: list[float], f: list[float]) -> str:
 
 
 def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:
-    """Return the files of a deck with ``modules`` instead of subcircuits.
+    """Return the files of a deck whose subcircuits are replaced by Verilog-A ``modules``.
 
     ``openvaf-r NAME.va`` compiles each module to ``NAME.osdi``. Parts that are no modules remain
     libraries. Vectors inside modules cannot be saved and are omitted. The transient needs no
@@ -465,7 +465,7 @@ def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str
 
 
 def _replace_instance(item: Item, stems: Mapping[str, str], replaced: Collection[str]) -> Item:
-    """Return an item of a deck that uses modules instead of subcircuits.
+    """Return an item of a deck whose subcircuits are replaced by modules.
 
     An instance of a module is an N card with a model that contains its parameters. A card without
     an equivalent becomes an empty card.

@@ -53,7 +53,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         """
         return COARSE_WEIGHTS if scene.solver.ringing == "coarse" else RINGING_WEIGHTS
 
-    def library(self, part: Part[LinearKeysT], scene: Scene) -> str:
+    def subcircuit_name(self, part: Part[LinearKeysT], scene: Scene) -> str:
         """Return its part number, or :meth:`scene_library` if it has none."""
         scene_name = self.scene_library(part, scene)
         return make_identifier(part.keys.number, part.name) if part.keys.number else scene_name

@@ -181,7 +181,7 @@ def required_ports(part: Part, scene: JoinedScene) -> set[str]:
         names = (*other.pins.values(), *scene.joins[other.name].values())
         result.update(name.removeprefix(prefix) for name in names if name.startswith(prefix))
         # copies of it, with loads on all ports
-        if scene.records[other.name].governs.get(part.name) == "copied":
+        if scene.records[other.name].governed_parts.get(part.name) == "copied":
             result |= {
                 port.name for port in part.type.ports(part, scene) if port.kind in SINGLE_PIN_KINDS
             }

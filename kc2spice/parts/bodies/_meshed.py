@@ -102,12 +102,14 @@ class MeshedBody(LinearBody[FieldKeysT]):
         """Outer size of the body, for the sizes of neglected effects."""
 
     @abstractmethod
-    def support(self, part: Part[FieldKeysT]) -> str:
+    def describe_support(self, part: Part[FieldKeysT]) -> str:
         """Support of the body in words."""
 
     def neglected(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Neglected]:
         yield from super().neglected(part, scene)
-        yield from neglected_effects(part.name, self.envelope(part, scene), self.support(part))
+        yield from neglected_effects(
+            part.name, self.envelope(part, scene), self.describe_support(part)
+        )
 
     @abstractmethod
     def make(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
@@ -315,7 +317,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return top.indentation_modulus if hasattr(part.keys, "layers") else None
 
     def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield the errors of all bodies, and those of implausible layers.
+        """Yield an error for each invalid key of a body, and for each implausible layer.
 
         Each layer has its own diameter, or all layers have the width of the body.
         """

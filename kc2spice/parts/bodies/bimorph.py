@@ -218,7 +218,7 @@ class Bimorph(BondedBody[BimorphKeys]):
     source = "FE (piezoelectric, hexahedra)"
     structure = staticmethod(bimorph_body)
 
-    def support(self, part: Part[BimorphKeys]) -> str:
+    def describe_support(self, part: Part[BimorphKeys]) -> str:
         return f"support is {part.keys.support}, ideal"
 
 

@@ -607,7 +607,7 @@ class Body(MeshedBody[BodyKeys]):
     def dimensions(self, part: Part[BodyKeys]) -> int:
         return 2 if part.keys.axisymmetric else 3
 
-    def support(self, part: Part[BodyKeys]) -> str:
+    def describe_support(self, part: Part[BodyKeys]) -> str:
         groups = [item if isinstance(item, str) else item.group for item in part.keys.fixed]
         return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
 

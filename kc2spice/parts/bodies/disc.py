@@ -267,7 +267,7 @@ class Disc(BondedBody[DiscKeys]):
     source = "FE (piezoelectric, axisymmetric)"
     structure = staticmethod(disc_body)
 
-    def support(self, part: Part[DiscKeys]) -> str:
+    def describe_support(self, part: Part[DiscKeys]) -> str:
         return f"support is {part.keys.support}, ideal"
 
     def is_clamped(self, part: Part[DiscKeys]) -> bool:

@@ -225,7 +225,7 @@ stop = "100 kHz"
     source = "FE (piezoelectric, axisymmetric)"
     structure = staticmethod(langevin_body)
 
-    def support(self, part: Part[LangevinKeys]) -> str:
+    def describe_support(self, part: Part[LangevinKeys]) -> str:
         return f"support is {part.keys.support}, ideal"
 
     def neglected(self, part: Part[LangevinKeys], scene: Scene) -> Iterator[Neglected]:

@@ -317,7 +317,7 @@ class PiezoStack(MeshedBody[Stack]):
             disc_air(math.sqrt(area / math.pi)), area * height * keys.ceramic.density, surface
         )
 
-    def support(self, part: Part[Stack]) -> str:
+    def describe_support(self, part: Part[Stack]) -> str:
         return "" if part.keys.mounting == "roller" else describe_mounting(part.keys)
 
     def make(self, part: Part[Stack], scene: GovernedScene) -> FiniteElementModel:

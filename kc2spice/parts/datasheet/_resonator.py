@@ -138,9 +138,11 @@ class ResonatorNetlist:
 class NumberedPart(PartType[KeysT]):
     """A part whose library has the name of its part number."""
 
-    def library(self, part: Part[KeysT], scene: Scene) -> str:
+    def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
         number = getattr(part.keys, "number", None)
-        return make_identifier(number, part.name) if number else super().library(part, scene)
+        return (
+            make_identifier(number, part.name) if number else super().subcircuit_name(part, scene)
+        )
 
 
 class ResonatorPart(NumberedPart[KeysT]):

@@ -94,12 +94,10 @@ class StatedValues:
     @cached_property
     def _fitted(self) -> np.ndarray:
         """Logarithms of the unknowns."""
-        return self._fit_from(np.log(self.start))
+        return self._fit_unknowns(np.log(self.start))
 
-    def _fit_from(self, start: np.ndarray) -> np.ndarray:
-        """Return the logarithms of the unknowns that fit the values best, from these starting
-        values.
-        """
+    def _fit_unknowns(self, start: np.ndarray) -> np.ndarray:
+        """Fit the unknowns to the stated values from a start; all are logarithms."""
         from scipy.optimize import least_squares  # loads slowly
 
         weights = np.array([1 / self.tolerance_of(key) for key in self.stated])
@@ -212,7 +210,7 @@ class StatedValues:
         """
         steps = math.log(RESTART_FACTOR) * np.eye(x.size)
         for start in (*(x + steps), *(x - steps)):
-            other = self._fit_from(start)
+            other = self._fit_unknowns(start)
             if np.abs(other - x).max() < DISTINCT_DIFFERENCE:
                 continue
             if all(abs(self._residual(key, other)) < SOLUTION_TOLERANCE for key in self.stated):

@@ -221,7 +221,7 @@ class Driver(TemplatePart[KeysT]):
             return None
         return build_driver_equations(part.name, declared, self.inner_node, self.terminals)
 
-    def library(self, part: Part[KeysT], scene: Scene) -> str:
+    def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
         return self.template.removeprefix("driver_") if len(scene.of(self.name)) == 1 else part.name
 
     def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:

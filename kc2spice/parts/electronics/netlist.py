@@ -160,7 +160,7 @@ class Netlist(PartType[NetlistKeys]):
     def drives(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
         return _read(part.keys.file, scene.home, _modification_time(part, scene)).excites
 
-    def library(self, part: Part[NetlistKeys], scene: Scene) -> str:
+    def subcircuit_name(self, part: Part[NetlistKeys], scene: Scene) -> str:
         return str(part.keys.subckt)
 
     def subcircuits(

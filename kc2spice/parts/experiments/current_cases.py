@@ -64,7 +64,9 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         height = Terminal.signal("y", DISPLACEMENT, signal_out=True)
         return height, Terminal.speed("v", TRANSLATION, GROUND)
 
-    def governs(self, part: Part[CurrentCasesKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
+    def governed_parts(
+        self, part: Part[CurrentCasesKeys], scene: DeclaredScene
+    ) -> Mapping[str, Governed]:
         return {_sphere(part, scene): "moved", _coils(part, scene).name: "copied"}
 
     def cards(self, part: Part[CurrentCasesKeys], build: Build) -> tuple[Item, ...]:

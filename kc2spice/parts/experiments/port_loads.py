@@ -79,7 +79,9 @@ class PortLoads(PartType[PortLoadsKeys]):
             got = f"{part.keys.start:g} … {part.keys.stop:g} Hz"
             yield part.wrong("stop", "the frequency range is empty", got, "start < stop")
 
-    def governs(self, part: Part[PortLoadsKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
+    def governed_parts(
+        self, part: Part[PortLoadsKeys], scene: DeclaredScene
+    ) -> Mapping[str, Governed]:
         return {body_of(part, scene).name: "copied"}
 
     def cards(self, part: Part[PortLoadsKeys], build: Build) -> tuple[Item, ...]:

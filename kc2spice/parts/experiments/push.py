@@ -60,7 +60,7 @@ class Push(TouchablePart[PushKeys]):
         bottom = Terminal.signal("bottom", DISPLACEMENT, signal_out=True)
         return bottom, Terminal.speed("v", TRANSLATION, GROUND)
 
-    def governs(self, part: Part[PushKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
+    def governed_parts(self, part: Part[PushKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
         return {sphere_of(part, scene).name: "moved"}
 
     def problems(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[UsageError]:

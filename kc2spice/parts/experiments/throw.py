@@ -61,7 +61,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
                 "negative (downwards)",
             )
 
-    def governs(self, part: Part[ThrowKeys], scene: DeclaredScene) -> Mapping[str, State]:
+    def governed_parts(self, part: Part[ThrowKeys], scene: DeclaredScene) -> Mapping[str, State]:
         return {sphere_of(part, scene).name: State(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[Numerics]:

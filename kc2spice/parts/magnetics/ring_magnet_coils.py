@@ -320,7 +320,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         table = load_or_build("catch", key, build, classes=(EMTable,), sources=TABLE_SOURCES)
         return table.scale_magnets(keys.remanence, keys.shift)
 
-    def library(self, part: Part[Coils], scene: Scene) -> str:
+    def subcircuit_name(self, part: Part[Coils], scene: Scene) -> str:
         coil = _has_coil_terminals(part, scene) and part.name == "catch"
         name = "coil" if coil else part.name
         return f"heated_{name}" if is_heated(part, scene) else name

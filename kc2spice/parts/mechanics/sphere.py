@@ -202,7 +202,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         r, label = part.keys.radius, f"{part.name}: radius {1e3 * part.keys.radius:g} mm"
         yield Shape(0.0, r, 2 * r, 2 * r, "metal", label, round=True)
 
-    def governs(self, part: Part[SphereKeys], scene: DeclaredScene) -> Mapping[str, State]:
+    def governed_parts(self, part: Part[SphereKeys], scene: DeclaredScene) -> Mapping[str, State]:
         keys = part.keys
         moving = keys.velocity or keys.height
         return {part.name: State(keys.velocity, keys.height)} if moving else {}

@@ -68,12 +68,12 @@ class Reductor(ABC):
             target.
         """
 
-    def tighten(
+    def shorten_basis(
         self, basis: ReducedBasis, order: int, tolerance: float
     ) -> tuple[ReducedBasis, int]:
-        """Return a better basis and a lower order within the tolerance.
+        """Return a basis that meets the tolerance with fewer vectors, and its order.
 
-        By default both remain.
+        By default this method returns its arguments.
         """
         return basis, order
 

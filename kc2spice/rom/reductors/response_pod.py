@@ -18,7 +18,7 @@ MAX_STIFFNESS_CONDITION = 1e12
 # singular values of snapshots below this, relative to the largest, are rounding
 SINGULAR_VALUE_LIMIT = 1e-13
 # Limits and factors of the fit of weights. Chosen by trial.
-MAX_TIGHTENED_ORDER = 150  # order up to which other weights are tried
+MAX_SHORTENED_ORDER = 150  # largest order for which other weights are tried
 MAX_TRIALS = 12  # updates of the weights
 MIN_EXTRA_VECTORS = 20  # vectors beyond the order from which a better basis is made
 EXTRA_ERROR_SHARE = 0.5  # share of the tolerance that the model of all these vectors must meet
@@ -75,10 +75,10 @@ class ResponsePod(Reductor):
         )
         return ReducedBasis(task, pencil, fixed, vectors=columns)
 
-    def tighten(
+    def shorten_basis(
         self, basis: ReducedBasis, order: int, tolerance: float
     ) -> tuple[ReducedBasis, int]:
-        """Return a basis of which fewer vectors meet the tolerance.
+        """Return a basis that meets the tolerance with fewer vectors.
 
         Snapshots receive larger weights at frequencies at which the error with one state fewer is
         largest (Lawson's minimax fit). The weights above the band are reduced step by step.
@@ -89,7 +89,7 @@ class ResponsePod(Reductor):
         )
         if (
             order <= least
-            or order > MAX_TIGHTENED_ORDER
+            or order > MAX_SHORTENED_ORDER
             or basis.error(size) > EXTRA_ERROR_SHARE * tolerance
         ):
             return basis, order

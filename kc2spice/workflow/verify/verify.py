@@ -527,7 +527,7 @@ class _Verification:
                 exact = complete_solution(
                     solve_laws(finer, waves, self.replayed, share).results, finer
                 )
-        except _TooLongError as error:
+        except _IntegrationTimeoutError as error:
             self.outcome.notes.append(
                 f"finer discretisation of {names}: given up after {seconds:.0f} s at "
                 f"{100 * error.share:.0f} % of the run; verify --full has no limit"
@@ -684,7 +684,7 @@ def _max_unknowns() -> float:
     return min(MAX_MESH_UNKNOWNS, share**0.75)
 
 
-class _TooLongError(Exception):
+class _IntegrationTimeoutError(Exception):
     """An integration exceeded its time limit; ``share`` is the completed fraction."""
 
     def __init__(self, share: float) -> None:
@@ -703,7 +703,7 @@ def _limit_time(progress: Callable[[float], None], seconds: float) -> Callable[[
         """Raise an error if the time limit is exceeded."""
         progress(done)
         if time.monotonic() - begin > seconds:
-            raise _TooLongError(done)
+            raise _IntegrationTimeoutError(done)
 
     return share
 
