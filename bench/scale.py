@@ -295,7 +295,8 @@ def print_table(title, heads, rows, cells):
         print(f"\nCPU time of the reduction grows with the power {cpu:.2f} of the unknowns, "
               f"memory with the power {memory:.2f}.")  # fmt: skip
     print(
-        f"CPU times and memory of the first {REPEATED_SIZES} rows are medians of {REPEATED_RUNS} runs."
+        f"CPU times and memory of the first {REPEATED_SIZES} rows are medians "
+        f"of {REPEATED_RUNS} runs."
     )
     residual = max(row["error"]["residual"] for row in done)
     print(f"The reference solutions have residuals of at most {residual:.0e}.", flush=True)

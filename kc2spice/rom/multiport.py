@@ -38,7 +38,7 @@ MAX_EVALUATIONS = 60  # evaluations of least squares of the poles
 # Slowest decay of a pole as a fraction of the distance between samples, and fastest decay as a
 # multiple of the band's end. Samples do not determine poles beyond these limits.
 MIN_DECAY_RATIO, MAX_DECAY_RATIO = 0.25, 10.0
-# Highest frequency of a pole, relative to the end of the band; these limits are tried in this order.
+# Highest frequency of a pole, relative to the end of the band; the limits are tried in this order.
 # Transmission lines need poles above the band. A model of measured data with poles above the band
 # is seldom passive.
 MAX_FREQUENCY_RATIOS = (3.0, 1.25, 1.001)
