@@ -381,7 +381,7 @@ def _reduce_measured(
     notes = list(data.notes)
 
     def fitted() -> LinearModel:
-        model = _fit_passive_model(data, conductance, notes)
+        model = _fit_passive_model(data, conductance, notes, progress)
         _require_small_misfit(model, data)
         return model
 
@@ -422,41 +422,44 @@ def _reduce_transient(
 
 
 def _fit_passive_model(
-    data: MeasuredAdmittance, conductance: float | None, notes: list[str]
+    data: MeasuredAdmittance, conductance: float | None, notes: list[str], progress: Progress
 ) -> LinearModel:
     """Return the passive model of measured samples.
 
     ``notes`` receives a note on the form of the model if it does not consist of parallel branches.
     """
-    branches = None
-    if data.Y.shape[1] == 1:
-        branches, left = fit_one_port(data.f, data.Y[:, 0, 0], data.noise, conductance)
-        if branches is not None and (
-            conductance is not None or not _has_other_form(branches, data)
-        ):
-            return branches
-        if conductance is not None:
-            raise UsageError(
-                "parallel branches do not match the measurement of this part",
-                where=data.where,
-                got=f"an rms deviation of {left:.2g}",
-                expected="a measurement that parallel branches match",
-                hint="leave out --dc, so that a general fit extrapolates this resistance",
-            )
-        note = f"parallel branches leave a deviation of {left:.2g}: poles of any kind"
-    from kc2spice.rom.multiport import fit_multiport  # imported here, because few commands need it
-
+    if data.Y.shape[1] > 1:
+        return _fit_poles(data)
+    branches, left = fit_one_port(data.f, data.Y[:, 0, 0], data.noise, conductance)
+    if branches is not None and (conductance is not None or not _has_other_form(branches, data)):
+        return branches
+    if conductance is not None:
+        raise UsageError(
+            "parallel branches do not match the measurement of this part",
+            where=data.where,
+            got=f"an rms deviation of {left:.2g}",
+            expected="a measurement that parallel branches match",
+            hint="leave out --dc, so that a general fit extrapolates this resistance",
+        )
+    note = f"parallel branches leave a deviation of {left:.2g}: poles of any kind"
+    progress("reduce", None, f"fitting poles of any kind to {len(data.f)} frequencies")
     try:
-        general = fit_multiport(data.f, data.Y, data.noise, data.where)
+        general = _fit_poles(data)
     except MissingToolError:
         if branches is None:
             raise
         return branches
     if branches is not None and _pointwise_error(general, data) > MAX_MISFIT:
         return branches
-    if data.Y.shape[1] == 1:
-        notes.append(note)
+    notes.append(note)
     return general
+
+
+def _fit_poles(data: MeasuredAdmittance) -> LinearModel:
+    """Return the passive model of measured samples with poles of any kind."""
+    from kc2spice.rom.multiport import fit_multiport  # imported here, because few commands need it
+
+    return fit_multiport(data.f, data.Y, data.noise, data.where)
 
 
 @dataclass(frozen=True)

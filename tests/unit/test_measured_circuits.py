@@ -388,8 +388,12 @@ def test_a_loudspeaker_takes_poles_of_any_kind(tmp_path):
     (tmp_path / "driver.zma").write_text(head + rows, encoding="utf-8")
     branches, _ = fit_one_port(f, 1 / Z, 1e-6)
     assert branches.certificate.error_estimate > 0.1
-    result = reduce_file(tmp_path / "driver.zma", tmp_path / "out")
+    steps = []
+    result = reduce_file(
+        tmp_path / "driver.zma", tmp_path / "out", progress=lambda *step: steps.append(step)
+    )
     assert any("poles of any kind" in note for note in result["notes"])
+    assert steps[-1] == ("reduce", None, "fitting poles of any kind to 301 frequencies")
     model = read_rom(Path(result["rom"]))
     between = np.sqrt(f[1:] * f[:-1])
     found = 2j * np.pi * between * model.transfer(between)[:, 0, 0]
