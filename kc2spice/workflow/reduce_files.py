@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -406,19 +407,12 @@ def _reduce_transient(
     data = read_transient(path)
     watts = step_power(power, data)
     progress("reduce", None, f"fitting {len(data.time)} samples")
-    fitted = network_of_transient(data, watts, form)
-    result = _write_reduced_model(data.name, len(data.time), lambda: fitted.model, out)
+    fit = cache(lambda: network_of_transient(data, watts, form))
+    result = _write_reduced_model(data.name, len(data.time), lambda: fit().model, out)
+    fitted = fit()
     record = {"notes": list(fitted.notes), "warnings": list(fitted.warnings)}
-    return (
-        result
-        | record
-        | {
-            "noise": fitted.noise,
-            "quantity": data.quantity,
-            "data": data.description,
-            "network": form,
-        }
-    )
+    facts = {"noise": fitted.noise, "quantity": data.quantity, "data": data.description}
+    return result | record | facts | {"network": form}
 
 
 def _fit_passive_model(

@@ -227,6 +227,15 @@ def test_an_oscillation_is_no_heat_network(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_directory_that_cannot_be_written_is_noticed_before_the_fit(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "kc2spice.workflow.reduce_files.network_of_transient", lambda *_: pytest.fail("fitted")
+    )
+    path = transient_file(tmp_path / "step.csv", TIME, RISE)
+    with pytest.raises(kc.errors.UsageError, match="a file, not a directory"):
+        reduce_file(path, path, power=2.0)
+
+
 def test_two_temperatures_are_ambiguous(tmp_path):
     path = tmp_path / "two.csv"
     rows = "".join(f"{t},{y},{2 * y}\n" for t, y in zip(TIME, RISE, strict=True))
