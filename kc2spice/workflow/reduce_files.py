@@ -194,6 +194,10 @@ _OF_MEASUREMENT = (
     "this option applies only to a measured response",
     "a measured response, or matrices without this option",
 )
+_OF_CONSTANT_MODEL = (
+    "this option does not apply to a model with parameters",
+    "a tolerance without this option",
+)
 
 
 def _refuse_options(options: dict[str, Any], problem: str, expected: str) -> None:
@@ -265,15 +269,7 @@ def _reduce_affine(
     progress: Progress,
 ) -> dict[str, Any]:
     """Reduce matrices over the ranges of their parameters, and write the polynomials."""
-    for option, value in options.items():
-        if value is not None:
-            raise UsageError(
-                "this option does not apply to a model with parameters",
-                where=option,
-                got=value,
-                expected="a tolerance without this option",
-                hint=f"leave out {option}",
-            )
+    _refuse_options(options, *_OF_CONSTANT_MODEL)
     name, names = f"{model.name}_rom", list(model.defaults)
     require_parametric_form(model.model.ports, names, make_identifier(name, "rom"))
     _require_names(model.model, make_identifier(name, "rom"))
