@@ -185,12 +185,8 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
             return parse_touchstone(text, int(match[2] or 0))
         return find_response(read_tables(text), shunt, path.suffix.lower())
 
-    try:
-        with np.errstate(all="ignore"):  # values that are not finite are rejected later
-            response = call_reader(path, expected, read, advice)
-    except UsageError as error:
-        error.where = error.where or str(path)
-        raise
+    with np.errstate(all="ignore"):  # values that are not finite are rejected later
+        response = call_reader(path, expected, read, advice)
     f, Y = response.f, response.Y
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
         got = "NaN, infinity, an impedance of zero or a frequency below zero"

@@ -121,11 +121,12 @@ def parse_file(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
 def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = REDO_HINT) -> T:
     """Call ``read()``, and turn exceptions of parsers into errors about the file.
 
-    ``advice`` is the hint for a damaged file.
+    ``advice`` is the hint for a damaged file. The path becomes the location of errors without one.
     """
     try:
         return read()
-    except Kc2spiceError:
+    except Kc2spiceError as error:
+        error.where = error.where or str(path)
         raise
     except NotImplementedError:
         message = "the format of this file is not supported"

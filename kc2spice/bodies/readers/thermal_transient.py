@@ -79,11 +79,7 @@ def read_transient(path: Path) -> ThermalTransient:
         table = next(filter(_has_time, _read_tables(path)))
         return _find_transient(table, path)
 
-    try:
-        result = call_reader(path, EXPECTED_TABLE, read_response, NAME_TIME_HINT)
-    except UsageError as error:
-        error.where = error.where or str(path)
-        raise
+    result = call_reader(path, EXPECTED_TABLE, read_response, NAME_TIME_HINT)
     if not (np.isfinite(result.time).all() and np.isfinite(result.value).all()):
         raise make_unusable_error(path, "NaN or infinity", "finite numbers", NAME_TIME_HINT)
     count = len(np.unique(result.time[result.time > 0]))
