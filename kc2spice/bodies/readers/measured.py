@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import product
@@ -37,7 +38,7 @@ from kc2spice.bodies.readers.raw import (
     make_unusable_error,
     read_vectors,
 )
-from kc2spice.bodies.readers.text_table import read_tables
+from kc2spice.bodies.readers.text_table import TextTable, read_tables
 from kc2spice.bodies.readers.titles import (
     complex_quantity,
     convert_column,
@@ -179,11 +180,11 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     def read() -> MeasuredResponse:
         if path.suffix.lower() == ".mat":
             return _read_matlab(_load_variables(path, path.stat().st_mtime), shunt)
-        text = decode_measured_text(read_bounded(path, MAX_BYTES))
         if match:
+            text = _read_text(path)
             _require_no_shunt(shunt, "a Touchstone file")
             return parse_touchstone(text, int(match[2] or 0))
-        return find_response(read_tables(text), shunt, path.suffix.lower())
+        return find_response(load_tables(path), shunt, path.suffix.lower())
 
     with np.errstate(all="ignore"):  # values that are not finite are rejected later
         response = call_reader(path, expected, read, advice)
@@ -239,8 +240,26 @@ def parse_shunt_resistance(shunt: str | float | None) -> float | None:
     return resistance
 
 
-def decode_measured_text(data: bytes) -> str:
-    """Decode the text of a file in UTF-8, in UTF-16 with a byte order mark, or in Latin-1."""
+def load_tables(path: Path) -> Sequence[TextTable]:
+    """Read the tables of a file, the longest first.
+
+    Raises
+    ------
+    ValueError : see :func:`kc2spice.bodies.readers.text_table.read_tables`; or a file that is too
+    large.
+    """
+    return _parse_tables(_read_text(path))
+
+
+# The content of a file decides which reader is called; all of them need the same tables.
+@lru_cache(maxsize=1)
+def _parse_tables(text: str) -> Sequence[TextTable]:
+    return tuple(read_tables(text))
+
+
+def _read_text(path: Path) -> str:
+    """Read the text of a file in UTF-8, in UTF-16 with a byte order mark, or in Latin-1."""
+    data = read_bounded(path, MAX_BYTES)
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         return data.decode("utf-16")
     try:

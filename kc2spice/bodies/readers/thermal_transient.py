@@ -18,13 +18,12 @@ import numpy as np
 
 from kc2spice.bodies.readers.complex_response import ONE_PART_HINT, make_ambiguity_error
 from kc2spice.bodies.readers.meanings import TRANSIENT_QUANTITIES
-from kc2spice.bodies.readers.measured import MAX_BYTES, decode_measured_text, is_table
+from kc2spice.bodies.readers.measured import is_table, load_tables
 from kc2spice.bodies.readers.raw import call_reader, is_file, make_unusable_error
-from kc2spice.bodies.readers.text_table import TextTable, read_tables
+from kc2spice.bodies.readers.text_table import TextTable
 from kc2spice.bodies.readers.titles import Column, convert_column, read_title
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
-from kc2spice.core.untrusted_files import read_bounded
 
 # smallest number of times after the step: two time constants with their resistances, and the noise
 MIN_TIMES = 8
@@ -60,7 +59,7 @@ def is_transient(path: Path) -> bool:
     if not is_table(path) or not is_file(path):
         return False
     try:
-        tables = call_reader(path, EXPECTED_TABLE, partial(_read_tables, path))
+        tables = call_reader(path, EXPECTED_TABLE, partial(load_tables, path))
     except UsageError:  # the reader of responses reports this error
         return False
     return any(map(_has_time, tables))
@@ -76,7 +75,7 @@ def read_transient(path: Path) -> ThermalTransient:
     """
 
     def read_response() -> ThermalTransient:
-        table = next(filter(_has_time, _read_tables(path)))
+        table = next(filter(_has_time, load_tables(path)))
         return _find_transient(table, path)
 
     result = call_reader(path, EXPECTED_TABLE, read_response, NAME_TIME_HINT)
@@ -89,10 +88,6 @@ def read_transient(path: Path) -> ThermalTransient:
             path, f"{count} times after zero", f"at least {MIN_TIMES} of them", hint
         )
     return result
-
-
-def _read_tables(path: Path) -> list[TextTable]:
-    return read_tables(decode_measured_text(read_bounded(path, MAX_BYTES)))
 
 
 def _list_columns(table: TextTable) -> Iterator[Column]:
