@@ -182,7 +182,7 @@ class _ColumnPair(EqualByContent):
 
 
 @dataclass(frozen=True, eq=False)
-class _Columns(EqualByContent):
+class ClassifiedColumns(EqualByContent):
     """Columns by quantity, complex columns, unknown titles, and problems of titles."""
 
     by_quantity: dict[str, list[Column]]
@@ -208,7 +208,7 @@ def combine_response(
     """
     if len(titles) != len(numbers):
         raise ValueError(f"{len(titles)} titles above {len(numbers)} columns of numbers")
-    columns = _classify_columns(titles, numbers)
+    columns = classify_columns(titles, numbers)
     _require_complete(titles, columns, shunt)
     frequency = _require_agreement("f", columns.by_quantity["f"])
     f = frequency.values
@@ -231,7 +231,7 @@ def combine_response(
     if "c" in reading.combination.columns:
         remarks.append(f"{reading.columns[0].title.text}: neither Cp nor Cs, taken as Cp")
     texts = map(attrgetter("title.text"), used)
-    summary = ", ".join(map(str, used)) + _describe_unused(titles, texts)
+    summary = ", ".join(map(str, used)) + describe_unused(titles, texts)
     return _make_response(f, reading.combination.quantity, samples, reference, remarks, summary)
 
 
@@ -255,9 +255,9 @@ def _require_one_sweep(f: np.ndarray) -> None:
     raise make_ambiguity_error(f"{len(starts) + 1} sweeps in one table", sweeps, ONE_PART_HINT)
 
 
-def _classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> _Columns:
+def classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> ClassifiedColumns:
     """Classify columns by the meaning of their titles."""
-    result = _Columns({}, [], [], [])
+    result = ClassifiedColumns({}, [], [], [])
     for text, values in zip(titles, numbers, strict=True):
         try:
             if np.iscomplexobj(values):
@@ -279,7 +279,9 @@ def _classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> _
     return result
 
 
-def _require_complete(titles: Sequence[str], columns: _Columns, shunt: float | None) -> None:
+def _require_complete(
+    titles: Sequence[str], columns: ClassifiedColumns, shunt: float | None
+) -> None:
     """Raise an error unless a frequency and the columns of one combination exist."""
     names = set(columns.by_quantity)
     complete = [c for c in COMBINATIONS if set(c.columns) <= names]
@@ -306,7 +308,7 @@ def _require_complete(titles: Sequence[str], columns: _Columns, shunt: float | N
     raise _make_incomplete_error(titles, columns)
 
 
-def _make_incomplete_error(titles: Sequence[str], columns: _Columns) -> Exception:
+def _make_incomplete_error(titles: Sequence[str], columns: ClassifiedColumns) -> Exception:
     """Return the error of columns that do not determine an impedance."""
     if columns.problems:
         return ValueError(columns.problems[0])
@@ -341,7 +343,7 @@ def _require_agreement(quantity: str, candidates: Sequence[Column]) -> Column:
     return first
 
 
-def _select_pair(combination: Combination, columns: _Columns) -> tuple[Column, Column]:
+def _select_pair(combination: Combination, columns: ClassifiedColumns) -> tuple[Column, Column]:
     """Select the columns of a combination.
 
     If several first columns exist, the channel of the second column determines the selection.
@@ -374,7 +376,9 @@ def _relative_difference(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.median(ratio)) if ratio.size else 0.0
 
 
-def _combine_columns(columns: _Columns, f: np.ndarray, shunt: float | None) -> list[_ColumnPair]:
+def _combine_columns(
+    columns: ClassifiedColumns, f: np.ndarray, shunt: float | None
+) -> list[_ColumnPair]:
     """Form all combinations of columns, and check that they agree.
 
     Raises
@@ -424,7 +428,7 @@ def _convert_gain(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, st
 
 
 def _complex_response(
-    frequency: Column, columns: _Columns, titles: Sequence[str], notes: Sequence[str]
+    frequency: Column, columns: ClassifiedColumns, titles: Sequence[str], notes: Sequence[str]
 ) -> MeasuredResponse:
     """Return the response that a table has as one column of complex numbers."""
     text, quantity, samples = columns.complex_columns[0]
@@ -439,11 +443,11 @@ def _complex_response(
         remarks.append(f"{text}: complex numbers, taken as {quantity} in the unit of its title")
         remarks[-1] = remarks[-1] if "(" in text or "_" in text else f"{text}: taken as {unit}"
     summary = f"{frequency}, {quantity} from {text!r}"
-    summary += _describe_unused(titles, (text, frequency.title.text))
+    summary += describe_unused(titles, (text, frequency.title.text))
     return _make_response(frequency.values, quantity, samples, DEFAULT_REFERENCE, remarks, summary)
 
 
-def _describe_unused(titles: Sequence[str], used: Iterable[str]) -> str:
+def describe_unused(titles: Sequence[str], used: Iterable[str]) -> str:
     """Describe the titles that are not among those ``used``; empty if all are used."""
     names = set(map(str.strip, used))
     unused = [title for title in map(str.strip, titles) if title and title not in names]

@@ -8,20 +8,22 @@ is the path of a table, the output a :class:`ThermalTransient`, which
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from kc2spice.bodies.readers.complex_response import ONE_PART_HINT, make_ambiguity_error
+from kc2spice.bodies.readers.complex_response import (
+    ONE_PART_HINT,
+    classify_columns,
+    describe_unused,
+    make_ambiguity_error,
+)
 from kc2spice.bodies.readers.meanings import TRANSIENT_QUANTITIES
 from kc2spice.bodies.readers.measured import is_table, load_tables
 from kc2spice.bodies.readers.raw import call_reader, is_file, make_unusable_error
 from kc2spice.bodies.readers.text_table import TextTable
-from kc2spice.bodies.readers.titles import Column, convert_column, read_title
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 
@@ -59,10 +61,9 @@ def is_transient(path: Path) -> bool:
     if not is_table(path) or not is_file(path):
         return False
     try:
-        tables = call_reader(path, EXPECTED_TABLE, partial(load_tables, path))
+        return call_reader(path, EXPECTED_TABLE, lambda: any(map(_has_time, load_tables(path))))
     except UsageError:  # the reader of responses reports this error
         return False
-    return any(map(_has_time, tables))
 
 
 def read_transient(path: Path) -> ThermalTransient:
@@ -90,31 +91,21 @@ def read_transient(path: Path) -> ThermalTransient:
     return result
 
 
-def _list_columns(table: TextTable) -> Iterator[Column]:
-    """Yield the columns of real numbers whose title has a meaning."""
-    for text, values in zip(table.titles or (), table.numbers, strict=False):
-        try:
-            title = read_title(text)
-            if title is not None and not np.iscomplexobj(values):
-                yield convert_column(title, values)
-        except ValueError:
-            continue
-
-
 def _has_time(table: TextTable) -> bool:
-    quantities = {column.title.meaning.quantity for column in _list_columns(table)}
+    if table.titles is None:
+        return False
+    quantities = classify_columns(table.titles, table.numbers).by_quantity
     return "time" in quantities and "f" not in quantities
 
 
 def _find_transient(table: TextTable, path: Path) -> ThermalTransient:
     """Find the time and the temperature or the thermal impedance in a table."""
-    by_quantity: dict[str, list[Column]] = {}
-    for column in _list_columns(table):
-        by_quantity.setdefault(column.title.meaning.quantity, []).append(column)
+    titles = table.titles or ()
+    by_quantity = classify_columns(titles, table.numbers).by_quantity
     times = by_quantity["time"]
     values = [column for name in TRANSIENT_QUANTITIES for column in by_quantity.get(name, ())]
     if not values:
-        names = ", ".join(map(repr, map(str.strip, table.titles or ())))
+        names = ", ".join(map(repr, map(str.strip, titles)))
         raise ValueError(f"a time, but neither a temperature nor a Zth, in the columns {names}")
     for label, found in (("times", times), ("columns of a thermal transient", values)):
         if any(not np.array_equal(found[0].values, other.values) for other in found[1:]):
@@ -123,8 +114,7 @@ def _find_transient(table: TextTable, path: Path) -> ThermalTransient:
             )
     time, value = times[0], values[0]
     order = np.argsort(time.values, kind="stable")
-    used = {time.title.text, value.title.text}
-    unused = ", ".join(text.strip() for text in table.titles or () if text not in used)
+    unused = describe_unused(titles, (time.title.text, value.title.text))
     return ThermalTransient(
         name=path.stem,
         where=str(path),
@@ -132,5 +122,5 @@ def _find_transient(table: TextTable, path: Path) -> ThermalTransient:
         time=time.values[order],
         value=value.values[order],
         notes=tuple(filter(None, (*table.notes, time.note, value.note))),
-        columns=f"{time}, {value}" + (f"; not used: {unused}" if unused else ""),
+        columns=f"{time}, {value}{unused}",
     )
